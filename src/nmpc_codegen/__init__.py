@@ -1,0 +1,111 @@
+"""nmpc_codegen: from an optimal control problem in CasADi to self-contained static-memory C99 and back as a controller.
+
+What needs CasADi is loaded on first use, so that open_package() runs a controller without importing it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Any
+
+from nmpc_codegen.package import open_package
+from nmpc_codegen.controller import Controller
+from nmpc_codegen.errors import (
+    BuildError,
+    ControllerError,
+    NmpcError,
+    OptionError,
+    ProblemError,
+    ProblemWarning,
+)
+from nmpc_codegen.simulate import Log, simulate
+from nmpc_codegen.status import Status
+
+if TYPE_CHECKING:
+    from nmpc_codegen.algorithms import RealTimeIteration
+    from nmpc_codegen.compiler import Package, export, generate
+    from nmpc_codegen.condensing import FullCondensing
+    from nmpc_codegen.hessians import GaussNewton
+    from nmpc_codegen.integrators import (
+        RK4,
+        SSPRK3,
+        ButcherTableau,
+        Discrete,
+        Euler,
+        ExplicitRungeKutta,
+        Heun,
+        Midpoint,
+    )
+    from nmpc_codegen.ocp import OCP
+    from nmpc_codegen.options import Online, Options
+    from nmpc_codegen.qp import DenseActiveSet
+
+_HOMES = {
+    "algorithms": ("RealTimeIteration",),
+    "compiler": ("Package", "export", "generate"),
+    "condensing": ("FullCondensing",),
+    "hessians": ("GaussNewton",),
+    "integrators": (
+        *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
+    ),
+    "ocp": ("OCP",),
+    "options": ("Online", "Options"),
+    "qp": ("DenseActiveSet",),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [  # noqa: PLE0604
+    "OCP",
+    "RK4",
+    "SSPRK3",
+    "BuildError",
+    "ButcherTableau",
+    "Controller",
+    "ControllerError",
+    "DenseActiveSet",
+    "Discrete",
+    "Euler",
+    "ExplicitRungeKutta",
+    "FullCondensing",
+    "GaussNewton",
+    "Heun",
+    "Log",
+    "Midpoint",
+    "NmpcError",
+    "Online",
+    "OptionError",
+    "Options",
+    "Package",
+    "ProblemError",
+    "ProblemWarning",
+    "RealTimeIteration",
+    "Status",
+    "build",
+    "export",
+    "generate",
+    "open_package",
+    "simulate",
+]
+
+try:
+    __version__ = version("nmpc-codegen")
+except PackageNotFoundError:  # a source tree that is not installed
+    __version__ = "0+unknown"
+
+
+def build(
+    ocp: OCP, options: Options | None = None, profile: str = "fast", lanes: int | None = None, name: str | None = None
+) -> Controller:
+    """Generate, compile and load a controller; see nmpc_codegen.compiler.build.
+
+    Defined here, not loaded on first use: the module nmpc_codegen.build would hide it.
+    """
+    controller: Controller = import_module(f"{__name__}.compiler").build(ocp, options, profile, lanes, name)
+    return controller
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

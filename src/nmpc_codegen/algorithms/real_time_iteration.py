@@ -1,0 +1,97 @@
+"""Gauss-Newton / SQP real-time iteration: one QP per sample, split into preparation and feedback phase.
+
+prepare(): (shift,) linearise, Hessian, condense, factorise. feedback(xhat): embed, solve, expand, full step, u_0
+([H11] section 2.2, [Q14] algorithm 3, algorithms.md 4). solve() iterates the same pieces to convergence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from nmpc_codegen.cmodule import Field, Size, Struct
+from nmpc_codegen.component import Dims
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.kernel import OpCount
+from nmpc_codegen.problem import Problem
+from nmpc_codegen.sweep import Routine
+
+SHIFTS = (None, "repeat")
+
+
+@dataclass(frozen=True)
+class RealTimeIteration:
+    """One QP per sample, full step. ``shift``: None, or "repeat" (the plan moves by one interval before prepare).
+
+    "repeat" is right only if the sampling time equals the first interval; the last control is repeated and the tail
+    integrated.
+    """
+
+    shift: str | None = None
+
+    seam: ClassVar[str] = "algorithm"
+    name: ClassVar[str] = "real_time_iteration"
+    template: ClassVar[str] = "algorithms/real_time_iteration.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ("integrator", "hessian", "condensing", "qp")
+    supports: ClassVar[frozenset[str]] = frozenset({"general cost"})
+
+    def __post_init__(self) -> None:
+        if self.shift not in SHIFTS:
+            raise OptionError(f'shift: {self.shift!r}; this version supports None and "repeat"')
+
+    def check(self, problem: Problem) -> None:
+        """Shifting by an interval needs intervals of one length."""
+        if self.shift == "repeat" and not problem.uniform:
+            raise OptionError('shift="repeat" moves the plan by one interval and clashes with a non-uniform grid')
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        self.check(problem)
+        return ()
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return (("SHIFT", int(self.shift == "repeat"), "1: step() moves the plan by one interval before preparing"),)
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """Linearisation of every node, multipliers (members of the solver), results."""
+        nodes = Size("N + 1", dims.N.value + 1)
+        return (
+            Struct(
+                "node",
+                "linearisation of a path node",
+                (
+                    Field("S", (dims.nx, dims.nz), "[A_k B_k] = d Phi / d(x, u)", "data"),
+                    Field("b", (dims.nx,), "gap Phi(x_k, u_k) - x_{k+1}", "data"),
+                    Field("g", (dims.nz,), "gradient (q_k, r_k)", "data"),
+                    Field("h", (dims.nh,), "general rows", "data"),
+                    Field("J", (dims.nh, dims.nz), "their Jacobian [C_k D_k]", "data"),
+                ),
+                shape=(dims.N,),
+            ),
+            Struct(
+                "terminal",
+                "linearisation of the terminal node",
+                (
+                    Field("g", (dims.nx,), "gradient q_N", "data"),
+                    Field("h", (dims.nh_N,), "general rows", "data"),
+                    Field("J", (dims.nh_N, dims.nx), "their Jacobian C_N", "data"),
+                ),
+            ),
+            Struct(
+                "solver",
+                "",
+                (
+                    Field("lam", (nodes, dims.nx), "multipliers of the dynamics; lam_0 of x_0 = xhat", "iterate"),
+                    Field("mu_x", (nodes, dims.nx), "multipliers of the state bounds, > 0 at the upper one", "iterate"),
+                    Field("mu_u", (dims.N, dims.nu), "multipliers of the control bounds", "iterate"),
+                    Field("mu", (dims.N, dims.nh), "multipliers of the general path rows", "iterate"),
+                    Field("mu_N", (dims.nh_N,), "multipliers of the general terminal rows", "iterate"),
+                    Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
+                    Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
+                    Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
+                    Field("reference_changed", (), "1: gradients are renewed in feedback", "keep", "int32"),
+                ),
+            ),
+        )
+
+    def cost(self, dims: Dims) -> dict[str, OpCount]:
+        return {}

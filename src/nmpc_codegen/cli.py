@@ -1,0 +1,413 @@
+"""nmpc-export: from a Python file that states a problem to a folder of C99.
+
+Exit status: 0 done; 1 the problem, the options or the check failed, the message says where; 2 wrong usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import dataclasses
+import importlib
+import runpy
+import sys
+import traceback
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nmpc_codegen.errors import NmpcError, OptionError, ProblemError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from nmpc_codegen.controller import Solution
+    from nmpc_codegen.ocp import OCP
+    from nmpc_codegen.options import Options
+
+#: Option field of each variation point -> the package folder that holds its registry.
+FOLDERS = {
+    "integrator": "integrators",
+    "hessian": "hessians",
+    "condensing": "condensing",
+    "qp": "qp",
+    "algorithm": "algorithms",
+}
+
+#: --check: largest |a - b| / max(1, max|b|) of controls and states per component, and of the cost relatively.
+LIMITS = {"double": {"u": 1e-6, "x": 1e-6, "cost": 1e-8}, "single": {"u": 1e-2, "x": 1e-2, "cost": 1e-3}}
+CHECK_TOLERANCE = {"double": 1e-9, "single": 1e-3}
+CHECK_ITERATIONS = 1000
+COST_FLOOR = 1e-6  # a smaller cost counts as this much, or a problem that starts at its goal could not pass
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    parser = _parser()
+    try:
+        arguments = parser.parse_args(argv)
+        _refuse_nonsense(parser, arguments)
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    from rich.console import Console
+
+    console, errors = Console(highlight=False), Console(stderr=True, highlight=False)
+    try:
+        if arguments.list_options:
+            list_options(console)
+            return 0
+        return _run(arguments, console)
+    except KeyboardInterrupt:
+        errors.print("interrupted", style="red")
+        return 1
+    except (Exception, SystemExit) as error:
+        if arguments.verbose:
+            traceback.print_exc()
+        errors.print(_message(error, arguments.problem), style="red", markup=False, soft_wrap=True)
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="nmpc-export",
+        description="Write a self-contained C99 package that solves the optimal control problem of a Python file.",
+        epilog="The file defines `ocp` (and optionally `options`), or a function problem() that returns them.",
+    )
+    add = parser.add_argument
+    add("problem", nargs="?", metavar="problem.py", help="file that states the problem")
+    add("-o", "--output", metavar="DIR", help="folder to write (default: out/<name>)")
+    add("--name", help="name of the package, prefix of every C name (default: the problem's)")
+    add("--hessian", metavar="WORD", help="Hessian of the QP, see --list-options")
+    add("--qp", metavar="WORD", help="QP solver, see --list-options")
+    add("--precision", choices=("double", "single"), help="working precision")
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="settings",
+        help="any option by its dotted name, e.g. integrator.steps=3; may be repeated",
+    )
+    add("--check", action="store_true", help="compile with warnings as errors, solve, compare with IPOPT")
+    add("--simulate", type=int, metavar="STEPS", help="closed loop from the declared initial state")
+    add("--plot", metavar="FILE", help="picture of the simulation (.png, .pdf, .svg)")
+    add("--list-options", action="store_true", help="print every component with its options, and exit")
+    add("-v", "--verbose", action="store_true", help="the whole report; tracebacks")
+    return parser
+
+
+def _refuse_nonsense(parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """Usage errors that argparse does not see by itself; error() leaves with status 2."""
+    if arguments.problem is None and not arguments.list_options:
+        parser.error("the file that states the problem is missing")
+    if arguments.plot is not None and arguments.simulate is None:
+        parser.error("--plot needs --simulate STEPS")
+    if arguments.simulate is not None and arguments.simulate < 1:
+        parser.error(f"--simulate {arguments.simulate}: expected at least one step")
+    for setting in arguments.settings:
+        if not setting.partition("=")[0].strip() or "=" not in setting:
+            parser.error(f"--set {setting}: expected KEY=VALUE, e.g. integrator.steps=3")
+
+
+def _message(error: BaseException, problem: str | None) -> str:
+    """One message without traceback; an error raised inside the problem's file carries its line."""
+    if isinstance(error, SystemExit):
+        return f"{problem} ended the program (exit status {error.code}) instead of stating a problem"
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if problem and _same(f.filename, problem)]
+    place = f"{problem}, line {lines[-1]}: " if lines else ""
+    if isinstance(error, SyntaxError) and error.filename and problem and _same(error.filename, problem):
+        place = f"{problem}, line {error.lineno}: "
+        return f"{place}{type(error).__name__}: {error.msg}"
+    if isinstance(error, NmpcError):
+        return f"{place}{type(error).__name__}: {error}"
+    return f"{place}{type(error).__name__}: {error}" + ("" if lines else "  (-v shows where)")
+
+
+def _same(a: str, b: str) -> bool:
+    return Path(a).resolve() == Path(b).resolve()
+
+
+# -- the problem ------------------------------------------------------------------------------------------------------
+
+
+def load_problem(path: Path) -> tuple[OCP, Options]:
+    """Run a problem file and take its problem and options.
+
+    Looks for ``problem()``, then ``ocp``, then ``build_ocp()``, then for the only OCP among the file's names.
+
+    Raises:
+        ProblemError: there is no such file, or no problem in it, or several without one called ``ocp``.
+    """
+    from nmpc_codegen.options import Options
+
+    if not path.is_file():
+        raise ProblemError(f"{path}: there is no such file")
+    sys.path.insert(0, str(path.resolve().parent))
+    try:
+        names = runpy.run_path(str(path))
+        found = _stated(names, path)
+    finally:
+        sys.path.pop(0)
+    ocp, given = found if isinstance(found, tuple) else (found, names.get("options"))
+    if given is None:
+        return ocp, Options()
+    if not isinstance(given, Options):
+        raise ProblemError(f"{path}: options is a {type(given).__name__}; expected Options")
+    return ocp, given
+
+
+def _stated(names: Mapping[str, Any], path: Path) -> Any:
+    """What the file states: an OCP, or a pair (OCP, Options)."""
+    from nmpc_codegen.ocp import OCP
+
+    for function in ("problem", "build_ocp"):
+        if function == "build_ocp" and isinstance(names.get("ocp"), OCP):
+            break
+        if callable(names.get(function)):
+            result = names[function]()
+            first = result[0] if isinstance(result, tuple) and len(result) == 2 else result
+            if not isinstance(first, OCP):
+                given = type(result).__name__
+                raise ProblemError(f"{path}: {function}() returns {given}; expected OCP or (OCP, Options)")
+            return result
+    if "ocp" in names:
+        if not isinstance(names["ocp"], OCP):
+            raise ProblemError(f"{path}: ocp is a {type(names['ocp']).__name__}; expected OCP")
+        return names["ocp"]
+    several = {name: value for name, value in names.items() if isinstance(value, OCP)}
+    if len({id(value) for value in several.values()}) == 1:
+        return next(iter(several.values()))
+    if several:
+        raise ProblemError(f"{path} defines several problems ({', '.join(several)}); call the one to export `ocp`")
+    raise ProblemError(f"{path} defines no problem: expected an OCP called `ocp`, or a function problem()")
+
+
+# -- options ----------------------------------------------------------------------------------------------------------
+
+
+def registry(seam: str) -> Mapping[str, Any]:
+    """Components of a variation point: word -> class."""
+    module = importlib.import_module(f"nmpc_codegen.{FOLDERS[seam]}")
+    found: Mapping[str, Any] = module.REGISTRY
+    return found
+
+
+def apply_setting(options: Options, key: str, text: str) -> Options:
+    """options with the dotted field ``key`` replaced; ``text`` is a Python literal, else a word.
+
+    Raises:
+        OptionError: no such field (lists those there are), or a value that the option refuses.
+    """
+    try:
+        value = ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        value = text
+    first, *rest = key.split(".")
+    fields = _fields(options)
+    if first not in fields:
+        raise OptionError(f"there is no option {first!r}; there is {', '.join(fields)}")
+    if first in FOLDERS:
+        part = _replaced(_part(options, first, rest[0]), rest, value, first) if rest else _component(first, value)
+        return dataclasses.replace(options, **{first: part})
+    changed: Options = _replaced(options, [first, *rest], value, "")
+    return changed
+
+
+def _component(seam: str, word: Any) -> Any:
+    """A component with its default options, by its word; None leaves the choice to the compiler."""
+    if word is None:
+        return None
+    words = registry(seam)
+    if word not in words:
+        raise OptionError(f"there is no {seam} {word!r}; there is {', '.join(words)}")
+    return words[word]()
+
+
+def _part(options: Options, seam: str, field: str) -> Any:
+    """The chosen component of a seam; if none is chosen yet, the only one that has this field."""
+    part = getattr(options, seam)
+    if part is not None:
+        return part
+    candidates = {word: cls for word, cls in registry(seam).items() if field in _fields(cls)}
+    if len(candidates) != 1:
+        known = ", ".join(candidates or registry(seam))
+        raise OptionError(f"{seam}.{field}: no {seam} is chosen; say --set {seam}=WORD first, with one of {known}")
+    return next(iter(candidates.values()))()
+
+
+def _replaced(value: Any, keys: Sequence[str], new: Any, where: str) -> Any:
+    """A frozen dataclass with the field at the end of ``keys`` replaced."""
+    if not keys:
+        return new
+    fields = _fields(value)
+    if keys[0] not in fields:
+        there = f"there is {', '.join(fields)}" if fields else "it has none"
+        raise OptionError(f"{where or 'options'} has no option {keys[0]!r}; {there}")
+    path = f"{where}.{keys[0]}" if where else keys[0]
+    return dataclasses.replace(value, **{keys[0]: _replaced(getattr(value, keys[0]), keys[1:], new, path)})
+
+
+def _fields(value: Any) -> list[str]:
+    """Names of the options of a component or of its class."""
+    return [f.name for f in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+
+
+def list_options(console: Console) -> None:
+    """Print every component of every variation point with its options and their defaults."""
+    from rich.table import Table
+
+    from nmpc_codegen.options import Options
+
+    table = Table("option", "word", "fields = defaults", "what it is", title="Components", title_justify="left")
+    for seam in FOLDERS:
+        for i, (word, cls) in enumerate(registry(seam).items()):
+            table.add_row("" if i else seam, word, _defaults(cls), _first_line(cls))
+        table.add_section()
+    console.print(table)
+    general = Table("option", "default", "set with", title="All options", title_justify="left")
+    for name in _fields(Options):
+        default = getattr(Options(), name)
+        inner = [f"{name}.{f}" for f in _fields(default)]
+        shown = "chosen" if default is None else getattr(default, "name", None) or repr(default)
+        general.add_row(name, str(shown), "\n".join(f"--set {k}=..." for k in [name, *inner] if k != name or not inner))
+    console.print(general)
+
+
+def _defaults(cls: Any) -> str:
+    made = cls()
+    return "\n".join(f"{name} = {_short(getattr(made, name))}" for name in _fields(cls)) or "-"
+
+
+def _short(value: Any) -> str:
+    """The name of a named value such as a tableau, else its repr."""
+    name = getattr(value, "name", None)
+    return name if isinstance(name, str) else repr(value)
+
+
+def _first_line(cls: Any) -> str:
+    return (cls.__doc__ or "").strip().partition("\n")[0]
+
+
+# -- the work ---------------------------------------------------------------------------------------------------------
+
+
+def _run(arguments: argparse.Namespace, console: Console) -> int:
+    from nmpc_codegen.compiler import export, open_package
+
+    ocp, options = load_problem(Path(arguments.problem))
+    for seam in ("hessian", "qp"):
+        if getattr(arguments, seam) is not None:
+            options = apply_setting(options, seam, getattr(arguments, seam))
+    if arguments.precision is not None:
+        options = dataclasses.replace(options, precision=arguments.precision)
+    for setting in arguments.settings:
+        key, _, text = setting.partition("=")
+        options = apply_setting(options, key.strip(), text.strip())
+    name = arguments.name or ocp.name
+    folder = Path(arguments.output or Path("out") / name)
+    package = export(ocp, options, str(folder), name=name)
+    _print_package(console, folder, name, package.report, arguments.verbose)
+    passed = True
+    if arguments.check:
+        passed = check(ocp, options, folder, name, console)
+    if arguments.simulate is not None:
+        from nmpc_codegen.simulate import simulate
+
+        controller = open_package(str(folder))
+        log = simulate(controller, controller.description.x_initial, arguments.simulate)
+        console.print(log.summary(), markup=False)
+        if arguments.plot is not None:
+            log.plot(arguments.plot)
+            console.print(f"picture: {arguments.plot}", markup=False)
+    return 0 if passed else 1
+
+
+def _print_package(console: Console, folder: Path, name: str, report: Any, verbose: bool) -> None:
+    """Files with their sizes, and the report: what was chosen and why, memory, operations."""
+    from rich.table import Table
+
+    table = Table("file", "bytes", title=f"{name} in {folder}", title_justify="left")
+    table.columns[1].justify = "right"
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        table.add_row(str(path.relative_to(folder)), f"{path.stat().st_size:,}")
+    console.print(table)
+    console.print(str(report), markup=False)
+    if verbose:
+        console.print((folder / f"{name}.json").read_text(encoding="utf-8"), markup=False)
+
+
+def check(ocp: OCP, options: Options, folder: Path, name: str, console: Console) -> bool:
+    """Compile with warnings as errors, solve from the declared initial state, compare with IPOPT.
+
+    IPOPT starts as the generated code does; if it ends elsewhere (another local optimum) it starts once more at the
+    generated code's solution, which it must then return.
+    """
+    from nmpc_codegen.analyse import analyse
+    from nmpc_codegen.build import load
+    from nmpc_codegen.reference import Reference, node_data
+
+    files = {f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")}
+    controller = load(files, name, "verify", warnings_as_errors=True)
+    problem = analyse(ocp)
+    solution = controller.solve(problem.x_initial, CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS)
+    nlp = Reference(problem, *_tableau(options))
+    data = node_data(problem)
+    reference = nlp.solve(data)
+    errors = compare(solution, reference)
+    limits = LIMITS[options.precision]
+    if any(not errors[key] <= limits[key] for key in limits):
+        nearby = nlp.solve(data, x=solution.x, u=solution.u)
+        if nearby.success:
+            reference, errors = nearby, compare(solution, nearby)
+    solved = solution.status.name in ("OK", "STALLED")
+    passed = solved and reference.success and all(errors[key] <= limits[key] for key in limits)
+    _print_check(console, solution, reference, errors, limits, passed)
+    return passed
+
+
+def _tableau(options: Options) -> tuple[Any, ...]:
+    """The integrator as plain numbers for the reference; nothing for a discrete map or the default."""
+    from nmpc_codegen.reference import Tableau
+
+    scheme = getattr(options.integrator, "tableau", None)
+    if scheme is None:
+        return ()
+    A = tuple(tuple(float(a) for a in row) for row in scheme.a)
+    return (Tableau(A, tuple(float(b) for b in scheme.b), int(getattr(options.integrator, "steps", 1))),)
+
+
+def compare(solution: Solution, reference: Any) -> dict[str, float]:
+    """Errors against a reference: largest |a - b| / max(1, max|b|) of u and x per component; of the cost relatively."""
+    errors = {"cost": abs(solution.cost - reference.cost) / max(abs(reference.cost), COST_FLOOR)}
+    for key, ours, theirs in (("u", solution.u, reference.u), ("x", solution.x, reference.x)):
+        size = np.maximum(1.0, np.abs(theirs).max(axis=0, initial=0.0))
+        errors[key] = float((np.abs(ours - theirs) / size).max(initial=0.0))
+    return errors
+
+
+def _print_check(
+    console: Console,
+    solution: Solution,
+    reference: Any,
+    errors: Mapping[str, float],
+    limits: Mapping[str, float],
+    passed: bool,
+) -> None:
+    from rich.table import Table
+
+    table = Table("", "error", "limit", "", title="Check against IPOPT", title_justify="left")
+    for key, limit in limits.items():
+        verdict, style = ("ok", "") if errors[key] <= limit else ("FAILED", "red")
+        table.add_row(key, f"{errors[key]:.1e}", f"{limit:.0e}", verdict, style=style)
+    console.print(table)
+    ours = f"{solution.status.name} ({solution.status.meaning}), {solution.iterations} iterations"
+    console.print(f"generated code: {ours}, cost {solution.cost:.10g}", markup=False)
+    theirs = f"{reference.status}, {reference.iterations} iterations"
+    console.print(f"IPOPT: {theirs}, cost {reference.cost:.10g}", markup=False)
+    console.print("check passed" if passed else "check FAILED", style="green" if passed else "red")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

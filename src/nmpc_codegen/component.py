@@ -1,0 +1,82 @@
+"""The seams of the compiler and the contract that every component fulfils.
+
+A component is a frozen dataclass of its own options. lower.py loops over components and never asks which one it holds.
+Seams, in the order in which their sections stand in the generated C: integrator, hessian, condensing, qp, algorithm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+from nmpc_codegen.errors import OptionError
+
+if TYPE_CHECKING:
+    from nmpc_codegen.cmodule import Size, Struct
+    from nmpc_codegen.kernel import OpCount
+    from nmpc_codegen.problem import Problem
+    from nmpc_codegen.sweep import Routine
+
+# Columns of a dense matrix that are processed together; leading dimensions are rounded up to it.
+PANEL = 4
+
+SEAMS = ("integrator", "hessian", "condensing", "qp", "algorithm")
+
+
+@dataclass(frozen=True)
+class Dims:
+    """The sizes that components share; each is a Size whose text is a macro of the package (without prefix)."""
+
+    N: Size
+    nx: Size
+    nu: Size
+    nz: Size  # nx + nu
+    np: Size
+    ny: Size
+    ny_N: Size
+    nw: Size  # entries of the path weight: ny or ny^2
+    nw_N: Size
+    nh: Size  # general path rows
+    nh_N: Size  # general terminal rows
+    nr: Size  # scalar rows the user stated
+    nq: Size  # Hessian blocks of the path: 1 where the block is the same at all nodes, else N
+    nv: Size  # variables of the condensed QP: N nu
+    ng: Size  # general rows of the condensed QP
+    ld: Size  # leading dimension of condensed matrices: nv rounded up to PANEL
+
+
+class Component(Protocol):
+    """What lower.py asks of a component."""
+
+    seam: ClassVar[str]
+    name: ClassVar[str]  # the word of the command line
+    template: ClassVar[str]  # below templates/
+    needs: ClassVar[tuple[str, ...]]  # other seams whose contract it calls
+    supports: ClassVar[frozenset[str]]  # problem features it takes
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """Functions lifted from CasADi that its template calls."""
+        ...
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        """Further compile-time sizes: (macro without prefix, value, meaning)."""
+        ...
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """The structs it owns inside the solver struct."""
+        ...
+
+    def cost(self, dims: Dims) -> dict[str, OpCount]:
+        """Exact operation counts of its C functions whose count does not depend on data, by function name."""
+        ...
+
+
+def refuse_unsupported(problem: Problem, components: Iterable[Component]) -> None:
+    """Raise OptionError if the problem uses a feature that a chosen component does not take."""
+    for component in components:
+        missing = sorted(problem.features - component.supports)
+        if missing:
+            raise OptionError(
+                f"{problem.name} uses {', '.join(missing)}, which {component.seam} {component.name!r} does not support"
+            )

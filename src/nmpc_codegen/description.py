@@ -1,0 +1,222 @@
+"""What <name>.json says about a C package, as frozen values: sizes, names, rows and the layout of the solver struct.
+
+Everything that runs a package reads it from here; nothing here needs CasADi or a compiler.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.errors import ControllerError
+
+FORMAT = 1
+REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
+INTEGERS: dict[str, type[np.integer[Any]]] = {"int32": np.int32, "int64": np.int64}
+
+
+@dataclass(frozen=True)
+class Dimensions:
+    """Sizes of a controller, in the notation of the project."""
+
+    N: int
+    nx: int
+    nu: int
+    np: int
+    ny: int
+    ny_N: int
+    nh: int
+    nh_N: int
+    nr: int  # scalar rows the user stated
+
+
+@dataclass(frozen=True)
+class SignalInfo:
+    """A named state, control or parameter; ``offset`` is the position of its first element in the stacked vector."""
+
+    name: str
+    size: int
+    unit: str
+    value: tuple[float, ...]
+    offset: int
+    scalar: bool
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """Names of the elements: ``v`` or ``r[0], r[1]``."""
+        return (self.name,) if self.scalar else tuple(f"{self.name}[{i}]" for i in range(self.size))
+
+
+@dataclass(frozen=True)
+class RowInfo:
+    """One scalar row lower <= value <= upper, with the bounds it was declared with."""
+
+    name: str
+    kind: str  # control | state | general | coupled
+    index: int
+    index_terminal: int
+    nodes: tuple[int, ...]
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True)
+class Names:
+    """Element names in the order of the vectors that hold them."""
+
+    states: tuple[str, ...]
+    controls: tuple[str, ...]
+    parameters: tuple[str, ...]
+    rows: tuple[str, ...]
+    y: tuple[str, ...]
+    y_N: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Member:
+    """A member of a C struct: true ``shape``, and ``padded`` as C declares it."""
+
+    name: str
+    type: str  # real | int32 | int64 | name of a struct
+    shape: tuple[int, ...]
+    padded: tuple[int, ...]
+    role: str
+    doc: str
+
+
+@dataclass(frozen=True)
+class Description:
+    """A whole package; ``structs`` maps a struct's name to its members, "solver" holds all others."""
+
+    name: str
+    precision: str
+    dims: Dimensions
+    structs: Mapping[str, tuple[Member, ...]]
+    states: tuple[SignalInfo, ...]
+    controls: tuple[SignalInfo, ...]
+    parameters: tuple[SignalInfo, ...]
+    rows: tuple[RowInfo, ...]
+    y_names: tuple[str, ...]
+    y_names_N: tuple[str, ...]
+    dt: tuple[float, ...]
+    discrete: bool
+    statuses: tuple[str, ...]
+    options: str
+    report: Mapping[str, Any]
+
+    @property
+    def real(self) -> np.dtype[Any]:
+        """NumPy type of <name>_real."""
+        return np.dtype(REAL[self.precision])
+
+    @property
+    def x_initial(self) -> NDArray[np.float64]:
+        """Declared initial state, shape (nx,)."""
+        return np.array([v for s in self.states for v in s.value], dtype=np.float64)
+
+    @property
+    def names(self) -> Names:
+        """Element names of every vector."""
+        return Names(
+            states=_elements(self.states),
+            controls=_elements(self.controls),
+            parameters=_elements(self.parameters),
+            rows=tuple(r.name for r in self.rows),
+            y=self.y_names,
+            y_N=self.y_names_N,
+        )
+
+    def dtype(self, struct: str = "solver") -> np.dtype[Any]:
+        """Structured NumPy type of a C struct: members in order, each aligned as C aligns it."""
+        return np.dtype([(m.name, self._member_type(m), m.padded) for m in self.structs[struct]], align=True)
+
+    def _member_type(self, member: Member) -> np.dtype[Any]:
+        if member.type == "real":
+            return self.real
+        if member.type in INTEGERS:
+            return np.dtype(INTEGERS[member.type])
+        return self.dtype(member.type)
+
+
+def parse(text: str) -> Description:
+    """Read the text of <name>.json.
+
+    Raises:
+        ControllerError: the text is no package description, or one of another format.
+    """
+    try:
+        raw = json.loads(text)
+        version = raw["format"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise ControllerError(f"the package description is not the JSON that export() writes: {error}") from error
+    if version != FORMAT:
+        raise ControllerError(
+            f"the package description has format {version!r}, this version reads {FORMAT}: export it again"
+        )
+    try:
+        return _parse(raw)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ControllerError(f"the package description lacks or misspells an entry: {error!r}") from error
+
+
+def _parse(raw: Mapping[str, Any]) -> Description:
+    sizes = raw["sizes"]
+    if raw["precision"] not in REAL:
+        raise ValueError(f"precision {raw['precision']!r}")
+    return Description(
+        name=raw["name"],
+        precision=raw["precision"],
+        dims=Dimensions(
+            N=sizes["N"],
+            nx=sizes["NX"],
+            nu=sizes["NU"],
+            np=sizes["NP"],
+            ny=sizes["NY"],
+            ny_N=sizes["NY_N"],
+            nh=sizes["NH"],
+            nh_N=sizes["NH_N"],
+            nr=sizes["NR"],
+        ),
+        structs={s["name"]: tuple(_member(f) for f in s["fields"]) for s in raw["structs"]},
+        states=tuple(_signal(s) for s in raw["states"]),
+        controls=tuple(_signal(s) for s in raw["controls"]),
+        parameters=tuple(_signal(s) for s in raw["parameters"]),
+        rows=tuple(_row(r) for r in raw["rows"]),
+        y_names=tuple(raw["y_names"]),
+        y_names_N=tuple(raw["y_names_N"]),
+        dt=tuple(float(d) for d in raw["dt"]),
+        discrete=bool(raw["discrete"]),
+        statuses=tuple(raw["statuses"]),
+        options=raw["options"],
+        report=raw["report"],
+    )
+
+
+def _member(raw: Mapping[str, Any]) -> Member:
+    return Member(raw["name"], raw["type"], tuple(raw["shape"]), tuple(raw["padded"]), raw["role"], raw["doc"])
+
+
+def _signal(raw: Mapping[str, Any]) -> SignalInfo:
+    value = tuple(float(v) for v in raw["value"])
+    return SignalInfo(raw["name"], raw["size"], raw["unit"], value, raw["offset"], raw["scalar"])
+
+
+def _row(raw: Mapping[str, Any]) -> RowInfo:
+    return RowInfo(
+        name=raw["name"],
+        kind=raw["kind"],
+        index=raw["index"],
+        index_terminal=raw["index_terminal"],
+        nodes=tuple(raw["nodes"]),
+        lower=float(raw["lower"]),
+        upper=float(raw["upper"]),
+    )
+
+
+def _elements(signals: tuple[SignalInfo, ...]) -> tuple[str, ...]:
+    return tuple(e for s in signals for e in s.elements)

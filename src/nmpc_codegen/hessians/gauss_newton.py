@@ -1,0 +1,109 @@
+"""Gauss-Newton Hessian of least-squares costs.
+
+    l = 1/2 (y - yref)' W (y - yref),   gradient J' W (y - yref),   Hessian J' W J,   J = dy / d(x, u)
+
+([H11] section 2.2, algorithms.md 3). Only the lower triangle of the Hessian is formed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from nmpc_codegen.cmodule import Field, Struct
+from nmpc_codegen.component import Dims
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
+from nmpc_codegen.problem import Problem, Stage
+from nmpc_codegen.sweep import Routine
+
+
+@dataclass(frozen=True)
+class GaussNewton:
+    """Gauss-Newton Hessian; ``levenberg_marquardt`` >= 0 is added to its diagonal."""
+
+    convex_rows: bool = False
+    levenberg_marquardt: float = 0.0
+
+    seam: ClassVar[str] = "hessian"
+    name: ClassVar[str] = "gauss_newton"
+    template: ClassVar[str] = "hessians/gauss_newton.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ()
+    supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state"})
+
+    def __post_init__(self) -> None:
+        if self.convex_rows is not False:
+            raise OptionError(f"convex_rows: {self.convex_rows!r}; this version supports False only")
+        lm = self.levenberg_marquardt
+        if isinstance(lm, bool) or not isinstance(lm, int | float) or not (math.isfinite(lm) and lm >= 0):
+            raise OptionError(f"levenberg_marquardt: {lm!r}; expected a finite number >= 0")
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """cost, gradient and hessian of the path and of the terminal stage."""
+        return (*self._stage(problem.path, "path"), *self._stage(problem.terminal, "terminal"))
+
+    def _stage(self, stage: Stage, name: str) -> tuple[Kernel, ...]:
+        z = ca.vertcat(stage.x, stage.u)
+        nz, ny = int(z.numel()), stage.ny
+        yref, W, weight, nw = ca.SX.sym("yref", ny), *_weight(stage)
+        residual = stage.y - yref
+        J = ca.jacobian(stage.y, z) if ny else ca.SX(0, nz)
+        weighted = weight @ residual
+        hessian = ca.tril(J.T @ weight @ J + self.levenberg_marquardt * ca.DM.eye(nz))
+        terminal = not stage.nu
+        args = [stage.x, stage.p] if terminal else [stage.x, stage.u, stage.p, stage.dt]
+        ports = [Port("x", stage.nx), Port("p", int(stage.p.numel()))]
+        if not terminal:
+            ports = [ports[0], Port("u", stage.nu), ports[1], Port("dt", 1)]
+        Wp = Port("W", nw, doc="diagonal of the weight" if stage.diagonal_weight else "weight, row-major")
+        yp = Port("yref", ny)
+
+        def kernel(suffix: str, doc: str, more: list[Any], more_ports: list[Port], value: Any, out: Port) -> Kernel:
+            function = ca.Function(suffix, args + more, [ca.densify(value) if suffix == "cost" else ca.sparsify(value)])
+            return lift(function, f"{name}_{suffix}", doc, ports + more_ports, [out])
+
+        gradient = J.T @ weighted if ny else ca.SX(nz, 1)
+        cost = ca.dot(residual, weighted) / 2 if ny else ca.SX(1, 1)
+        return (
+            kernel("cost", "l = 1/2 (y - yref)' W (y - yref)", [yref, W], [yp, Wp], cost, Port("l", 1)),
+            kernel("gradient", "g = J' W (y - yref)", [yref, W], [yp, Wp], gradient, Port("g", nz)),
+            kernel("hessian", "Q = J' W J, lower triangle", [W], [Wp], hessian, Port("Q", nz, nz)),
+        )
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return ()
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """Hessian blocks, lower triangles in the order z = (x, u)."""
+        return (
+            Struct(
+                "hessian",
+                "Hessian blocks, lower triangles, z = (x, u)",
+                (
+                    Field("Q", (dims.nq, dims.nz, dims.nz), "path blocks; one for all nodes where it is constant", "data"),
+                    Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
+                ),
+            ),
+        )
+
+    def cost(self, dims: Dims) -> dict[str, OpCount]:
+        return {}
+
+
+def _weight(stage: Stage) -> tuple[Any, Any, int]:
+    """(symbol, matrix, length): a diagonal weight is carried as its diagonal, others row-major; rows scaled by dt."""
+    ny = stage.ny
+    if stage.diagonal_weight:
+        symbol = ca.SX.sym("W", ny)
+        matrix = ca.diag(symbol) if ny else ca.SX(0, 0)
+    else:
+        symbol = ca.SX.sym("W", ny * ny)
+        matrix = ca.reshape(symbol, ny, ny)
+        matrix = ca.tril(matrix.T) + ca.tril(matrix.T, False).T
+    for i, scaled in enumerate(stage.scale_with_dt):
+        if scaled:
+            matrix[i, :] = matrix[i, :] * stage.dt
+    return symbol, matrix, int(symbol.numel())

@@ -1,0 +1,250 @@
+"""Kernels: straight-line programs lifted from CasADi SX Functions, with exact operation counts.
+
+lift() is the only way from CasADi to C. One table says for every CasADi opcode how it is spelled in C and in which
+class it is counted; an opcode that is not in the table is an error that names it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import casadi as ca
+
+from nmpc_codegen.errors import ProblemError
+
+
+@dataclass(frozen=True)
+class OpCount:
+    """Floating-point operations by class, counted from the instructions that are printed.
+
+    add: + and -; mul; div; sqrt; call: other functions of math.h; other: negation, absolute value, comparison, selection.
+    """
+
+    add: int = 0
+    mul: int = 0
+    div: int = 0
+    sqrt: int = 0
+    call: int = 0
+    other: int = 0
+
+    def __add__(self, o: OpCount) -> OpCount:
+        return OpCount(*(getattr(self, f.name) + getattr(o, f.name) for f in fields(self)))
+
+    def __mul__(self, times: int) -> OpCount:
+        return OpCount(*(getattr(self, f.name) * times for f in fields(self)))
+
+    @property
+    def total(self) -> int:
+        """All operations, every class counted once."""
+        return sum(getattr(self, f.name) for f in fields(self))
+
+    def as_dict(self) -> dict[str, int]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+@dataclass(frozen=True)
+class Operation:
+    """How one CasADi opcode is spelled and counted. ``c`` has {0}, {1}; functions of math.h are named in ``function``."""
+
+    c: str
+    count: str
+    function: str = ""
+    commutative: bool = False
+
+
+def _call(name: str, arity: int = 1, count: str = "call") -> Operation:
+    arguments = ", ".join(f"{{{i}}}" for i in range(arity))
+    return Operation(f"{{fn}}({arguments})", count, name)
+
+
+OPERATIONS: dict[int, Operation] = {
+    ca.OP_ADD: Operation("{0} + {1}", "add", commutative=True),
+    ca.OP_SUB: Operation("{0} - {1}", "add"),
+    ca.OP_MUL: Operation("{0} * {1}", "mul", commutative=True),
+    ca.OP_DIV: Operation("{0} / {1}", "div"),
+    ca.OP_NEG: Operation("-{0}", "other"),
+    ca.OP_SQ: Operation("{0} * {0}", "mul"),
+    ca.OP_TWICE: Operation("{0} + {0}", "add"),
+    ca.OP_INV: Operation("{one} / {0}", "div"),
+    ca.OP_SQRT: _call("sqrt", count="sqrt"),
+    ca.OP_EXP: _call("exp"),
+    ca.OP_EXPM1: _call("expm1"),
+    ca.OP_LOG: _call("log"),
+    ca.OP_LOG1P: _call("log1p"),
+    ca.OP_POW: _call("pow", 2),
+    ca.OP_CONSTPOW: _call("pow", 2),
+    ca.OP_SIN: _call("sin"),
+    ca.OP_COS: _call("cos"),
+    ca.OP_TAN: _call("tan"),
+    ca.OP_ASIN: _call("asin"),
+    ca.OP_ACOS: _call("acos"),
+    ca.OP_ATAN: _call("atan"),
+    ca.OP_ATAN2: _call("atan2", 2),
+    ca.OP_SINH: _call("sinh"),
+    ca.OP_COSH: _call("cosh"),
+    ca.OP_TANH: _call("tanh"),
+    ca.OP_ASINH: _call("asinh"),
+    ca.OP_ACOSH: _call("acosh"),
+    ca.OP_ATANH: _call("atanh"),
+    ca.OP_ERF: _call("erf"),
+    ca.OP_HYPOT: _call("hypot", 2),
+    ca.OP_FABS: _call("fabs", count="other"),
+    ca.OP_FMIN: _call("fmin", 2, count="other"),
+    ca.OP_FMAX: _call("fmax", 2, count="other"),
+    ca.OP_FLOOR: _call("floor", count="other"),
+    ca.OP_CEIL: _call("ceil", count="other"),
+    ca.OP_FMOD: _call("fmod", 2),
+    ca.OP_REMAINDER: _call("remainder", 2),
+    ca.OP_COPYSIGN: _call("copysign", 2, count="other"),
+    ca.OP_SIGN: Operation("({0} > {zero}) ? {one} : (({0} < {zero}) ? -{one} : {zero})", "other"),
+    ca.OP_LT: Operation("({0} < {1}) ? {one} : {zero}", "other"),
+    ca.OP_LE: Operation("({0} <= {1}) ? {one} : {zero}", "other"),
+    ca.OP_EQ: Operation("({0} == {1}) ? {one} : {zero}", "other", commutative=True),
+    ca.OP_NE: Operation("({0} != {1}) ? {one} : {zero}", "other", commutative=True),
+    ca.OP_NOT: Operation("({0} == {zero}) ? {one} : {zero}", "other"),
+    ca.OP_AND: Operation("(({0} != {zero}) && ({1} != {zero})) ? {one} : {zero}", "other"),
+    ca.OP_OR: Operation("(({0} != {zero}) || ({1} != {zero})) ? {one} : {zero}", "other"),
+    ca.OP_IF_ELSE_ZERO: Operation("({0} != {zero}) ? {1} : {zero}", "other"),
+}
+
+_UNARY_ARITY = {op for op, o in OPERATIONS.items() if "{1}" not in o.c}
+_OPCODE_NAMES = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
+
+
+def opcode_name(opcode: int) -> str:
+    """Name of a CasADi opcode, e.g. ``OP_CALL``."""
+    return _OPCODE_NAMES.get(opcode, f"opcode {opcode}")
+
+
+@dataclass(frozen=True)
+class Port:
+    """A named vector or row-major matrix that a routine reads or writes; ``cols`` is 0 for a vector."""
+
+    name: str
+    rows: int
+    cols: int = 0
+    doc: str = ""
+
+    @property
+    def size(self) -> int:
+        return self.rows * self.cols if self.cols else self.rows
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """value[i] = op(value[args]); opcode OP_CONST holds ``constant``, OP_INPUT ``args`` = (port, element)."""
+
+    opcode: int
+    args: tuple[int, ...]
+    constant: float = 0.0
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A straight-line C function: all inputs are loaded before the first store, so outputs may alias inputs.
+
+    ``stores`` are (output port, row-major element, value index) of the structural nonzeros; structurally zero elements
+    of an output are never written, their memory must hold zeros.
+    """
+
+    name: str
+    doc: str
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    instructions: tuple[Instruction, ...]
+    stores: tuple[tuple[int, int, int], ...]
+
+    @property
+    def count(self) -> OpCount:
+        """Operations of one evaluation."""
+        tally: dict[str, int] = {}
+        for ins in self.instructions:
+            if ins.opcode in OPERATIONS:
+                cls = OPERATIONS[ins.opcode].count
+                tally[cls] = tally.get(cls, 0) + 1
+        return OpCount(**tally)
+
+    @property
+    def kernels(self) -> tuple[Kernel, ...]:
+        """The straight-line functions that it consists of."""
+        return (self,)
+
+
+class _ValueNumbering:
+    """Gives equal expressions one number; commutative operands are sorted first."""
+
+    def __init__(self) -> None:
+        self.instructions: list[Instruction] = []
+        self._known: dict[Instruction, int] = {}
+
+    def number(self, ins: Instruction) -> int:
+        if ins.opcode in OPERATIONS and OPERATIONS[ins.opcode].commutative:
+            ins = Instruction(ins.opcode, tuple(sorted(ins.args)), ins.constant)
+        if ins not in self._known:
+            self._known[ins] = len(self.instructions)
+            self.instructions.append(ins)
+        return self._known[ins]
+
+
+def lift(function: Any, name: str, doc: str, inputs: Sequence[Port], outputs: Sequence[Port]) -> Kernel:
+    """Lift a CasADi SX Function into a Kernel.
+
+    The function takes one dense vector per input port and returns one vector or matrix per output port, of the port's
+    rows x cols (cols = 0: a column). Raises ProblemError for an operation that has no C, naming it.
+    """
+    for i, port in enumerate(inputs):
+        assert function.size_in(i) == (port.rows, 1) and not port.cols, f"{name}: input {port.name}"
+    numbering = _ValueNumbering()
+    work: dict[int, int] = {}
+    stores: list[tuple[int, int, int]] = []
+    patterns = [_row_major(function.sparsity_out(i), port) for i, port in enumerate(outputs)]
+    for k in range(function.n_instructions()):
+        opcode, o, i = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
+        if opcode == ca.OP_OUTPUT:
+            stores.append((o[0], patterns[o[0]][o[1]], work[i[0]]))
+        elif opcode == ca.OP_INPUT:
+            work[o[0]] = numbering.number(Instruction(opcode, (i[0], i[1])))
+        elif opcode == ca.OP_CONST:
+            constant = float(function.instruction_constant(k))
+            if not math.isfinite(constant):
+                raise ProblemError(f"{name}: the expressions contain the constant {constant}; expected finite numbers")
+            work[o[0]] = numbering.number(Instruction(opcode, (), constant))
+        elif opcode in OPERATIONS:
+            args = i[:1] if opcode in _UNARY_ARITY else i[:2]
+            work[o[0]] = numbering.number(Instruction(opcode, tuple(work[a] for a in args)))
+        else:
+            raise ProblemError(f"{name}: {opcode_name(opcode)} has no C code; use elementary operations only")
+    return Kernel(name, doc, tuple(inputs), tuple(outputs), *_live(numbering.instructions, stores))
+
+
+def _row_major(sparsity: Any, port: Port) -> list[int]:
+    """Row-major element of every (column-major) nonzero of an output."""
+    shape = (port.rows, port.cols or 1)
+    assert sparsity.shape == shape or sparsity.nnz() == 0, f"output {port.name}: {sparsity.shape}, expected {shape}"
+    rows, cols = sparsity.get_triplet()
+    return [r * shape[1] + c for r, c in zip(rows, cols, strict=True)]
+
+
+def _live(
+    instructions: list[Instruction], stores: list[tuple[int, int, int]]
+) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
+    """Drop values that no output needs and number the rest anew."""
+    live = [False] * len(instructions)
+    for _, _, value in stores:
+        live[value] = True
+    for index in range(len(instructions) - 1, -1, -1):
+        ins = instructions[index]
+        if live[index] and ins.opcode in OPERATIONS:
+            for a in ins.args:
+                live[a] = True
+    new = {}
+    kept: list[Instruction] = []
+    for index, ins in enumerate(instructions):
+        if live[index]:
+            args = tuple(new[a] for a in ins.args) if ins.opcode in OPERATIONS else ins.args
+            new[index] = len(kept)
+            kept.append(Instruction(ins.opcode, args, ins.constant))
+    return tuple(kept), tuple((o, e, new[v]) for o, e, v in stores)

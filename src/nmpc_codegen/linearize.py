@@ -1,0 +1,83 @@
+"""IR 2: which functions are evaluated. Chooses what the options leave open; CasADi ends here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from nmpc_codegen.component import refuse_unsupported
+from nmpc_codegen.condensing import FullCondensing
+from nmpc_codegen.integrators import Discrete, ExplicitRungeKutta
+from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
+from nmpc_codegen.options import Options
+from nmpc_codegen.problem import Problem, Stage
+from nmpc_codegen.qp import DenseActiveSet
+from nmpc_codegen.sweep import LoopedRoutine, Routine
+
+
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """The problem, the completed options, why they were chosen, and every routine of the package.
+
+    ``constant_hessian``: the path Hessian block is the same at all nodes.
+    """
+
+    problem: Problem
+    options: Options
+    choices: tuple[str, ...]
+    routines: tuple[Routine, ...]
+    constant_hessian: bool
+
+    def count(self, name: str) -> OpCount:
+        """Operations of one evaluation of the routine of that name."""
+        return next(r.count for r in self.routines if r.name == name)
+
+
+def linearize(problem: Problem, options: Options) -> Linearization:
+    """Problem -> Linearization. Raises OptionError for a combination that no component supports."""
+    complete, choices = _choose(problem, options)
+    refuse_unsupported(problem, complete.components)
+    routines: list[Routine] = [r for c in complete.components for r in c.routines(problem)]
+    routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal")]
+    hessian = next(r for r in routines if r.name == "path_hessian")
+    varying = {"x", "u", "p"} if problem.uniform else {"x", "u", "p", "dt"}
+    return Linearization(problem, complete, choices, tuple(routines), not (varying & _inputs_read(hessian)))
+
+
+def _choose(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
+    choices = []
+    if options.integrator is None:
+        chosen = Discrete() if problem.discrete else ExplicitRungeKutta()
+        options = replace(options, integrator=chosen)
+        why = "the dynamics are a discrete map" if problem.discrete else "default for differential equations: RK4"
+        choices.append(f"integrator: {chosen.name}; {why}")
+    if options.condensing is None:
+        options = replace(options, condensing=FullCondensing())
+        choices.append("condensing: full; the only one that feeds a dense QP solver")
+    if options.qp is None:
+        options = replace(options, qp=DenseActiveSet())
+        choices.append("qp: dense_active_set; the only registered solver")
+    return options, tuple(choices)
+
+
+def _rows(stage: Stage, name: str) -> Kernel:
+    """h and J = dh / d(x, u) of the general rows of a stage."""
+    z = ca.vertcat(stage.x, stage.u)
+    terminal = not stage.nu
+    h = ca.densify(stage.h) if stage.nh else ca.SX(0, 1)
+    J = ca.sparsify(ca.jacobian(h, z)) if stage.nh else ca.SX(0, z.numel())
+    args = [stage.x, stage.p] if terminal else [stage.x, stage.u, stage.p]
+    ports = [Port("x", stage.nx), Port("p", int(stage.p.numel()))]
+    if not terminal:
+        ports.insert(1, Port("u", stage.nu))
+    doc = f"h = general {name} rows, J = dh / d{'x' if terminal else '(x, u)'}"
+    outputs = [Port("h", stage.nh), Port("J", stage.nh, int(z.numel()))]
+    return lift(ca.Function("rows", args, [h, J]), f"{name}_rows", doc, ports, outputs)
+
+
+def _inputs_read(routine: Routine) -> set[str]:
+    """Names of the input ports that a routine really reads."""
+    if isinstance(routine, LoopedRoutine):
+        return {p.name for p in routine.inputs}
+    return {routine.inputs[i.args[0]].name for i in routine.instructions if i.opcode == ca.OP_INPUT}

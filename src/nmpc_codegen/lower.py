@@ -1,0 +1,310 @@
+"""Linearization -> CModule: all sizes and all C names. Loops over components and never asks which one it holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nmpc_codegen.cmodule import (
+    STATUSES,
+    CModule,
+    Enum,
+    Field,
+    Macro,
+    Section,
+    Size,
+    Struct,
+    Table,
+    check_prefix,
+    struct_layout,
+)
+from nmpc_codegen.component import PANEL, Dims
+from nmpc_codegen.kernel import OpCount
+from nmpc_codegen.linearize import Linearization
+from nmpc_codegen.problem import Problem, Row, Signal, Stage, c_identifier
+
+# Counters stop here, and integrate() takes at most so many steps.
+MANY = 1_000_000
+# A solver struct that init() has seen.
+MAGIC = 0x4E4D5043
+
+
+def lower(lin: Linearization, name: str | None = None) -> CModule:
+    """Decide every size and name of the package ``name`` (default: the problem's)."""
+    problem = lin.problem
+    name = name or problem.name
+    check_prefix(name)
+    rows = qp_rows(problem)
+    dims = _dims(lin, len(rows))
+    structs = _structs(lin, dims)
+    layout = struct_layout(structs, lin.options.precision)
+    sections = tuple(
+        Section(f"{c.seam}: {c.name}", c.template, _section_count(c.cost(dims)),
+                sum(layout[s.name][0] * int(np.prod(s_shape(s))) for s in c.structs(dims) if s.name != "solver"))
+        for c in lin.options.components
+    )
+    macros = _macros(lin, dims)
+    return CModule(
+        name=name,
+        precision=lin.options.precision,
+        macros=macros,
+        enums=_enums(problem),
+        structs=structs,
+        tables=_tables(lin, rows),
+        routines=lin.routines,
+        sections=sections,
+        statuses=STATUSES,
+        signals=(
+            ("x", problem.state_names), ("u", problem.control_names), ("p", problem.parameter_names),
+            ("y", problem.path.y_names), ("y_N", problem.terminal.y_names),
+            ("h", problem.path.h_names), ("h_N", problem.terminal.h_names),
+        ),
+        diagonal_weight=problem.path.diagonal_weight,
+        diagonal_weight_N=problem.terminal.diagonal_weight,
+        metadata=_metadata(lin, name, macros, structs),
+    )
+
+
+def s_shape(struct: Struct) -> tuple[int, ...]:
+    """Padded shape of the member that holds a struct."""
+    return tuple(max(1, s.value) for s in struct.shape)
+
+
+def _section_count(counts: dict[str, OpCount]) -> OpCount | None:
+    return sum(counts.values(), OpCount()) if counts else None
+
+
+def qp_rows(problem: Problem) -> list[tuple[int, int, int, int]]:
+    """(node, general, index, row id) of every row of the QP besides the control bounds, sorted by node."""
+    found = []
+    for identity, row in enumerate(problem.rows):
+        for k in row.nodes if row.kind in ("state", "general") else ():
+            index = row.index_terminal if row.kind == "general" and k == problem.N else row.index
+            found.append((k, int(row.kind == "general"), index, identity))
+    return sorted(found)
+
+
+def _weight_entries(stage: Stage) -> int:
+    return stage.ny if stage.diagonal_weight else stage.ny**2
+
+
+def _dims(lin: Linearization, n_rows: int) -> Dims:
+    p = lin.problem
+    nv = p.N * p.nu
+    return Dims(
+        N=Size("N", p.N),
+        nx=Size("NX", p.nx),
+        nu=Size("NU", p.nu),
+        nz=Size("NZ", p.nx + p.nu),
+        np=Size("NP", p.np),
+        ny=Size("NY", p.path.ny),
+        ny_N=Size("NY_N", p.terminal.ny),
+        nw=Size("NW", _weight_entries(p.path)),
+        nw_N=Size("NW_N", _weight_entries(p.terminal)),
+        nh=Size("NH", p.path.nh),
+        nh_N=Size("NH_N", p.terminal.nh),
+        nr=Size("NR", len(p.rows)),
+        nq=Size("NQ", 1 if lin.constant_hessian else p.N),
+        nv=Size("NV", nv),
+        ng=Size("NG", n_rows),
+        ld=Size("LDV", -(-nv // PANEL) * PANEL),
+    )
+
+
+def _macros(lin: Linearization, dims: Dims) -> tuple[Macro, ...]:
+    docs = {
+        "N": "intervals", "NX": "states", "NU": "controls", "NZ": "NX + NU", "NP": "parameters",
+        "NY": "path residuals", "NY_N": "terminal residuals", "NW": "entries of the path weight",
+        "NW_N": "entries of the terminal weight", "NH": "general path rows", "NH_N": "general terminal rows",
+        "NR": "scalar rows with bounds", "NQ": "path Hessian blocks", "NV": "variables of the QP: N NU",
+        "NG": "rows of the QP besides control bounds", "LDV": "NV rounded up to PANEL",
+    }
+    macros = [Macro(s.text, s.value, docs[s.text]) for s in vars(dims).values()]
+    macros.append(Macro("PANEL", PANEL, "columns processed together"))
+    macros.append(Macro("PARAMS", len(lin.problem.parameters), "parameters by name"))
+    for component in lin.options.components:
+        macros += [Macro(*entry) for entry in component.sizes(dims)]
+    macros.append(Macro("MANY", MANY, "counters stop here"))
+    macros.append(Macro("MAGIC", MAGIC, "a struct that init has seen"))
+    return tuple(macros)
+
+
+def _enums(problem: Problem) -> tuple[Enum, ...]:
+    rows = tuple(c_identifier(r.name) for r in problem.rows)
+    parameters = tuple(s.name for s in problem.parameters)
+    enums = []
+    if rows:
+        enums.append(Enum("ROW", rows, "scalar rows, for set_bounds"))
+    if parameters:
+        enums.append(Enum("PARAM", parameters, "parameters, for set_parameter"))
+    return tuple(enums)
+
+
+def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
+    nodes = Size("N + 1", dims.N.value + 1)
+    two = Size("2", 2)
+    p = lin.problem
+    weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
+    weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
+    common = [
+        Field("x", (nodes, dims.nx), "states of the plan", "iterate"),
+        Field("u", (dims.N, dims.nu), "controls of the plan", "iterate"),
+        Field("p", (nodes, dims.np), "parameters", "setting"),
+        Field("yref", (dims.N, dims.ny), "references of the path residual", "setting"),
+        Field("yref_N", (dims.ny_N,), "reference of the terminal residual", "setting"),
+        Field("W", weight, "weight of the path residual", "setting"),
+        Field("W_N", weight_N, "weight of the terminal residual", "setting"),
+        Field("lower", (two, dims.nr), "lower bounds of the rows: path, terminal", "setting"),
+        Field("upper", (two, dims.nr), "upper bounds of the rows: path, terminal", "setting"),
+    ]
+    results = [
+        Field("stats", (), "counters", "result", "stats"),
+        Field("kkt", (), "KKT residuals of the last solve", "result", "kkt"),
+        Field("status", (), "status of the last prepare, feedback or solve", "result", "int32"),
+        Field("magic", (), "set by init", "keep", "int32"),
+    ]
+    owned = [s for c in lin.options.components for s in c.structs(dims)]
+    own_members = [f for s in owned if s.name == "solver" for f in s.fields]
+    inner = [s for s in owned if s.name != "solver"]
+    members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner]
+    solver = Struct("solver", "the whole controller: no pointers, copy it with '='",
+                    (*common, *own_members, *members, *results))
+    return (*_result_structs(), *inner, solver)
+
+
+def _result_structs() -> tuple[Struct, ...]:
+    def real(name: str, doc: str) -> Field:
+        return Field(name, (), doc, "result")
+
+    def count(name: str, doc: str) -> Field:
+        return Field(name, (), doc, "result", "int32")
+
+    kkt = Struct("kkt", "KKT residuals, largest absolute values", (
+        real("stationarity", "gradient of the Lagrangian"),
+        real("equality", "gaps of the dynamics and x_0 - xhat"),
+        real("inequality", "violation of bounds and rows"),
+        real("complementarity", "multiplier times distance to its bound"),
+    ))
+    stats = Struct("stats", "counters of the last feedback or solve", (
+        count("qp_iterations", "iterations of the last QP"),
+        count("active_set_changes", "changes of the working set in the last QP"),
+        count("dropped_rows", "redundant rows left out of the working set"),
+        count("sqp_iterations", "iterations of the last solve"),
+    ))
+    return kkt, stats
+
+
+def _tables(lin: Linearization, rows: list[tuple[int, int, int, int]]) -> tuple[Table, ...]:
+    p = lin.problem
+
+    def real(name: str, values: Any, doc: str) -> Table:
+        return Table(name, "real", tuple(float(v) for v in np.ravel(values)), doc)
+
+    def integer(name: str, values: Any, doc: str) -> Table:
+        return Table(name, "int", tuple(int(v) for v in values), doc)
+
+    steps = lin.problem.dt if p.discrete else [dt / _steps(lin) for dt in p.dt]
+    first = [sum(1 for r in rows if r[0] < k) for k in range(p.N + 2)]
+    offsets = [s.offset for s in p.parameters] + [p.np]
+    return (
+        real("interval_length", p.dt, "dt_k"),
+        real("step_length", [max(steps)], "longest integration step"),
+        real("initial_state", p.x_initial, "initial values of the states"),
+        real("default_control", _default_controls(p), "0 inside the bounds"),
+        real("default_parameter", p.p_value, "p"),
+        real("default_reference", p.path.reference, "yref"),
+        real("default_terminal_reference", p.terminal.reference, "yref_N"),
+        real("default_weight", _weight_values(p.path), "W"),
+        real("default_terminal_weight", _weight_values(p.terminal), "W_N"),
+        real("default_lower", [r.lower for r in p.rows], "lower bounds of the rows"),
+        real("default_upper", [r.upper for r in p.rows], "upper bounds of the rows"),
+        integer("control_reference", p.control_reference, "residual that holds the reference of control j, or -1"),
+        integer("control_row", _control_rows(p), "row that bounds control j, or -1"),
+        integer("row_has_terminal", [p.N in r.nodes for r in p.rows], "1: the row holds at node N"),
+        integer("row_node", [r[0] for r in rows], "node of QP row m"),
+        integer("row_general", [r[1] for r in rows], "1: general row, 0: state bound"),
+        integer("row_index", [r[2] for r in rows], "component of h or x"),
+        integer("row_id", [r[3] for r in rows], "scalar row of the user"),
+        integer("row_first", first, "first QP row of node k"),
+        integer("parameter_offset", offsets, "first element of a parameter in p"),
+    )
+
+
+def _steps(lin: Linearization) -> int:
+    return int(getattr(lin.options.integrator, "steps", 1))
+
+
+def _weight_values(stage: Stage) -> Any:
+    return np.diag(stage.weight) if stage.diagonal_weight else stage.weight
+
+
+def _control_rows(p: Problem) -> list[int]:
+    return [next((i for i, r in enumerate(p.rows) if r.kind == "control" and r.index == j), -1) for j in range(p.nu)]
+
+
+def _default_controls(p: Problem) -> list[float]:
+    rows = [p.rows[i] if i >= 0 else None for i in _control_rows(p)]
+    return [float(np.clip(0.0, r.lower, r.upper)) if r else 0.0 for r in rows]
+
+
+def _number(value: float) -> float | str:
+    return float(value) if np.isfinite(value) else str(float(value))
+
+
+def _signal(s: Signal) -> dict[str, Any]:
+    return {"name": s.name, "size": s.size, "unit": s.unit, "value": list(s.value), "offset": s.offset,
+            "scalar": s.scalar}
+
+
+def _row(r: Row) -> dict[str, Any]:
+    return {"name": r.name, "kind": r.kind, "index": r.index, "index_terminal": r.index_terminal,
+            "nodes": list(r.nodes), "lower": _number(r.lower), "upper": _number(r.upper)}
+
+
+def _metadata(lin: Linearization, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...]) -> dict[str, Any]:
+    """What Controller and open_package() need besides the C text."""
+    p = lin.problem
+    return {
+        "format": 1,
+        "name": name,
+        "precision": lin.options.precision,
+        "sizes": {m.name: m.value for m in macros},
+        "structs": [
+            {"name": s.name, "doc": s.doc, "fields": [
+                {"name": f.name, "type": f.ctype, "shape": list(f.values), "padded": list(f.padded), "role": f.role,
+                 "doc": f.doc} for f in s.fields]}
+            for s in structs
+        ],
+        "states": [_signal(s) for s in p.states],
+        "controls": [_signal(s) for s in p.controls],
+        "parameters": [_signal(s) for s in p.parameters],
+        "rows": [_row(r) for r in p.rows],
+        "y_names": list(p.path.y_names),
+        "y_names_N": list(p.terminal.y_names),
+        "dt": list(p.dt),
+        "discrete": p.discrete,
+        "statuses": [s.name for s in STATUSES],
+        "shift": getattr(lin.options.algorithm, "shift", None),
+        "options": repr(lin.options),
+        "report": _report(lin, structs),
+    }
+
+
+def _report(lin: Linearization, structs: tuple[Struct, ...]) -> dict[str, Any]:
+    """Memory, exact operation counts, and what was chosen and why."""
+    layout = struct_layout(structs, lin.options.precision)
+    N = lin.problem.N
+    linearization = sum((lin.count(n) for n in ("integrator_interval", "path_gradient", "path_rows")), OpCount()) * N
+    counts = {r.name: r.count.as_dict() for r in lin.routines}
+    dims = _dims(lin, len(qp_rows(lin.problem)))
+    for component in lin.options.components:
+        counts |= {name: c.as_dict() for name, c in component.cost(dims).items()}
+    return {
+        "ram_bytes": layout["solver"][0],
+        "ram_bytes_by_struct": {s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
+        "operations": counts,
+        "linearization_operations": linearization.total,
+        "choices": list(lin.choices),
+        "looped": [r.name for r in lin.routines if len(r.kernels) > 1],
+    }

@@ -1,0 +1,187 @@
+"""IR 1: what is to be solved. Frozen, validated, classified; knows no algorithm and no C.
+
+    min   sum_{k<N} 1/2 |y_k - yref_k|^2_W  +  1/2 |y_N - yref_N|^2_{W_N}
+    s.t.  x_0 = xhat,   x_{k+1} = Phi_k(x_k, u_k, p_k),
+          lower <= h_k(x_k, u_k, p_k) <= upper   at the nodes of each row
+
+The terminal stage is a Stage with nu = 0, so nothing exists in triplicate for initial, path and terminal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+RowKind = Literal["control", "state", "general", "coupled"]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A named scalar or vector among the states, controls or parameters.
+
+    ``offset`` is the position of its first element in the stacked vector; ``value`` holds the initial value of a
+    state (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control.
+    """
+
+    name: str
+    size: int
+    unit: str
+    value: tuple[float, ...]
+    offset: int
+    scalar: bool  # declared without size=
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """Names of the elements as the user reads them: ``v`` or ``r[0], r[1]``."""
+        return (self.name,) if self.scalar else tuple(f"{self.name}[{i}]" for i in range(self.size))
+
+
+def c_identifier(name: str) -> str:
+    """C spelling of an element name: ``r[0]`` becomes ``r_0``."""
+    return name.replace("[", "_").replace("]", "")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One scalar row lower <= value <= upper, holding at ``nodes``.
+
+    kind "control": value = u[index], a hard simple bound at every node 0..N-1;
+    kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaced the row altogether (N = 1);
+    kind "general": value = h[index] of the path stage (nodes < N) and h[index_terminal] of the terminal stage (node N),
+    -1 where the row does not exist there;
+    kind "coupled": r[index](x_0, x_N), ``nodes`` is (0, N). ``soft`` is (l1, l2) or None. Equality: lower == upper.
+    """
+
+    name: str
+    kind: RowKind
+    index: int
+    index_terminal: int
+    nodes: tuple[int, ...]
+    lower: float
+    upper: float
+    soft: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """What happens at a node: symbols, least-squares residual, general cost, general rows.
+
+    ``x`` (nx), ``u`` (nu, empty at the terminal stage), ``p`` (np), ``dt`` (scalar: length of the interval) are SX
+    symbols; all expressions are in them. ``scale_with_dt`` marks the residuals whose weight is multiplied by dt_k;
+    ``cost`` holds its dt already; ``cost_rate`` is a quadrature along the interval and is never scaled.
+    """
+
+    x: Any
+    u: Any
+    p: Any
+    dt: Any
+    y: Any  # SX (ny,): residual of the least-squares term
+    y_names: tuple[str, ...]
+    reference: Array  # (ny,)
+    weight: Array  # (ny, ny), symmetric positive semidefinite
+    scale_with_dt: tuple[bool, ...]  # (ny,): the rows of y whose weight is multiplied by dt_k
+    cost: Any  # SX scalar: general cost at the node (already scaled), or None
+    h: Any  # SX (nh,): general rows
+    h_names: tuple[str, ...]
+    cost_rate: Any = None  # SX scalar: general cost per unit of time, integrated with the dynamics, or None
+
+    @property
+    def nx(self) -> int:
+        return int(self.x.numel())
+
+    @property
+    def nu(self) -> int:
+        return int(self.u.numel())
+
+    @property
+    def ny(self) -> int:
+        return int(self.y.numel())
+
+    @property
+    def nh(self) -> int:
+        return int(self.h.numel())
+
+    @property
+    def diagonal_weight(self) -> bool:
+        """True if the weight has no entry off its diagonal."""
+        return bool(np.count_nonzero(self.weight - np.diag(np.diag(self.weight))) == 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The whole optimal control problem, validated.
+
+    ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` are the N interval
+    lengths (s). ``features`` names what the problem uses beyond the core ("soft rows", "coupled rows",
+    "free initial state", "general cost", "integrated cost", "accumulators"): a component that does not list a feature
+    refuses the problem. ``control_reference[j]`` is the position in y_path whose reference is the reference of
+    control j, or -1.
+    """
+
+    name: str
+    N: int
+    dt: tuple[float, ...]
+    states: tuple[Signal, ...]
+    controls: tuple[Signal, ...]
+    parameters: tuple[Signal, ...]
+    dynamics: Any
+    discrete: bool
+    path: Stage
+    terminal: Stage
+    coupled: Any  # SX Function r(x_0, x_N), or None
+    rows: tuple[Row, ...]
+    free_initial: tuple[int, ...]
+    control_reference: tuple[int, ...]
+    features: frozenset[str]
+    accumulators: tuple[int, ...] = ()  # positions in x that are reset to 0 at every sample
+    cyclic: tuple[int, ...] = ()  # positions in x that grow forever
+
+    @property
+    def nx(self) -> int:
+        return self.path.nx
+
+    @property
+    def nu(self) -> int:
+        return self.path.nu
+
+    @property
+    def np(self) -> int:
+        return int(self.path.p.numel())
+
+    @property
+    def uniform(self) -> bool:
+        """True if all intervals have the same length."""
+        return len(set(self.dt)) == 1
+
+    @property
+    def x_initial(self) -> Array:
+        """x_0 used for --check, --simulate, main.c and test vectors, shape (nx,)."""
+        return np.array([v for s in self.states for v in s.value])
+
+    @property
+    def p_value(self) -> Array:
+        """Declared parameter values, shape (np,)."""
+        return np.array([v for s in self.parameters for v in s.value])
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return tuple(e for s in self.states for e in s.elements)
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        return tuple(e for s in self.controls for e in s.elements)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        return tuple(e for s in self.parameters for e in s.elements)
+
+
+def symbols(nx: int, nu: int, np_: int) -> tuple[Any, Any, Any, Any]:
+    """Fresh SX symbols x, u, p, dt of the given sizes."""
+    return ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", np_), ca.SX.sym("dt")

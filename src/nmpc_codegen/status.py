@@ -1,0 +1,91 @@
+"""What a call of a controller reports: status, residuals, counts, solution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+class Status(IntEnum):
+    """What a call of the C package returns; the values are those of <name>_status_t."""
+
+    OK = 0
+    ITERATION_LIMIT = 1
+    INFEASIBLE = 2
+    RELAXED = 3
+    NUMERICAL_FAILURE = 4
+    NOT_FINITE = 5
+    NOT_PREPARED = 6
+    NOT_INITIALIZED = 7
+    BAD_INDEX = 8
+    BAD_BOUNDS = 9
+    BAD_ARGUMENT = 10
+    STALLED = 11
+
+    @property
+    def meaning(self) -> str:
+        """One line for a person."""
+        return _MEANINGS[self]
+
+
+_MEANINGS = {
+    Status.OK: "solved",
+    Status.ITERATION_LIMIT: "stopped at the iteration limit before the tolerance was reached",
+    Status.INFEASIBLE: "no plan satisfies the constraints; the control is safe but not optimal",
+    Status.RELAXED: "constraints had to be relaxed",
+    Status.NUMERICAL_FAILURE: "a factorisation broke down; the control is safe but not optimal",
+    Status.NOT_FINITE: "the state, the data or the iterate holds a NaN or an infinity; the control is a safe one",
+    Status.NOT_PREPARED: "feedback() was called without prepare(); the control is a safe one",
+    Status.NOT_INITIALIZED: "the struct was never initialised",
+    Status.BAD_INDEX: "the node does not exist, or may not be set by itself",
+    Status.BAD_BOUNDS: "lower bound above upper bound",
+    Status.BAD_ARGUMENT: "an argument is out of range",
+    Status.STALLED: "no further progress was possible before the tolerance was reached",
+}
+
+
+@dataclass(frozen=True)
+class Kkt:
+    """Largest violation of each part of the optimality conditions."""
+
+    stationarity: float
+    equality: float
+    inequality: float
+    complementarity: float
+
+
+@dataclass(frozen=True)
+class Stats:
+    """What the last call did. Times (ns) are those of the C calls alone."""
+
+    qp_iterations: int
+    active_set_changes: int
+    dropped_rows: int
+    sqp_iterations: int
+    kkt: Kkt
+    prepare_ns: int
+    feedback_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Result of solve(); arrays are copies. Multipliers are positive at upper and negative at lower bounds."""
+
+    status: Status
+    x: Array  # (N+1, nx)
+    u: Array  # (N, nu)
+    lam: Array  # (N+1, nx): lam[0] of x_0 = xhat, lam[k+1] of x_{k+1} = Phi_k
+    mu_x: Array  # (N+1, nx)
+    mu_u: Array  # (N, nu)
+    mu: Array  # (N, nh)
+    mu_N: Array  # (nh_N,)
+    eta: Array  # (number of coupled rows,)
+    cost: float
+    kkt: Kkt
+    iterations: int
+    time_ns: int

@@ -1,0 +1,283 @@
+"""Sweeps: programs of calls to small CasADi Functions inside counted loops, as data.
+
+Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; emit (print_sweep), which
+writes C loops that call static leaves; and count. A subtree is fused by unrolling it into a leaf of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+
+from nmpc_codegen.cprint import CStyle, comment, print_kernel, signature
+from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
+
+
+@dataclass(frozen=True)
+class Affine:
+    """constant + sum of coefficient * loop index."""
+
+    constant: int = 0
+    terms: tuple[tuple[str, int], ...] = ()
+
+    def at(self, indices: Mapping[str, int]) -> int:
+        """Value for given loop indices."""
+        return self.constant + sum(c * indices[i] for i, c in self.terms)
+
+    def c(self) -> str:
+        """C text, e.g. ``4 * c + 8``."""
+        parts = [i if c == 1 else f"{c} * {i}" for i, c in self.terms]
+        if self.constant or not parts:
+            parts.append(str(self.constant))
+        return " + ".join(parts)
+
+
+@dataclass(frozen=True)
+class Slice:
+    """``size`` elements of a buffer from an affine offset, ``stride`` apart."""
+
+    buffer: str
+    size: int
+    offset: Affine = Affine()
+    stride: int = 1
+
+    def elements(self, indices: Mapping[str, int]) -> list[int]:
+        """Positions in the buffer."""
+        start = self.offset.at(indices)
+        return [start + self.stride * i for i in range(self.size)]
+
+
+@dataclass(frozen=True, eq=False)
+class Call:
+    """outs = leaf(ins). The leaf is an SX Function of dense vectors; equal names are one C function."""
+
+    leaf: Any
+    ins: tuple[Slice, ...]
+    outs: tuple[Slice, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class For:
+    """``for index = start .. start + count - 1`` (backwards if ``down``): body."""
+
+    index: str
+    start: int
+    count: int
+    body: tuple[Node, ...]
+    down: bool = False
+
+    @property
+    def range(self) -> range:
+        """Index values in the order of the loop."""
+        values = range(self.start, self.start + self.count)
+        return values[::-1] if self.down else values
+
+
+Node = Call | For
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """A named program from input ports to output ports through local buffers (name, size)."""
+
+    name: str
+    doc: str
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    locals: tuple[tuple[str, int], ...]
+    body: tuple[Node, ...]
+
+
+def unroll(sweep: Sweep) -> Any:
+    """Run the sweep on SX: one CasADi Function with the sweep's ports, structural zeros of outputs removed."""
+    symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
+    buffers: dict[str, list[Any]] = {
+        p.name: s.elements() for p, s in zip(sweep.inputs, symbols, strict=True)
+    }
+    buffers |= {p.name: [ca.SX(0)] * p.size for p in sweep.outputs}
+    buffers |= {name: [ca.SX(0)] * size for name, size in sweep.locals}
+    _run(sweep.body, buffers, {})
+    outputs = [_shaped(buffers[p.name], p) for p in sweep.outputs]
+    return ca.Function(sweep.name, symbols, outputs, [p.name for p in sweep.inputs], [p.name for p in sweep.outputs])
+
+
+def _run(nodes: tuple[Node, ...], buffers: dict[str, list[Any]], indices: dict[str, int]) -> None:
+    for node in nodes:
+        if isinstance(node, For):
+            for value in node.range:
+                _run(node.body, buffers, {**indices, node.index: value})
+            continue
+        arguments = [ca.vertcat(*(buffers[s.buffer][e] for e in s.elements(indices))) for s in node.ins]
+        results = node.leaf.call(arguments)
+        for target, result in zip(node.outs, results, strict=True):
+            values = ca.densify(result).elements()
+            for element, value in zip(target.elements(indices), values, strict=True):
+                buffers[target.buffer][element] = value
+
+
+def _shaped(elements: list[Any], port: Port) -> Any:
+    """SX matrix of the port's shape without structural zeros."""
+    flat = ca.vertcat(*elements) if elements else ca.SX(0, 1)
+    shaped = ca.reshape(flat, port.cols, port.rows).T if port.cols else flat
+    return ca.sparsify(shaped)
+
+
+def straight(sweep: Sweep) -> Kernel:
+    """The sweep as one straight-line Kernel."""
+    return lift(unroll(sweep), sweep.name, sweep.doc, sweep.inputs, sweep.outputs)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopedRoutine:
+    """A Sweep ready for C: its leaves lifted into Kernels, named after the sweep."""
+
+    sweep: Sweep
+    leaves: Mapping[str, Kernel]
+
+    @property
+    def name(self) -> str:
+        return self.sweep.name
+
+    @property
+    def doc(self) -> str:
+        return self.sweep.doc
+
+    @property
+    def inputs(self) -> tuple[Port, ...]:
+        return self.sweep.inputs
+
+    @property
+    def outputs(self) -> tuple[Port, ...]:
+        return self.sweep.outputs
+
+    @property
+    def count(self) -> OpCount:
+        """Operations of one run, loops multiplied out."""
+        return _count(self.sweep.body, self.leaves)
+
+    @property
+    def kernels(self) -> tuple[Kernel, ...]:
+        """The leaves, in the order of their first call."""
+        return tuple(self.leaves.values())
+
+
+Routine = Kernel | LoopedRoutine
+
+
+def looped(sweep: Sweep) -> LoopedRoutine:
+    """Lift the leaves of a sweep that is to be emitted as loops.
+
+    Leaves store into buffers that are reused, so every output element is stored, structural zeros too.
+    """
+    leaves: dict[str, Kernel] = {}
+    for call in _calls(sweep.body):
+        name = call.leaf.name()
+        if name not in leaves:
+            inputs = [Port(call.leaf.name_in(i), s.size) for i, s in enumerate(call.ins)]
+            outputs = [Port(call.leaf.name_out(i), s.size) for i, s in enumerate(call.outs)]
+            kernel = lift(_dense(call.leaf), f"{sweep.name}_{name}", f"{sweep.name}: {name}", inputs, outputs)
+            leaves[name] = kernel
+    return LoopedRoutine(sweep, leaves)
+
+
+def _dense(leaf: Any) -> Any:
+    symbols = leaf.sx_in()
+    return ca.Function(
+        leaf.name(), symbols, [ca.densify(o) for o in leaf.call(symbols)], leaf.name_in(), leaf.name_out()
+    )
+
+
+def _calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
+    for node in nodes:
+        if isinstance(node, For):
+            yield from _calls(node.body)
+        else:
+            yield node
+
+
+def _count(nodes: tuple[Node, ...], leaves: Mapping[str, Kernel]) -> OpCount:
+    total = OpCount()
+    for node in nodes:
+        if isinstance(node, For):
+            total += _count(node.body, leaves) * node.count
+        else:
+            total += leaves[node.leaf.name()].count
+    return total
+
+
+def print_routine(routine: Routine, style: CStyle) -> str:
+    """C text of a routine: one function, preceded by its leaves where it is looped."""
+    if isinstance(routine, Kernel):
+        return print_kernel(routine, style)
+    texts = [print_kernel(kernel, style) for kernel in routine.kernels]
+    sweep, count = routine.sweep, routine.count
+    written = ", ".join(f"{v} {k}" for k, v in count.as_dict().items() if v)
+    lines = [comment(sweep.doc, sweep.inputs, sweep.outputs, written)]
+    lines += [signature(sweep.name, sweep.inputs, sweep.outputs, style), "{"]
+    indices = dict.fromkeys(_indices(sweep.body))
+    lines += [f"    {style.real} {name}[{max(1, size)}];" for name, size in sweep.locals]
+    if indices:
+        lines.append(f"    int {', '.join(indices)};")
+    used = {s.buffer for call in _calls(sweep.body) for s in (*call.ins, *call.outs)}
+    lines += _print_nodes(sweep.body, routine, style, "    ")
+    lines += [f"    (void){p.name};" for p in (*sweep.inputs, *sweep.outputs) if p.name not in used]
+    return "\n\n".join([*texts, "\n".join([*lines, "}"])])
+
+
+def _indices(nodes: tuple[Node, ...]) -> Iterator[str]:
+    for node in nodes:
+        if isinstance(node, For):
+            yield node.index
+            yield from _indices(node.body)
+
+
+def _print_nodes(nodes: tuple[Node, ...], routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:
+    lines: list[str] = []
+    for node in nodes:
+        if isinstance(node, For):
+            lines.append(indent + _head(node))
+            lines += _print_nodes(node.body, routine, style, indent + "    ")
+            lines.append(indent + "}")
+        else:
+            lines += _print_call(node, routine, style, indent)
+    return lines
+
+
+def _head(loop: For) -> str:
+    i, first, last = loop.index, loop.start, loop.start + loop.count
+    if loop.down:
+        return f"for ({i} = {last - 1}; {i} >= {first}; {i}--) {{"
+    return f"for ({i} = {first}; {i} < {last}; {i}++) {{"
+
+
+def _print_call(call: Call, routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:
+    """One call; slices with a stride go through a small local array."""
+    kernel = routine.leaves[call.leaf.name()]
+    before, after, arguments = [], [], []
+    strided = 0
+    for s, written in [(s, False) for s in call.ins] + [(s, True) for s in call.outs]:
+        if s.stride == 1 or s.size <= 1:
+            arguments.append(f"&{s.buffer}[{s.offset.c()}]")
+            continue
+        local = f"w{strided}"
+        strided += 1
+        before.append(f"    {style.real} {local}[{s.size}];")
+        element = f"{s.buffer}[{s.offset.c()} + {s.stride} * l]"
+        copy = f"{element} = {local}[l]" if written else f"{local}[l] = {element}"
+        (after if written else before).append(f"    for (l = 0; l < {s.size}; l++) {{ {copy}; }}")
+        arguments.append(local)
+    statement = f"{kernel.name}({', '.join(arguments)});"
+    if not strided:
+        return [indent + statement]
+    declarations = [b for b in before if b.endswith("];")]
+    gathers = [b for b in before if not b.endswith("];")]
+    block = ["{", "    int l;", *declarations, *gathers, f"    {statement}", *after, "}"]
+    return [indent + line for line in block]
+
+
+def renamed(sweep: Sweep, name: str) -> Sweep:
+    """The same sweep under another name."""
+    return replace(sweep, name=name)

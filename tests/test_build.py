@@ -1,0 +1,285 @@
+"""build.py: profiles, cache, loading, and every way in which a build can fail."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nmpc_codegen
+from nmpc_codegen import build
+from nmpc_codegen.build import PROFILES, Profile, cache_directory, compile_module, load
+from nmpc_codegen.errors import BuildError, ControllerError, OptionError
+
+Files = dict[str, str]
+SOURCE = Path(nmpc_codegen.build.__file__).parents[1]
+
+pytestmark = pytest.mark.usefixtures("compiler")
+
+
+@pytest.fixture
+def cold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty cache directory."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(folder))
+    yield folder
+
+
+def modules(folder: Path) -> list[Path]:
+    return sorted(folder.glob("_nmpc_*" + sysconfig.get_config_var("EXT_SUFFIX")))
+
+
+def test_profiles_are_those_of_the_architecture() -> None:
+    assert {name: " ".join(p.flags) for name, p in PROFILES.items()} == {
+        "test": "-std=c99 -O1 -ffp-contract=off",
+        "fast": "-O2 -fno-math-errno -fno-trapping-math -march=native -ffp-contract=fast",
+        "verify": "-O2 -fno-math-errno -fno-trapping-math -ffp-contract=off",
+    }
+
+
+@pytest.mark.parametrize("profile", sorted(PROFILES))
+def test_every_profile_without_a_warning(toy_files: Files, profile: str) -> None:
+    ctrl = load(toy_files, "toy", profile, warnings_as_errors=True)
+    assert ctrl.profile == profile
+    np.testing.assert_allclose(ctrl.step([0.1, 0.0]), load(toy_files, "toy", "test").step([0.1, 0.0]), rtol=1e-12)
+
+
+def test_own_profile(toy_files: Files) -> None:
+    assert load(toy_files, "toy", Profile("size", ("-Os",))).profile == "size"
+
+
+@pytest.mark.parametrize("lanes", [0, 2, 4, True, "single"])
+def test_lanes_other_than_one_are_refused(toy_files: Files, lanes: int) -> None:
+    with pytest.raises(OptionError, match=r"lanes .* None or 1"):
+        load(toy_files, "toy", lanes=lanes)
+
+
+def test_one_lane_is_the_default(toy_files: Files) -> None:
+    assert load(toy_files, "toy", "test", lanes=1).nbytes == load(toy_files, "toy", "test", lanes=None).nbytes
+
+
+def test_unknown_profile_lists_the_good_ones(toy_files: Files) -> None:
+    with pytest.raises(OptionError, match="'quick'; allowed: test, fast, verify"):
+        load(toy_files, "toy", "quick")
+
+
+# -- cache ------------------------------------------------------------------------------------------------------------
+
+
+def test_second_build_comes_from_the_cache(toy_files: Files, cold: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    load(toy_files, "toy", "test")
+    assert len(modules(cold)) == 1
+    monkeypatch.setattr(build, "_compile", lambda *_: pytest.fail("compiled again"))
+    load({**toy_files, "README.md": "not part of the key"}, "toy", "test")
+    assert len(modules(cold)) == 1
+
+
+def test_nothing_but_module_and_lock_remains(toy_files: Files, cold: Path) -> None:
+    load(toy_files, "toy", "test")
+    assert {path.suffix for path in cold.iterdir()} == {".so", ".lock"}
+
+
+def test_key_holds_everything_the_module_depends_on(toy_files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
+    gcc = ("gcc",)
+    monkeypatch.setattr(build, "_identity", lambda *_: "gcc 12, x86-64")
+    edited = {**toy_files, "toy.c": toy_files["toy.c"] + "\n"}
+    keys = [
+        build._key(toy_files, "toy", ("-O2",), gcc),
+        build._key(toy_files, "toy2", ("-O2",), gcc),
+        build._key(toy_files, "toy", ("-O1",), gcc),
+        build._key(toy_files, "toy", ("-O2",), ("clang",)),
+        build._key(edited, "toy", ("-O2",), gcc),
+    ]
+    monkeypatch.setattr(build, "_identity", lambda *_: "gcc 12, x86-64, another processor")
+    keys.append(build._key(toy_files, "toy", ("-O2",), gcc))
+    monkeypatch.setattr(build.cffi, "__version__", "0.0")
+    keys.append(build._key(toy_files, "toy", ("-O2",), gcc))
+    monkeypatch.setattr(sys, "version", "0.0")
+    keys.append(build._key(toy_files, "toy", ("-O2",), gcc))
+    assert len(set(keys)) == len(keys)
+
+
+def test_native_target_is_resolved(compiler: tuple[str, ...]) -> None:
+    native = build._identity(compiler, ("-march=native",), os.environ["PATH"])
+    assert native != build._identity(compiler, (), os.environ["PATH"])
+    assert build._identity.__wrapped__(compiler, ("-march=native",), "") == native
+
+
+def test_cache_directory_that_cannot_be_written(toy_files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(tmp_path / "file"))
+    with pytest.raises(BuildError, match="cannot write to the cache .*NMPC_CODEGEN_CACHE"):
+        load(toy_files, "toy", "test")
+
+
+def test_cache_directory_of_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NMPC_CODEGEN_CACHE", raising=False)
+    assert cache_directory().name == "nmpc_codegen"
+
+
+def test_simultaneous_builds_in_one_directory(toy_files: Files, cold: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled: list[int] = []
+    original = build._compile
+
+    def counting(*arguments: object) -> None:
+        compiled.append(1)
+        original(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(build, "_compile", counting)
+    texts = {path: toy_files[path] for path in ("toy.h", "toy.c")}
+    with ThreadPoolExecutor(4) as pool:
+        paths = list(pool.map(lambda _: compile_module(texts, "toy", ("-O0",)), range(4)))
+    assert len(set(paths)) == 1
+    assert len(compiled) == 1
+    assert modules(cold) == [paths[0]]
+
+
+def test_different_builds_live_in_one_process(toy_files: Files) -> None:
+    slow = {**toy_files, "toy.c": toy_files["toy.c"].replace("DT = (toy_real)0.1", "DT = (toy_real)0.2")}
+    first, second = load(toy_files, "toy", "test"), load(slow, "toy", "test")
+    first.step([0.1, 0.0]), second.step([0.1, 0.0])
+    for ctrl, dt in ((first, 0.1), (second, 0.2)):
+        np.testing.assert_allclose(np.diff(ctrl.x[:, 1]), dt * ctrl.u[:, 0], rtol=1e-9, atol=1e-15)
+
+
+def test_single_precision(toy_files: Files, toy_single_files: Files) -> None:
+    single, double = load(toy_single_files, "toy", "test"), load(toy_files, "toy", "test")
+    u0 = single.step(np.array([0.1, 0.0]))
+    assert u0.dtype == np.float32
+    assert single.nbytes < double.nbytes
+    np.testing.assert_allclose(u0, double.step([0.1, 0.0]), rtol=100 * np.finfo(np.float32).eps)
+
+
+def test_the_runtime_needs_no_casadi(toy_files: Files, tmp_path: Path) -> None:
+    """A package is compiled, loaded and simulated where CasADi and jinja2 cannot be imported."""
+    (tmp_path / "toy.json").write_text(json.dumps(toy_files))
+    program = (
+        "import json, sys; sys.modules['casadi'] = None; sys.modules['jinja2'] = None\n"
+        "from nmpc_codegen.build import load\n"
+        "from nmpc_codegen.simulate import simulate\n"
+        "log = simulate(load(json.load(open('toy.json')), 'toy', 'test'), [0.1, 0.0], 3)\n"
+        "assert log.x.shape == (4, 2)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(SOURCE)}
+    command = [sys.executable, "-c", program]
+    result = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+# -- failures ---------------------------------------------------------------------------------------------------------
+
+
+def test_no_compiler(toy_files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(BuildError, match=r"apt install gcc.*dnf install gcc.*brew install gcc"):
+        load(toy_files, "toy")
+
+
+def test_named_compiler_does_not_exist(toy_files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-cc -m64")
+    with pytest.raises(BuildError, match="no program 'no-such-cc'"):
+        load(toy_files, "toy")
+
+
+def test_compiler_that_fails_on_its_flags(toy_files: Files) -> None:
+    with pytest.raises(BuildError, match="no-such-flag"):
+        load(toy_files, "toy", Profile("odd", ("-fno-such-flag",)))
+
+
+def test_no_python_headers(toy_files: Files, cold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build.sysconfig, "get_path", lambda _: str(tmp_path))
+    with pytest.raises(BuildError, match=r"apt install python3-dev.*dnf install python3-devel.*brew install python"):
+        load(toy_files, "toy")
+
+
+def test_refused_code_shows_the_first_lines_and_keeps_the_source(toy_files: Files, cold: Path) -> None:
+    broken = {**toy_files, "toy.c": toy_files["toy.c"] + "\nint broken(void) { return undeclared; }\n" * 30}
+    with pytest.raises(BuildError, match="undeclared") as caught:
+        load(broken, "toy", "test")
+    message = str(caught.value)
+    assert "more lines" in message
+    assert len(message.splitlines()) == build.SHOWN_LINES + 2
+    kept = Path(message.partition("sources kept in ")[2].partition(")")[0])
+    assert (kept / "toy.c").read_text() == broken["toy.c"]
+    assert not modules(cold)
+
+
+def test_warning_as_error(toy_files: Files, cold: Path) -> None:
+    narrowing = {**toy_files, "toy.c": toy_files["toy.c"] + "\nint toy_cut(double v);\nint toy_cut(double v) { return v; }\n"}
+    load(narrowing, "toy", "test")
+    with pytest.raises(BuildError, match="-Werror=.*conversion"):
+        load(narrowing, "toy", "test", warnings_as_errors=True)
+
+
+def test_undefined_function(toy_files: Files, cold: Path) -> None:
+    header = toy_files["toy.h"].replace("toy_real toy_cost(", "int toy_missing(void);\ntoy_real toy_cost(")
+    with pytest.raises(BuildError, match="toy_missing"):
+        load({**toy_files, "toy.h": header}, "toy", "test")
+
+
+def test_header_without_markers(toy_files: Files, cold: Path) -> None:
+    with pytest.raises(BuildError, match="begin declarations"):
+        load({**toy_files, "toy.h": toy_files["toy.h"].replace("begin decl", "decl")}, "toy", "test")
+
+
+def test_header_that_cffi_cannot_parse(toy_files: Files, cold: Path) -> None:
+    header = toy_files["toy.h"].replace("#define TOY_ALL -1", "#define TOY_ALL (-1)")
+    with pytest.raises(BuildError, match=r"toy\.h"):
+        load({**toy_files, "toy.h": header}, "toy", "test")
+
+
+def test_incomplete_package(toy_files: Files) -> None:
+    with pytest.raises(BuildError, match=r"'toy' lacks toy\.c, toy\.json"):
+        load({"toy.h": toy_files["toy.h"]}, "toy")
+
+
+# -- layout -----------------------------------------------------------------------------------------------------------
+
+
+def edited(files: Files, member: str, **changes: object) -> Files:
+    description = json.loads(files["toy.json"])
+    fields = next(s for s in description["structs"] if s["name"] == "solver")["fields"]
+    next(f for f in fields if f["name"] == member).update(changes)
+    return {**files, "toy.json": json.dumps(description)}
+
+
+@pytest.mark.parametrize(
+    ("member", "changes", "message"),
+    [
+        ("u", {"shape": [5, 1], "padded": [5, 1]}, "struct solver: u has"),
+        ("samples", {"type": "int32"}, "struct solver: samples has"),
+        ("W_N", {"name": "W_end"}, "differ in the members W_N, W_end"),
+        ("riccati", {"type": "kkt"}, "struct solver: riccati has"),
+    ],
+)
+def test_a_description_that_differs_from_the_struct(
+    toy_files: Files, member: str, changes: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ControllerError, match=message):
+        load(edited(toy_files, member, **changes), "toy", "test")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"format": 1', '"format": 2', "format 2, this version reads 1"),
+        ('"format": 1', '"formal": 1', "not the JSON that export"),
+        ('"NX": 2', '"NXX": 2', "lacks or misspells an entry: KeyError\\('NX'\\)"),
+        ('"RELAXED"', '"RELAXING"', "status values"),
+        ('"precision": "double"', '"precision": "half"', "half"),
+    ],
+)
+def test_a_description_that_cannot_be_read(toy_files: Files, old: str, new: str, message: str) -> None:
+    text = toy_files["toy.json"].replace(old, new)
+    assert text != toy_files["toy.json"]
+    with pytest.raises(ControllerError, match=message):
+        load({**toy_files, "toy.json": text}, "toy", "test")

@@ -1,0 +1,181 @@
+"""Any sequence of calls, with good and bad arguments, either gives a consistent problem or raises ProblemError."""
+
+from __future__ import annotations
+
+import warnings
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from nmpc_codegen.analyse import analyse
+from nmpc_codegen.errors import ProblemError, ProblemWarning
+from nmpc_codegen.ocp import OCP
+from nmpc_codegen.problem import Problem
+
+NAMES = ["x", "r", "u", "w", "q", "X", "r_0", "r[0]", "int", "1a", "", "ü", None, 3]
+NUMBERS = [
+    0,
+    1,
+    -1,
+    2.5,
+    1e300,
+    np.inf,
+    -np.inf,
+    np.nan,
+    None,
+    "1",
+    True,
+    1j,
+    [],
+    [1, 2],
+    [[1, 2], [3, 4]],
+    np.eye(2),
+    np.eye(3),
+    np.ones((2, 1)),
+    ca.DM([1, 2]),
+    ca.SX(1),
+    ca.MX(1),
+    object(),
+    {},
+    [None],
+    np.array([None]),
+]
+NODES = ["path", "start", "end", "middle", 3, None, [], [0], [1, 2], range(4), range(9), [-1], [1.5], "", {1}, object()]
+SOFT = [None, (1, 0), (0, 1), (0, 0), (-1, 1), 1.0, "ab", [1, 2], (1, None), (1, 2, 3), np.array([1.0, 2.0])]
+FLAGS = [True, False, True, False, None, 1]
+SIZES = [None, None, 1, 2, 0, -1, 2.0, "2"]
+
+FOREIGN = ca.SX.sym("foreign")
+
+
+def expressions(ocp: OCP) -> list[Any]:
+    """Expressions in whatever is declared, and things that are none."""
+    symbols = [s for s in (ocp.x, ocp.u, ocp.p, ocp.x_start, ocp.x_end) if s.numel()]
+    elements = [s[i] for s in symbols for i in range(s.numel())]
+    made = [
+        f(e) for e in elements for f in (ca.sin, ca.floor, lambda e: e * e, lambda e: e / 0, lambda e: 0 * e, ca.erfinv)
+    ]
+    pairs = [a * b for a, b in pairwise(elements)]
+    mx = [ca.MX.sym("x"), ca.MX.sym("x", 2) * 2, ca.MX.sym("r", 2), ca.inv_node(ca.MX.eye(2))]
+    return [*symbols, *elements, *made, *pairs, *mx, FOREIGN, ca.horzcat(*elements), list(elements), 0, 1, *NUMBERS[5:]]
+
+
+def call(ocp: OCP, draw: Any) -> None:
+    """One call with arguments of any quality."""
+
+    def one(values: list[Any]) -> Any:
+        return values[draw(st.integers(0, len(values) - 1))]
+
+    def expr() -> Any:
+        return one(expressions(ocp))
+
+    def number() -> Any:
+        return one(NUMBERS)
+
+    def a_mapping() -> Any:
+        keys = [k for k in (*NAMES, *(ocp.x[i] for i in range(ocp.x.numel())), 2 * FOREIGN) if k is not None]
+        return {one(keys): expr() for _ in range(draw(st.integers(0, 3)))}
+
+    calls = [
+        lambda: ocp.state(one(NAMES), size=one(SIZES), initial=number()),
+        lambda: ocp.control(one(NAMES), size=one(SIZES)),
+        lambda: ocp.parameter(one(NAMES), size=one(SIZES), value=number(), unit=one(["", "m", 1])),
+        lambda: ocp.dynamics(one([a_mapping(), expr()]), discrete=one(FLAGS)),
+        lambda: ocp.dynamics({ocp.x[i]: ca.cos(ocp.x[i]) for i in range(ocp.x.numel())}),
+        lambda: ocp.least_squares(expr(), number(), reference=number(), names=one([*NAMES, ["a", "b"], ["a", "a"]])),
+        lambda: ocp.least_squares(expr(), 1, scale_with_dt=one(FLAGS)),
+        lambda: ocp.terminal_least_squares(expr(), one([1, number()])),
+        lambda: ocp.stage_cost(expr(), integrate=one(FLAGS), scale_with_dt=one(FLAGS)),
+        lambda: ocp.terminal_cost(expr()),
+        lambda: ocp.subject_to(number(), expr(), number(), at=one(NODES), soft=one(SOFT), name=one([None, *NAMES])),
+        lambda: ocp.subject_to(-1, expr(), 1, at=one(NODES)),
+        lambda: ocp.boundary(0, expr(), number(), soft=one(SOFT)),
+        lambda: ocp.boundary(0, ocp.at_start(expr()) - ocp.at_end(expr()), 1),
+        lambda: ocp.free_initial(one([*NAMES, expr()])),
+        lambda: ocp.accumulator(expr()),
+        lambda: ocp.cyclic(*ocp.states),
+    ]
+    one(calls)()
+
+
+def consistent(problem: Problem) -> None:
+    """What every later stage relies on."""
+    nx, nu, N = problem.nx, problem.nu, problem.N
+    assert len(problem.dt) == N
+    assert problem.dynamics.size1_out(0) == nx
+    assert (problem.path.nu, problem.terminal.nu) == (nu, 0)
+    for stage in (problem.path, problem.terminal):
+        assert stage.weight.shape == (stage.ny, stage.ny)
+        assert np.isfinite(stage.weight).all()
+        assert len(stage.y_names) == len(stage.scale_with_dt) == len(stage.reference) == stage.ny
+        assert len(stage.h_names) == stage.nh
+    assert len({row.name for row in problem.rows}) == len(problem.rows)
+    for row in problem.rows:
+        assert row.lower <= row.upper
+        sizes = {"control": nu, "state": nx, "general": problem.path.nh}
+        if row.kind in sizes:
+            assert row.index < sizes[row.kind]
+        if row.kind == "general":
+            assert (row.index >= 0) == (row.nodes[0] < N)
+            assert (row.index_terminal >= 0) == (row.nodes[-1] == N)
+
+
+def speaks(error: ProblemError) -> None:
+    """An error message is a sentence."""
+    assert len(str(error)) > 20
+
+
+def random_ocp(draw: Any) -> OCP:
+    T = draw(st.sampled_from([1.0, None, 0.0, np.nan, "1", [1]]))
+    count = draw(st.sampled_from([3, 1, 3, 0, None, 2.0]))
+    return OCP(draw(st.sampled_from(["a", "int", "a b"])), T=T, N=count)
+
+
+@settings(max_examples=300, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_only_problem_errors(data: st.DataObject) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProblemWarning)
+        try:
+            ocp = random_ocp(data.draw)
+        except ProblemError:
+            ocp = OCP("a", T=1.0, N=3)
+        if data.draw(st.booleans()):
+            ocp.state("x")
+            ocp.state("r", size=2)
+            ocp.control("u")
+            ocp.parameter("q")
+        for _ in range(data.draw(st.integers(1, 12))):
+            try:
+                call(ocp, data.draw)
+            except ProblemError as error:
+                speaks(error)
+        try:
+            problem = analyse(ocp)
+        except ProblemError as error:
+            speaks(error)
+        else:
+            consistent(problem)
+
+
+@settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_mutations_of_a_whole_problem(data: st.DataObject) -> None:
+    """A problem that analyses, then a few random calls: still consistent, or a ProblemError."""
+    ocp = OCP("a", T=1.0, N=3)
+    x, r, u = ocp.state("x"), ocp.state("r", size=2), ocp.control("u")
+    ocp.dynamics({x: u, "r": ca.vertcat(r[1], x)})
+    ocp.least_squares(ca.vertcat(x, u), 1)
+    consistent(analyse(ocp))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProblemWarning)
+        for _ in range(data.draw(st.integers(1, 6))):
+            try:
+                call(ocp, data.draw)
+                consistent(analyse(ocp))
+            except ProblemError as error:
+                speaks(error)
