@@ -32,7 +32,7 @@ SCALARS = {"double": np.float64, "single": np.float32}
 def qp_dims(nv: int, ng: int) -> Dims:
     """Dims of a QP with nv variables and ng general rows; the other sizes are not looked at."""
     zero = Size("0", 0)
-    named = {name: zero for name in Dims.__dataclass_fields__}
+    named = dict.fromkeys(Dims.__dataclass_fields__, zero)
     named |= {"nv": Size("NV", nv), "ng": Size("NG", ng), "ld": Size("LDV", -(-nv // 4) * 4)}
     return Dims(**named)
 

@@ -7,30 +7,28 @@ import os
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import nmpc_codegen
-from nmpc_codegen import build
 from nmpc_codegen.build import PROFILES, Profile, cache_directory, compile_module, load
 from nmpc_codegen.errors import BuildError, ControllerError, OptionError
 
 Files = dict[str, str]
-SOURCE = Path(nmpc_codegen.build.__file__).parents[1]
+build = sys.modules["nmpc_codegen.build"]  # the name nmpc_codegen.build is the function
+SOURCE = Path(str(build.__file__)).parents[1]
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
 
 @pytest.fixture
-def cold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def cold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache directory."""
     folder = tmp_path / "cache"
     monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(folder))
-    yield folder
+    return folder
 
 
 def modules(folder: Path) -> list[Path]:
@@ -113,10 +111,12 @@ def test_native_target_is_resolved(compiler: tuple[str, ...]) -> None:
     assert build._identity.__wrapped__(compiler, ("-march=native",), "") == native
 
 
-def test_cache_directory_that_cannot_be_written(toy_files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_directory_that_cannot_be_written(
+    toy_files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(tmp_path / "file"))
-    with pytest.raises(BuildError, match="cannot write to the cache .*NMPC_CODEGEN_CACHE"):
+    with pytest.raises(BuildError, match=r"cannot write to the cache .*NMPC_CODEGEN_CACHE"):
         load(toy_files, "toy", "test")
 
 
@@ -214,9 +214,10 @@ def test_refused_code_shows_the_first_lines_and_keeps_the_source(toy_files: File
 
 
 def test_warning_as_error(toy_files: Files, cold: Path) -> None:
-    narrowing = {**toy_files, "toy.c": toy_files["toy.c"] + "\nint toy_cut(double v);\nint toy_cut(double v) { return v; }\n"}
+    cut = "\nint toy_cut(double v);\nint toy_cut(double v) { return v; }\n"
+    narrowing = {**toy_files, "toy.c": toy_files["toy.c"] + cut}
     load(narrowing, "toy", "test")
-    with pytest.raises(BuildError, match="-Werror=.*conversion"):
+    with pytest.raises(BuildError, match=r"-Werror=.*conversion"):
         load(narrowing, "toy", "test", warnings_as_errors=True)
 
 

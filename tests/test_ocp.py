@@ -57,6 +57,8 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     "T negative": (lambda g: OCP("a", T=-1, N=2), "T must be a positive length"),
     "T infinite": (lambda g: OCP("a", T=np.inf, N=2), "T must be a positive length"),
     "T nan": (lambda g: OCP("a", T=np.nan, N=2), "T must be numbers, got NaN"),
+    "T text": (lambda g: OCP("a", T="1", N=2), "T must be numbers, got str '1'"),  # type: ignore[arg-type]
+    "bound complex": (lambda g: g.ocp.subject_to(np.array([1j]), g.u, 1), "lower must be numbers, got ndarray"),
     "T vector": (lambda g: OCP("a", T=[1, 2], N=2), "T must be a positive length"),  # type: ignore[arg-type]
     "T and intervals": (lambda g: OCP("a", T=1, intervals=[1]), "give T or intervals, not both"),
     "intervals negative": (lambda g: OCP("a", intervals=[1, -1]), "intervals must be positive lengths"),

@@ -325,3 +325,30 @@ def test_analyse_twice_and_after_a_change() -> None:
 def test_row_on_given_initial_state_says_how_to_go_on() -> None:
     with pytest.raises(ProblemError, match=r"free_initial"):
         stated(to(0, R, 1, at=[0]))
+
+
+def test_crane_with_every_kind_of_statement() -> None:
+    """The crane with a length parameter, terminal equalities, a soft swing and a periodic position."""
+    ocp = OCP("crane", T=3.0, N=10)
+    p, v = ocp.state("p", unit="m", initial=2.0), ocp.state("v", unit="m/s")
+    phi, omega = ocp.state("phi", unit="rad"), ocp.state("omega", unit="rad/s")
+    a, L = ocp.control("a", unit="m/s^2"), ocp.parameter("L", value=1.0)
+    ocp.dynamics({p: v, v: a, phi: omega, omega: -(9.81 / L) * ca.sin(phi) - a * ca.cos(phi) - 0.2 * omega})
+    ocp.least_squares(ca.vertcat(p, v, phi, omega, a), weight=np.eye(5), names=["p", "v", "phi", "omega", "a"])
+    ocp.terminal_least_squares(ca.vertcat(p, v, phi, omega), weight=10 * np.eye(4))
+    ocp.subject_to(-1, a, 1)
+    ocp.subject_to(0, ca.vertcat(p, v, phi, omega), 0, at="end")
+    ocp.subject_to(-0.5, phi, 0.5, soft=(1e3, 1e2), name="swing")
+    ocp.boundary(0, ocp.at_start(ocp.x) - ocp.at_end(ocp.x), 0, soft=None)
+    ocp.free_initial(p, v)
+    problem = analyse(ocp)
+    named = {row.name: row for row in problem.rows}
+    assert list(named)[:6] == ["a", "p_end", "v_end", "phi_end", "omega_end", "swing"]
+    assert named["swing"].nodes == tuple(range(1, 10))
+    assert named["swing"].soft == (1e3, 1e2)
+    assert [row.kind for row in problem.rows].count("coupled") == 4
+    assert problem.control_reference == (4,)
+    assert problem.x_initial.tolist() == [2, 0, 0, 0]
+    xdot = problem.dynamics([0.1, 0.2, 0.3, 0.4], [0.5], [2.0])
+    expected = [0.2, 0.5, 0.4, -9.81 / 2 * np.sin(0.3) - 0.5 * np.cos(0.3) - 0.08]
+    np.testing.assert_allclose(np.asarray(xdot).ravel(), expected, rtol=1e-14)

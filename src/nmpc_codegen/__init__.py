@@ -9,7 +9,6 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-from nmpc_codegen.package import open_package
 from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import (
     BuildError,
@@ -19,6 +18,7 @@ from nmpc_codegen.errors import (
     ProblemError,
     ProblemWarning,
 )
+from nmpc_codegen.package import open_package
 from nmpc_codegen.simulate import Log, simulate
 from nmpc_codegen.status import Status
 
@@ -55,7 +55,7 @@ _HOMES = {
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = [  # noqa: PLE0604
+__all__ = [
     "OCP",
     "RK4",
     "SSPRK3",

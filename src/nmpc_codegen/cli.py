@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import ast
 import dataclasses
-import importlib
 import runpy
 import sys
 import traceback
@@ -27,19 +26,14 @@ if TYPE_CHECKING:
     from nmpc_codegen.ocp import OCP
     from nmpc_codegen.options import Options
 
-#: Option field of each variation point -> the package folder that holds its registry.
-FOLDERS = {
-    "integrator": "integrators",
-    "hessian": "hessians",
-    "condensing": "condensing",
-    "qp": "qp",
-    "algorithm": "algorithms",
-}
+#: Variation points, in the order in which --list-options shows them.
+SEAMS = ("integrator", "hessian", "condensing", "qp", "algorithm")
 
 #: --check: largest |a - b| / max(1, max|b|) of controls and states per component, and of the cost relatively.
-LIMITS = {"double": {"u": 1e-6, "x": 1e-6, "cost": 1e-8}, "single": {"u": 1e-2, "x": 1e-2, "cost": 1e-3}}
+LIMITS = {"double": {"u": 1e-6, "x": 1e-6, "cost": 1e-8}, "single": {"u": 1e-3, "x": 1e-3, "cost": 1e-4}}
 CHECK_TOLERANCE = {"double": 1e-9, "single": 1e-3}
 CHECK_ITERATIONS = 1000
+SHOWN_FUNCTIONS = 8
 COST_FLOOR = 1e-6  # a smaller cost counts as this much, or a problem that starts at its goal could not pass
 
 
@@ -189,9 +183,9 @@ def _stated(names: Mapping[str, Any], path: Path) -> Any:
 
 def registry(seam: str) -> Mapping[str, Any]:
     """Components of a variation point: word -> class."""
-    module = importlib.import_module(f"nmpc_codegen.{FOLDERS[seam]}")
-    found: Mapping[str, Any] = module.REGISTRY
-    return found
+    from nmpc_codegen.options import REGISTRIES
+
+    return REGISTRIES[seam]
 
 
 def apply_setting(options: Options, key: str, text: str) -> Options:
@@ -208,7 +202,7 @@ def apply_setting(options: Options, key: str, text: str) -> Options:
     fields = _fields(options)
     if first not in fields:
         raise OptionError(f"there is no option {first!r}; there is {', '.join(fields)}")
-    if first in FOLDERS:
+    if first in SEAMS:
         part = _replaced(_part(options, first, rest[0]), rest, value, first) if rest else _component(first, value)
         return dataclasses.replace(options, **{first: part})
     changed: Options = _replaced(options, [first, *rest], value, "")
@@ -220,9 +214,10 @@ def _component(seam: str, word: Any) -> Any:
     if word is None:
         return None
     words = registry(seam)
-    if word not in words:
+    known = str(word).replace("-", "_")
+    if known not in words:
         raise OptionError(f"there is no {seam} {word!r}; there is {', '.join(words)}")
-    return words[word]()
+    return words[known]()
 
 
 def _part(options: Options, seam: str, field: str) -> Any:
@@ -231,9 +226,11 @@ def _part(options: Options, seam: str, field: str) -> Any:
     if part is not None:
         return part
     candidates = {word: cls for word, cls in registry(seam).items() if field in _fields(cls)}
-    if len(candidates) != 1:
-        known = ", ".join(candidates or registry(seam))
-        raise OptionError(f"{seam}.{field}: no {seam} is chosen; say --set {seam}=WORD first, with one of {known}")
+    if not candidates:
+        there = ", ".join(name for cls in registry(seam).values() for name in _fields(cls))
+        raise OptionError(f"{seam} has no option {field!r}; there is {there}")
+    if len(candidates) > 1:
+        raise OptionError(f"{seam}.{field}: say --set {seam}=WORD before it, with one of {', '.join(candidates)}")
     return next(iter(candidates.values()))()
 
 
@@ -255,29 +252,26 @@ def _fields(value: Any) -> list[str]:
 
 
 def list_options(console: Console) -> None:
-    """Print every component of every variation point with its options and their defaults."""
-    from rich.table import Table
-
+    """Print every component of every variation point with its options and their defaults, then the other options."""
     from nmpc_codegen.options import Options
 
-    table = Table("option", "word", "fields = defaults", "what it is", title="Components", title_justify="left")
-    for seam in FOLDERS:
-        for i, (word, cls) in enumerate(registry(seam).items()):
-            table.add_row("" if i else seam, word, _defaults(cls), _first_line(cls))
-        table.add_section()
-    console.print(table)
-    general = Table("option", "default", "set with", title="All options", title_justify="left")
-    for name in _fields(Options):
-        default = getattr(Options(), name)
-        inner = [f"{name}.{f}" for f in _fields(default)]
-        shown = "chosen" if default is None else getattr(default, "name", None) or repr(default)
-        general.add_row(name, str(shown), "\n".join(f"--set {k}=..." for k in [name, *inner] if k != name or not inner))
-    console.print(general)
+    def line(text: str, style: str = "") -> None:
+        console.print(text, style=style, markup=False, soft_wrap=True)
 
-
-def _defaults(cls: Any) -> str:
-    made = cls()
-    return "\n".join(f"{name} = {_short(getattr(made, name))}" for name in _fields(cls)) or "-"
+    defaults = Options()
+    for seam in SEAMS:
+        chosen = getattr(defaults, seam)
+        line(f"{seam}: {'chosen from the problem' if chosen is None else chosen.name} unless given", "bold")
+        for word, cls in registry(seam).items():
+            made = cls()
+            line(f"  --set {seam}={word}    {_first_line(cls)}")
+            for name in _fields(cls):
+                line(f"      {seam}.{name} = {_short(getattr(made, name))}")
+    for name in (n for n in _fields(defaults) if n not in SEAMS):
+        value = getattr(defaults, name)
+        line(name if _fields(value) else f"{name} = {value!r}", "bold")
+        for inner in _fields(value):
+            line(f"      {name}.{inner} = {_short(getattr(value, inner))}")
 
 
 def _short(value: Any) -> str:
@@ -294,7 +288,8 @@ def _first_line(cls: Any) -> str:
 
 
 def _run(arguments: argparse.Namespace, console: Console) -> int:
-    from nmpc_codegen.compiler import export, open_package
+    from nmpc_codegen.compiler import export
+    from nmpc_codegen.package import open_package
 
     ocp, options = load_problem(Path(arguments.problem))
     for seam in ("hessian", "qp"):
@@ -317,25 +312,40 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
 
         controller = open_package(str(folder))
         log = simulate(controller, controller.description.x_initial, arguments.simulate)
-        console.print(log.summary(), markup=False)
+        console.print(log.summary(), markup=False, soft_wrap=True)
         if arguments.plot is not None:
             log.plot(arguments.plot)
             console.print(f"picture: {arguments.plot}", markup=False)
     return 0 if passed else 1
 
 
-def _print_package(console: Console, folder: Path, name: str, report: Any, verbose: bool) -> None:
-    """Files with their sizes, and the report: what was chosen and why, memory, operations."""
+def _print_package(console: Console, folder: Path, name: str, report: Mapping[str, Any], verbose: bool) -> None:
+    """Files with their sizes; what was chosen and why; memory; operations of the largest functions, or of all."""
     from rich.table import Table
 
-    table = Table("file", "bytes", title=f"{name} in {folder}", title_justify="left")
-    table.columns[1].justify = "right"
+    files = Table("file", "bytes", title=f"{name} in {folder}", title_justify="left")
+    files.columns[1].justify = "right"
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        table.add_row(str(path.relative_to(folder)), f"{path.stat().st_size:,}")
-    console.print(table)
-    console.print(str(report), markup=False)
-    if verbose:
-        console.print((folder / f"{name}.json").read_text(encoding="utf-8"), markup=False)
+        files.add_row(str(path.relative_to(folder)), f"{path.stat().st_size:,}")
+    console.print(files)
+    for choice in report.get("choices", ()):
+        console.print(f"chosen  {choice}", markup=False, soft_wrap=True)
+    if "ram_bytes" in report:
+        console.print(f"memory  {report['ram_bytes']:,} bytes of solver struct, all that the code needs but its stack")
+    counts = {function: sum(count.values()) for function, count in report.get("operations", {}).items()}
+    largest = sorted(counts, key=lambda function: -counts[function])
+    shown = largest if verbose else largest[:SHOWN_FUNCTIONS]
+    if shown:
+        classes = list(next(iter(report["operations"].values())))
+        table = Table("operations per call", *classes, "all", title_justify="left")
+        for column in table.columns[1:]:
+            column.justify = "right"
+        for function in shown:
+            numbers = [*report["operations"][function].values(), counts[function]]
+            table.add_row(function, *(f"{number:,}" for number in numbers))
+        console.print(table)
+    if len(shown) < len(largest):
+        console.print(f"and {len(largest) - len(shown)} smaller functions (-v shows all)")
 
 
 def check(ocp: OCP, options: Options, folder: Path, name: str, console: Console) -> bool:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.kernel import OpCount
+from nmpc_codegen.products import Products
 from nmpc_codegen.sweep import Routine
 
 Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
@@ -143,6 +144,7 @@ class CModule:
     structs: tuple[Struct, ...]  # "solver" last
     tables: tuple[Table, ...]
     routines: tuple[Routine, ...]
+    products: Products
     sections: tuple[Section, ...]
     statuses: tuple[Status, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments

@@ -54,9 +54,7 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
     return render(module)
 
 
-def export(
-    ocp: OCP, options: Options | None = None, directory: str | Path = ".", name: str | None = None
-) -> Package:
+def export(ocp: OCP, options: Options | None = None, directory: str | Path = ".", name: str | None = None) -> Package:
     """Write the C package of the problem into a folder, which is created if needed.
 
     Raises:

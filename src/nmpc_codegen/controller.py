@@ -143,7 +143,7 @@ class Controller:
             for k in nodes:
                 row = current if current.ndim == 1 else current[self._node(k)]
                 self._send(call, self._replaced(row, columns), k)
-        elif node is None and np.ndim(y) == 2:
+        elif node is None and _ndim(y) == 2:
             for k, row in enumerate(self._array("reference", y, (self.dims.N, self.dims.ny))):
                 self._send(call, row, k)
         else:
@@ -178,12 +178,12 @@ class Controller:
         index = self._lookup(name, [p.name for p in signals], "parameter")
         size = signals[index].size
         what = f"parameter {name!r}"
-        if node is None and np.ndim(value) == 2:
+        if node is None and _ndim(value) == 2:
             rows = self._array(what, value, (self.dims.N + 1, size))
             for k, row in enumerate(rows):
                 self._send("set_parameter", row, k, index)
             return
-        one = np.reshape(value, (1,)) if size == 1 and np.ndim(value) == 0 else value
+        one = np.reshape(value, (1,)) if size == 1 and _ndim(value) == 0 else value
         self._send("set_parameter", self._array(what, one, (size,)), node, index)
 
     def set_bounds(self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None = None) -> None:
@@ -391,10 +391,11 @@ class Controller:
 
     def _array(self, what: str, value: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Array:
         """value as an array of that shape in the working precision."""
-        if np.iscomplexobj(value):
-            raise ControllerError(f"{what} is complex; expected real numbers of shape {shape}")
         try:
-            array = np.asarray(value, dtype=self._real)
+            given = np.asarray(value)
+            if np.iscomplexobj(given):
+                raise ControllerError(f"{what} is complex; expected real numbers of shape {shape}")
+            array = given.astype(self._real, copy=False)
         except (TypeError, ValueError) as error:
             raise ControllerError(f"{what} is no array of numbers; expected shape {shape}: {error}") from error
         if array.shape != shape:
@@ -405,7 +406,7 @@ class Controller:
 
     def _weight(self, what: str, W: ArrayLike, size: int, stored: Array) -> Array:
         """W checked and in the form in which the struct stores it: diagonal (size,) or matrix (size, size)."""
-        given = self._array(what, W, (size,) if np.ndim(W) == 1 else (size, size)).astype(np.float64)
+        given = self._array(what, W, (size,) if _ndim(W) == 1 else (size, size)).astype(np.float64)
         dense = np.diag(given) if given.ndim == 1 else given
         if not np.array_equal(dense, dense.T):
             raise ControllerError(f"{what} is not symmetric")
@@ -416,11 +417,11 @@ class Controller:
         if stored.shape[-2:] == (size, size) and stored.ndim >= 2:
             return dense
         if np.any(dense != np.diag(diagonal)):
-            raise ControllerError(f"{what} is stored as its diagonal; a matrix needs Online(dense_weight=True)")
+            raise ControllerError(f"{what} has entries off its diagonal; only the diagonal is stored, as declared")
         return diagonal
 
     def _bound(self, name: str, which: str, value: ArrayLike, count: int) -> NDArray[np.float64]:
-        expanded = np.broadcast_to(value, (count,)) if np.ndim(value) == 0 else value
+        expanded = np.broadcast_to(value, (count,)) if _ndim(value) == 0 else value
         array = self._array(f"{which} bound of {name!r}", expanded, (count,), finite=False)
         if np.any(np.isnan(array)):
             raise ControllerError(f"{which} bound of {name!r} is NaN")
@@ -497,8 +498,17 @@ def _aligned(size: int) -> NDArray[np.uint8]:
 
 def is_positive(value: object) -> bool:
     """True for a finite positive number."""
-    number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    return number and math.isfinite(float(value)) and float(value) > 0
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    return math.isfinite(value) and bool(value > 0)
+
+
+def _ndim(value: ArrayLike) -> int:
+    """Number of dimensions; -1 for what is no array, which is then refused where its shape is checked."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return -1
 
 
 def _is_integer(value: object) -> bool:

@@ -96,6 +96,8 @@ def numbers(value: Any, what: str) -> Array:
     if isinstance(value, ca.DM):
         value = value.full()
     try:
+        if np.asarray(value).dtype.kind not in "biufO":
+            raise TypeError
         array = np.array(value, dtype=float)
     except Exception as error:  # foreign objects may raise anything here
         raise ProblemError(f"{what} must be numbers, got {type(value).__name__} {quote(value)}") from error

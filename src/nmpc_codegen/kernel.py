@@ -240,7 +240,7 @@ def _live(
         if live[index] and ins.opcode in OPERATIONS:
             for a in ins.args:
                 live[a] = True
-    new = {}
+    new: dict[int, int] = {}
     kept: list[Instruction] = []
     for index, ins in enumerate(instructions):
         if live[index]:

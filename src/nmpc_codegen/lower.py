@@ -23,6 +23,7 @@ from nmpc_codegen.component import PANEL, Dims
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.linearize import Linearization
 from nmpc_codegen.problem import Problem, Row, Signal, Stage, c_identifier
+from nmpc_codegen.products import Products, pattern
 
 # Counters stop here, and integrate() takes at most so many steps.
 MANY = 1_000_000
@@ -40,8 +41,12 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
     structs = _structs(lin, dims)
     layout = struct_layout(structs, lin.options.precision)
     sections = tuple(
-        Section(f"{c.seam}: {c.name}", c.template, _section_count(c.cost(dims)),
-                sum(layout[s.name][0] * int(np.prod(s_shape(s))) for s in c.structs(dims) if s.name != "solver"))
+        Section(
+            f"{c.seam}: {c.name}",
+            c.template,
+            _section_count(c.cost(dims)),
+            sum(layout[s.name][0] * int(np.prod(s_shape(s))) for s in c.structs(dims) if s.name != "solver"),
+        )
         for c in lin.options.components
     )
     macros = _macros(lin, dims)
@@ -53,16 +58,32 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         structs=structs,
         tables=_tables(lin, rows),
         routines=lin.routines,
+        products=_products(lin),
         sections=sections,
         statuses=STATUSES,
         signals=(
-            ("x", problem.state_names), ("u", problem.control_names), ("p", problem.parameter_names),
-            ("y", problem.path.y_names), ("y_N", problem.terminal.y_names),
-            ("h", problem.path.h_names), ("h_N", problem.terminal.h_names),
+            ("x", problem.state_names),
+            ("u", problem.control_names),
+            ("p", problem.parameter_names),
+            ("y", problem.path.y_names),
+            ("y_N", problem.terminal.y_names),
+            ("h", problem.path.h_names),
+            ("h_N", problem.terminal.h_names),
         ),
         diagonal_weight=problem.path.diagonal_weight,
         diagonal_weight_N=problem.terminal.diagonal_weight,
         metadata=_metadata(lin, name, macros, structs),
+    )
+
+
+def _products(lin: Linearization) -> Products:
+    routine = {r.name: r for r in lin.routines}
+    return Products(
+        lin.problem.nx,
+        lin.problem.nu,
+        pattern(routine["integrator_interval"], "S"),
+        pattern(routine["path_hessian"], "Q"),
+        pattern(routine["terminal_hessian"], "Q"),
     )
 
 
@@ -114,11 +135,22 @@ def _dims(lin: Linearization, n_rows: int) -> Dims:
 
 def _macros(lin: Linearization, dims: Dims) -> tuple[Macro, ...]:
     docs = {
-        "N": "intervals", "NX": "states", "NU": "controls", "NZ": "NX + NU", "NP": "parameters",
-        "NY": "path residuals", "NY_N": "terminal residuals", "NW": "entries of the path weight",
-        "NW_N": "entries of the terminal weight", "NH": "general path rows", "NH_N": "general terminal rows",
-        "NR": "scalar rows with bounds", "NQ": "path Hessian blocks", "NV": "variables of the QP: N NU",
-        "NG": "rows of the QP besides control bounds", "LDV": "NV rounded up to PANEL",
+        "N": "intervals",
+        "NX": "states",
+        "NU": "controls",
+        "NZ": "NX + NU",
+        "NP": "parameters",
+        "NY": "path residuals",
+        "NY_N": "terminal residuals",
+        "NW": "entries of the path weight",
+        "NW_N": "entries of the terminal weight",
+        "NH": "general path rows",
+        "NH_N": "general terminal rows",
+        "NR": "scalar rows with bounds",
+        "NQ": "path Hessian blocks",
+        "NV": "variables of the QP: N NU",
+        "NG": "rows of the QP besides control bounds",
+        "LDV": "NV rounded up to PANEL",
     }
     macros = [Macro(s.text, s.value, docs[s.text]) for s in vars(dims).values()]
     macros.append(Macro("PANEL", PANEL, "columns processed together"))
@@ -168,8 +200,9 @@ def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
     own_members = [f for s in owned if s.name == "solver" for f in s.fields]
     inner = [s for s in owned if s.name != "solver"]
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner]
-    solver = Struct("solver", "the whole controller: no pointers, copy it with '='",
-                    (*common, *own_members, *members, *results))
+    solver = Struct(
+        "solver", "the whole controller: no pointers, copy it with '='", (*common, *own_members, *members, *results)
+    )
     return (*_result_structs(), *inner, solver)
 
 
@@ -180,18 +213,26 @@ def _result_structs() -> tuple[Struct, ...]:
     def count(name: str, doc: str) -> Field:
         return Field(name, (), doc, "result", "int32")
 
-    kkt = Struct("kkt", "KKT residuals, largest absolute values", (
-        real("stationarity", "gradient of the Lagrangian"),
-        real("equality", "gaps of the dynamics and x_0 - xhat"),
-        real("inequality", "violation of bounds and rows"),
-        real("complementarity", "multiplier times distance to its bound"),
-    ))
-    stats = Struct("stats", "counters of the last feedback or solve", (
-        count("qp_iterations", "iterations of the last QP"),
-        count("active_set_changes", "changes of the working set in the last QP"),
-        count("dropped_rows", "redundant rows left out of the working set"),
-        count("sqp_iterations", "iterations of the last solve"),
-    ))
+    kkt = Struct(
+        "kkt",
+        "KKT residuals, largest absolute values",
+        (
+            real("stationarity", "gradient of the Lagrangian"),
+            real("equality", "gaps of the dynamics and x_0 - xhat"),
+            real("inequality", "violation of bounds and rows"),
+            real("complementarity", "multiplier times distance to its bound"),
+        ),
+    )
+    stats = Struct(
+        "stats",
+        "counters of the last feedback or solve",
+        (
+            count("qp_iterations", "iterations of the last QP"),
+            count("active_set_changes", "changes of the working set in the last QP"),
+            count("dropped_rows", "redundant rows left out of the working set"),
+            count("sqp_iterations", "iterations of the last solve"),
+        ),
+    )
     return kkt, stats
 
 
@@ -253,13 +294,26 @@ def _number(value: float) -> float | str:
 
 
 def _signal(s: Signal) -> dict[str, Any]:
-    return {"name": s.name, "size": s.size, "unit": s.unit, "value": list(s.value), "offset": s.offset,
-            "scalar": s.scalar}
+    return {
+        "name": s.name,
+        "size": s.size,
+        "unit": s.unit,
+        "value": list(s.value),
+        "offset": s.offset,
+        "scalar": s.scalar,
+    }
 
 
 def _row(r: Row) -> dict[str, Any]:
-    return {"name": r.name, "kind": r.kind, "index": r.index, "index_terminal": r.index_terminal,
-            "nodes": list(r.nodes), "lower": _number(r.lower), "upper": _number(r.upper)}
+    return {
+        "name": r.name,
+        "kind": r.kind,
+        "index": r.index,
+        "index_terminal": r.index_terminal,
+        "nodes": list(r.nodes),
+        "lower": _number(r.lower),
+        "upper": _number(r.upper),
+    }
 
 
 def _metadata(lin: Linearization, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...]) -> dict[str, Any]:
@@ -271,9 +325,21 @@ def _metadata(lin: Linearization, name: str, macros: tuple[Macro, ...], structs:
         "precision": lin.options.precision,
         "sizes": {m.name: m.value for m in macros},
         "structs": [
-            {"name": s.name, "doc": s.doc, "fields": [
-                {"name": f.name, "type": f.ctype, "shape": list(f.values), "padded": list(f.padded), "role": f.role,
-                 "doc": f.doc} for f in s.fields]}
+            {
+                "name": s.name,
+                "doc": s.doc,
+                "fields": [
+                    {
+                        "name": f.name,
+                        "type": f.ctype,
+                        "shape": list(f.values),
+                        "padded": list(f.padded),
+                        "role": f.role,
+                        "doc": f.doc,
+                    }
+                    for f in s.fields
+                ],
+            }
             for s in structs
         ],
         "states": [_signal(s) for s in p.states],

@@ -1,6 +1,6 @@
 """Closed loops: a controller, a plant, and a log that can be looked at.
 
-    u_k = step(x_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance(k, x_k)
+u_k = step(x_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance(k, x_k)
 """
 
 from __future__ import annotations

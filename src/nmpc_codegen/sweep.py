@@ -1,6 +1,6 @@
 """Sweeps: programs of calls to small CasADi Functions inside counted loops, as data.
 
-Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; emit (print_sweep), which
+Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; print_routine(), which
 writes C loops that call static leaves; and count. A subtree is fused by unrolling it into a leaf of its own.
 """
 
@@ -94,9 +94,7 @@ class Sweep:
 def unroll(sweep: Sweep) -> Any:
     """Run the sweep on SX: one CasADi Function with the sweep's ports, structural zeros of outputs removed."""
     symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
-    buffers: dict[str, list[Any]] = {
-        p.name: s.elements() for p, s in zip(sweep.inputs, symbols, strict=True)
-    }
+    buffers: dict[str, list[Any]] = {p.name: s.elements() for p, s in zip(sweep.inputs, symbols, strict=True)}
     buffers |= {p.name: [ca.SX(0)] * p.size for p in sweep.outputs}
     buffers |= {name: [ca.SX(0)] * size for name, size in sweep.locals}
     _run(sweep.body, buffers, {})
@@ -256,7 +254,9 @@ def _head(loop: For) -> str:
 def _print_call(call: Call, routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:
     """One call; slices with a stride go through a small local array."""
     kernel = routine.leaves[call.leaf.name()]
-    before, after, arguments = [], [], []
+    before: list[str] = []
+    after: list[str] = []
+    arguments: list[str] = []
     strided = 0
     for s, written in [(s, False) for s in call.ins] + [(s, True) for s in call.outs]:
         if s.stride == 1 or s.size <= 1:

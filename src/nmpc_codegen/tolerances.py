@@ -6,7 +6,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "qp_pivot": (2.0**5, "smallest pivot of the condensed Hessian, relative to its diagonal entry"),
     "qp_dependent": (2.0**10, "part of a normal outside the span of the working set that counts as zero, relative"),
     "qp_dependent_prediction": (2.0**14, "the same while the predicted working set is factorised"),
-    "qp_feasibility": (2.0**2, "violation of a row that is taken as rounding, relative to |m| (|y0| + |y|)"),
+    "qp_feasibility": (2.0**2, "violation of a row that is taken as rounding, relative to |m|'(|y0| + |y|)"),
     "qp_redundant": (2.0**8, "the same for a row that depends on the working set"),
     "qp_sign": (2.0**6, "wrong sign of a multiplier that is taken as rounding: |m| |lam| relative to |y0| + |y|"),
     "step_count": (2.0**12, "part of an integration step that is taken as rounding of dt / h"),

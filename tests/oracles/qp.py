@@ -1,7 +1,7 @@
 """Oracles of the QP solvers: optimality conditions, problems built backwards from their solution, and enumeration.
 
-    min 1/2 z'Hz + g'z   s.t.  lower <= (z, A z) <= upper
-    H z + g + mult[:n] + A' mult[n:] = 0,   mult >= 0 at an upper bound, <= 0 at a lower one, 0 in between
+min 1/2 z'Hz + g'z   s.t.  lower <= (z, A z) <= upper
+H z + g + mult[:n] + A' mult[n:] = 0,   mult >= 0 at an upper bound, <= 0 at a lower one, 0 in between
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def residuals(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray) -> Residual
     """Relative residuals at (z, mult).
 
     stationarity: |H z + g + C'mult| / (|H||z| + |g| + |C'||mult|) in the largest norm, C = rows.
-    feasibility: violation / (|bound| + |c_i||z|_max); sign: |mult_i| away from the bound its sign names, relative to the
-    largest multiplier, weighted by min(1, relative distance).
+    feasibility: violation / (|bound| + |c_i||z|_max); sign: |mult_i| relative to the
+    largest, times the relative distance (at most 1) from the bound that its sign names.
     """
     C = qp.rows
     terms = np.abs(qp.H) @ np.abs(z) + np.abs(qp.g) + np.abs(C.T) @ np.abs(mult)

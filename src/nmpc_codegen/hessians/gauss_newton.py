@@ -83,7 +83,9 @@ class GaussNewton:
                 "hessian",
                 "Hessian blocks, lower triangles, z = (x, u)",
                 (
-                    Field("Q", (dims.nq, dims.nz, dims.nz), "path blocks; one for all nodes where it is constant", "data"),
+                    Field(
+                        "Q", (dims.nq, dims.nz, dims.nz), "path blocks; one for all nodes where it is constant", "data"
+                    ),
                     Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
                 ),
             ),

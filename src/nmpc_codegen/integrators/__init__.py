@@ -21,5 +21,14 @@ REGISTRY: dict[str, type[ExplicitRungeKutta] | type[Discrete]] = {
 }
 
 __all__ = [
-    "REGISTRY", "RK4", "SSPRK3", "TABLEAUS", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint",
+    "REGISTRY",
+    "RK4",
+    "SSPRK3",
+    "TABLEAUS",
+    "ButcherTableau",
+    "Discrete",
+    "Euler",
+    "ExplicitRungeKutta",
+    "Heun",
+    "Midpoint",
 ]

@@ -22,15 +22,14 @@ class Discrete:
     name: ClassVar[str] = "discrete"
     template: ClassVar[str] = "integrators/discrete.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {"soft rows", "coupled rows", "free initial state", "general cost"}
-    )
+    supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "general cost"})
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         if not problem.discrete:
-            raise OptionError(f"integrator: {problem.name} is an ordinary differential equation; "
-                              "expected ExplicitRungeKutta(...)")
+            raise OptionError(
+                f"integrator: {problem.name} is an ordinary differential equation; expected ExplicitRungeKutta(...)"
+            )
         x, u, p = problem.path.x, problem.path.u, problem.path.p
         dt = ca.SX.sym("dt")
         phi = ca.densify(problem.dynamics(x, u, p))
@@ -40,8 +39,13 @@ class Discrete:
         interval = ca.Function("interval", [x, u, p, dt], [phi, S])
         step = ca.Function("step", [x, u, p, dt], [phi])
         return (
-            lift(interval, "integrator_interval", "x_next = Phi(x, u, p); S = d x_next / d(x, u)",
-                 (*ports, Port("dt", 1)), (out, Port("S", problem.nx, problem.nx + problem.nu))),
+            lift(
+                interval,
+                "integrator_interval",
+                "x_next = Phi(x, u, p); S = d x_next / d(x, u)",
+                (*ports, Port("dt", 1)),
+                (out, Port("S", problem.nx, problem.nx + problem.nu)),
+            ),
             lift(step, "integrator_step", "x_next = Phi(x, u, p)", (*ports, Port("h", 1)), (out,)),
         )
 

@@ -44,9 +44,7 @@ class ExplicitRungeKutta:
     name: ClassVar[str] = "explicit_runge_kutta"
     template: ClassVar[str] = "integrators/explicit_runge_kutta.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {"soft rows", "coupled rows", "free initial state", "general cost"}
-    )
+    supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "general cost"})
 
     def __post_init__(self) -> None:
         if isinstance(self.tableau, str) and self.tableau in TABLEAUS:
@@ -148,7 +146,9 @@ class _Builder:
             y = y + (h if c == 1 else h * float(c)) * total
         return ca.Function(name, [x, h, *slopes], [y], ["x", "h", *(f"K{j}" for j in range(len(slopes)))], ["y"])
 
-    def stage_slopes(self, buffer: str, coefficients: Sequence[Fraction], offset: Affine, stage_size: int) -> list[Slice]:
+    def stage_slopes(
+        self, buffer: str, coefficients: Sequence[Fraction], offset: Affine, stage_size: int
+    ) -> list[Slice]:
         """Slices of the K_j with nonzero coefficient."""
         return [
             Slice(buffer, self.nx, Affine(offset.constant + j * stage_size, offset.terms))
@@ -204,7 +204,9 @@ def interval_sweep(problem: Problem, tableau: ButcherTableau, steps: int, fuse_s
         step = (_fused_step(b, step),)
     body.append(For("step", 0, steps, step))
     body.append(Call(_copy(nx), (Slice("X", nx),), (Slice("x_next", nx),)))
-    scatter = Call(_copy(nx), (Slice("Sc", nx, Affine(0, (("c", nx),))),), (Slice("S", nx, Affine(0, (("c", 1),)), nz),))
+    scatter = Call(
+        _copy(nx), (Slice("Sc", nx, Affine(0, (("c", nx),))),), (Slice("S", nx, Affine(0, (("c", 1),)), nz),)
+    )
     body.append(For("c", 0, nz, (scatter,)))
     return Sweep(
         "integrator_interval",
@@ -249,7 +251,9 @@ def _sensitivity_step(b: _Builder) -> list[Node]:
             )
         )
 
-        def columns(first: int, count: int, product: Any, with_fu: bool, i: int = i, leaf: Any = leaf, moved: bool = moved) -> For:
+        def columns(
+            first: int, count: int, product: Any, with_fu: bool, i: int = i, leaf: Any = leaf, moved: bool = moved
+        ) -> For:
             s = Slice("Si", nx) if moved else Slice("Sc", nx, column)
             slopes = b.stage_slopes("Ks", t.a[i], column, nx * nz)
             calls: list[Node] = [Call(leaf, (Slice("Sc", nx, column), h, *slopes), (s,))] if moved else []

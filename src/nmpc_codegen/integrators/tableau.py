@@ -78,9 +78,7 @@ def _values(*values: Fraction | int) -> tuple[Fraction, ...]:
 Euler = ButcherTableau("Euler", _rows(()), _values(1), 1)
 Midpoint = ButcherTableau("Midpoint", _rows((), (F(1, 2),)), _values(0, 1), 2)
 Heun = ButcherTableau("Heun", _rows((), (1,)), _values(F(1, 2), F(1, 2)), 2)
-SSPRK3 = ButcherTableau(
-    "SSPRK3", _rows((), (1,), (F(1, 4), F(1, 4))), _values(F(1, 6), F(1, 6), F(2, 3)), 3
-)
+SSPRK3 = ButcherTableau("SSPRK3", _rows((), (1,), (F(1, 4), F(1, 4))), _values(F(1, 6), F(1, 6), F(2, 3)), 3)
 RK4 = ButcherTableau(
     "RK4",
     _rows((), (F(1, 2),), (0, F(1, 2)), (0, 0, 1)),

@@ -39,8 +39,9 @@ class DenseActiveSet:
     def __post_init__(self) -> None:
         if self.max_iterations is None:
             return
-        if isinstance(self.max_iterations, bool) or not isinstance(self.max_iterations, int) or self.max_iterations < 1:
-            raise OptionError(f"DenseActiveSet.max_iterations: {self.max_iterations!r} is not a positive integer or None")
+        cap = self.max_iterations
+        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
+            raise OptionError(f"DenseActiveSet.max_iterations: {cap!r} is not a positive integer or None")
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
@@ -60,7 +61,7 @@ class DenseActiveSet:
                 "qp",
                 "condensed QP and its active-set factorisation",
                 (
-                    Field("H", (ld, ld), "Hessian (lower triangle); after qp_factorize D, L and L' of L D L'", "scratch"),
+                    Field("H", (ld, ld), "Hessian (lower triangle); then D, L and L' of L D L'", "scratch"),
                     Field("A", (ng, ld), "general rows", "scratch"),
                     Field("g", (nv,), "gradient", "scratch"),
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
@@ -81,7 +82,9 @@ class DenseActiveSet:
                     Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
                     Field("scale", (), "|y0|", "scratch"),
                     Field("work", (ld,), "rows in the working set, in the order of the basis", "scratch", "int32"),
-                    Field("side", (rows,), "1: in the working set at the upper bound, -1: lower, 0: not", "keep", "int32"),
+                    Field(
+                        "side", (rows,), "in the working set: 1 at upper, -1 at lower bound, else 0", "keep", "int32"
+                    ),
                     Field("nw", (), "members of the working set", "scratch", "int32"),
                     Field("factorized", (), "qp_factorize has succeeded", "scratch", "int32"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
@@ -97,7 +100,7 @@ class DenseActiveSet:
         panels = n // 4
         # Per panel b: entries to the right of it, and to the left.
         right = sum(n - 4 * k - 4 for k in range(panels))
-        block = OpCount(add=6, mul=6)
+        block = OpCount(add=6, mul=6, other=4)
         scale = OpCount(mul=n)
         substitution = block * panels + OpCount(add=4, mul=4) * right
         return {

@@ -1,0 +1,109 @@
+"""Products with the stage matrices: written out over structural nonzeros for small models, dense loops else.
+
+The patterns come from the stores of the lifted kernels, so they are structural and exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nmpc_codegen.sweep import Routine
+
+# Largest number of nonzeros of S and Q together that is written out.
+WRITTEN_OUT = 256
+
+Pattern = frozenset[tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class Products:
+    """Structural nonzeros (row, column) of S = [A B], and of the lower triangles Q and Q_N."""
+
+    nx: int
+    nu: int
+    S: Pattern
+    Q: Pattern
+    Q_N: Pattern
+
+    @property
+    def template(self) -> str:
+        """Which of the two spellings is included."""
+        small = len(self.S) + len(self.Q) + len(self.Q_N) <= WRITTEN_OUT
+        return f"products/{'nonzeros' if small else 'loops'}.c.jinja"
+
+    @property
+    def states(self) -> range:
+        return range(self.nx)
+
+    def element(self, j: int) -> str:
+        """Element j of z = (dx, du) in C."""
+        return f"dx[{j}]" if j < self.nx else f"du[{j - self.nx}]"
+
+    def target(self, i: int) -> str:
+        """Row of W, or of T, that row i of the backward sweep belongs to."""
+        return f"d->W[{i}]" if i < self.nx else f"d->T[{i - self.nx}]"
+
+    @property
+    def S_rows(self) -> list[tuple[int, list[int]]]:
+        """(i, columns of row i of S)."""
+        return [(i, sorted(c for r, c in self.S if r == i)) for i in range(self.nx)]
+
+    @property
+    def A_rows(self) -> list[tuple[int, list[int]]]:
+        """(i, columns of row i of A)."""
+        return [(i, [c for c in columns if c < self.nx]) for i, columns in self.S_rows]
+
+    @property
+    def adjoint(self) -> list[tuple[int, list[int], list[tuple[int, int, int]]]]:
+        """(i, rows j with S[j][i], entries of Q z in row i) for every component of z."""
+        return [(i, self._column(i), _entries(self.Q, i)) for i in range(self.nx + self.nu)]
+
+    @property
+    def condensed(self) -> list[tuple[int, list[int], list[tuple[int, int, int]]]]:
+        """The same for Q (G, 0): entries with the states only."""
+        return [(i, rows, [e for e in entries if e[2] < self.nx]) for i, rows, entries in self.adjoint]
+
+    @property
+    def terminal(self) -> list[tuple[int, list[tuple[int, int, int]]]]:
+        """(i, entries of Q_N dx in row i)."""
+        return [(i, _entries(self.Q_N, i)) for i in range(self.nx)]
+
+    @property
+    def Q_read(self) -> list[tuple[int, int]]:
+        """Stored entries that the backward sweep reads."""
+        return sorted({(r, c) for _, _, entries in self.condensed for r, c, _ in entries})
+
+    @property
+    def unread_A(self) -> list[int]:
+        """Columns of A without nonzeros."""
+        return [j for j in range(self.nx) if all(c != j for _, c in self.S)]
+
+    @property
+    def unread_w(self) -> list[int]:
+        """Rows of S without nonzeros."""
+        return [i for i, columns in self.S_rows if not columns]
+
+    @property
+    def unread_g(self) -> list[int]:
+        """States that the cost does not see."""
+        read = {j for _, _, entries in self.condensed for _, _, j in entries}
+        return [j for j in range(self.nx) if j not in read]
+
+    def _column(self, i: int) -> list[int]:
+        return sorted(r for r, c in self.S if c == i)
+
+
+def _entries(lower: Pattern, i: int) -> list[tuple[int, int, int]]:
+    """(stored row, stored column, j) of the nonzeros (i, j) of a symmetric matrix kept as its lower triangle."""
+    found = [(r, c, c) for r, c in lower if r == i] + [(r, c, r) for r, c in lower if c == i and r != i]
+    return sorted(found, key=lambda e: e[2])
+
+
+def pattern(routine: Routine, port: str) -> Pattern:
+    """Structural nonzeros of an output matrix; all of it for a looped routine."""
+    index = next(i for i, p in enumerate(routine.outputs) if p.name == port)
+    rows, cols = routine.outputs[index].rows, routine.outputs[index].cols
+    stores = getattr(routine, "stores", None)
+    if stores is None:
+        return frozenset((r, c) for r in range(rows) for c in range(cols))
+    return frozenset(divmod(element, cols) for o, element, _ in stores if o == index)

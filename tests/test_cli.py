@@ -1,0 +1,273 @@
+"""cli.py: the command line from a problem file to C, and every way to use it wrongly."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nmpc_codegen import cli
+from nmpc_codegen.cli import apply_setting, compare, load_problem, main
+from nmpc_codegen.errors import OptionError, ProblemError
+from nmpc_codegen.integrators import RK4, ExplicitRungeKutta, Heun
+from nmpc_codegen.options import REGISTRIES, Options
+
+CART = """\
+import numpy as np
+from nmpc_codegen import OCP, Options
+
+def cart(name="cart", initial=1.0):
+    ocp = OCP(name, T=1.0, N=5)
+    p = ocp.state("p", unit="m", initial=initial)
+    v = ocp.state("v", unit="m/s")
+    a = ocp.control("a", unit="m/s^2")
+    ocp.dynamics({p: v, v: a - 0.1 * v**3})
+    ocp.least_squares(ocp.x, weight=np.diag([4.0, 1.0]))
+    ocp.least_squares(a, weight=0.1 * np.eye(1), names=["effort"])
+    ocp.terminal_least_squares(ocp.x, weight=10 * np.eye(2))
+    ocp.subject_to(-2, a, 2)
+    return ocp
+"""
+
+
+@pytest.fixture
+def state_problem(tmp_path: Path) -> Any:
+    """state_problem("ocp = cart()") -> path of a problem file."""
+
+    def write(text: str) -> str:
+        path = tmp_path / "problem.py"
+        path.write_text(CART + text + "\n", encoding="utf-8")
+        return str(path)
+
+    return write
+
+
+def said(capsys: pytest.CaptureFixture[str]) -> tuple[str, str]:
+    """Output and errors, each on one line."""
+    captured = capsys.readouterr()
+    return " ".join(captured.out.split()), " ".join(captured.err.split())
+
+
+# -- the whole way ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("compiler")
+def test_export_check_simulate_plot(state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, picture = tmp_path / "c", tmp_path / "cart.png"
+    command = [state_problem("ocp = cart()"), "-o", str(folder), "--check", "--simulate", "20", "--plot", str(picture)]
+    assert main(command) == 0
+    out, err = said(capsys)
+    assert err == ""
+    assert {"cart.h", "cart.c", "cart.json"} <= {p.name for p in folder.iterdir()}
+    assert f"{(folder / 'cart.c').stat().st_size:,}" in out
+    assert "bytes of solver struct" in out
+    assert "check passed" in out
+    assert "20 samples" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.usefixtures("compiler")
+def test_check_with_another_integrator_in_single_precision(
+    state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = [state_problem("ocp = cart()"), "-o", str(tmp_path / "c"), "--name", "cart_f32", "--precision", "single"]
+    assert main([*command, "--set", "integrator.tableau=Heun", "--set", "integrator.steps=3", "--check"]) == 0
+    out, _ = said(capsys)
+    assert "check passed" in out
+    description = json.loads((tmp_path / "c" / "cart_f32.json").read_text())
+    assert (description["name"], description["precision"]) == ("cart_f32", "single")
+    assert "Heun" in description["options"]
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_check_that_fails(
+    state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(cli.LIMITS, "double", {"u": 0.0, "x": 0.0, "cost": 0.0})
+    assert main([state_problem("ocp = cart()"), "-o", str(tmp_path / "c"), "--check"]) == 1
+    assert "check FAILED" in said(capsys)[0]
+
+
+def test_default_folder_and_the_full_report(
+    state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([state_problem("ocp = cart()"), "--name", "wagon"]) == 0
+    short, _ = said(capsys)
+    assert (tmp_path / "out" / "wagon" / "wagon.c").exists()
+    assert main([state_problem("ocp = cart()"), "--name", "wagon", "-v"]) == 0
+    full, _ = said(capsys)
+    assert "smaller functions" in short
+    assert "smaller functions" not in full
+
+
+def test_list_options_names_every_component_and_field(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--list-options"]) == 0
+    out, _ = said(capsys)
+    for seam, registry in REGISTRIES.items():
+        for word, component in registry.items():
+            assert f"--set {seam}={word} " in out
+            for field in dataclasses.fields(component):
+                assert f"{seam}.{field.name} = " in out
+    assert "precision = 'double'" in out
+
+
+# -- usage ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "the file that states the problem is missing"),
+        (["p.py", "--plot", "x.png"], "--plot needs --simulate"),
+        (["p.py", "--simulate", "0"], "expected at least one step"),
+        (["p.py", "--simulate", "many"], "invalid int value: 'many'"),
+        (["p.py", "--set", "steps"], "--set steps: expected KEY=VALUE"),
+        (["p.py", "--set", "=3"], "expected KEY=VALUE"),
+        (["p.py", "--precision", "half"], "invalid choice: 'half'"),
+        (["p.py", "--no-such-flag"], "unrecognized arguments"),
+    ],
+)
+def test_wrong_usage_is_2(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    assert message in said(capsys)[1]
+
+
+def test_help_is_0(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    assert "--list-options" in said(capsys)[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "message"),
+    [
+        ("", [], "defines no problem: expected an OCP called `ocp`"),
+        ("one, two = cart(), cart()", [], "defines several problems (one, two); call the one to export `ocp`"),
+        ("ocp = 3", [], "ocp is a int; expected OCP"),
+        ("def problem():\n    return 3", [], "problem() returns int; expected OCP or (OCP, Options)"),
+        ("ocp, options = cart(), 'fast'", [], "options is a str; expected Options"),
+        ("ocp = OCP('cart', T=-1.0, N=5)", [], "problem.py, line 15: ProblemError"),
+        ("x = 1 / 0", [], "problem.py, line 15: ZeroDivisionError: division by zero"),
+        ("x = (", [], "problem.py, line 15: SyntaxError"),
+        ("import sys; sys.exit(3)", [], "ended the program (exit status 3)"),
+        ("ocp = cart()", ["--qp", "magic"], "there is no qp 'magic'; there is dense_active_set"),
+        ("ocp = cart()", ["--hessian", "magic"], "there is no hessian 'magic'"),
+        ("ocp = cart()", ["--set", "integrator.stepz=3"], "integrator has no option 'stepz'; there is tableau, steps"),
+        ("ocp = cart()", ["--set", "integrator.steps=0"], "OptionError: steps: 0; expected an integer >= 1"),
+        ("ocp = cart()", ["--name", "3d"], "3d"),
+    ],
+)
+def test_failures_are_1_without_traceback(
+    state_problem: Any,
+    tmp_path: Path,
+    text: str,
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main([state_problem(text), "-o", str(tmp_path / "c"), *arguments]) == 1
+    _, err = said(capsys)
+    assert message in err
+    assert "Traceback" not in err
+
+
+def test_verbose_shows_the_traceback(state_problem: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([state_problem("x = 1 / 0"), "-v"]) == 1
+    assert "Traceback" in said(capsys)[1]
+
+
+def test_no_such_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([str(tmp_path / "nothing.py")]) == 1
+    assert "there is no such file" in said(capsys)[1]
+
+
+# -- parts ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "steps"),
+    [
+        ("ocp = cart()", "cart", None),
+        ("only = cart('only')", "only", None),
+        ("ocp, other = cart('chosen'), cart('other')", "chosen", None),
+        ("def build_ocp():\n    return cart('built')", "built", None),
+        ("def problem():\n    return cart('returned')", "returned", None),
+        ("from nmpc_codegen import ExplicitRungeKutta\n"
+         "ocp, options = cart(), Options(integrator=ExplicitRungeKutta(steps=7))", "cart", 7),
+        ("from nmpc_codegen import ExplicitRungeKutta\n"
+         "def problem():\n    return cart('both'), Options(integrator=ExplicitRungeKutta(steps=5))", "both", 5),
+    ],
+)  # fmt: skip
+def test_where_a_file_states_its_problem(state_problem: Any, text: str, name: str, steps: int | None) -> None:
+    ocp, options = load_problem(Path(state_problem(text)))
+    assert ocp.name == name
+    assert (None if steps is None else options.integrator.steps) == steps
+
+
+def test_a_problem_may_import_its_neighbours(tmp_path: Path) -> None:
+    (tmp_path / "carts.py").write_text(CART)
+    (tmp_path / "problem.py").write_text("from carts import cart\nocp = cart('imported')\n")
+    assert load_problem(tmp_path / "problem.py")[0].name == "imported"
+
+
+def test_settings() -> None:
+    options = apply_setting(Options(), "integrator.steps", "4")
+    options = apply_setting(options, "integrator.tableau", "Heun")
+    options = apply_setting(options, "hessian.levenberg_marquardt", "1e-3")
+    options = apply_setting(options, "qp", "dense-active-set")
+    options = apply_setting(options, "qp.max_iterations", "50")
+    options = apply_setting(options, "precision", "single")
+    assert options.integrator == ExplicitRungeKutta(Heun, steps=4)
+    assert options.hessian.levenberg_marquardt == 1e-3
+    assert (options.qp.name, options.qp.max_iterations) == ("dense_active_set", 50)
+    assert options.precision == "single"
+    assert apply_setting(options, "qp", "None").qp is None
+    assert Options().integrator is None
+    assert ExplicitRungeKutta().tableau is RK4
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "message"),
+    [
+        ("speed", "1", "no option 'speed'; there is integrator, hessian"),
+        ("integrator", "leapfrog", "no integrator 'leapfrog'; there is explicit_runge_kutta, discrete"),
+        ("integrator.steps.more", "1", "integrator.steps has no option 'more'; it has none"),
+        ("hessian.scale", "1", "hessian has no option 'scale'; there is convex_rows"),
+        ("online.speed", "1", "online has no option 'speed'; there is reference"),
+        ("precision", "half", "half"),
+        ("integrator.tableau", "RK77", "RK77"),
+    ],
+)
+def test_settings_that_are_refused(key: str, text: str, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        apply_setting(Options(), key, text)
+
+
+def test_a_field_that_several_components_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    registry = {"first": ExplicitRungeKutta, "second": ExplicitRungeKutta}
+    monkeypatch.setattr(cli, "registry", lambda seam: registry)
+    with pytest.raises(OptionError, match="say --set integrator=WORD before it, with one of first, second"):
+        apply_setting(Options(), "integrator.steps", "3")
+
+
+def test_errors_are_relative_to_the_size_of_each_component() -> None:
+    reference = SimpleNamespace(u=np.array([[100.0], [0.0]]), x=np.zeros((3, 2)), cost=200.0)
+    solution: Any = SimpleNamespace(u=reference.u + 1e-4, x=reference.x + 1e-5, cost=200.0 - 2e-6)
+    errors = compare(solution, reference)
+    assert errors == pytest.approx({"u": 1e-6, "x": 1e-5, "cost": 1e-8}, rel=1e-6)
+    nothing = SimpleNamespace(u=np.zeros((2, 0)), x=np.zeros((3, 2)), cost=0.0)
+    assert compare(nothing, nothing) == {"u": 0.0, "x": 0.0, "cost": 0.0}  # type: ignore[arg-type]
+
+
+def test_load_problem_leaves_the_path_alone(state_problem: Any) -> None:
+    import sys
+
+    before = list(sys.path)
+    with pytest.raises(ProblemError):
+        load_problem(Path(state_problem("")))
+    assert sys.path == before

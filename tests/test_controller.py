@@ -1,0 +1,400 @@
+"""controller.py, on the hand-written toy package. Oracle: the same optimal control problem as dense least squares."""
+
+from __future__ import annotations
+
+import copy
+import io
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nmpc_codegen.build import load
+from nmpc_codegen.controller import ALIGNMENT, Controller, Status
+from nmpc_codegen.errors import ControllerError
+
+Array = NDArray[np.float64]
+DT = 0.1
+FIRST = np.array([0.1, -0.05])  # no bound is active from here
+
+
+def oracle(ctrl: Controller, xhat: Array) -> tuple[Array, Array, float]:
+    """x, u and cost of the unconstrained problem with the controller's data, by dense least squares over all u."""
+    N = ctrl.dims.N
+    m, d = ctrl.view("p")[:, 0], ctrl.view("p")[:, 1:]
+    x, X = np.array(xhat), np.zeros((2, N))  # x_k = x + X u
+    rows, target, xs, Xs = [], [], [x], [X]
+    w, w_N = np.sqrt(ctrl.view("W")), np.sqrt(ctrl.view("W_N"))
+    A = np.array([[1.0, DT], [0.0, 1.0]])
+    for k in range(N):
+        e = np.eye(N)[k]
+        rows += [w[:2, None] * X, w[2] * e[None]]
+        target += [w[:2] * (ctrl.view("yref")[k, :2] - x), w[2:] * ctrl.view("yref")[k, 2:]]
+        x, X = A @ x + d[k], A @ X + np.outer([DT**2 / 2 / m[k], DT / m[k]], e)
+        xs.append(x)
+        Xs.append(X)
+    rows.append(w_N[:, None] * X)
+    target.append(w_N * (ctrl.view("yref_N") - x))
+    M, b = np.vstack(rows), np.concatenate(target)
+    u = np.linalg.lstsq(M, b, rcond=None)[0]
+    return np.array([x + X @ u for x, X in zip(xs, Xs, strict=True)]), u[:, None], 0.5 * float(np.sum((M @ u - b) ** 2))
+
+
+def assert_optimal(ctrl: Controller, xhat: Array = FIRST) -> None:
+    u0 = ctrl.step(xhat, on_failure="raise")
+    x, u, cost = oracle(ctrl, xhat)
+    np.testing.assert_allclose(ctrl.u, u, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(ctrl.x, x, rtol=1e-11, atol=1e-12)
+    np.testing.assert_array_equal(u0, ctrl.u[0])
+    assert ctrl.cost == pytest.approx(cost, rel=1e-12)
+
+
+# -- calls ------------------------------------------------------------------------------------------------------------
+
+
+def test_step_is_optimal(toy: Controller) -> None:
+    assert_optimal(toy)
+
+
+def test_step_is_the_c_function_step(toy: Controller) -> None:
+    twin = toy.copy()
+    ffi = twin._library.ffi
+    u0 = ffi.new("toy_real[1]")
+    assert twin._call("step", twin._s, ffi.new("toy_real[2]", FIRST.tolist()), u0) == 0
+    assert toy.step(FIRST)[0] == u0[0]
+    np.testing.assert_array_equal(toy._memory, twin._memory)
+
+
+def test_step_is_prepare_and_feedback(toy: Controller) -> None:
+    twin = toy.copy()
+    assert twin.prepare() is Status.OK
+    np.testing.assert_array_equal(twin.feedback(FIRST), toy.step(FIRST))
+    np.testing.assert_array_equal(toy._memory, twin._memory)
+    assert twin.stats.prepare_ns > 0
+    assert twin.stats.feedback_ns > 0
+
+
+def test_control_is_a_fresh_array(toy: Controller) -> None:
+    first = toy.step(FIRST)
+    before = first.copy()
+    first[:] = 99.0
+    np.testing.assert_array_equal(toy.step(FIRST), before)
+
+
+def test_multipliers_have_the_signs_of_the_lagrangian(toy: Controller) -> None:
+    """lam_0 = dV/dxhat, by central differences of the quadratic value function; mu_u < 0 at the lower bound."""
+    value = lambda x: (toy.step(x), toy.cost)[1]  # noqa: E731
+    h = 1e-3
+    gradient = [(value(FIRST + h * e) - value(FIRST - h * e)) / (2 * h) for e in np.eye(2)]
+    toy.step(FIRST)
+    np.testing.assert_allclose(toy.lam[0], gradient, rtol=1e-8)
+    toy.step([1.0, 0.0])
+    assert toy.u[0, 0] == -5.0
+    assert toy.mu_u[0, 0] < 0.0
+
+
+def test_solve(toy: Controller) -> None:
+    solution = toy.solve(FIRST, tol=1e-9, max_iterations=3)
+    x, u, cost = oracle(toy, FIRST)
+    assert solution.status is Status.OK
+    np.testing.assert_allclose(solution.u, u, rtol=1e-11)
+    np.testing.assert_allclose(solution.x, x, rtol=1e-11)
+    assert solution.cost == pytest.approx(cost, rel=1e-12)
+    assert (solution.lam.shape, solution.mu_x.shape, solution.mu_u.shape) == ((5, 2), (5, 2), (4, 1))
+    assert (solution.mu.shape, solution.mu_N.shape, solution.eta.shape) == ((4, 0), (0,), (0,))
+    assert solution.iterations == 1
+    assert solution.kkt == toy.kkt()
+    assert solution.time_ns > 0
+    toy.u[:] = 7.0
+    np.testing.assert_allclose(solution.u, u, rtol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"tol": 0.0}, "tol is 0.0; expected a positive number"),
+        ({"tol": float("nan")}, "tol is nan"),
+        ({"tol": "fine"}, "tol is 'fine'"),
+        ({"max_iterations": 0}, "max_iterations is 0; expected an integer >= 1"),
+        ({"max_iterations": 2.5}, "max_iterations is 2.5"),
+    ],
+)
+def test_solve_refuses(toy: Controller, arguments: dict[str, float], message: str) -> None:
+    with pytest.raises(ControllerError, match=message):
+        toy.solve(FIRST, **arguments)  # type: ignore[arg-type]
+
+
+def test_feedback_without_prepare_is_safe(toy: Controller) -> None:
+    np.testing.assert_array_equal(toy.feedback(FIRST), [0.0])
+    assert toy.status is Status.NOT_PREPARED
+    with pytest.raises(ControllerError, match=r"toy\.feedback: NOT_PREPARED: .*without prepare"):
+        toy.feedback(FIRST, on_failure="raise")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_state_that_is_not_finite(toy: Controller, bad: float) -> None:
+    u0 = toy.step([bad, 0.0])
+    assert toy.status is Status.NOT_FINITE
+    assert np.isfinite(u0).all()
+    with pytest.raises(ControllerError, match=r"toy\.step: NOT_FINITE"):
+        toy.step([0.0, bad], on_failure="raise")
+    assert_optimal(toy)
+
+
+def test_failed_preparation_is_the_status_of_the_step(toy: Controller) -> None:
+    toy.view("W")[2] = -1e6
+    assert np.isfinite(toy.step(FIRST)).all()
+    assert toy.status is Status.NUMERICAL_FAILURE
+    assert toy.prepare() is Status.NUMERICAL_FAILURE
+    with pytest.raises(ControllerError, match="NUMERICAL_FAILURE"):
+        toy.prepare(on_failure="raise")
+
+
+@pytest.mark.parametrize(
+    ("xhat", "message"),
+    [
+        ([0.0], r"xhat has shape \(1,\); expected \(2,\)"),
+        ([[0.0, 0.0]], r"xhat has shape \(1, 2\); expected \(2,\)"),
+        (0.0, r"xhat has shape \(\); expected \(2,\)"),
+        (["a", "b"], "xhat is no array of numbers"),
+        ([0.0, 1j], "xhat is complex"),
+        (None, r"xhat"),
+        ([[0.0], [0.0, 1.0]], "xhat is no array of numbers"),
+    ],
+)
+def test_states_of_the_wrong_kind(toy: Controller, xhat: object, message: str) -> None:
+    with pytest.raises(ControllerError, match=message):
+        toy.step(xhat)  # type: ignore[arg-type]
+
+
+def test_unknown_on_failure(toy: Controller) -> None:
+    with pytest.raises(ControllerError, match="on_failure is 'ignore'; allowed: 'status', 'raise'"):
+        toy.step(FIRST, on_failure="ignore")  # type: ignore[arg-type]
+
+
+def test_any_layout_of_the_input(toy: Controller) -> None:
+    expected = toy.step(FIRST)
+    strided = np.zeros((2, 3))
+    strided[:, 1] = FIRST
+    for xhat in (FIRST.tolist(), tuple(FIRST), strided[:, 1], FIRST.astype(">f8"), np.asfortranarray(FIRST)):
+        np.testing.assert_array_equal(toy.step(xhat), expected)
+
+
+def test_reset_and_shift(toy: Controller) -> None:
+    toy.step(FIRST)
+    x, u = toy.x.copy(), toy.u.copy()
+    toy.shift()
+    np.testing.assert_array_equal(toy.x[:-1], x[1:])
+    np.testing.assert_array_equal(toy.u[:, 0], [*u[1:, 0], u[-1, 0]])
+    toy.set_reference([1.0, 0.0, 0.0])
+    toy.reset()
+    assert not toy.x.any()
+    assert not toy.u.any()
+    np.testing.assert_array_equal(toy.view("yref")[:, 0], 1.0)
+
+
+def test_integrate(toy: Controller) -> None:
+    toy.set_parameter("m", 2.0)
+    np.testing.assert_allclose(toy.integrate([1.0, 3.0], [4.0], 0.5), [1.0 + 1.5 + 0.25, 4.0], rtol=1e-15)
+    with pytest.raises(ControllerError, match=r"u has shape \(2,\); expected \(1,\)"):
+        toy.integrate([1.0, 3.0], [4.0, 0.0], 0.5)
+
+
+# -- data -------------------------------------------------------------------------------------------------------------
+
+
+def test_reference_of_every_node_by_array_trajectory_and_name(toy: Controller) -> None:
+    toy.set_reference([1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(toy.view("yref"), np.tile([1.0, 2.0, 3.0], (4, 1)))
+    trajectory = np.arange(12.0).reshape(4, 3)
+    toy.set_reference(trajectory)
+    np.testing.assert_array_equal(toy.view("yref"), trajectory)
+    toy.set_reference({"a": -1.0, "p": 0.5})
+    trajectory[:, 2], trajectory[:, 0] = -1.0, 0.5
+    np.testing.assert_array_equal(toy.view("yref"), trajectory)
+    toy.set_reference({"v": 9.0}, node=2)
+    trajectory[2, 1] = 9.0
+    np.testing.assert_array_equal(toy.view("yref"), trajectory)
+    toy.set_terminal_reference({"v": 0.25})
+    np.testing.assert_array_equal(toy.view("yref_N"), [0.0, 0.25])
+
+
+def test_the_solution_follows_the_data(toy: Controller) -> None:
+    toy.set_bounds("a", -np.inf, np.inf)
+    for k in range(4):
+        toy.set_reference([0.1 * k, 0.2, 0.3], node=k)
+        toy.set_parameter("m", 1.0 + 0.1 * k, node=k)
+    toy.set_terminal_reference([0.3, 0.1])
+    toy.set_weight(np.diag([3.0, 2.0, 1.0]))
+    toy.set_terminal_weight([4.0, 5.0])
+    toy.set_parameter("d", [0.01, -0.02])
+    assert_optimal(toy)
+    np.testing.assert_array_equal(toy.view("p")[:, 0], [1.0, 1.1, 1.2, 1.3, 1.0])
+    np.testing.assert_array_equal(toy.view("W"), [3.0, 2.0, 1.0])
+
+
+def test_parameters(toy: Controller) -> None:
+    toy.set_parameter("m", [2.0], node=4)
+    toy.set_parameter("d", np.arange(10.0).reshape(5, 2))
+    np.testing.assert_array_equal(toy.view("p")[:, 0], [1.0, 1.0, 1.0, 1.0, 2.0])
+    np.testing.assert_array_equal(toy.view("p")[:, 1:], np.arange(10.0).reshape(5, 2))
+
+
+def test_bounds_of_a_row_a_vector_and_the_terminal_node(toy: Controller) -> None:
+    toy.set_bounds("a", -0.25, 0.5)
+    assert toy.step([1.0, 0.0]) == -0.25
+    toy.set_bounds("box", [-1.0, -2.0], 3.0)
+    np.testing.assert_array_equal(toy.view("lower"), [[-0.25, -1.0, -2.0]] * 2)
+    np.testing.assert_array_equal(toy.view("upper"), [[0.5, 3.0, 3.0]] * 2)
+    toy.set_bounds("box[1]", -np.inf, 7.0, node=4)
+    np.testing.assert_array_equal(toy.view("lower")[:, 2], [-2.0, -np.inf])
+    np.testing.assert_array_equal(toy.view("upper")[:, 2], [3.0, 7.0])
+
+
+@pytest.mark.parametrize(
+    ("call", "arguments", "message"),
+    [
+        ("set_reference", ([1.0],), r"reference has shape \(1,\); expected \(3,\)"),
+        ("set_reference", (np.zeros((3, 3)),), r"reference has shape \(3, 3\); expected \(4, 3\)"),
+        ("set_reference", ([1.0, np.nan, 0.0],), "reference holds a NaN"),
+        ("set_reference", ([[1.0], [1.0, 2.0]],), "reference is no array of numbers"),
+        ("set_parameter", ("m", [[1.0], [1.0, 2.0]]), "parameter 'm' is no array of numbers"),
+        ("set_reference", ({"q": 1.0},), "no residual 'q'; there is p, v, a"),
+        ("set_reference", ({"p": [1.0, 2.0]},), r"reference of 'p' has shape \(2,\)"),
+        ("set_reference", ([0.0, 0.0, 0.0], 4), r"toy\.set_reference \(node 4\): BAD_INDEX"),
+        ("set_reference", ([0.0, 0.0, 0.0], -1), r"node is -1; expected None or an integer in 0\.\.4"),
+        ("set_reference", ([0.0, 0.0, 0.0], 1.0), "node is 1.0"),
+        ("set_reference", ({"p": 1.0}, 7), "node is 7"),
+        ("set_terminal_reference", ([1.0, 2.0, 3.0],), r"terminal reference has shape \(3,\); expected \(2,\)"),
+        ("set_terminal_reference", ({"a": 1.0},), "no residual 'a'; there is p, v"),
+        ("set_weight", ([1.0, 1.0],), r"weight has shape \(2,\); expected \(3,\)"),
+        ("set_weight", ([1.0, -1.0, 1.0],), "weight is not positive semidefinite"),
+        ("set_weight", (np.triu(np.ones((3, 3))),), "weight is not symmetric"),
+        ("set_weight", (np.eye(3) + 0.1,), "weight has entries off its diagonal"),
+        ("set_weight", ([1.0, 1.0, 1.0], 2), r"toy\.set_weight \(node 2\): BAD_INDEX"),
+        ("set_terminal_weight", (np.eye(3),), r"terminal weight has shape \(3, 3\); expected \(2, 2\)"),
+        ("set_parameter", ("M", 1.0), "no parameter 'M'; there is m, d"),
+        ("set_parameter", ("d", 1.0), r"parameter 'd' has shape \(\); expected \(2,\)"),
+        ("set_parameter", ("d", np.zeros((4, 2))), r"parameter 'd' has shape \(4, 2\); expected \(5, 2\)"),
+        ("set_parameter", ("m", np.inf), "parameter 'm' holds a NaN or an infinity"),
+        ("set_bounds", ("b", 0.0, 1.0), r"no row 'b'; there is a, box\[0\], box\[1\]"),
+        ("set_bounds", ("a", 1.0, 0.0), r"bounds of 'a': lower \[1.0\] above upper \[0.0\]"),
+        ("set_bounds", ("a", np.nan, 0.0), "lower bound of 'a' is NaN"),
+        ("set_bounds", ("box", [0.0] * 3, 1.0), r"lower bound of 'box' has shape \(3,\); expected \(2,\)"),
+        ("set_bounds", ("box[1]", 0.0, 1.0, 2), r"set_bounds \(row 'box\[1\]', node 2\): BAD_INDEX"),
+    ],
+)
+def test_one_clear_error_per_mistake_and_nothing_written(
+    toy: Controller, call: str, arguments: tuple[object, ...], message: str
+) -> None:
+    before = toy._memory.copy()
+    with pytest.raises(ControllerError, match=message):
+        getattr(toy, call)(*arguments)
+    np.testing.assert_array_equal(toy._memory, before)
+
+
+# -- views ------------------------------------------------------------------------------------------------------------
+
+
+def test_views_are_the_memory_of_the_struct(toy: Controller) -> None:
+    assert toy._memory.ctypes.data % ALIGNMENT == 0
+    toy.x[2, 1] = 42.0
+    assert toy._s.x[2][1] == 42.0
+    toy.u = np.full((4, 1), 3.0)
+    assert [toy._s.u[k][0] for k in range(4)] == [3.0] * 4
+    toy.lam = np.ones((5, 2))
+    toy.x = np.ones((5, 2))
+    assert toy.cost == pytest.approx(4 * 0.5 * (10 + 1 + 0.1 * 9) + 0.5 * 110)
+    with pytest.raises(ControllerError, match=r"u has shape \(4,\); expected \(4, 1\)"):
+        toy.u = np.zeros(4)
+
+
+def test_empty_dimensions_have_their_true_shape(toy: Controller) -> None:
+    assert (toy.mu.shape, toy.mu_N.shape, toy.eta.shape) == ((4, 0), (0,), (0,))
+
+
+def test_inner_structs(toy: Controller) -> None:
+    toy.step(FIRST)
+    assert toy.view("riccati.K").shape == (4, 2)
+    np.testing.assert_allclose(toy.view("riccati.K")[0] @ FIRST + toy.view("riccati.f")[0], toy.u[0, 0], rtol=1e-14)
+    assert int(toy.view("samples")) == 1
+
+
+@pytest.mark.parametrize("path", ["sigma", "riccati.sigma", "x.sigma"])
+def test_a_field_the_algorithm_does_not_have(toy: Controller, path: str) -> None:
+    with pytest.raises(AttributeError, match=f"the algorithm of toy has no '{path}'"):
+        toy.view(path)
+
+
+def test_names_sizes_stats(toy: Controller) -> None:
+    assert toy.names.parameters == ("m", "d[0]", "d[1]")
+    assert toy.names.rows == ("a", "box[0]", "box[1]")
+    assert (toy.names.states, toy.names.controls, toy.names.y, toy.names.y_N) == (
+        ("p", "v"), ("a",), ("p", "v", "a"), ("p", "v"),
+    )  # fmt: skip
+    assert (toy.dims.N, toy.dims.nx, toy.dims.nu, toy.dims.np, toy.dims.nh_N) == (4, 2, 1, 3, 0)
+    toy.step([1.0, 0.0])
+    assert toy.stats.active_set_changes == 2
+    assert toy.stats.qp_iterations == 1
+    assert toy.nbytes == toy._library.ffi.sizeof("toy_solver_t")
+    assert repr(toy).startswith("<Controller toy: N=4, nx=2, nu=1, np=3, test")
+
+
+def test_every_status_has_a_meaning() -> None:
+    assert len(Status) == 12
+    assert len({s.meaning for s in Status}) == 12
+
+
+# -- copies -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "duplicate", [Controller.copy, copy.copy, copy.deepcopy, lambda c: pickle.loads(pickle.dumps(c))]
+)
+def test_a_copy_is_independent_and_continues_alike(toy: Controller, duplicate: object) -> None:
+    toy.set_parameter("m", 1.5)
+    toy.step(FIRST)
+    twin = duplicate(toy)  # type: ignore[operator]
+    np.testing.assert_array_equal(twin._memory, toy._memory)
+    assert twin.profile == toy.profile
+    np.testing.assert_array_equal(twin.step([0.02, 0.1]), toy.step([0.02, 0.1]))
+    twin.reset()
+    assert toy.x.any()
+
+
+def test_save_and_load(toy: Controller, tmp_path: Path, toy_files: dict[str, str]) -> None:
+    toy.set_reference([0.5, 0.0, 0.0])
+    toy.step(FIRST)
+    toy.save(tmp_path / "state")
+    other = load(toy_files, "toy", "verify")
+    other.load(tmp_path / "state")
+    np.testing.assert_array_equal(other._memory, toy._memory)
+    stream = io.BytesIO()
+    toy.save(stream)
+    stream.seek(0)
+    toy.reset()
+    toy.load(stream)
+    np.testing.assert_array_equal(other._memory, toy._memory)
+
+
+def test_load_refuses_another_package(toy: Controller, tmp_path: Path, toy_single_files: dict[str, str]) -> None:
+    load(toy_single_files, "toy", "test").save(tmp_path / "single.npz")
+    before = toy._memory.copy()
+    with pytest.raises(ControllerError, match=r"single\.npz holds the state of another package"):
+        toy.load(tmp_path / "single.npz")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(ControllerError, match=r"other\.npz is not a state"):
+        toy.load(tmp_path / "other.npz")
+    np.testing.assert_array_equal(toy._memory, before)
+
+
+def test_two_controllers_in_two_threads(toy: Controller) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    twin = toy.copy()
+    states = np.random.default_rng(1).normal(scale=0.1, size=(2000, 2))
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(lambda c: np.array([c.step(x) for x in states]), (toy, twin))
+    np.testing.assert_array_equal(first, second)

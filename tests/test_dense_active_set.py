@@ -1,0 +1,418 @@
+"""The dense active-set solver against constructed KKT points, residuals recomputed in NumPy, and enumeration."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles.qp import (
+    QuadraticProgram,
+    by_enumeration,
+    from_solution,
+    hessian,
+    infeasible,
+    residuals,
+)
+from qp_harness import ENTRY_POINTS, FAST, QP, WARNINGS, qp_dims, source
+
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.qp import REGISTRY, DenseActiveSet
+
+SIZES = [(1, 0), (4, 2), (10, 4), (23, 9), (60, 20)]
+KINDS = {
+    "mixed": {},
+    "condition": {"condition": 1e8},
+    "degenerate": {"degenerate": 0.5},
+    "no equality": {"weights": (1, 2, 1, 0)},
+    "equalities": {"weights": (0, 1, 0, 2)},
+    "all active": {"weights": (1, 0, 1, 0)},
+    "none active": {"weights": (0, 1, 0, 0)},
+    "scales": {"scale": 1e6},
+    "scales and condition": {"scale": 1e3, "condition": 1e8},
+}
+seeds = st.integers(0, 2**32 - 1)
+many = settings(max_examples=60, deadline=None)
+few = settings(max_examples=25, deadline=None)
+
+
+def solved(qp: QuadraticProgram, solver: QP, limit: float = 1e-11) -> None:
+    """Solves, and asserts the optimality conditions."""
+    assert solver.run(*qp.data) == "OK"
+    result = residuals(qp, solver.z, solver.mult)
+    assert result.worst <= limit, result
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("nv", "ng"), SIZES)
+@few
+@given(seed=seeds)
+def test_constructed_kkt_points(nv: int, ng: int, kind: str, seed: int) -> None:
+    qp = from_solution(np.random.default_rng(seed), nv, ng, **KINDS[kind])
+    solver = QP(nv, ng)
+    solved(qp, solver)
+    condition, scale = KINDS[kind].get("condition", 1e2), KINDS[kind].get("scale", 1.0)
+    error = np.abs(solver.z - qp.z) / (np.abs(qp.z) if scale > 1 else np.max(np.abs(qp.z)))
+    assert np.max(error) <= (1e-6 if scale > 1 else 1e-12 * condition)
+
+
+@many
+@given(seed=seeds, condition=st.sampled_from([1.0, 1e2, 1e4]))
+def test_multipliers_are_found_where_they_are_unique(seed: int, condition: float) -> None:
+    qp = from_solution(np.random.default_rng(seed), 10, 4, condition=condition, weights=(1, 8, 1, 0))
+    active = qp.rows[qp.state != 0]
+    if len(active) and (len(active) > 10 or np.linalg.svd(active)[1].min() < 1e-2):
+        return
+    solver = QP(10, 4)
+    solved(qp, solver)
+    np.testing.assert_allclose(solver.mult, qp.mult, atol=1e-8 * condition)
+    assert solver["dropped"] == 0
+
+
+@pytest.mark.parametrize("repeated", ["rows", "combinations", "bounds"])
+@pytest.mark.parametrize(("nv", "ng"), [(4, 3), (10, 6), (30, 12)])
+@few
+@given(seed=seeds, condition=st.sampled_from([1e2, 1e8]), degenerate=st.sampled_from([0.0, 0.5]))
+def test_redundant_rows(nv: int, ng: int, repeated: str, seed: int, condition: float, degenerate: float) -> None:
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(ng, nv))
+    rest = ng - ng // 2
+    if repeated == "rows":
+        A[ng // 2 :] = A[:rest][: ng - ng // 2] * rng.choice([1, -1, 2, 0.3], size=(rest, 1))
+    elif repeated == "combinations":
+        A[ng // 2 :] = rng.normal(size=(rest, ng // 2)) @ A[: ng // 2]
+    else:
+        A[ng // 2 :] = np.eye(nv)[rng.integers(nv, size=rest)]
+    qp = from_solution(rng, nv, ng, condition=condition, degenerate=degenerate, A=A)
+    solver = QP(nv, ng)
+    other = dataclasses.replace(qp, g=10 * rng.normal(size=nv))
+    for problem in (qp, other, qp):
+        solved(problem, solver, 1e-10)
+
+
+def test_redundant_equalities_get_no_multiplier_and_are_counted() -> None:
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(2, 6))
+    A = np.vstack([A, 2 * A[0] - A[1], A[1]])
+    qp = from_solution(rng, 6, 4, weights=(0, 1, 0, 0), A=A)
+    value = A @ qp.z
+    bounds = [np.concatenate([b[:6], value]) for b in (qp.lower, qp.upper)]
+    solver = QP(6, 4)
+    solved(dataclasses.replace(qp, g=qp.g + A[0], lower=bounds[0], upper=bounds[1]), solver)
+    assert solver["dropped"] == 2
+    assert np.count_nonzero(solver.mult[6:]) == 2
+
+
+@pytest.mark.parametrize(("nv", "ng"), [(1, 1), (10, 4), (24, 9)])
+@many
+@given(seed=seeds)
+def test_warm_started_sequences(nv: int, ng: int, seed: int) -> None:
+    """One struct through problems whose active sets, bounds, equalities and Hessians jump."""
+    rng = np.random.default_rng(seed)
+    solver = QP(nv, ng)
+    for _ in range(6):
+        qp = from_solution(rng, nv, ng, weights=tuple(rng.dirichlet(np.ones(4))), degenerate=0.3)
+        solved(qp, solver)
+
+
+@many
+@given(seed=seeds)
+def test_bounds_may_change_between_the_phases(seed: int) -> None:
+    """The prediction seen by qp_factorize may be arbitrarily wrong: sides turn infinite, equalities come and go."""
+    rng = np.random.default_rng(seed)
+    H, A = hessian(rng, 10, 1e3), rng.normal(size=(4, 10))
+    solver = QP(10, 4)
+    for _ in range(6):
+        predicted = from_solution(rng, 10, 4, A=A, H=H, weights=(1, 1, 1, 1))
+        qp = from_solution(rng, 10, 4, A=A, H=H, weights=tuple(rng.dirichlet(np.ones(4))))
+        solver.load(H, A, predicted.lower, predicted.upper)
+        assert solver.factorize() == "OK"
+        for problem in (predicted, qp, predicted):
+            solver.load_bounds(problem.lower, problem.upper)
+            assert solver.solve(problem.g) == "OK"
+            assert residuals(problem, solver.z, solver.mult).worst <= 1e-11
+
+
+@few
+@given(seed=seeds)
+def test_the_same_problem_again_needs_no_iteration(seed: int) -> None:
+    qp = from_solution(np.random.default_rng(seed), 10, 4)
+    solver = QP(10, 4)
+    solved(qp, solver)
+    z, mult = solver.z, solver.mult
+    solved(qp, solver)
+    assert solver["iterations"] == 0
+    np.testing.assert_allclose(solver.z, z, atol=1e-10)
+    np.testing.assert_allclose(solver.mult, mult, atol=1e-9 * (1 + np.abs(mult).max()))
+
+
+def test_a_shifted_working_set_is_the_prediction() -> None:
+    solver = QP(8, 0)
+    H, g = np.eye(8), -np.array([5.0, 0, 0, 5, 0, -5, 0, 5])
+    assert solver.run(H, g, np.zeros((0, 8)), -np.ones(8), np.ones(8)) == "OK"
+    solver.shift(2)
+    assert list(solver["side"]) == [0, 1, 0, -1, 0, 1, 0, 1]
+    shifted = np.append(g[2:], [0.0, -5.0])
+    assert solver.run(H, shifted, np.zeros((0, 8)), -np.ones(8), np.ones(8)) == "OK"
+    assert solver["iterations"] == 0
+    np.testing.assert_array_equal(solver.z, np.clip(-shifted, -1, 1))
+
+
+integers = st.integers(-3, 3)
+
+
+@settings(max_examples=120, deadline=None)
+@given(data=st.data())
+def test_enumeration_agrees_on_tiny_integer_problems(data: st.DataObject) -> None:
+    """Small integers make ties, repeated rows, zero rows and empty feasible sets common."""
+    n, m = data.draw(st.integers(1, 3)), data.draw(st.integers(0, 2))
+    draw = lambda *shape: np.array(  # noqa: E731
+        data.draw(st.lists(integers, min_size=int(np.prod(shape)), max_size=int(np.prod(shape)))), float
+    ).reshape(shape)
+    B = draw(n, n)
+    H, g, A, centre = B @ B.T + np.eye(n), draw(n), draw(m, n), draw(n + m)
+    width = np.array([data.draw(st.sampled_from([0.0, 1.0, 2.0, np.inf])) for _ in range(n + m)])
+    upper = np.array([data.draw(st.sampled_from([0.0, 1.0, np.inf])) for _ in range(n + m)])
+    qp = QuadraticProgram(H, g, A, centre - width, np.where(width == 0, centre, centre + upper))
+    best = by_enumeration(qp)
+    solver = QP(n, m)
+    if best is None:
+        assert solver.run(*qp.data) == "INFEASIBLE"
+    else:
+        solved(qp, solver)
+        np.testing.assert_allclose(solver.z, best, atol=1e-8)
+
+
+@pytest.mark.parametrize(("nv", "ng"), [(1, 1), (3, 2), (10, 4), (30, 10)])
+@many
+@given(seed=seeds)
+def test_infeasible_problems_are_recognised_and_left_behind(nv: int, ng: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    bad, good = infeasible(rng, nv, ng), from_solution(rng, nv, ng)
+    w, C = bad.mult, bad.rows  # the certificate: w'C = 0 and w'value < every value the bounds allow, by construction
+    np.testing.assert_allclose(w @ C, 0, atol=1e-12 * (1 + np.abs(w).max() * np.abs(C).max()))
+    with np.errstate(invalid="ignore"):
+        reach = np.sum(np.where(w == 0, 0.0, w * np.where(w > 0, bad.upper, bad.lower)))
+    assert reach < 0
+    solver = QP(nv, ng)
+    for _ in range(2):
+        assert solver.run(*bad.data) == "INFEASIBLE"
+        assert np.all(np.isfinite(solver.z))
+        assert np.all(np.isfinite(solver.mult))
+        solved(good, solver)
+
+
+def test_crossed_bounds_are_infeasible() -> None:
+    solver = QP(2, 1)
+    for row in range(3):
+        lower, upper = -np.ones(3), np.ones(3)
+        lower[row] = 1.5
+        assert solver.run(np.eye(2), np.zeros(2), np.ones((1, 2)), lower, upper) == "INFEASIBLE"
+
+
+@many
+@given(
+    seed=seeds,
+    name=st.sampled_from(["H", "g", "A", "lower", "upper"]),
+    bad=st.sampled_from([np.nan, np.inf, -np.inf]),
+)
+def test_data_that_is_not_finite(seed: int, name: str, bad: float) -> None:
+    rng = np.random.default_rng(seed)
+    good = from_solution(rng, 10, 4)
+    array = np.array(getattr(good, name))
+    if name == "H":
+        i, j = np.sort(rng.integers(10, size=2))
+        array[j, i] = array[i, j] = bad
+    else:
+        array[tuple(rng.integers(array.shape))] = {"lower": abs(bad), "upper": -abs(bad)}.get(name, bad)
+    solver = QP(10, 4)
+    for warm in (False, True):
+        if warm:
+            solved(good, solver)
+        assert solver.run(*dataclasses.replace(good, **{name: array}).data) == "NUMERICAL_FAILURE"
+        assert not np.any(solver.z)
+        assert not np.any(solver.mult)
+    solved(good, solver)
+
+
+def test_a_failed_factorisation_is_not_solved_with() -> None:
+    qp = from_solution(np.random.default_rng(2), 10, 4)
+    solver = QP(10, 4)
+    assert solver.solve(qp.g) == "NUMERICAL_FAILURE"
+    solved(qp, solver)
+    assert solver.run(-qp.H, *qp.data[1:]) == "NUMERICAL_FAILURE"
+    assert solver.solve(qp.g) == "NUMERICAL_FAILURE"
+    assert not np.any(solver.z)
+
+
+@many
+@given(seed=seeds, lowest=st.sampled_from([-1.0, -1e-6, 0.0]), n=st.sampled_from([1, 4, 10]))
+def test_a_hessian_that_is_not_positive_definite(seed: int, lowest: float, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    H = (Q * np.append(np.linspace(1, 2, n - 1), lowest)) @ Q.T
+    qp = dataclasses.replace(from_solution(rng, n, 0), H=H)
+    if n == 1 or lowest < 0:
+        assert QP(n, 0).run(*qp.data) == "NUMERICAL_FAILURE"
+    else:  # singular up to rounding: a clear answer in any case
+        assert QP(n, 0).run(*qp.data) in ("OK", "NUMERICAL_FAILURE", "INFEASIBLE")
+
+
+def test_the_iteration_cap() -> None:
+    qp = from_solution(np.random.default_rng(3), 10, 0, weights=(1, 0, 1, 0))
+    solver = QP(10, 0, max_iterations=3)
+    assert solver.run(*qp.data) == "ITERATION_LIMIT"
+    assert solver["iterations"] == 3
+    assert np.all(np.isfinite(solver.z))
+    for _ in range(5):  # the working set is kept, so capped calls make progress
+        status = solver.run(*qp.data)
+    assert status == "OK"
+    np.testing.assert_allclose(solver.z, qp.z, atol=1e-10)
+
+
+def test_default_cap_is_enough() -> None:
+    most = 0.0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        qp = from_solution(rng, 20, 10, condition=1e6, weights=(2, 1, 2, 0))
+        solver = QP(20, 10)
+        solved(qp, solver)
+        most = max(most, solver["iterations"] / (4 * 30 + 10))
+    assert most < 0.7
+
+
+@pytest.mark.parametrize(("nv", "ng"), [(1, 0), (10, 4), (23, 9)])
+@few
+@given(seed=seeds)
+def test_single_precision(nv: int, ng: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    qp = from_solution(rng, nv, ng, condition=1e2, degenerate=0.2, weights=(1, 6, 1, 1))
+    rounded = [np.float32(a).astype(float) for a in qp.data]
+    qp = QuadraticProgram(*rounded)
+    solver = QP(nv, ng, "single")
+    status = solver.run(*qp.data)
+    if status == "INFEASIBLE":  # rounding of the data may have made dependent equalities contradict each other
+        assert np.count_nonzero(qp.lower == qp.upper) + np.count_nonzero(solver["side"]) >= nv
+        return
+    assert status == "OK"
+    assert residuals(qp, solver.z, solver.mult).worst <= 1e-4
+
+
+def compile_source(text: str, path: Path, *command: str) -> None:
+    path.write_text(text)
+    subprocess.run([*command, str(path), "-o", str(path.with_suffix(".out")), "-lm"], check=True)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize(("nv", "ng"), [(1, 0), (10, 4), (12, 0)])
+@pytest.mark.parametrize("compiler", [("gcc", "-std=c99"), ("g++", "-std=c++17", "-xc++")])
+def test_no_warnings_in_c_and_cpp(tmp_path: Path, need, precision: str, nv: int, ng: int, compiler) -> None:
+    need(compiler[0])
+    text = source(nv, ng, precision) + ENTRY_POINTS
+    compile_source(text, tmp_path / "qp.c", *compiler, *WARNINGS, *FAST, "-c")
+
+
+SANITIZED = r"""
+static unsigned long state = 1;
+static test_real draw(void)
+{
+    state = state * 6364136223846793005UL + 1442695040888963407UL;
+    return (test_real)((double)(state >> 11) / 9007199254740992.0 * 2 - 1);
+}
+int main(void)
+{
+    static test_qp_t q;
+    int ok = 0;
+    qp_init(&q);
+    for (int trial = 0; trial < 3000; ++trial) {
+        for (int i = 0; i < TEST_NV; ++i) {
+            for (int j = 0; j <= i; ++j) { q.H[i][j] = i == j ? TEST_NV + 1 : draw(); }
+            q.g[i] = 10 * draw();
+        }
+        for (int j = 0; j < TEST_NG; ++j) {
+            for (int i = 0; i < TEST_NV; ++i) { q.A[j][i] = draw(); }
+        }
+        for (int c = 0; c < TEST_NV + TEST_NG; ++c) {
+            q.lower[c] = -(draw() + 1);
+            q.upper[c] = q.lower[c] + (trial % 3 == c % 3 ? 0 : 2);
+        }
+        if (trial % 7 == 3) { q.g[0] = (test_real)NAN; }
+        if (trial % 7 == 4) { q.H[TEST_NV - 1][0] = (test_real)INFINITY; }
+        if (trial % 7 == 5) { q.lower[0] = (test_real)NAN; }
+        if (trial % 7 == 6) { q.H[0][0] = -1; }
+        qp_factorize(&q);
+        for (int c = 0; c < TEST_NV; ++c) { q.upper[c] += trial % 5 == 0; }
+        ok += qp_solve(&q) == TEST_OK;
+        qp_shift_working_set(&q, 1);
+    }
+    return ok == 0;
+}
+"""
+
+
+@pytest.mark.parametrize(("nv", "ng"), [(1, 0), (5, 2), (10, 4), (16, 20)])
+def test_sanitizers_are_silent(tmp_path: Path, nv: int, ng: int) -> None:
+    flags = ("-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    compile_source(source(nv, ng) + SANITIZED, tmp_path / "qp.c", "gcc", *flags)
+    subprocess.run([str(tmp_path / "qp.out")], check=True, timeout=60)
+
+
+COUNTING = r"""
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+struct counting {
+    double v;
+    static long add, mul, other;
+    counting() = default;
+    counting(double x) : v(x) {}
+};
+long counting::add = 0, counting::mul = 0, counting::other = 0;
+static counting operator+(counting a, counting b) { ++counting::add; return a.v + b.v; }
+static counting operator-(counting a, counting b) { ++counting::add; return a.v - b.v; }
+static counting operator*(counting a, counting b) { ++counting::mul; return a.v * b.v; }
+static counting operator/(counting a, counting b) { return a.v / b.v; }
+static counting operator-(counting a) { ++counting::other; return -a.v; }
+static counting &operator+=(counting &a, counting b) { return a = a + b; }
+static counting &operator-=(counting &a, counting b) { return a = a - b; }
+static counting &operator*=(counting &a, counting b) { return a = a * b; }
+static bool operator<(counting a, counting b) { return a.v < b.v; }
+static bool operator>(counting a, counting b) { return a.v > b.v; }
+static bool operator<=(counting a, counting b) { return a.v <= b.v; }
+static bool operator>=(counting a, counting b) { return a.v >= b.v; }
+static counting sqrt(counting a) { return std::sqrt(a.v); }
+static counting fabs(counting a) { ++counting::other; return std::fabs(a.v); }
+static bool isfinite(counting a) { return std::isfinite(a.v); }
+"""
+
+
+@pytest.mark.parametrize("nv", [1, 10, 24])
+def test_operation_counts(tmp_path: Path, need, nv: int) -> None:
+    need("g++")
+    text = source(nv, 1).replace("#include <math.h>\n#include <stdint.h>\n", COUNTING)
+    text = text.replace("typedef double test_real;", "typedef counting test_real;")
+    report = 'std::printf("%ld %ld %ld\\n", counting::add, counting::mul, counting::other); '
+    clear = "counting::add = counting::mul = counting::other = 0; "
+    text += "int main() { static test_qp_t q; static counting y[TEST_LDV], z[TEST_LDV]; (void)qp_solve;"
+    text += "(void)qp_factorize; (void)qp_shift_working_set; qp_init(&q);"
+    text += f"{clear} qp_forward(&q, y, 0); {report} {clear} qp_backward(&q, y, z); {report} }}\n"
+    compile_source(text, tmp_path / "qp.cpp", "g++", "-std=c++17")
+    lines = subprocess.run([str(tmp_path / "qp.out")], check=True, capture_output=True, text=True).stdout.split("\n")
+    cost = DenseActiveSet().cost(qp_dims(nv, 1))
+    for line, name in zip(lines, ("qp_forward", "qp_backward"), strict=False):
+        assert [int(w) for w in line.split()] == [cost[name].add, cost[name].mul, cost[name].other], name
+
+
+@pytest.mark.parametrize("bad", [0, -1, 2.5, "many", True])
+def test_bad_options(bad: object) -> None:
+    with pytest.raises(OptionError, match="max_iterations"):
+        DenseActiveSet(max_iterations=bad)  # type: ignore[arg-type]
+
+
+def test_registered_under_its_name() -> None:
+    assert REGISTRY["dense_active_set"] is DenseActiveSet
+    assert {n: v for n, v, _ in DenseActiveSet().sizes(qp_dims(10, 4))} == {"QP_MAX_ITERATIONS": 66}

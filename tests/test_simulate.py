@@ -1,0 +1,178 @@
+"""simulate.py, on the hand-written toy package whose plant has a closed form."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from nmpc_codegen.build import load
+from nmpc_codegen.controller import Controller, Status
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.simulate import LONG_RUN, Trace, simulate
+
+Array = NDArray[np.float64]
+X0 = np.array([1.0, 0.0])
+mpl.use("Agg")
+
+
+def exact(x: Array, u: Array, dt: float) -> Array:
+    """Constant acceleration."""
+    return np.array([x[0] + dt * x[1] + dt**2 / 2 * u[0], x[1] + dt * u[0]])
+
+
+def test_the_log_is_the_loop(toy: Controller) -> None:
+    twin = toy.copy()
+    log = simulate(toy, X0, 12)
+    x = X0
+    for k in range(12):
+        np.testing.assert_array_equal(log.u[k], twin.step(x))
+        assert log.cost[k] == twin.cost
+        assert log.status[k] == twin.status
+        x = exact(x, log.u[k], 0.1)
+        np.testing.assert_allclose(log.x[k + 1], x, rtol=1e-13, atol=1e-15)
+        x = log.x[k + 1]
+    np.testing.assert_allclose(log.t, 0.1 * np.arange(13), rtol=1e-15)
+    assert (log.time_ns > 0).all()
+    assert log.u[0] == -5.0
+
+
+def test_long_samples_are_cut_into_the_controllers_intervals(toy: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps: list[float] = []
+    original = Controller.integrate
+
+    def recorded(self: Controller, x: Array, u: Array, dt: float) -> Array:
+        steps.append(dt)
+        return original(self, x, u, dt)
+
+    monkeypatch.setattr(Controller, "integrate", recorded)
+    log = simulate(toy, X0, 1, dt=0.25)
+    np.testing.assert_allclose(steps, [0.25 / 3] * 3)
+    np.testing.assert_allclose(log.x[1], exact(X0, log.u[0], 0.25), rtol=1e-13)
+    steps.clear()
+    simulate(toy, X0, 1, dt=0.1 + 0.1 + 0.1)
+    assert len(steps) == 3
+    steps.clear()
+    simulate(toy, X0, 1, dt=0.02)
+    assert steps == [0.02]
+
+
+def test_own_plant_disturbance_and_reference(toy: Controller) -> None:
+    def target(k: int, ctrl: Controller) -> None:
+        ctrl.set_reference({"p": 0.3 if k >= 20 else 0.0})
+        ctrl.set_terminal_reference({"p": 0.3 if k >= 20 else 0.0})
+
+    log = simulate(
+        toy,
+        [0.2, 0.0],
+        60,
+        plant=lambda x, u, dt: exact(x, 0.9 * u, dt).tolist(),
+        disturbance=lambda k, x: np.array([0.0, 0.1 if k == 40 else 0.0]),
+        reference=target,
+    )
+    assert abs(log.x[20, 0]) < 0.05
+    assert log.x[40, 0] == pytest.approx(0.3, abs=0.02)
+    kick = log.x[41] - exact(log.x[40], 0.9 * log.u[40], 0.1)
+    np.testing.assert_allclose(kick, [0.0, 0.1], atol=1e-14)
+
+
+def test_the_plant_cannot_change_the_log(toy: Controller) -> None:
+    def careless(x: Array, u: Array, dt: float) -> Array:
+        u[:] = 77.0
+        x += 1.0
+        return x
+
+    log = simulate(toy, X0, 1, plant=careless)
+    np.testing.assert_array_equal(log.x, [X0, X0 + 1.0])
+    assert log.u[0] == -5.0
+
+
+def test_no_steps(toy: Controller, tmp_path: Path) -> None:
+    log = simulate(toy, X0, 0)
+    assert (log.x.shape, log.u.shape, log.t.tolist()) == ((1, 2), (0, 1), [0.0])
+    assert "0 samples" in log.summary()
+    log.plot(tmp_path / "empty.png")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"steps": -1}, "steps is -1; expected an integer >= 0"),
+        ({"steps": 2.0}, "steps is 2.0"),
+        ({"x0": [1.0]}, r"x0 has shape \(1,\); expected \(2,\)"),
+        ({"x0": [1.0, np.nan]}, "x0 is not finite"),
+        ({"dt": 0.0}, "dt is 0.0; expected a positive number"),
+        ({"dt": "0.1"}, "dt is '0.1'"),
+        ({"plant": lambda x, u, dt: x[:1]}, r"the plant's state after sample 0 has shape \(1,\)"),
+        ({"plant": lambda x, u, dt: x + np.inf}, "the plant's state after sample 0 is not finite"),
+        ({"disturbance": lambda k, x: "gust"}, "the disturbance of sample 0 is no array of numbers"),
+    ],
+)
+def test_mistakes(toy: Controller, arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(ControllerError, match=message):
+        simulate(toy, **{"x0": X0, "steps": 2, **arguments})  # type: ignore[arg-type]
+
+
+def test_a_discrete_map_has_its_own_interval(toy_files: dict[str, str]) -> None:
+    description = json.loads(toy_files["toy.json"]) | {"discrete": True}
+    ctrl = load({**toy_files, "toy.json": json.dumps(description)}, "toy", "test")
+    with pytest.raises(ControllerError, match=r"discrete map of dt = 0.1: leave dt out"):
+        simulate(ctrl, X0, 2, dt=0.2)
+    assert simulate(ctrl, X0, 2, dt=0.1).time_unit == "samples"
+
+
+def test_summary(toy: Controller) -> None:
+    log = simulate(toy, X0, 12)
+    assert not log.ok
+    relaxed = int(np.sum(log.status == Status.RELAXED))
+    assert f"status: OK {12 - relaxed}, RELAXED {relaxed}" in log.summary()
+    assert "12 samples over 1.2 s" in log.summary()
+    assert simulate(toy, [0.01, 0.0], 3).ok
+
+
+def test_plot(toy: Controller, tmp_path: Path) -> None:
+    log = simulate(toy, X0, 12)
+    figure = log.plot(tmp_path / "toy.png")
+    assert (tmp_path / "toy.png").read_bytes().startswith(b"\x89PNG")
+    assert [axis.get_ylabel() for axis in figure.axes] == ["p [m]", "v [m/s]", "a [m/s²]"]
+    position, _, control = figure.axes
+    np.testing.assert_array_equal(position.lines[0].get_ydata(), log.x[:, 0])
+    assert len(position.lines) == 1
+    assert control.lines[0].get_drawstyle() == "steps-post"
+    np.testing.assert_array_equal(control.lines[0].get_ydata()[:-1], log.u[:, 0])
+    assert sorted(line.get_ydata()[0] for line in control.lines[1:]) == [-5.0, 5.0]
+    assert all(line.is_dashed() for line in control.lines[1:])
+
+
+def test_plot_without_a_file_is_a_pyplot_figure(toy: Controller) -> None:
+    from matplotlib import pyplot
+
+    figure = simulate(toy, X0, 3).plot()
+    assert figure.number in pyplot.get_fignums()
+    pyplot.close(figure)
+
+
+@pytest.mark.parametrize(
+    ("unit", "label"), [("m/s^2", "a [m/s²]"), ("s^-1", "a [s⁻¹]"), ("", "a"), ("m^10", "a [m¹⁰]")]
+)
+def test_labels(unit: str, label: str) -> None:
+    assert Trace("a", unit, -1.0, 1.0).label == label
+
+
+@pytest.mark.parametrize(
+    ("steps", "terminal", "shown"), [(LONG_RUN, True, True), (LONG_RUN, False, False), (5, True, False)]
+)
+def test_progress_bar_on_long_runs_at_a_terminal(
+    toy: Controller, monkeypatch: pytest.MonkeyPatch, steps: int, terminal: bool, shown: bool
+) -> None:
+    stream = io.StringIO()
+    stream.isatty = lambda: terminal  # type: ignore[method-assign]
+    monkeypatch.setattr(sys, "stderr", stream)
+    simulate(toy, X0, steps)
+    assert ("toy" in stream.getvalue()) == shown
