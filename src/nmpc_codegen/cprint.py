@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -53,27 +54,37 @@ def print_kernel(kernel: Kernel, style: CStyle) -> str:
     count = ", ".join(f"{v} {k}" for k, v in kernel.count.as_dict().items() if v) or "no operations"
     lines = [comment(kernel.doc, kernel.inputs, kernel.outputs, count)]
     lines += [signature(kernel.name, kernel.inputs, kernel.outputs, style), "{"]
+    lines += print_body(
+        kernel,
+        style,
+        lambda port, element: f"{kernel.inputs[port].name}[{element}]",
+        lambda port, element: f"{kernel.outputs[port].name}[{element}]",
+    )
+    used = {ins.args[0] for ins in kernel.instructions if ins.opcode == ca.OP_INPUT}
+    stored = {o for o, _, _ in kernel.stores}
+    unused = [p.name for i, p in enumerate(kernel.inputs) if i not in used]
+    unused += [p.name for i, p in enumerate(kernel.outputs) if i not in stored]
+    return "\n".join([*lines, *(f"    (void){name};" for name in unused), "}"])
+
+
+def print_body(
+    kernel: Kernel, style: CStyle, load: Callable[[int, int], str], store: Callable[[int, int], str]
+) -> list[str]:
+    """Loads, one statement per operation, stores; ``load`` and ``store`` spell element e of a port."""
     names: list[str] = []
-    used: set[int] = set()
     loads, body = [], []
     for index, ins in enumerate(kernel.instructions):
         if ins.opcode == ca.OP_INPUT:
             port, element = ins.args
-            used.add(port)
             names.append(f"{kernel.inputs[port].name}_{element}")
-            loads.append(f"    const {style.real} {names[-1]} = {kernel.inputs[port].name}[{element}];")
+            loads.append(f"    const {style.real} {names[-1]} = {load(port, element)};")
         elif ins.opcode == ca.OP_CONST:
             text = style.literal(ins.constant)
-            names.append(f"({text})" if ins.constant < 0 or text.startswith("-") else text)
+            names.append(f"({text})" if text.startswith("-") else text)
         else:
             names.append(f"t{index}")
             body.append(f"    const {style.real} {names[-1]} = {_expression(ins, names, style)};")
-    stores = [f"    {kernel.outputs[o].name}[{e}] = {names[v]};" for o, e, v in kernel.stores]
-    stored = {o for o, _, _ in kernel.stores}
-    unused = [p.name for i, p in enumerate(kernel.inputs) if i not in used]
-    unused += [p.name for i, p in enumerate(kernel.outputs) if i not in stored]
-    lines += loads + body + stores + [f"    (void){name};" for name in unused] + ["}"]
-    return "\n".join(lines)
+    return loads + body + [f"    {store(o, e)} = {names[v]};" for o, e, v in kernel.stores]
 
 
 def _expression(ins: Instruction, names: list[str], style: CStyle) -> str:

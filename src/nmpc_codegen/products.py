@@ -31,17 +31,13 @@ class Products:
         small = len(self.S) + len(self.Q) + len(self.Q_N) <= WRITTEN_OUT
         return f"products/{'nonzeros' if small else 'loops'}.c.jinja"
 
-    @property
-    def states(self) -> range:
-        return range(self.nx)
-
     def element(self, j: int) -> str:
         """Element j of z = (dx, du) in C."""
         return f"dx[{j}]" if j < self.nx else f"du[{j - self.nx}]"
 
     def target(self, i: int) -> str:
         """Row of W, or of T, that row i of the backward sweep belongs to."""
-        return f"d->W[{i}]" if i < self.nx else f"d->T[{i - self.nx}]"
+        return f"d->W[0][{i}]" if i < self.nx else f"d->T[{i - self.nx}]"
 
     @property
     def S_rows(self) -> list[tuple[int, list[int]]]:
@@ -74,20 +70,29 @@ class Products:
         return sorted({(r, c) for _, _, entries in self.condensed for r, c, _ in entries})
 
     @property
-    def unread_A(self) -> list[int]:
-        """Columns of A without nonzeros."""
-        return [j for j in range(self.nx) if all(c != j for _, c in self.S)]
+    def read_A(self) -> list[int]:
+        """Columns of A with nonzeros."""
+        return sorted({c for _, c in self.S if c < self.nx})
 
     @property
-    def unread_w(self) -> list[int]:
-        """Rows of S without nonzeros."""
-        return [i for i, columns in self.S_rows if not columns]
+    def read_w(self) -> list[int]:
+        """Rows of S with nonzeros."""
+        return sorted({r for r, _ in self.S})
 
     @property
-    def unread_g(self) -> list[int]:
-        """States that the cost does not see."""
-        read = {j for _, _, entries in self.condensed for _, _, j in entries}
-        return [j for j in range(self.nx) if j not in read]
+    def read_g(self) -> list[int]:
+        """States that the cost sees."""
+        return sorted({j for _, _, entries in self.condensed for _, _, j in entries})
+
+    @property
+    def Q_sorted(self) -> list[tuple[int, int]]:
+        """Nonzeros of Q in the order of the tables."""
+        return sorted(self.Q)
+
+    @property
+    def Q_N_sorted(self) -> list[tuple[int, int]]:
+        """Nonzeros of Q_N in the order of the tables."""
+        return sorted(self.Q_N)
 
     def _column(self, i: int) -> list[int]:
         return sorted(r for r, c in self.S if c == i)

@@ -7,12 +7,12 @@ writes C loops that call static leaves; and count. A subtree is fused by unrolli
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 
-from nmpc_codegen.cprint import CStyle, comment, print_kernel, signature
+from nmpc_codegen.cprint import CStyle, comment, print_body, print_kernel, signature
 from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
 
 
@@ -32,7 +32,7 @@ class Affine:
         parts = [i if c == 1 else f"{c} * {i}" for i, c in self.terms]
         if self.constant or not parts:
             parts.append(str(self.constant))
-        return " + ".join(parts)
+        return " + ".join(parts).replace("+ -", "- ")
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,11 @@ class Call:
     leaf: Any
     ins: tuple[Slice, ...]
     outs: tuple[Slice, ...]
+
+    @property
+    def written_out(self) -> bool:
+        """True if the leaf is printed inside its loop instead of being called: its slices are columns of matrices."""
+        return any(s.stride != 1 and s.size > 1 for s in (*self.ins, *self.outs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +215,8 @@ def print_routine(routine: Routine, style: CStyle) -> str:
     """C text of a routine: one function, preceded by its leaves where it is looped."""
     if isinstance(routine, Kernel):
         return print_kernel(routine, style)
-    texts = [print_kernel(kernel, style) for kernel in routine.kernels]
+    called = {c.leaf.name() for c in _calls(routine.sweep.body) if not c.written_out}
+    texts = [print_kernel(kernel, style) for name, kernel in routine.leaves.items() if name in called]
     sweep, count = routine.sweep, routine.count
     written = ", ".join(f"{v} {k}" for k, v in count.as_dict().items() if v)
     lines = [comment(sweep.doc, sweep.inputs, sweep.outputs, written)]
@@ -252,32 +258,17 @@ def _head(loop: For) -> str:
 
 
 def _print_call(call: Call, routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:
-    """One call; slices with a stride go through a small local array."""
+    """A call of a static leaf; a leaf on strided slices is written out, so that the loop around it vectorises."""
     kernel = routine.leaves[call.leaf.name()]
-    before: list[str] = []
-    after: list[str] = []
-    arguments: list[str] = []
-    strided = 0
-    for s, written in [(s, False) for s in call.ins] + [(s, True) for s in call.outs]:
-        if s.stride == 1 or s.size <= 1:
-            arguments.append(f"&{s.buffer}[{s.offset.c()}]")
-            continue
-        local = f"w{strided}"
-        strided += 1
-        before.append(f"    {style.real} {local}[{s.size}];")
-        element = f"{s.buffer}[{s.offset.c()} + {s.stride} * l]"
-        copy = f"{element} = {local}[l]" if written else f"{local}[l] = {element}"
-        (after if written else before).append(f"    for (l = 0; l < {s.size}; l++) {{ {copy}; }}")
-        arguments.append(local)
-    statement = f"{kernel.name}({', '.join(arguments)});"
-    if not strided:
-        return [indent + statement]
-    declarations = [b for b in before if b.endswith("];")]
-    gathers = [b for b in before if not b.endswith("];")]
-    block = ["{", "    int l;", *declarations, *gathers, f"    {statement}", *after, "}"]
-    return [indent + line for line in block]
+    if not call.written_out:
+        arguments = (f"&{s.buffer}[{s.offset.c()}]" for s in (*call.ins, *call.outs))
+        return [f"{indent}{kernel.name}({', '.join(arguments)});"]
 
+    def element(slices: tuple[Slice, ...], port: int, e: int) -> str:
+        s = slices[port]
+        return f"{s.buffer}[{Affine(s.offset.constant + s.stride * e, s.offset.terms).c()}]"
 
-def renamed(sweep: Sweep, name: str) -> Sweep:
-    """The same sweep under another name."""
-    return replace(sweep, name=name)
+    body = print_body(
+        kernel, style, lambda port, e: element(call.ins, port, e), lambda port, e: element(call.outs, port, e)
+    )
+    return [indent + line.removeprefix("    ") for line in body]

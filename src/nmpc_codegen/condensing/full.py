@@ -49,7 +49,7 @@ class FullCondensing:
                 (
                     Field("G", (nodes, dims.nx, ldg), "columns: dx_0, then du_0 .. du_{N-1}", "data"),
                     Field("c", (nodes, dims.nx), "free response of the gaps b_k", "data"),
-                    Field("W", (dims.nx, ldg), "backward sweep: sum of Q_k G_k over later nodes", "scratch"),
+                    Field("W", (Size("2", 2), dims.nx, ldg), "W_k of the backward sweep", "scratch"),
                     Field("T", (dims.nu, ldg), "one block row of the condensed Hessian", "scratch"),
                     Field("g", (dims.nv,), "condensed gradient at dx_0 = 0", "data"),
                     Field("Hx", (dims.nv, dims.nx), "coupling of the controls to dx_0", "data"),

@@ -15,17 +15,17 @@ from typing import Any, ClassVar, Literal, get_args
 
 import casadi as ca
 
-from nmpc_codegen.component import Dims
+from nmpc_codegen.component import PANEL, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau
-from nmpc_codegen.kernel import Kernel, OpCount, Port
+from nmpc_codegen.kernel import OpCount, Port
 from nmpc_codegen.problem import Problem
-from nmpc_codegen.sweep import Affine, Call, For, LoopedRoutine, Node, Routine, Slice, Sweep, looped, straight, unroll
+from nmpc_codegen.sweep import Affine, Call, For, Node, Routine, Slice, Sweep, looped, straight, unroll
 
 Unroll = Literal["auto", "all", "step", "none"]
 
 # unroll="auto": the largest straight-line program, in instructions, before loops are preferred
-AUTO_INSTRUCTIONS = 4000
+AUTO_INSTRUCTIONS = 2500
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,6 @@ class ExplicitRungeKutta:
             program = straight(interval_sweep(problem, self.tableau, self.steps))
             if len(program.instructions) <= AUTO_INSTRUCTIONS:
                 return program
-        if estimate <= 10 * AUTO_INSTRUCTIONS * self.steps:
-            stepped = looped(interval_sweep(problem, self.tableau, self.steps, fuse_steps=True))
-            if sum(len(k.instructions) for k in stepped.kernels) <= AUTO_INSTRUCTIONS:
-                return stepped
         return rolled
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -101,60 +97,70 @@ class _Builder:
         self.x, self.u, self.p = problem.path.x, problem.path.u, problem.path.p
         self.f = problem.dynamics(self.x, self.u, self.p)
         self.fx = ca.sparsify(ca.jacobian(self.f, self.x))
-        self.fu = ca.densify(ca.jacobian(self.f, self.u))
+        self.fu = ca.sparsify(ca.jacobian(self.f, self.u))
+        self.fu_rows = sorted(set(self.fu.sparsity().row()))
+        self.nz = self.nx + self.nu
+        self.ld = -(-self.nz // PANEL) * PANEL
 
     def leaf_f(self) -> Any:
         """K = f(X, u, p)."""
         return ca.Function("f", [self.x, self.u, self.p], [self.f], ["x", "u", "p"], ["K"])
 
     def leaf_f_and_jacobian(self) -> Any:
-        """K = f, the nonzeros of f_x, and f_u by columns."""
+        """K = f, the nonzeros of f_x, and the nonzero rows of [0 f_u], ld columns each."""
         nonzeros = ca.vertcat(*self.fx.nonzeros()) if self.fx.nnz() else ca.SX(0, 1)
+        padded = ca.horzcat(ca.SX(self.nx, self.nx), self.fu, ca.SX(self.nx, self.ld - self.nz))
+        rows = ca.vertcat(ca.SX(0, 1), *(padded[i, :].T for i in self.fu_rows))
         return ca.Function(
             "linearize_f",
             [self.x, self.u, self.p],
-            [self.f, nonzeros, ca.vec(self.fu)],
+            [self.f, nonzeros, rows],
             ["x", "u", "p"],
-            ["K", "fx", "fu"],
+            ["K", "fx", "Fu"],
         )
 
-    def leaf_product(self) -> Any:
-        """K' = f_x S for one column of S."""
-        nonzeros, column = ca.SX.sym("fx", self.fx.nnz()), ca.SX.sym("s", self.nx)
-        return ca.Function("fx_times", [nonzeros, column], [self._jacobian(nonzeros) @ column], ["fx", "s"], ["Ks"])
-
-    def leaf_product_control(self) -> Any:
-        """K' = f_x S + f_u for one control column."""
-        nonzeros, column, fu = (ca.SX.sym(n, k) for n, k in (("fx", self.fx.nnz()), ("s", self.nx), ("fu", self.nx)))
-        value = self._jacobian(nonzeros) @ column + fu
-        return ca.Function("fx_times_plus_fu", [nonzeros, column, fu], [value], ["fx", "s", "fu"], ["Ks"])
-
-    def _jacobian(self, nonzeros: Any) -> Any:
-        return ca.SX(self.fx.sparsity(), nonzeros) if self.fx.nnz() else ca.SX(self.nx, self.nx)
+    def leaf_slope(self, stage: int) -> Any:
+        """One column of K_i' = f_x (S + h sum_j a_ij K_j') + [0 f_u]."""
+        coefficients = self.tableau.a[stage]
+        nonzeros, column, h = ca.SX.sym("fx", self.fx.nnz()), ca.SX.sym("s", self.nx), ca.SX.sym("h")
+        fu = ca.SX.sym("Fu", len(self.fu_rows))
+        slopes = [ca.SX.sym(f"K{j}", self.nx) for j, c in enumerate(coefficients) if c]
+        jacobian = ca.SX(self.fx.sparsity(), nonzeros) if self.fx.nnz() else ca.SX(self.nx, self.nx)
+        forcing = ca.SX(self.nx, 1)
+        for position, row in enumerate(self.fu_rows):
+            forcing[row] = fu[position]
+        value = jacobian @ _combine(column, h, slopes, coefficients) + forcing
+        names = ["fx", "s", "h", "Fu", *(f"K{j}" for j in range(len(slopes)))]
+        return ca.Function(f"slope_{stage}", [nonzeros, column, h, fu, *slopes], [value], names, ["Ks"])
 
     def leaf_combination(self, name: str, coefficients: Sequence[Fraction]) -> Any:
         """y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
         x, h = ca.SX.sym("x", self.nx), ca.SX.sym("h")
         slopes = [ca.SX.sym(f"K{j}", self.nx) for j, c in enumerate(coefficients) if c]
-        values = [c for c in coefficients if c]
-        y = x
-        for c in dict.fromkeys(values):
-            same = [k for k, v in zip(slopes, values, strict=True) if v == c]
-            total = same[0]
-            for k in same[1:]:
-                total = total + k
-            y = y + (h if c == 1 else h * float(c)) * total
+        y = _combine(x, h, slopes, coefficients)
         return ca.Function(name, [x, h, *slopes], [y], ["x", "h", *(f"K{j}" for j in range(len(slopes)))], ["y"])
 
-    def stage_slopes(
-        self, buffer: str, coefficients: Sequence[Fraction], offset: Affine, stage_size: int
+    def slopes(
+        self, buffer: str, coefficients: Sequence[Fraction], size: int, offset: Affine = Affine(), stride: int = 1
     ) -> list[Slice]:
-        """Slices of the K_j with nonzero coefficient."""
+        """Slices of the K_j with nonzero coefficient; K_j starts at j * size."""
         return [
-            Slice(buffer, self.nx, Affine(offset.constant + j * stage_size, offset.terms))
+            Slice(buffer, self.nx, Affine(offset.constant + j * size, offset.terms), stride)
             for j, c in enumerate(coefficients)
             if c
         ]
+
+
+def _combine(x: Any, h: Any, slopes: Sequence[Any], coefficients: Sequence[Fraction]) -> Any:
+    """x + h sum_j c_j K_j over the nonzero c_j."""
+    values = [c for c in coefficients if c]
+    for c in dict.fromkeys(values):
+        same = [k for k, v in zip(slopes, values, strict=True) if v == c]
+        total = same[0]
+        for k in same[1:]:
+            total = total + k
+        x = x + (h if c == 1 else h * float(c)) * total
+    return x
 
 
 def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
@@ -168,10 +174,10 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
         point = x
         if any(tableau.a[i]):
             point = Slice("X", nx)
-            slopes = b.stage_slopes("K", tableau.a[i], Affine(), nx)
+            slopes = b.slopes("K", tableau.a[i], nx)
             body.append(Call(b.leaf_combination(f"stage_{i}", tableau.a[i]), (x, h, *slopes), (point,)))
         body.append(Call(b.leaf_f(), (point, *up), (Slice("K", nx, Affine(i * nx)),)))
-    slopes = b.stage_slopes("K", tableau.b, Affine(), nx)
+    slopes = b.slopes("K", tableau.b, nx)
     body.append(Call(b.leaf_combination("update", tableau.b), (x, h, *slopes), (Slice("x_next", nx),)))
     return Sweep(
         "integrator_step",
@@ -186,28 +192,28 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
 def interval_sweep(problem: Problem, tableau: ButcherTableau, steps: int, fuse_steps: bool = False) -> Sweep:
     """x_next = Phi(x, u, p) over one interval and S = d x_next / d(x, u), [nx][nx + nu] row-major.
 
-    Local S is kept by columns, so that one leaf serves the state and every sensitivity column. ``fuse_steps`` unrolls
-    one step into a single leaf.
+    Local sensitivities are row-major with rows padded to PANEL columns, so that the loops over columns vectorise.
+    ``fuse_steps`` unrolls one step into a single leaf.
     """
     b = _Builder(problem, tableau)
-    nx, nz = b.nx, b.nx + b.nu
+    nx, nz, ld = b.nx, b.nz, b.ld
     length = (lambda dt: dt / steps) if not problem.uniform else (lambda dt: ca.SX(problem.dt[0] / steps))
     dt = ca.SX.sym("dt")
-    start = ca.vec(ca.horzcat(ca.DM.eye(nx), ca.DM.zeros(nx, b.nu)))
+    start = ca.SX.zeros(nx * ld)
+    for i in range(nx):
+        start[i * ld + i] = 1
     body: list[Node] = [
         Call(ca.Function("step_length", [dt], [length(dt)], ["dt"], ["h"]), (Slice("dt", 1),), (Slice("h", 1),)),
-        Call(_copy(nx), (Slice("x", nx),), (Slice("X", nx),)),
-        Call(ca.Function("identity", [], [ca.SX(ca.densify(start))], [], ["s"]), (), (Slice("Sc", nx * nz),)),
+        Call(_copy("copy_x", nx), (Slice("x", nx),), (Slice("X", nx),)),
+        Call(ca.Function("identity", [], [start], [], ["s"]), (), (Slice("Sx", nx * ld),)),
     ]
     step = tuple(_sensitivity_step(b))
-    if fuse_steps:
-        step = (_fused_step(b, step),)
-    body.append(For("step", 0, steps, step))
-    body.append(Call(_copy(nx), (Slice("X", nx),), (Slice("x_next", nx),)))
-    scatter = Call(
-        _copy(nx), (Slice("Sc", nx, Affine(0, (("c", nx),))),), (Slice("S", nx, Affine(0, (("c", 1),)), nz),)
+    body.append(For("step", 0, steps, (_fused_step(b, step),) if fuse_steps else step))
+    body.append(Call(_copy("copy_x", nx), (Slice("X", nx),), (Slice("x_next", nx),)))
+    row = Call(
+        _copy("copy_row", nz), (Slice("Sx", nz, Affine(0, (("i", ld),))),), (Slice("S", nz, Affine(0, (("i", nz),))),)
     )
-    body.append(For("c", 0, nz, (scatter,)))
+    body.append(For("i", 0, nx, (row,)))
     return Sweep(
         "integrator_interval",
         f"x_next = Phi(x, u, p): {steps} {tableau.name} step(s) over dt; S = d x_next / d(x, u)",
@@ -219,70 +225,54 @@ def interval_sweep(problem: Problem, tableau: ButcherTableau, steps: int, fuse_s
 
 
 def _locals(b: _Builder, step_only: bool) -> tuple[tuple[str, int], ...]:
-    nx, nz, s = b.nx, b.nx + b.nu, b.tableau.stages
-    state = (("h", 1), ("X", nx), ("Sc", nx * nz))
-    inner = (("Xi", nx), ("Si", nx), ("K", s * nx), ("Ks", s * nx * nz), ("fx", b.fx.nnz()), ("fu", nx * b.nu))
+    state = (("h", 1), ("X", b.nx), ("Sx", b.nx * b.ld))
+    s = b.tableau.stages
+    inner = (
+        *(("Xi", b.nx), ("K", s * b.nx), ("Ks", s * b.nx * b.ld)),
+        *(("fx", b.fx.nnz()), ("Fu", len(b.fu_rows) * b.ld)),
+    )
     return state if step_only else state + inner
 
 
-def _copy(n: int) -> Any:
+def _copy(name: str, n: int) -> Any:
     x = ca.SX.sym("x", n)
-    return ca.Function("copy", [x], [x], ["x"], ["y"])
+    return ca.Function(name, [x], [x], ["x"], ["y"])
 
 
 def _sensitivity_step(b: _Builder) -> list[Node]:
-    """One step of X and Sc (columns) in place; K and Ks hold the stage slopes."""
-    nx, nu, nz, t = b.nx, b.nu, b.nx + b.nu, b.tableau
+    """One step of X and Sx in place; K and Ks hold the slopes of the stages."""
+    nx, nu, ld, t = b.nx, b.nu, b.ld, b.tableau
     state, h = Slice("X", nx), Slice("h", 1)
-    column = Affine(0, (("c", nx),))
+    column = Affine(0, (("c", 1),))
+    S = Slice("Sx", nx, column, ld)
     nodes: list[Node] = []
     for i in range(t.stages):
-        leaf = b.leaf_combination(f"stage_{i}", t.a[i])
-        moved = any(t.a[i])
-        point = Slice("Xi", nx) if moved else state
-        if moved:
-            nodes.append(Call(leaf, (state, h, *b.stage_slopes("K", t.a[i], Affine(), nx)), (point,)))
-        jacobian, fu = Slice("fx", b.fx.nnz()), Slice("fu", nx * nu)
-        nodes.append(
-            Call(
-                b.leaf_f_and_jacobian(),
-                (point, Slice("u", nu), Slice("p", b.np)),
-                (Slice("K", nx, Affine(i * nx)), jacobian, fu),
-            )
-        )
-
-        def columns(
-            first: int, count: int, product: Any, with_fu: bool, i: int = i, leaf: Any = leaf, moved: bool = moved
-        ) -> For:
-            s = Slice("Si", nx) if moved else Slice("Sc", nx, column)
-            slopes = b.stage_slopes("Ks", t.a[i], column, nx * nz)
-            calls: list[Node] = [Call(leaf, (Slice("Sc", nx, column), h, *slopes), (s,))] if moved else []
-            extra = (Slice("fu", nx, Affine(-nx * nx, (("c", nx),))),) if with_fu else ()
-            target = Slice("Ks", nx, Affine(i * nx * nz, (("c", nx),)))
-            calls.append(Call(product, (Slice("fx", b.fx.nnz()), s, *extra), (target,)))
-            return For("c", first, count, tuple(calls))
-
-        nodes.append(columns(0, nx, b.leaf_product(), with_fu=False))
-        nodes.append(columns(nx, nu, b.leaf_product_control(), with_fu=True))
-    update = b.leaf_combination("update", t.b)
-    nodes.append(Call(update, (state, h, *b.stage_slopes("K", t.b, Affine(), nx)), (state,)))
-    s = Slice("Sc", nx, column)
-    nodes.append(For("c", 0, nz, (Call(update, (s, h, *b.stage_slopes("Ks", t.b, column, nx * nz)), (s,)),)))
+        point = state
+        if any(t.a[i]):
+            point = Slice("Xi", nx)
+            nodes.append(Call(b.leaf_combination(f"stage_{i}", t.a[i]), (state, h, *b.slopes("K", t.a[i], nx)), (point,)))
+        jacobian, forcing = Slice("fx", b.fx.nnz()), Slice("Fu", len(b.fu_rows) * ld)
+        arguments = (point, Slice("u", nu), Slice("p", b.np))
+        nodes.append(Call(b.leaf_f_and_jacobian(), arguments, (Slice("K", nx, Affine(i * nx)), jacobian, forcing)))
+        slopes = b.slopes("Ks", t.a[i], nx * ld, column, ld)
+        target = Slice("Ks", nx, Affine(i * nx * ld, column.terms), ld)
+        forcing_column = Slice("Fu", len(b.fu_rows), column, ld)
+        nodes.append(For("c", 0, ld, (Call(b.leaf_slope(i), (jacobian, S, h, forcing_column, *slopes), (target,)),)))
+    nodes.append(Call(b.leaf_combination("update", t.b), (state, h, *b.slopes("K", t.b, nx)), (state,)))
+    slopes = b.slopes("Ks", t.b, nx * ld, column, ld)
+    nodes.append(For("c", 0, ld, (Call(b.leaf_combination("update", t.b), (S, h, *slopes), (S,)),)))
     return nodes
 
 
 def _fused_step(b: _Builder, step: tuple[Node, ...]) -> Call:
-    """The step as one straight-line leaf (X, Sc, u, p, h) -> (X, Sc)."""
-    nx, nz = b.nx, b.nx + b.nu
-    ports = (Port("X0", nx), Port("S0", nx * nz), Port("u", b.nu), Port("p", b.np), Port("h", 1))
+    """The step as one straight-line leaf (X, Sx, u, p, h) -> (X, Sx)."""
+    nx, size = b.nx, b.nx * b.ld
+    ports = (Port("X0", nx), Port("S0", size), Port("u", b.nu), Port("p", b.np), Port("h", 1))
     load: tuple[Node, ...] = (
-        Call(_copy(nx), (Slice("X0", nx),), (Slice("X", nx),)),
-        Call(_copy(nx * nz), (Slice("S0", nx * nz),), (Slice("Sc", nx * nz),)),
+        Call(_copy("copy_x", nx), (Slice("X0", nx),), (Slice("X", nx),)),
+        Call(_copy("copy_S", size), (Slice("S0", size),), (Slice("Sx", size),)),
     )
-    inner = tuple(entry for entry in _locals(b, step_only=False) if entry[0] not in ("h", "X", "Sc"))
-    sweep = Sweep("step", "one step", ports, (Port("X", nx), Port("Sc", nx * nz)), inner, load + step)
-    slices = (Slice("X", nx), Slice("Sc", nx * nz))
+    inner = tuple(entry for entry in _locals(b, step_only=False) if entry[0] not in ("h", "X", "Sx"))
+    sweep = Sweep("step", "one step", ports, (Port("X", nx), Port("Sx", size)), inner, load + step)
+    slices = (Slice("X", nx), Slice("Sx", size))
     return Call(unroll(sweep), (*slices, Slice("u", b.nu), Slice("p", b.np), Slice("h", 1)), slices)
-
-
-__all__ = ["ExplicitRungeKutta", "Kernel", "LoopedRoutine", "interval_sweep", "step_sweep"]
