@@ -9,6 +9,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "qp_feasibility": (2.0**2, "violation of a row that is taken as rounding, relative to |m|'(|y0| + |y|)"),
     "qp_redundant": (2.0**8, "the same for a row that depends on the working set"),
     "qp_sign": (2.0**6, "wrong sign of a multiplier that is taken as rounding: |m| |lam| relative to |y0| + |y|"),
+    "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),
     "step_count": (2.0**12, "part of an integration step that is taken as rounding of dt / h"),
 }
 

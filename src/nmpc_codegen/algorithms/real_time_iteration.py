@@ -17,6 +17,8 @@ from nmpc_codegen.problem import Problem
 from nmpc_codegen.sweep import Routine
 
 SHIFTS = (None, "repeat")
+MAX_TRIALS = 30
+MEMORY = 8
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,11 @@ class RealTimeIteration:
         return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return (("SHIFT", int(self.shift == "repeat"), "1: step() moves the plan by one interval before preparing"),)
+        return (
+            ("SHIFT", int(self.shift == "repeat"), "1: step() moves the plan by one interval before preparing"),
+            ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
+            ("MEMORY", MEMORY, "merit values that the line search of solve() remembers"),
+        )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Linearisation of every node, multipliers (members of the solver), results."""
@@ -74,6 +80,27 @@ class RealTimeIteration:
                     Field("g", (dims.nx,), "gradient q_N", "data"),
                     Field("h", (dims.nh_N,), "general rows", "data"),
                     Field("J", (dims.nh_N, dims.nx), "their Jacobian C_N", "data"),
+                ),
+            ),
+            Struct(
+                "sqp",
+                "line search of solve()",
+                (
+                    Field("x", (nodes, dims.nx), "states before the step", "scratch"),
+                    Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
+                    Field("dx", (nodes, dims.nx), "step of the states", "scratch"),
+                    Field("du", (dims.nv,), "step of the controls", "scratch"),
+                    Field("dx_full", (nodes, dims.nx), "the same before the second-order correction", "scratch"),
+                    Field("du_full", (dims.nv,), "likewise", "scratch"),
+                    Field("b", (dims.N, dims.nx), "gaps at a trial point", "scratch"),
+                    Field("h", (dims.N, dims.nh), "general path rows at a trial point", "scratch"),
+                    Field("h_N", (dims.nh_N,), "general terminal rows at a trial point", "scratch"),
+                    Field("J", (dims.nh, dims.nz), "their Jacobian, not used", "scratch"),
+                    Field("J_N", (dims.nh_N, dims.nx), "likewise", "scratch"),
+                    Field("gap_weight", (), "weight of the gaps in the merit function", "scratch"),
+                    Field("row_weight", (), "weight of the rows; penalty of the elastic QP", "scratch"),
+                    Field("recent", (Size("MEMORY", MEMORY),), "last merit values", "scratch"),
+                    Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
                 ),
             ),
             Struct(
