@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from nmpc_codegen.cmodule import Field, Struct
-from nmpc_codegen.component import Dims
+from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
 from nmpc_codegen.problem import Problem, Stage
@@ -91,8 +91,9 @@ class GaussNewton:
             ),
         )
 
-    def cost(self, dims: Dims) -> dict[str, OpCount]:
-        return {}
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """All blocks that hessian() forms."""
+        return {"hessian": known["path_hessian"] * dims.nq.value + known["terminal_hessian"]}
 
 
 def _weight(stage: Stage) -> tuple[Any, Any, int]:

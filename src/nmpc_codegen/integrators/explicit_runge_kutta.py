@@ -3,7 +3,7 @@
     X_i = x + h sum_j a_ij K_j,   K_i = f(X_i, u, p),   x+ = x + h sum_i b_i K_i
     S = d x / d(x_k, u_k):        K_i' = f_x(X_i) S_i + [0 f_u(X_i)],  same tableau, S = [I 0] at the start
 
-([H11] section 3.1; algorithms.md 2). Everything is written as Sweeps: straight-line or looped code from one description.
+([H11] section 3.1; algorithms.md 2). All are written as Sweeps: straight-line or looped code from one description.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import casadi as ca
 
-from nmpc_codegen.component import Dims
+from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau
 from nmpc_codegen.kernel import Kernel, OpCount, Port
@@ -88,7 +88,7 @@ class ExplicitRungeKutta:
     def structs(self, dims: Dims) -> tuple[Any, ...]:
         return ()
 
-    def cost(self, dims: Dims) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
         return {}
 
 

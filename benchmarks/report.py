@@ -1,0 +1,121 @@
+"""Records of a benchmark: a table for people and one JSON record per key; a key over several cases is the worst."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import platform
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from nmpc_codegen.build import PROFILES, find_compiler
+
+
+@dataclass(frozen=True)
+class Record:
+    """One measured value. ``limit`` is what the project asks for (None: watched only)."""
+
+    key: str
+    case: str
+    value: float
+    unit: str
+    n: int
+    limit: float | None
+    at_least: bool
+    profile: str
+    lanes: int
+
+
+class Report:
+    """Collects records, prints them, writes them."""
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.records: list[Record] = []
+
+    def add(
+        self,
+        key: str,
+        value: float,
+        unit: str = "",
+        *,
+        case: str = "",
+        n: int = 1,
+        limit: float | None = None,
+        at_least: bool = False,
+        profile: str = "fast",
+    ) -> None:
+        """Record a value of a case; ``n`` is the number of samples behind it."""
+        self.records.append(Record(key, case, float(value), unit, n, limit, at_least, profile, 1))
+
+    def worst(self) -> dict[str, Record]:
+        """The worst case of every key; NaN is worse than anything."""
+        found: dict[str, Record] = {}
+        for record in self.records:
+            known = found.get(record.key)
+            if known is None or _worse(record, known):
+                found[record.key] = record
+        return found
+
+    def print(self) -> None:
+        """Table of all cases, with the verdict where there is a limit."""
+        table = Table(title=self.title)
+        for column in ("key", "case", "value", "limit", "", "unit", "profile", "n"):
+            table.add_column(column, justify="right" if column in ("value", "limit", "n") else "left")
+        for r in self.records:
+            sign = ">=" if r.at_least else "<="
+            limit = f"{sign} {r.limit:g}" if r.limit is not None else ""
+            verdict = "" if r.limit is None else ("ok" if meets(r) else "MISS")
+            table.add_row(r.key, r.case, f"{r.value:.4g}", limit, verdict, r.unit, r.profile, str(r.n))
+        Console(width=140).print(table)
+        print(machine())
+
+    def write(self, path: str | Path) -> None:
+        """One JSON record per key."""
+        out = {
+            key: {"value": r.value, "unit": r.unit, "profile": r.profile, "lanes": r.lanes, "n": r.n}
+            for key, r in self.worst().items()
+        }
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        Path(path).write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
+
+
+def meets(record: Record) -> bool:
+    """True if the value keeps its limit."""
+    if record.limit is None:
+        return True
+    return record.value >= record.limit if record.at_least else record.value <= record.limit
+
+
+def _worse(a: Record, b: Record) -> bool:
+    if math.isnan(b.value):
+        return False
+    if math.isnan(a.value):
+        return True
+    return a.value < b.value if a.at_least else a.value > b.value
+
+
+def machine() -> str:
+    """CPU, compiler and flags of the profile "fast"."""
+    compiler = find_compiler()
+    version = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=True).stdout
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [
+            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
+        ]
+        cpu = names[0] if names else cpu
+    return f"{cpu}; {version.splitlines()[0]}; {' '.join(PROFILES['fast'].flags)}"
+
+
+def arguments(description: str) -> argparse.Namespace:
+    """--json FILE."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--json", metavar="FILE", help="write one record per key")
+    return parser.parse_args()
