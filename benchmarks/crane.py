@@ -88,8 +88,9 @@ def quality(report: Report) -> None:
             label = f"{precision}, {case}"
             report.add("compiler_warnings", compiler_warnings(sources), case=label, limit=0, profile="C99, C++17")
             report.add("foreign_external_symbols", foreign_external_symbols(sources), case=label, limit=0)
-            mismatches = count_mismatches(build_ocp(constraint), options)
-            report.add("count_mismatch", len(mismatches), case=label, limit=0, profile="counting")
+            if precision == "double":  # single precision differs by the spelling of literals and functions only
+                mismatches = count_mismatches(build_ocp(constraint), options)
+                report.add("count_mismatch", len(mismatches), case=label, limit=0, profile="counting")
             report.add("sanitizer_findings", sanitizer_findings(sources), case=label, limit=0, profile="asan, ubsan")
     report.add("two_controllers_differ", two_controllers_differ(), limit=0, n=1)
     report.add("crane_ram_bytes", build(build_ocp()).nbytes, "bytes")

@@ -74,11 +74,13 @@ static void refused(void)
         EXPECT(API(_set_weight)(&s, far[i], large) == SIZE(_BAD_INDEX));
         EXPECT(API(_set_parameter)(&s, 0, far[i], large) == SIZE(_BAD_INDEX));
         EXPECT(API(_set_bounds)(&s, 0, far[i], -1, 1) == SIZE(_BAD_INDEX));
-        EXPECT(API(_set_parameter)(&s, far[i] + SIZE(_PARAMS), 0, large) == SIZE(_BAD_INDEX));
-        EXPECT(API(_set_bounds)(&s, far[i] + SIZE(_NR), SIZE(_ALL), -1, 1) == SIZE(_BAD_INDEX));
+        EXPECT(API(_set_parameter)(&s, far[i] + (far[i] > 0 ? SIZE(_PARAMS) : 0), 0, large) == SIZE(_BAD_INDEX));
+        EXPECT(API(_set_bounds)(&s, far[i] + (far[i] > 0 ? SIZE(_NR) : 0), SIZE(_ALL), -1, 1) == SIZE(_BAD_INDEX));
     }
     EXPECT(API(_set_reference)(&s, SIZE(_N), large) == SIZE(_BAD_INDEX));
     EXPECT(API(_set_weight)(&s, 0, large) == SIZE(_BAD_INDEX));
+    EXPECT(API(_set_parameter)(&s, SIZE(_PARAMS), 0, large) == SIZE(_BAD_INDEX));
+    EXPECT(API(_set_bounds)(&s, SIZE(_NR), SIZE(_ALL), -1, 1) == SIZE(_BAD_INDEX));
     for (row = 0; row < SIZE(_NR); row++) {
         const real low = s.lower[0][row], high = s.upper[0][row];
         EXPECT(API(_set_bounds)(&s, row, SIZE(_ALL), 2, 1) == SIZE(_BAD_BOUNDS));

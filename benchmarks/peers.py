@@ -43,7 +43,9 @@ class SqpMethod:
             "print_time": False,
             "error_on_fail": False,
             "hess_lag": hessian,
-            "qpsol_options": {"printLevel": "none", "error_on_fail": False} if qpsol == "qpoases" else {},
+            "qpsol_options": {"printLevel": "none", "error_on_fail": False, "print_time": False}
+            if qpsol == "qpoases"
+            else {},
         }
         self.solver = ca.nlpsol("peer", "sqpmethod", {"x": z, "f": f, "g": ca.vertcat(*gaps)}, options)
         self.lower, self.upper = self._bounds()

@@ -1,4 +1,4 @@
-"""What can be checked on the emitted C itself: warnings, symbols, sanitizers, stack, several controllers in one program.
+"""What can be checked on the emitted C itself: warnings, symbols, sanitizers, stack, controllers side by side.
 
 Every function takes the sources of a package (path -> text) and returns a count that ought to be 0, or what it found.
 """
@@ -106,7 +106,7 @@ def exercise(sources: Sources, x0: Sequence[float], flags: Sequence[str] = SANIT
     name = package_name(sources)
     with written(sources) as folder:
         macros = (f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"', "-I.")
-        built = compile_c(folder, "-std=c99", "-O1", "-g", *flags, *macros, str(EXERCISE), "-o", "exercise", "-lm")
+        built = compile_c(folder, "-std=c99", "-g", *flags, *macros, str(EXERCISE), "-o", "exercise", "-lm")
         if built.returncode:
             return built.stderr
         done = subprocess.run(
@@ -212,7 +212,7 @@ def crane_packages() -> tuple[Sources, ...]:
 
 
 def two_controllers_differ() -> int:
-    """Samples of three controllers of one program that differ from those of each alone, or between equal controllers."""
+    """Samples of three controllers in one program that differ from those of each alone, or between equal ones."""
     runs = run_together(crane_packages(), (2.0, 0.0, 0.0, 0.0))
     differ = sum(a != b for alone, together in runs.values() for a, b in zip(alone, together, strict=True))
     twins = zip(runs["crane"][1], runs["crane_b"][1], strict=True)

@@ -57,7 +57,9 @@ def build_ocp(n: int = 5, N: int = 40) -> OCP:
     weights = [2.5] * (3 * M) + [25.0] * 3 + [25.0] * (3 * M)
     reference = np.concatenate([shape, END, np.zeros(3 * M)])
     ocp.least_squares(
-        ca.vertcat(ocp.x, u), weight=np.array([*weights, *[0.1] * 3]), reference=np.concatenate([reference, np.zeros(3)])
+        ca.vertcat(ocp.x, u),
+        weight=np.array([*weights, *[0.1] * 3]),
+        reference=np.concatenate([reference, np.zeros(3)]),
     )
     ocp.terminal_least_squares(ocp.x, weight=10 * np.array(weights), reference=reference)
     ocp.subject_to(-1, u, 1)

@@ -40,7 +40,7 @@ def main(folder: str = "out/crane", picture: str = "out/crane.png") -> None:
     """Write the C package, run 15 s of closed loop with it, and draw them."""
     ocp, options = build_ocp(), Options()
     package = export(ocp, options, folder, name="crane")
-    print(package.report)
+    print(f"{package.directory}: {package.report['ram_bytes']:,} bytes of memory")
     controller = build(ocp, options)
     log = simulate(controller, np.array([2.0, 0.0, 0.0, 0.0]), steps=50, dt=0.3)
     print(log.summary())

@@ -26,9 +26,7 @@ def build_ocp(start: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> OCP:
     p, q, r = (ocp.state(name, unit="rad/s") for name in ("p", "q", "r"))
     u = ocp.control("u", size=4, unit="N")
 
-    s_phi, c_phi, s_th, c_th, s_psi, c_psi = (
-        f(angle) for angle in (phi, theta, psi) for f in (ca.sin, ca.cos)
-    )
+    s_phi, c_phi, s_th, c_th, s_psi, c_psi = (f(angle) for angle in (phi, theta, psi) for f in (ca.sin, ca.cos))
     up = ca.vertcat(c_phi * s_th * c_psi + s_phi * s_psi, c_phi * s_th * s_psi - s_phi * c_psi, c_phi * c_th)
     Jx, Jy, Jz = INERTIA
     ocp.dynamics(

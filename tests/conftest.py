@@ -18,24 +18,42 @@ DATA = Path(__file__).parent / "data"
 Files = dict[str, str]
 
 
-def missing(reason: str) -> None:
-    """Skip for want of a tool; where NMPC_REQUIRE is set (CI) fail instead."""
-    if os.environ.get("NMPC_REQUIRE"):
-        pytest.fail(f"NMPC_REQUIRE is set, but {reason}")
+#: Word of NMPC_REQUIRE -> programs, any of which will do.
+TOOLS = {
+    "cc": ("gcc", "cc", "clang"),
+    "cxx": ("g++", "c++", "clang++"),
+    "cmake": ("cmake",),
+    "arm": ("arm-none-eabi-gcc",),
+    "valgrind": ("valgrind",),
+}
+
+
+def require_tool(name: str) -> str:
+    """Path of a tool of TOOLS, or of a program; without it the test is skipped.
+
+    NMPC_REQUIRE, a list of names separated by commas, says what must be there (CI: what it installs): the test then
+    fails instead.
+    """
+    for program in TOOLS.get(name, (name,)):
+        path = shutil.which(program)
+        if path is not None:
+            return path
+    word = next((word for word, programs in TOOLS.items() if name in programs), name)
+    missing(f"there is no program {' or '.join(TOOLS.get(name, (name,)))} on the path", word)
+    raise AssertionError("missing() returned")
+
+
+def missing(reason: str, tool: str) -> None:
+    """Skip for want of a tool (a word of TOOLS); fail if NMPC_REQUIRE lists it."""
+    if tool in {word.strip() for word in os.environ.get("NMPC_REQUIRE", "").split(",")}:
+        pytest.fail(f"NMPC_REQUIRE lists {tool!r}, but {reason}")
     pytest.skip(reason)
 
 
 @pytest.fixture(scope="session")
 def need() -> Callable[[str], str]:
-    """need("g++") -> its path, or the test is skipped."""
-
-    def find(program: str) -> str:
-        path = shutil.which(program)
-        if path is None:
-            missing(f"there is no program {program!r} on the path")
-        return str(path)
-
-    return find
+    """need("cxx") -> its path, or the test is skipped."""
+    return require_tool
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +62,7 @@ def compiler() -> tuple[str, ...]:
     try:
         return find_compiler()
     except BuildError as error:
-        missing(str(error))
+        missing(str(error), "cc")
         raise
 
 
@@ -73,3 +91,8 @@ def _toy(toy_files: Files, compiler: tuple[str, ...]) -> Controller:
 def toy(_toy: Controller) -> Controller:
     """A fresh toy controller."""
     return _toy.copy()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """--update-golden: write the golden files anew instead of comparing with them."""
+    parser.addoption("--update-golden", action="store_true", help="write tests/golden anew")

@@ -136,9 +136,11 @@ def compile_module(files: Mapping[str, str], name: str, flags: Sequence[str]) ->
         lock.acquire()
     except OSError as error:
         raise BuildError(f"cannot write to the cache {folder}: {error}; set {CACHE_VARIABLE}") from error
-    with lock:
+    try:
         if not target.exists():
             _compile(files, name, flags, compiler, module, target)
+    finally:
+        lock.release()
     return target
 
 

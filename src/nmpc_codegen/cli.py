@@ -310,7 +310,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.simulate is not None:
         from nmpc_codegen.simulate import simulate
 
-        controller = open_package(str(folder))
+        controller = open_package(str(folder), name=name)
         log = simulate(controller, controller.description.x_initial, arguments.simulate)
         console.print(log.summary(), markup=False, soft_wrap=True)
         if arguments.plot is not None:
@@ -416,7 +416,24 @@ def _print_check(
     console.print(f"generated code: {ours}, cost {solution.cost:.10g}", markup=False)
     theirs = f"{reference.status}, {reference.iterations} iterations"
     console.print(f"IPOPT: {theirs}, cost {reference.cost:.10g}", markup=False)
+    for hint in _hints(solution, reference):
+        console.print(hint, style="yellow", markup=False, soft_wrap=True)
     console.print("check passed" if passed else "check FAILED", style="green" if passed else "red")
+
+
+def _hints(solution: Solution, reference: Any) -> list[str]:
+    """What to do about outcomes that a table of errors does not explain."""
+    hints = []
+    if solution.status.name == "NUMERICAL_FAILURE" and reference.success:
+        hints.append(
+            "the condensed Hessian may not be positive definite: weight every control, "
+            "or --set hessian.levenberg_marquardt=1e-8"
+        )
+    if solution.status.name == "OK" and solution.iterations == 0:
+        hints.append("the declared initial state is optimal already, so little was checked: declare initial= elsewhere")
+    if solution.status.name == "INFEASIBLE" and not reference.success:
+        hints.append("both find the problem infeasible from the declared initial state: check initial= and the rows")
+    return hints
 
 
 if __name__ == "__main__":

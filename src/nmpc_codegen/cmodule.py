@@ -184,7 +184,13 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
     return layout
 
 
+#: Prefixes whose API would bear the name of an internal function: integrator_step, path_cost, qp_init, ...
+TAKEN_PREFIXES = ("adjoint", "algorithm", "condense", "integrator", "path", "qp", "state", "take", "terminal")
+
+
 def check_prefix(name: str) -> None:
-    """A package name is a C identifier in lower case."""
+    """A package name is a C identifier in lower case, and no prefix of internal functions."""
+    if name in TAKEN_PREFIXES:
+        raise ProblemError(f"name {name!r}: taken by functions of the package itself; choose another")
     if not (name.isascii() and name.isidentifier() and name == name.lower() and not name.startswith("_")):
         raise ProblemError(f"name {name!r}: expected a C identifier of lower-case letters, digits and underscores")

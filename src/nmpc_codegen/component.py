@@ -6,7 +6,7 @@ Seams, in the order in which their sections stand in the generated C: integrator
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Protocol
 
@@ -15,11 +15,11 @@ from nmpc_codegen.errors import OptionError
 if TYPE_CHECKING:
     from nmpc_codegen.cmodule import Size, Struct
     from nmpc_codegen.kernel import OpCount
-    from nmpc_codegen.problem import Problem
+    from nmpc_codegen.problem import Problem, Row
     from nmpc_codegen.sweep import Routine
 
-# Columns of a dense matrix that are processed together; leading dimensions are rounded up to it.
-PANEL = 4
+# C function -> operations of one run
+Counts = Mapping[str, "OpCount"]
 
 SEAMS = ("integrator", "hessian", "condensing", "qp", "algorithm")
 
@@ -67,16 +67,28 @@ class Component(Protocol):
         """The structs it owns inside the solver struct."""
         ...
 
-    def cost(self, dims: Dims) -> dict[str, OpCount]:
-        """Exact operation counts of its C functions whose count does not depend on data, by function name."""
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """Exact operation counts of its C functions whose count does not depend on data, by function name.
+
+        ``known`` has the counts of what they call: the printed routines and the stage products.
+        """
         ...
 
 
-def refuse_unsupported(problem: Problem, components: Iterable[Component]) -> None:
-    """Raise OptionError if the problem uses a feature that a chosen component does not take."""
+def refuse_unsupported(
+    problem: Problem, components: Iterable[Component], registries: Mapping[str, Mapping[str, type[Component]]]
+) -> None:
+    """Raise OptionError if the problem uses a feature that a chosen component does not take; name those that do."""
     for component in components:
-        missing = sorted(problem.features - component.supports)
-        if missing:
+        for feature in sorted(problem.features - component.supports):
+            named = ", ".join(r.name for r in problem.rows if _uses(r, feature))
+            where = f" ({named})" if named else ""
+            able = [name for name, cls in registries[component.seam].items() if feature in cls.supports]
+            offer = f"choose {' or '.join(able)}" if able else f"no {component.seam} of this version does"
             raise OptionError(
-                f"{problem.name} uses {', '.join(missing)}, which {component.seam} {component.name!r} does not support"
+                f"{problem.name} uses {feature}{where}, which {component.seam} {component.name!r} does not support; {offer}"
             )
+
+
+def _uses(row: Row, feature: str) -> bool:
+    return (feature == "soft rows" and row.soft is not None) or (feature == "coupled rows" and row.kind == "coupled")

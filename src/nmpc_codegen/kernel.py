@@ -20,7 +20,8 @@ from nmpc_codegen.errors import ProblemError
 class OpCount:
     """Floating-point operations by class, counted from the instructions that are printed.
 
-    add: + and -; mul; div; sqrt; call: other functions of math.h; other: negation, absolute value, comparison, selection.
+    add: + and -; mul; div; sqrt; call: other functions of math.h; other: negation, absolute value, floor and ceil,
+    comparison, selection.
     """
 
     add: int = 0
@@ -47,7 +48,7 @@ class OpCount:
 
 @dataclass(frozen=True)
 class Operation:
-    """How one CasADi opcode is spelled and counted. ``c`` has {0}, {1}; functions of math.h are named in ``function``."""
+    """How one CasADi opcode is spelled and counted: ``c`` has {0} and {1}, ``function`` names one of math.h."""
 
     c: str
     count: str
@@ -196,7 +197,8 @@ def lift(function: Any, name: str, doc: str, inputs: Sequence[Port], outputs: Se
     rows x cols (cols = 0: a column). Raises ProblemError for an operation that has no C, naming it.
     """
     for i, port in enumerate(inputs):
-        assert function.size_in(i) == (port.rows, 1) and not port.cols, f"{name}: input {port.name}"
+        assert not port.cols, f"{name}: input {port.name} is a matrix"
+        assert function.size_in(i) == (port.rows, 1), f"{name}: input {port.name}"
     numbering = _ValueNumbering()
     work: dict[int, int] = {}
     stores: list[tuple[int, int, int]] = []

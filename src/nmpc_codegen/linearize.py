@@ -10,7 +10,7 @@ from nmpc_codegen.component import refuse_unsupported
 from nmpc_codegen.condensing import FullCondensing
 from nmpc_codegen.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
-from nmpc_codegen.options import Options
+from nmpc_codegen.options import REGISTRIES, Options
 from nmpc_codegen.problem import Problem, Stage
 from nmpc_codegen.qp import DenseActiveSet
 from nmpc_codegen.sweep import LoopedRoutine, Routine
@@ -37,7 +37,7 @@ class Linearization:
 def linearize(problem: Problem, options: Options) -> Linearization:
     """Problem -> Linearization. Raises OptionError for a combination that no component supports."""
     complete, choices = _choose(problem, options)
-    refuse_unsupported(problem, complete.components)
+    refuse_unsupported(problem, complete.components, REGISTRIES)
     routines: list[Routine] = [r for c in complete.components for r in c.routines(problem)]
     routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal")]
     hessian = next(r for r in routines if r.name == "path_hessian")

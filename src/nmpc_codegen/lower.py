@@ -19,11 +19,11 @@ from nmpc_codegen.cmodule import (
     check_prefix,
     struct_layout,
 )
-from nmpc_codegen.component import PANEL, Dims
+from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.linearize import Linearization
 from nmpc_codegen.problem import Problem, Row, Signal, Stage, c_identifier
-from nmpc_codegen.products import Products, pattern
+from nmpc_codegen.products import PANEL, Products, pattern
 
 # Counters stop here, and integrate() takes at most so many steps.
 MANY = 1_000_000
@@ -40,11 +40,13 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
     dims = _dims(lin, len(rows))
     structs = _structs(lin, dims)
     layout = struct_layout(structs, lin.options.precision)
+    products = _products(lin)
+    known = _known(lin, products)
     sections = tuple(
         Section(
             f"{c.seam}: {c.name}",
             c.template,
-            _section_count(c.cost(dims)),
+            _section_count(c.cost(dims, known)),
             sum(layout[s.name][0] * int(np.prod(s_shape(s))) for s in c.structs(dims) if s.name != "solver"),
         )
         for c in lin.options.components
@@ -58,7 +60,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         structs=structs,
         tables=_tables(lin, rows),
         routines=lin.routines,
-        products=_products(lin),
+        products=products,
         sections=sections,
         statuses=STATUSES,
         signals=(
@@ -72,7 +74,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         ),
         diagonal_weight=problem.path.diagonal_weight,
         diagonal_weight_N=problem.terminal.diagonal_weight,
-        metadata=_metadata(lin, name, macros, structs),
+        metadata=_metadata(lin, name, macros, structs, products),
     )
 
 
@@ -85,6 +87,11 @@ def _products(lin: Linearization) -> Products:
         pattern(routine["path_hessian"], "Q"),
         pattern(routine["terminal_hessian"], "Q"),
     )
+
+
+def _known(lin: Linearization, products: Products) -> Counts:
+    """Operations of the functions that components call: printed routines and stage products."""
+    return {r.name: r.count for r in lin.routines} | products.counts
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -245,12 +252,12 @@ def _tables(lin: Linearization, rows: list[tuple[int, int, int, int]]) -> tuple[
     def integer(name: str, values: Any, doc: str) -> Table:
         return Table(name, "int", tuple(int(v) for v in values), doc)
 
-    steps = lin.problem.dt if p.discrete else [dt / _steps(lin) for dt in p.dt]
+    longest_step = max(p.dt) / _steps(lin)
     first = [sum(1 for r in rows if r[0] < k) for k in range(p.N + 2)]
     offsets = [s.offset for s in p.parameters] + [p.np]
     return (
         real("interval_length", p.dt, "dt_k"),
-        real("step_length", [max(steps)], "longest integration step"),
+        *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
         real("initial_state", p.x_initial, "initial values of the states"),
         real("default_control", _default_controls(p), "0 inside the bounds"),
         real("default_parameter", p.p_value, "p"),
@@ -316,7 +323,9 @@ def _row(r: Row) -> dict[str, Any]:
     }
 
 
-def _metadata(lin: Linearization, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...]) -> dict[str, Any]:
+def _metadata(
+    lin: Linearization, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...], products: Products
+) -> dict[str, Any]:
     """What Controller and open_package() need besides the C text."""
     p = lin.problem
     return {
@@ -353,23 +362,24 @@ def _metadata(lin: Linearization, name: str, macros: tuple[Macro, ...], structs:
         "statuses": [s.name for s in STATUSES],
         "shift": getattr(lin.options.algorithm, "shift", None),
         "options": repr(lin.options),
-        "report": _report(lin, structs),
+        "report": _report(lin, structs, products),
     }
 
 
-def _report(lin: Linearization, structs: tuple[Struct, ...]) -> dict[str, Any]:
+def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products) -> dict[str, Any]:
     """Memory, exact operation counts, and what was chosen and why."""
     layout = struct_layout(structs, lin.options.precision)
     N = lin.problem.N
     linearization = sum((lin.count(n) for n in ("integrator_interval", "path_gradient", "path_rows")), OpCount()) * N
-    counts = {r.name: r.count.as_dict() for r in lin.routines}
+    known = _known(lin, products)
+    counts = dict(known)
     dims = _dims(lin, len(qp_rows(lin.problem)))
     for component in lin.options.components:
-        counts |= {name: c.as_dict() for name, c in component.cost(dims).items()}
+        counts |= component.cost(dims, known)
     return {
         "ram_bytes": layout["solver"][0],
         "ram_bytes_by_struct": {s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
-        "operations": counts,
+        "operations": {name: count.as_dict() for name, count in counts.items()},
         "linearization_operations": linearization.total,
         "choices": list(lin.choices),
         "looped": [r.name for r in lin.routines if len(r.kernels) > 1],

@@ -373,7 +373,9 @@ class OCP:
         for i in range(h.numel()):
             kinds = self._kinds(h[i])
             if not kinds & {"state", "control"}:
-                raise ProblemError(f"{what}: {quote(h[i])} depends on no state and no control")
+                raise ProblemError(
+                    f"{what}: {quote(h[i])} depends on no state and no control; the order is lower, expression, upper"
+                )
             last = nodes == "end" or (isinstance(nodes, tuple) and self.N in nodes)
             if last and "control" in kinds:
                 raise ProblemError(

@@ -9,19 +9,22 @@ from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import BuildError
 
 
-def open_package(directory: str | Path, profile: str = "fast", lanes: int | None = None) -> Controller:
-    """Compile and load an exported folder.
+def open_package(
+    directory: str | Path, profile: str = "fast", lanes: int | None = None, name: str | None = None
+) -> Controller:
+    """Compile and load an exported folder; ``name`` picks one of several packages in it.
 
     Raises:
-        BuildError: the folder does not hold exactly one package <name>.json with its <name>.h and <name>.c.
+        BuildError: the folder does not hold that package, or not exactly one <name>.json with <name>.h and <name>.c.
     """
     folder = Path(directory)
-    found = [j for j in sorted(folder.glob("*.json")) if j.with_suffix(".h").exists()]
+    found = [j for j in sorted(folder.glob("*.json")) if j.with_suffix(".h").exists() and name in (None, j.stem)]
     if len(found) != 1:
         names = ", ".join(j.name for j in found) or "none"
-        raise BuildError(f"{folder}: expected one package (<name>.json, <name>.h, <name>.c), found {names}")
-    name = found[0].stem
-    paths = [folder / f"{name}.{ext}" for ext in ("h", "c", "json")]
+        wanted = "one package" if name is None else f"the package {name!r}"
+        raise BuildError(f"{folder}: expected {wanted} (<name>.json, <name>.h, <name>.c), found {names}")
+    prefix = found[0].stem
+    paths = [folder / f"{prefix}.{ext}" for ext in ("h", "c", "json")]
     if not paths[1].exists():
-        raise BuildError(f"{folder}: {name}.c is missing")
-    return load({p.name: p.read_text(encoding="utf-8") for p in paths}, name, profile, lanes=lanes)
+        raise BuildError(f"{folder}: {prefix}.c is missing")
+    return load({p.name: p.read_text(encoding="utf-8") for p in paths}, prefix, profile, lanes=lanes)

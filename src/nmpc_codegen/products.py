@@ -5,9 +5,14 @@ The patterns come from the stores of the lifted kernels, so they are structural 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.sweep import Routine
+
+# Columns of a dense matrix that are processed together; leading dimensions are rounded up to it.
+PANEL = 4
 
 # Largest number of nonzeros of S and Q together that is written out.
 WRITTEN_OUT = 256
@@ -26,10 +31,44 @@ class Products:
     Q_N: Pattern
 
     @property
+    def written_out(self) -> bool:
+        """True: over the structural nonzeros; False: dense loops."""
+        return len(self.S) + len(self.Q) + len(self.Q_N) <= WRITTEN_OUT
+
+    @property
     def template(self) -> str:
         """Which of the two spellings is included."""
-        small = len(self.S) + len(self.Q) + len(self.Q_N) <= WRITTEN_OUT
-        return f"products/{'nonzeros' if small else 'loops'}.c.jinja"
+        return f"products/{'nonzeros' if self.written_out else 'loops'}.c.jinja"
+
+    @property
+    def counts(self) -> dict[str, OpCount]:
+        """Operations of one run of every product, by C function; those on columns: of one panel."""
+        return self._counts_of_nonzeros() if self.written_out else self._counts_of_loops()
+
+    def _counts_of_nonzeros(self) -> dict[str, OpCount]:
+        terminal = [len(entries) for _, entries in self.terminal]
+        adjoint = [len(rows) + len(entries) for _, rows, entries in self.adjoint]
+        return {
+            "state_step": _accumulated(len(self.S)),
+            "adjoint_step": _accumulated(sum(adjoint)),
+            "terminal_adjoint": _accumulated(sum(terminal)),
+            "condense_forward_columns": _summed(len(columns) for _, columns in self.A_rows) * PANEL,
+            "condense_terminal_columns": _summed(terminal) * PANEL,
+            "condense_backward_columns": _summed(len(rows) + len(e) for _, rows, e in self.condensed) * PANEL,
+        }
+
+    def _counts_of_loops(self) -> dict[str, OpCount]:
+        nx, nz = self.nx, self.nx + self.nu
+        terminal = sum(len(entries) for _, entries in self.terminal)
+        cost = sum(len(entries) for _, _, entries in self.condensed)
+        return {
+            "state_step": _accumulated(nx * nz),
+            "adjoint_step": _accumulated(nx * nz + nz * nz),
+            "terminal_adjoint": _accumulated(nx * nx),
+            "condense_forward_columns": _accumulated(nx * nx) * PANEL,
+            "condense_terminal_columns": _accumulated(terminal) * PANEL,
+            "condense_backward_columns": _accumulated(nx * nz + cost) * PANEL,
+        }
 
     def element(self, j: int) -> str:
         """Element j of z = (dx, du) in C."""
@@ -96,6 +135,16 @@ class Products:
 
     def _column(self, i: int) -> list[int]:
         return sorted(r for r, c in self.S if c == i)
+
+
+def _accumulated(n: int) -> OpCount:
+    """n products, each added to something."""
+    return OpCount(add=n, mul=n)
+
+
+def _summed(terms: Iterable[int]) -> OpCount:
+    """One sum of products per number of terms."""
+    return sum((OpCount(add=max(0, n - 1), mul=n) for n in terms), OpCount())
 
 
 def _entries(lower: Pattern, i: int) -> list[tuple[int, int, int]]:

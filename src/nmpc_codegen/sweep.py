@@ -97,7 +97,7 @@ class Sweep:
 
 
 def unroll(sweep: Sweep) -> Any:
-    """Run the sweep on SX: one CasADi Function with the sweep's ports, structural zeros of outputs removed."""
+    """Run the sweep on SX: one CasADi Function with the sweep's ports; matrices lose their structural zeros."""
     symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
     buffers: dict[str, list[Any]] = {p.name: s.elements() for p, s in zip(sweep.inputs, symbols, strict=True)}
     buffers |= {p.name: [ca.SX(0)] * p.size for p in sweep.outputs}
@@ -122,10 +122,9 @@ def _run(nodes: tuple[Node, ...], buffers: dict[str, list[Any]], indices: dict[s
 
 
 def _shaped(elements: list[Any], port: Port) -> Any:
-    """SX matrix of the port's shape without structural zeros."""
+    """A dense SX vector, or an SX matrix of the port's shape without structural zeros."""
     flat = ca.vertcat(*elements) if elements else ca.SX(0, 1)
-    shaped = ca.reshape(flat, port.cols, port.rows).T if port.cols else flat
-    return ca.sparsify(shaped)
+    return ca.sparsify(ca.reshape(flat, port.cols, port.rows).T) if port.cols else ca.densify(flat)
 
 
 def straight(sweep: Sweep) -> Kernel:
@@ -222,10 +221,10 @@ def print_routine(routine: Routine, style: CStyle) -> str:
     lines = [comment(sweep.doc, sweep.inputs, sweep.outputs, written)]
     lines += [signature(sweep.name, sweep.inputs, sweep.outputs, style), "{"]
     indices = dict.fromkeys(_indices(sweep.body))
-    lines += [f"    {style.real} {name}[{max(1, size)}];" for name, size in sweep.locals]
+    used = {s.buffer for call in _calls(sweep.body) for s in (*call.ins, *call.outs)}
+    lines += [f"    {style.real} {name}[{max(1, size)}];" for name, size in sweep.locals if name in used]
     if indices:
         lines.append(f"    int {', '.join(indices)};")
-    used = {s.buffer for call in _calls(sweep.body) for s in (*call.ins, *call.outs)}
     lines += _print_nodes(sweep.body, routine, style, "    ")
     lines += [f"    (void){p.name};" for p in (*sweep.inputs, *sweep.outputs) if p.name not in used]
     return "\n\n".join([*texts, "\n".join([*lines, "}"])])
@@ -245,6 +244,8 @@ def _print_nodes(nodes: tuple[Node, ...], routine: LoopedRoutine, style: CStyle,
             lines.append(indent + _head(node))
             lines += _print_nodes(node.body, routine, style, indent + "    ")
             lines.append(indent + "}")
+        elif node.written_out and len(nodes) > 1:
+            lines += [indent + "{", *_print_call(node, routine, style, indent + "    "), indent + "}"]
         else:
             lines += _print_call(node, routine, style, indent)
     return lines

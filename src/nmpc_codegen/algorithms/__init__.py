@@ -1,4 +1,4 @@
-"""ADD AN ALGORITHM HERE: a component with seam "algorithm" that implements prepare, feedback, step, shift, solve, kkt."""
+"""ADD AN ALGORITHM HERE: a component with seam "algorithm": prepare, feedback, step, shift, solve, kkt."""
 
 from nmpc_codegen.algorithms.real_time_iteration import RealTimeIteration
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nmpc_codegen.cmodule import Field, Size, Struct
-from nmpc_codegen.component import Dims
+from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
@@ -120,5 +120,8 @@ class RealTimeIteration:
             ),
         )
 
-    def cost(self, dims: Dims) -> dict[str, OpCount]:
-        return {}
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """The linearisation of all nodes; a gap is one subtraction per state."""
+        node = known["integrator_interval"] + known["path_gradient"] + known["path_rows"]
+        node += OpCount(add=dims.nx.value)
+        return {"linearize": node * dims.N.value + known["terminal_gradient"] + known["terminal_rows"]}

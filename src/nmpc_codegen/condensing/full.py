@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nmpc_codegen.cmodule import Field, Size, Struct
-from nmpc_codegen.component import PANEL, Dims
+from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
+from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Routine
 
 
@@ -60,18 +61,22 @@ class FullCondensing:
             ),
         )
 
-    def cost(self, dims: Dims) -> dict[str, OpCount]:
-        """Multiplications and additions of condense_hessian and condense_gradient, padding to PANEL included."""
-        N, nx, nu = dims.N.value, dims.nx.value, dims.nu.value
-        hessian = OpCount()
-        for k in range(N):
-            forward, backward = _panels(nx + k * nu), _panels(nx + (k + 1) * nu)
-            hessian += OpCount(add=1, mul=1) * (nx * nx * forward)
-            hessian += OpCount(add=1, mul=1) * (2 * nx * nu * backward)
-            if k > 0:
-                hessian += OpCount(add=1, mul=1) * (2 * nx * nx * _panels(nx + k * nu))
-            hessian += OpCount(add=nu * (nu + 1) // 2)
-        hessian += OpCount(add=1, mul=1) * (nx * nx * _panels(nx + N * nu))
-        per_node = nx * nx + 2 * nx * nu
-        gradient = OpCount(add=1, mul=1) * (N * (per_node + 2 * nx * nx) + nx * nx - (2 * nx * nx))
-        return {"condense_hessian": hessian, "condense_gradient": gradient}
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """All but condense_rows, which leaves out zeros of the row gradients; columns are padded to PANEL."""
+        N, nx, nu, nv, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nv, dims.ng))
+
+        def panels(first: int, step: int, nodes: int) -> int:
+            return sum(_panels(first + k * step) // PANEL for k in range(nodes))
+
+        hessian = known["condense_forward_columns"] * panels(nx, nu, N)
+        hessian += known["condense_terminal_columns"] * panels(nx + nv, 0, 1)
+        hessian += known["condense_backward_columns"] * panels(nx + nu, nu, N)
+        hessian += OpCount(add=nu * (nu + 1) // 2) * N
+        gradient = (known["state_step"] + known["adjoint_step"]) * N + known["terminal_adjoint"]
+        rows = nv + ng
+        return {
+            "condense_hessian": hessian,
+            "condense_gradient": gradient,
+            "condense_embed": OpCount(add=nx + 2, mul=nx) * rows,
+            "condense_expand": known["state_step"] * N,
+        }

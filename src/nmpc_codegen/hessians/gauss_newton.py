@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from nmpc_codegen.cmodule import Field, Struct
-from nmpc_codegen.component import Dims
+from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
 from nmpc_codegen.problem import Problem, Stage
@@ -91,8 +91,9 @@ class GaussNewton:
             ),
         )
 
-    def cost(self, dims: Dims) -> dict[str, OpCount]:
-        return {}
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """All blocks that hessian() forms."""
+        return {"hessian": known["path_hessian"] * dims.nq.value + known["terminal_hessian"]}
 
 
 def _weight(stage: Stage) -> tuple[Any, Any, int]:
@@ -105,7 +106,8 @@ def _weight(stage: Stage) -> tuple[Any, Any, int]:
         symbol = ca.SX.sym("W", ny * ny)
         matrix = ca.reshape(symbol, ny, ny)
         matrix = ca.tril(matrix.T) + ca.tril(matrix.T, False).T
-    for i, scaled in enumerate(stage.scale_with_dt):
-        if scaled:
-            matrix[i, :] = matrix[i, :] * stage.dt
+    scales = [stage.dt if scaled else ca.SX(1) for scaled in stage.scale_with_dt]
+    for i, a in enumerate(scales):
+        for j, b in enumerate(scales):
+            matrix[i, j] = matrix[i, j] * (a if a is b else ca.sqrt(a * b))
     return symbol, matrix, int(symbol.numel())

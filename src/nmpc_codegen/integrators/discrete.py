@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.component import Dims
+from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount, Port, lift
 from nmpc_codegen.problem import Problem
@@ -55,5 +55,5 @@ class Discrete:
     def structs(self, dims: Dims) -> tuple[Any, ...]:
         return ()
 
-    def cost(self, dims: Dims) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
         return {}

@@ -3,7 +3,7 @@
     X_i = x + h sum_j a_ij K_j,   K_i = f(X_i, u, p),   x+ = x + h sum_i b_i K_i
     S = d x / d(x_k, u_k):        K_i' = f_x(X_i) S_i + [0 f_u(X_i)],  same tableau, S = [I 0] at the start
 
-([H11] section 3.1; algorithms.md 2). Everything is written as Sweeps: straight-line or looped code from one description.
+([H11] section 3.1; algorithms.md 2). All are written as Sweeps: straight-line or looped code from one description.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from typing import Any, ClassVar, Literal, get_args
 
 import casadi as ca
 
-from nmpc_codegen.component import PANEL, Dims
+from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau
 from nmpc_codegen.kernel import OpCount, Port
 from nmpc_codegen.problem import Problem
+from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Affine, Call, For, Node, Routine, Slice, Sweep, looped, straight, unroll
 
 Unroll = Literal["auto", "all", "step", "none"]
@@ -84,7 +85,7 @@ class ExplicitRungeKutta:
     def structs(self, dims: Dims) -> tuple[Any, ...]:
         return ()
 
-    def cost(self, dims: Dims) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
         return {}
 
 
@@ -250,7 +251,9 @@ def _sensitivity_step(b: _Builder) -> list[Node]:
         point = state
         if any(t.a[i]):
             point = Slice("Xi", nx)
-            nodes.append(Call(b.leaf_combination(f"stage_{i}", t.a[i]), (state, h, *b.slopes("K", t.a[i], nx)), (point,)))
+            nodes.append(
+                Call(b.leaf_combination(f"stage_{i}", t.a[i]), (state, h, *b.slopes("K", t.a[i], nx)), (point,))
+            )
         jacobian, forcing = Slice("fx", b.fx.nnz()), Slice("Fu", len(b.fu_rows) * ld)
         arguments = (point, Slice("u", nu), Slice("p", b.np))
         nodes.append(Call(b.leaf_f_and_jacobian(), arguments, (Slice("K", nx, Affine(i * nx)), jacobian, forcing)))

@@ -1,0 +1,60 @@
+# Everything from a bare machine with Python 3.11+, gcc and make. The first run of any target fills $(VENV) (network);
+# later runs need neither network nor set-up. `make` lists the targets.
+
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= out
+
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format bench clean distclean
+
+help:
+	@echo "make demo    crane: OCP -> C -> check against IPOPT -> closed loop -> picture, all in $(OUT)/"
+	@echo "make test    formatter, linter, type checker, tests"
+	@echo "make lint    formatter, linter, type checker"
+	@echo "make format  apply the formatter"
+	@echo "make bench   benchmarks of the crane, into $(OUT)/crane.json"
+	@echo "make clean   remove $(OUT)/ and caches; make distclean also $(VENV)/"
+	@echo "Variables: PYTHON=$(PYTHON) VENV=$(VENV) OUT=$(OUT)"
+
+setup: $(READY)
+
+$(READY): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	    echo "$(PYTHON) is missing or older than 3.11; name another one: make PYTHON=python3.12 ..."; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+demo: $(READY)
+	$(BIN)/nmpc-export examples/crane.py -o $(OUT)/crane --check
+	$(BIN)/python examples/crane.py $(OUT)/crane $(OUT)/crane.png
+	@echo
+	@echo "C package:  $(OUT)/crane/ (start with $(OUT)/crane/README.md and crane.h)"
+	@echo "picture:    $(OUT)/crane.png"
+	@echo "problem:    examples/crane.py"
+
+lint: $(READY)
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/mypy
+
+format: $(READY)
+	$(BIN)/ruff format
+
+test: lint
+	$(BIN)/python -m pytest -n auto -q -ra
+
+bench: $(READY)
+	@mkdir -p $(OUT)
+	$(BIN)/python -m benchmarks.crane --json $(OUT)/crane.json
+
+clean:
+	rm -rf $(OUT) .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
+
+distclean: clean
+	rm -rf $(VENV)

@@ -1,0 +1,120 @@
+"""Operation counts against reality: the generated .c compiled as C++ with a scalar type that counts (counting.hpp).
+
+Every count that the compiler states (printed routines, stage products, functions of the components) is compared with
+one run of that function: additions, multiplications, divisions, square roots and calls of math.h.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from nmpc_codegen import OCP, Options
+from nmpc_codegen.analyse import analyse
+from nmpc_codegen.cmodule import CModule
+from nmpc_codegen.linearize import linearize
+from nmpc_codegen.lower import lower
+from nmpc_codegen.render import Sources, render
+
+HEADER = Path(__file__).with_name("counting.hpp")
+
+#: Classes that are compared. The class "other" is what the C spells, comparisons in loops of a component included.
+CLASSES = ("add", "mul", "div", "sqrt", "call")
+
+#: Arguments of the functions that take more, or something else, than the solver struct. w has room for any vector.
+ARGUMENTS = {
+    "state_step": "&s.node[0], w, w, w",
+    "adjoint_step": "&s.node[0], s.hessian.Q[0], w, w, w",
+    "terminal_adjoint": "&s.terminal, s.hessian.Q_N, w, w",
+    "condense_forward_columns": "&s.condensed, &s.node[0], 0, 1",
+    "condense_terminal_columns": "&s.condensed, s.hessian.Q_N, 1",
+    "condense_backward_columns": "&s.condensed, &s.node[0], s.hessian.Q[0], 0, 1",
+    "qp_forward": "&s.qp, w, 0",
+    "qp_backward": "&s.qp, w, w",
+}
+
+#: (function, stated, counted)
+Mismatch = tuple[str, dict[str, int], dict[str, int]]
+
+
+def count_mismatches(ocp: OCP, options: Options | None = None) -> list[Mismatch]:
+    """Functions of the package of ``ocp`` whose stated count differs from the counted one."""
+    module = lower(linearize(analyse(ocp), options or Options()))
+    return mismatches(module, render(module))
+
+
+def mismatches(module: CModule, sources: Sources) -> list[Mismatch]:
+    """The same for a lowered package and its text."""
+    stated = {name: _compared(count) for name, count in module.metadata["report"]["operations"].items()}
+    calls = {name: _call(module, name) for name in stated}
+    counted = run_counting(sources, module.name, calls, _room(module))
+    return [(name, stated[name], counted[name]) for name in stated if stated[name] != counted[name]]
+
+
+def _compared(count: Mapping[str, int]) -> dict[str, int]:
+    return {name: count[name] for name in CLASSES}
+
+
+def _call(module: CModule, name: str) -> str:
+    """A call of one C function on data that exist."""
+    for routine in module.routines:
+        if routine.name == name:
+            return f"{name}({', '.join('w' for _ in (*routine.inputs, *routine.outputs))})"
+    return f"{name}({ARGUMENTS.get(name, '&s')})"
+
+
+def _room(module: CModule) -> int:
+    """Length of the longest vector that a call reads or writes."""
+    ports = [port.size for r in module.routines for port in (*r.inputs, *r.outputs)]
+    return max(*ports, module.value("NZ"), module.value("LDV"), 1)
+
+
+def counting_header(header: str, name: str) -> str:
+    """The header with the counting scalar in place of its real type."""
+    for ctype in ("double", "float"):
+        line = f"typedef {ctype} {name}_real;"
+        if header.count(line) == 1:
+            return header.replace(line, f"typedef counted {name}_real;")
+    raise ValueError(f"{name}.h does not define {name}_real in one line")
+
+
+def run_counting(sources: Sources, name: str, calls: Mapping[str, str], size: int) -> dict[str, dict[str, int]]:
+    """Compile the package as C++ with the counting scalar, run every call once, and return what it did.
+
+    A call may use the prepared solver struct s and a vector w of the given size.
+    """
+    lines = [
+        f'#include "{HEADER.name}"',
+        f'#include "{name}.c"',
+        "#include <stdio.h>",
+        f"static {name}_solver_t s;",
+        f"static {name}_real w[{size}];",
+        "static void report(const char *function)",
+        "{",
+        '    printf("%s %ld %ld %ld %ld %ld\\n", function, counted::add, counted::mul, counted::div, counted::sqrt,',
+        "        counted::call);",
+        "}",
+        "int main()",
+        "{",
+        f"    {name}_init(&s);",
+        f"    {name}_prepare(&s);",
+    ]
+    for function, call in calls.items():
+        lines += [f"    for (int i = 0; i < {size}; i++) {{ w[i] = 0.5; }}", "    counted::reset();"]
+        lines += [f"    {call};", f'    report("{function}");']
+    lines += ["    return 0;", "}"]
+    with tempfile.TemporaryDirectory(prefix="counting-") as temporary:
+        folder = Path(temporary)
+        (folder / HEADER.name).write_text(HEADER.read_text(encoding="utf-8"), encoding="utf-8")
+        (folder / f"{name}.h").write_text(counting_header(sources[f"{name}.h"], name), encoding="utf-8")
+        (folder / f"{name}.c").write_text(sources[f"{name}.c"], encoding="utf-8")
+        (folder / "main.cpp").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        subprocess.run(["g++", "-std=c++17", "-O0", "-w", "main.cpp", "-o", "main", "-lm"], cwd=folder, check=True)
+        out = subprocess.run([folder / "main"], capture_output=True, text=True, check=True).stdout
+    found = {}
+    for line in out.splitlines():
+        function, *numbers = line.split()
+        found[function] = dict(zip(CLASSES, map(int, numbers), strict=True))
+    return found

@@ -1,0 +1,227 @@
+/* golden: nonlinear model predictive controller, double precision.
+ * The generator's MIT licence does not extend to this file: it is yours.
+ *
+ * x   = (x)
+ * u   = (u)
+ * p   = (p)
+ * y   = (x, u)
+ * y_N = (x)
+ * h   = (product)
+ * h_N = (square_end)
+ *
+ * The caller owns the memory: one golden_solver_t is 2240 bytes, holds no pointers and may be copied with '='.
+ * One context per instance; not interrupt-safe by itself: copy measurements first. Arrays of size 0 are padded to 1. */
+#ifndef GOLDEN_H
+#define GOLDEN_H
+
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* begin declarations */
+typedef double golden_real;
+
+#define GOLDEN_N 2 /* intervals */
+#define GOLDEN_NX 1 /* states */
+#define GOLDEN_NU 1 /* controls */
+#define GOLDEN_NZ 2 /* NX + NU */
+#define GOLDEN_NP 1 /* parameters */
+#define GOLDEN_NY 2 /* path residuals */
+#define GOLDEN_NY_N 1 /* terminal residuals */
+#define GOLDEN_NW 2 /* entries of the path weight */
+#define GOLDEN_NW_N 1 /* entries of the terminal weight */
+#define GOLDEN_NH 1 /* general path rows */
+#define GOLDEN_NH_N 1 /* general terminal rows */
+#define GOLDEN_NR 4 /* scalar rows with bounds */
+#define GOLDEN_NQ 1 /* path Hessian blocks */
+#define GOLDEN_NV 2 /* variables of the QP: N NU */
+#define GOLDEN_NG 5 /* rows of the QP besides control bounds */
+#define GOLDEN_LDV 4 /* NV rounded up to PANEL */
+#define GOLDEN_PANEL 4 /* columns processed together */
+#define GOLDEN_PARAMS 1 /* parameters by name */
+#define GOLDEN_STEPS 1 /* Runge-Kutta steps per interval */
+#define GOLDEN_LDG 4 /* columns of G_k: NX + NV, rounded up to PANEL */
+#define GOLDEN_QP_MAX_ITERATIONS 120 /* cap on the active-set iterations of one feedback phase */
+#define GOLDEN_SHIFT 0 /* 1: step() moves the plan by one interval before preparing */
+#define GOLDEN_MANY 1000000 /* counters stop here */
+#define GOLDEN_MAGIC 1313689667 /* a struct that init has seen */
+
+enum { GOLDEN_ALL = -1 }; /* every node, for the setters */
+
+enum { /* scalar rows, for set_bounds */
+    GOLDEN_ROW_U = 0,
+    GOLDEN_ROW_X = 1,
+    GOLDEN_ROW_PRODUCT = 2,
+    GOLDEN_ROW_SQUARE_END = 3
+};
+
+enum { /* parameters, for set_parameter */
+    GOLDEN_PARAM_P = 0
+};
+
+typedef enum {
+    GOLDEN_OK = 0, /* ok */
+    GOLDEN_ITERATION_LIMIT = 1, /* iteration limit reached */
+    GOLDEN_INFEASIBLE = 2, /* the constraints cannot be met */
+    GOLDEN_RELAXED = 3, /* soft solution: rows were relaxed */
+    GOLDEN_NUMERICAL_FAILURE = 4, /* numerical failure: the Hessian is not positive definite or a number is not finite */
+    GOLDEN_NOT_FINITE = 5, /* the measured state is not finite */
+    GOLDEN_NOT_PREPARED = 6, /* feedback without prepare */
+    GOLDEN_NOT_INITIALIZED = 7, /* init was not called */
+    GOLDEN_BAD_INDEX = 8, /* no such node, row or parameter */
+    GOLDEN_BAD_BOUNDS = 9, /* lower bound above upper bound */
+    GOLDEN_BAD_ARGUMENT = 10, /* argument out of range or not finite */
+    GOLDEN_STALLED = 11 /* no further progress */
+} golden_status_t;
+
+typedef struct { /* KKT residuals, largest absolute values */
+    golden_real stationarity; /* gradient of the Lagrangian */
+    golden_real equality; /* gaps of the dynamics and x_0 - xhat */
+    golden_real inequality; /* violation of bounds and rows */
+    golden_real complementarity; /* multiplier times distance to its bound */
+} golden_kkt_t;
+
+typedef struct { /* counters of the last feedback or solve */
+    int32_t qp_iterations; /* iterations of the last QP */
+    int32_t active_set_changes; /* changes of the working set in the last QP */
+    int32_t dropped_rows; /* redundant rows left out of the working set */
+    int32_t sqp_iterations; /* iterations of the last solve */
+} golden_stats_t;
+
+typedef struct { /* Hessian blocks, lower triangles, z = (x, u) */
+    golden_real Q[GOLDEN_NQ][GOLDEN_NZ][GOLDEN_NZ]; /* path blocks; one for all nodes where it is constant */
+    golden_real Q_N[GOLDEN_NX][GOLDEN_NX]; /* terminal block */
+} golden_hessian_t;
+
+typedef struct { /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0 */
+    golden_real G[GOLDEN_N + 1][GOLDEN_NX][GOLDEN_LDG]; /* columns: dx_0, then du_0 .. du_{N-1} */
+    golden_real c[GOLDEN_N + 1][GOLDEN_NX]; /* free response of the gaps b_k */
+    golden_real W[GOLDEN_NX][GOLDEN_LDG]; /* backward sweep: sum of Q_k G_k over later nodes */
+    golden_real T[GOLDEN_NU][GOLDEN_LDG]; /* one block row of the condensed Hessian */
+    golden_real g[GOLDEN_NV]; /* condensed gradient at dx_0 = 0 */
+    golden_real Hx[GOLDEN_NV][GOLDEN_NX]; /* coupling of the controls to dx_0 */
+    golden_real Ax[GOLDEN_NG][GOLDEN_NX]; /* coupling of the rows to dx_0 */
+    golden_real v[GOLDEN_NG]; /* values of the rows at du = 0, dx_0 = 0 */
+    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
+} golden_condensed_t;
+
+typedef struct { /* condensed QP and its active-set factorisation */
+    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); then D, L and L' of L D L' */
+    golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
+    golden_real g[GOLDEN_NV]; /* gradient */
+    golden_real lower[GOLDEN_NV + GOLDEN_NG]; /* lower bounds of variables, then of general rows */
+    golden_real upper[GOLDEN_NV + GOLDEN_NG]; /* upper bounds */
+    golden_real z[GOLDEN_NV]; /* minimiser */
+    golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
+    golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
+    golden_real Q[GOLDEN_LDV][GOLDEN_LDV]; /* rows: orthonormal basis of the normals in the working set */
+    golden_real R[GOLDEN_LDV][GOLDEN_LDV]; /* row j: coefficients of member j in that basis (R transposed) */
+    golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
+    golden_real lam[GOLDEN_LDV]; /* multipliers of the members */
+    golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
+    golden_real y[GOLDEN_LDV]; /* minimiser on the working set */
+    golden_real x[GOLDEN_LDV]; /* z of y */
+    golden_real m[GOLDEN_LDV]; /* normal of the row under consideration, in y */
+    golden_real v[GOLDEN_LDV]; /* its part outside the span of the working set */
+    golden_real d[GOLDEN_LDV]; /* its coefficients in the basis */
+    golden_real slack[GOLDEN_NV + GOLDEN_NG]; /* violation of a row that is accepted as rounding */
+    golden_real scale; /* |y0| */
+    golden_real shift; /* part of |y0| that the saturated rows may have */
+    golden_real penalty[GOLDEN_NG]; /* l1 penalty of violating a general row; infinite: hard */
+    golden_real certificate[GOLDEN_NV + GOLDEN_NG]; /* if INFEASIBLE: weights of a contradiction */
+    int32_t work[GOLDEN_LDV]; /* rows in the working set, in the order of the basis */
+    int32_t side[GOLDEN_NV + GOLDEN_NG]; /* +-1: member at upper, lower bound; +-2: saturated; else 0 */
+    int32_t snapshot[GOLDEN_NV + GOLDEN_NG]; /* an earlier side, to recognise cycles */
+    int32_t nw; /* members of the working set */
+    int32_t factorized; /* qp_factorize has succeeded */
+    int32_t elastic; /* a general row has a finite penalty */
+    int32_t iterations; /* active-set iterations of the last qp_solve */
+    int32_t changes; /* rows that entered or left the working set in it */
+    int32_t dropped; /* equalities left out as redundant */
+    int32_t relaxed; /* elastic rows that are violated */
+} golden_qp_t;
+
+typedef struct { /* linearisation of a path node */
+    golden_real S[GOLDEN_NX][GOLDEN_NZ]; /* [A_k B_k] = d Phi / d(x, u) */
+    golden_real b[GOLDEN_NX]; /* gap Phi(x_k, u_k) - x_{k+1} */
+    golden_real g[GOLDEN_NZ]; /* gradient (q_k, r_k) */
+    golden_real h[GOLDEN_NH]; /* general rows */
+    golden_real J[GOLDEN_NH][GOLDEN_NZ]; /* their Jacobian [C_k D_k] */
+} golden_node_t;
+
+typedef struct { /* linearisation of the terminal node */
+    golden_real g[GOLDEN_NX]; /* gradient q_N */
+    golden_real h[GOLDEN_NH_N]; /* general rows */
+    golden_real J[GOLDEN_NH_N][GOLDEN_NX]; /* their Jacobian C_N */
+} golden_terminal_t;
+
+typedef struct { /* the whole controller: no pointers, copy it with '=' */
+    golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states of the plan */
+    golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls of the plan */
+    golden_real p[GOLDEN_N + 1][GOLDEN_NP]; /* parameters */
+    golden_real yref[GOLDEN_N][GOLDEN_NY]; /* references of the path residual */
+    golden_real yref_N[GOLDEN_NY_N]; /* reference of the terminal residual */
+    golden_real W[GOLDEN_NY]; /* weight of the path residual */
+    golden_real W_N[GOLDEN_NY_N]; /* weight of the terminal residual */
+    golden_real lower[2][GOLDEN_NR]; /* lower bounds of the rows: path, terminal */
+    golden_real upper[2][GOLDEN_NR]; /* upper bounds of the rows: path, terminal */
+    golden_real lam[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the dynamics; lam_0 of x_0 = xhat */
+    golden_real mu_x[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the state bounds, > 0 at the upper one */
+    golden_real mu_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
+    golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
+    golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
+    golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
+    int32_t prepared; /* 1 between prepare and feedback */
+    int32_t samples; /* feedbacks since init or reset */
+    int32_t reference_changed; /* 1: gradients are renewed in feedback */
+    golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
+    golden_condensed_t condensed; /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0 */
+    golden_qp_t qp; /* condensed QP and its active-set factorisation */
+    golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
+    golden_terminal_t terminal; /* linearisation of the terminal node */
+    golden_stats_t stats; /* counters */
+    golden_kkt_t kkt; /* KKT residuals of the last solve */
+    int32_t status; /* status of the last prepare, feedback or solve */
+    int32_t magic; /* set by init */
+} golden_solver_t;
+
+/* Everything to what the problem states; reset keeps the settings and goes back to the plain start. */
+golden_status_t golden_init(golden_solver_t *s);
+golden_status_t golden_reset(golden_solver_t *s);
+
+/* Preparation phase: linearise, condense, factorise. Feedback phase: u0 for the measured xhat; u0 is finite and inside
+ * its bounds on every return. step = prepare + feedback. shift moves the plan by one interval. A call that fails leaves
+ * the plan as it was; a NUMERICAL_FAILURE that persists means that the plan itself is unusable: call reset. */
+golden_status_t golden_prepare(golden_solver_t *s);
+golden_status_t golden_feedback(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
+golden_status_t golden_step(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
+golden_status_t golden_shift(golden_solver_t *s);
+
+/* SQP iterations until all KKT residuals are at most tol. */
+golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real tol, int max_iterations);
+
+/* k is GOLDEN_ALL or one node. References: 0 .. N - 1. Parameters: 0 .. N. Weights: GOLDEN_ALL only. Bounds:
+ * GOLDEN_ALL, or N for the terminal node of the row. What is refused (BAD_INDEX, BAD_ARGUMENT, BAD_BOUNDS) writes
+ * nothing. References and bounds take effect in the next feedback, parameters and weights in the next prepare. */
+golden_status_t golden_set_reference(golden_solver_t *s, int k, const golden_real yref[GOLDEN_NY]);
+golden_status_t golden_set_terminal_reference(golden_solver_t *s, const golden_real yref[GOLDEN_NY_N]);
+golden_status_t golden_set_weight(golden_solver_t *s, int k, const golden_real W[GOLDEN_NW]);
+golden_status_t golden_set_terminal_weight(golden_solver_t *s, const golden_real W[GOLDEN_NW_N]);
+golden_status_t golden_set_parameter(golden_solver_t *s, int param, int k, const golden_real *values);
+golden_status_t golden_set_bounds(golden_solver_t *s, int row, int k, golden_real lower, golden_real upper);
+
+/* The plant model over dt, the cost and the KKT residuals of the present plan. */
+void golden_integrate(const golden_solver_t *s, const golden_real x[GOLDEN_NX], const golden_real u[GOLDEN_NU],
+    golden_real dt, golden_real x_next[GOLDEN_NX]);
+golden_real golden_cost(const golden_solver_t *s);
+void golden_kkt(const golden_solver_t *s, golden_kkt_t *out);
+const char *golden_status_string(golden_status_t status);
+/* end declarations */
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

@@ -1,0 +1,265 @@
+"""The house rules that a machine can check: who imports whom, what mirrors what, how long things may be."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import nmpc_codegen
+from nmpc_codegen.component import SEAMS
+from nmpc_codegen.options import REGISTRIES
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "nmpc_codegen"
+TEMPLATES = ROOT / "templates"
+
+#: Seam -> folder, in src and in templates alike.
+FOLDERS = {
+    "integrator": "integrators",
+    "hessian": "hessians",
+    "condensing": "condensing",
+    "qp": "qp",
+    "algorithm": "algorithms",
+}
+
+#: A module imports only what stands before it. Folders of seams share one place: they do not see one another.
+RUNTIME = ("description", "library", "controller", "build", "package", "simulate")
+ORDER = (
+    *(("errors",), ("tolerances",), ("status",)),
+    *(("kernel",), ("cprint",), ("sweep",), ("products",), ("cmodule",)),
+    *(("problem",), ("expression",), ("ocp",), ("analyse",), ("evaluation",), ("reference",)),
+    *(("component",), tuple(FOLDERS.values()), ("options",)),
+    *(("linearize",), ("lower",), ("render",)),
+    *((name,) for name in RUNTIME),
+    *(("compiler",), ("cli",)),
+)
+RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
+
+#: A stage knows the value it is given and the one it makes, not the stages before.
+BLIND = {
+    "linearize": {"ocp", "expression", "analyse"},
+    "lower": {"ocp", "expression", "analyse", "evaluation", "reference"},
+    "render": {"ocp", "expression", "problem", "analyse", "options", "linearize", "lower"},
+}
+
+#: Foreign package -> modules and folders that may import it.
+ONLY_IN = {
+    "casadi": {
+        *("ocp", "expression", "analyse", "evaluation", "problem", "linearize", "kernel", "cprint", "sweep"),
+        *("reference", "integrators", "hessians"),
+    },
+    "jinja2": {"render"},
+    "cffi": {"build"},
+}
+
+MAX_FILE = 600
+MAX_TEMPLATE = 800
+MAX_FUNCTION = 60
+MAX_C_FUNCTION = 50
+HEAD = 12  # lines of a template that state its contract
+DRAWERS = {"util", "utils", "helper", "helpers", "manager", "managers", "misc", "common"}
+
+MODULES = sorted(path for path in SOURCE.rglob("*.py"))
+PYTHON = sorted(path for folder in ("src", "tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
+COMPONENTS = [cls for registry in REGISTRIES.values() for cls in registry.values()]
+
+
+def place(path: Path) -> str:
+    """Module, or folder of a seam, that a source file belongs to: the key of RANK."""
+    first = path.relative_to(SOURCE).parts[0]
+    return first.removesuffix(".py")
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Dotted names of all modules that a file imports, inside functions and for type checking too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            if node.module == "nmpc_codegen":
+                yield from (f"nmpc_codegen.{alias.name}" for alias in node.names)
+            elif node.module:
+                yield node.module
+
+
+def own_imports(path: Path) -> set[str]:
+    """Keys of RANK that a source file imports."""
+    return {name.split(".")[1] for name in imports(path) if name.startswith("nmpc_codegen.")}
+
+
+def test_every_module_has_its_place() -> None:
+    found = {place(path) for path in MODULES} - {"__init__"}
+    assert found == set(RANK)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_imports_run_one_way(path: Path) -> None:
+    here = place(path)
+    if here == "__init__":
+        return
+    seams = set(FOLDERS.values())
+    back = {name for name in own_imports(path) - {here} if RANK[name] >= RANK[here]}
+    assert not back, f"{here} may not import {back}"
+    assert not own_imports(path) & BLIND.get(here, set())
+    if here in seams:
+        assert not own_imports(path) & (seams - {here}), "components see one another through contracts only"
+
+
+@pytest.mark.parametrize("name", RUNTIME)
+def test_runtime_imports_no_stage_of_the_compiler(name: str) -> None:
+    allowed = {*RUNTIME, "errors", "status"}
+    assert own_imports(SOURCE / f"{name}.py") <= allowed
+
+
+@pytest.mark.parametrize("package", ONLY_IN)
+def test_foreign_packages_stay_in_their_modules(package: str) -> None:
+    users = {place(path) for path in MODULES if any(name.split(".")[0] == package for name in imports(path))}
+    assert users, f"nothing imports {package}: is the test blind?"
+    assert users <= ONLY_IN[package]
+
+
+def test_runtime_loads_neither_casadi_nor_jinja2(
+    toy_files: dict[str, str], compiler: tuple[str, ...], tmp_path: Path
+) -> None:
+    """open_package, step, solve and simulate in a fresh interpreter."""
+    assert compiler
+    for name, text in toy_files.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    program = f"""
+import json, sys
+from nmpc_codegen import open_package, simulate
+controller = open_package({str(tmp_path)!r}, profile="test")
+x0 = [0.1] * controller.dims.nx
+log = simulate(controller, x0, steps=2)
+print(json.dumps([len(log.u), sorted(set(sys.modules) & {{"casadi", "jinja2", "nmpc_codegen.ocp"}})]))
+"""
+    search = f"import sys; sys.path.insert(0, {str(SOURCE.parent)!r})\n"
+    run = subprocess.run([sys.executable, "-c", search + program], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert json.loads(run.stdout) == [2, []]
+
+
+# Components ----------------------------------------------------------------------------------------------------------
+
+
+def test_seams_are_the_registries() -> None:
+    assert set(SEAMS) == set(REGISTRIES) == set(FOLDERS)
+
+
+@pytest.mark.parametrize("seam", SEAMS)
+def test_every_component_is_registered(seam: str) -> None:
+    """Every class with a seam that is defined in the folder stands in the registry under its name, and is public."""
+    folder = FOLDERS[seam]
+    defined = {
+        cls
+        for path in (SOURCE / folder).glob("*.py")
+        for cls in vars(importlib.import_module(f"nmpc_codegen.{folder}.{path.stem}")).values()
+        if inspect.isclass(cls) and cls.__module__ == f"nmpc_codegen.{folder}.{path.stem}" and hasattr(cls, "seam")
+    }
+    registry = REGISTRIES[seam]
+    assert set(registry.values()) == defined
+    for word, cls in registry.items():
+        assert cls.name == word
+        assert cls.seam == seam
+        assert getattr(nmpc_codegen, cls.__name__) is cls
+        assert cls.__name__ in nmpc_codegen.__all__
+
+
+@pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls.__name__)
+def test_component_keeps_its_house(cls: Any) -> None:
+    """A frozen dataclass that is all options; its template has the stem of its module; docs and change log name it."""
+    module = cls.__module__.split(".")[-1]
+    folder = FOLDERS[cls.seam]
+    assert cls.__dataclass_params__.frozen
+    assert cls.template == f"{folder}/{module}.c.jinja"
+    head = (TEMPLATES / folder / f"{module}.c.jinja").read_text(encoding="utf-8").splitlines()[:HEAD]
+    assert any(re.search(r"(?i)\bcontract\b", line) for line in head), "the contract stands at the top of the template"
+    assert set(cls.needs) <= set(SEAMS) - {cls.seam}
+    for document in ("docs/problem-class.md", "CHANGELOG.md"):
+        assert f"`{cls.__name__}`" in (ROOT / document).read_text(encoding="utf-8"), f"{document} does not name it"
+
+
+@pytest.mark.parametrize("seam", SEAMS)
+def test_every_template_of_a_seam_is_used(seam: str) -> None:
+    """It belongs to a component, or is a part that a template or a component names."""
+    folder = FOLDERS[seam]
+    owned = {cls.template for cls in REGISTRIES[seam].values()}
+    parts = {f"{folder}/{path.name}" for path in (TEMPLATES / folder).iterdir()} - owned
+    users = [*TEMPLATES.rglob("*.jinja"), *(SOURCE / folder).glob("*.py"), SOURCE / "lower.py"]
+    named = "".join(path.read_text(encoding="utf-8") for path in users)
+    assert not {part for part in parts if f'"{part}"' not in named}
+
+
+# Size and names ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", PYTHON, ids=lambda p: str(p.relative_to(ROOT)))
+def test_files_and_functions_fit(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= MAX_FILE
+    lengths = {
+        node.name: (node.end_lineno or 0) - node.lineno + 1
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef)
+    }
+    assert not {name: length for name, length in lengths.items() if length > MAX_FUNCTION}
+
+
+@pytest.mark.parametrize("path", sorted(TEMPLATES.rglob("*.c.jinja")), ids=lambda p: str(p.relative_to(TEMPLATES)))
+def test_templates_and_their_functions_fit(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= MAX_TEMPLATE
+    opening = [i for i, line in enumerate(lines) if line == "{"]
+    closing = [i for i, line in enumerate(lines) if line == "}"]
+    assert len(opening) == len(closing)
+    assert all(end - start <= MAX_C_FUNCTION for start, end in zip(opening, closing, strict=True))
+
+
+def test_no_drawers() -> None:
+    parts = {part.split(".")[0] for path in (*PYTHON, *TEMPLATES.rglob("*")) for part in path.relative_to(ROOT).parts}
+    assert not parts & DRAWERS
+
+
+def texts() -> Iterator[tuple[Path, str]]:
+    """Every text of the tree but this file, which has to spell what it forbids."""
+    folders = ("src", "templates", "tests", "examples", "benchmarks", "docs", ".ci")
+    files = [path for path in ROOT.iterdir() if path.is_file()]
+    files += [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
+    for path in files:
+        if (
+            path.name != ".git"
+            and path != Path(__file__)
+            and "__pycache__" not in path.parts
+            and path.suffix not in {".png", ".pyc"}
+        ):
+            yield path, path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("what", "pattern"),
+    [
+        ("a path of one machine", r"(?<![\w.<$}~)/-])/(?:home|root|work|Users|tmp|mnt)/"),
+        ("a mark of unfinished work", r"\b(?:TODO|FIXME|XXX|HACK)\b"),
+        ("how the text came about", r"(?i)\b(?:this session|the brief|as requested|as discussed|issue #?\d+)\b"),
+        ("history in a comment", r"(?i)(?:#|/\*|//) *(?:previously|formerly|used to be|no longer|was changed)\b"),
+    ],
+)
+def test_texts_are_free_of(what: str, pattern: str) -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{i}: {line.strip()}"
+        for path, text in texts()
+        for i, line in enumerate(text.splitlines(), 1)
+        if re.search(pattern, line)
+    ]
+    assert not found, f"{what}: {found}"

@@ -1,0 +1,449 @@
+"""Controllers in operation: u0 on every return, data that change while it runs, closed loops, shifted plans."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import problems
+import pytest
+
+from nmpc_codegen import OCP, DenseActiveSet, Options, RealTimeIteration, build
+from nmpc_codegen.controller import Controller
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.status import Status
+
+FAR = np.array([2.0, 0.0, 0.0, 0.0])  # feasible, six controls at bounds
+INFEASIBLE = np.array([1.0, 0.0, 0.5, 0.0])
+
+
+def assert_safe(c: Controller, u: Any) -> None:
+    """Every control is finite and inside the bounds of now."""
+    rows = {row.index: i for i, row in enumerate(c.description.rows) if row.kind == "control"}
+    for j, value in enumerate(u):
+        assert np.isfinite(value)
+        if j in rows:
+            assert c.view("lower")[0, rows[j]] <= value <= c.view("upper")[0, rows[j]]
+
+
+@cache
+def _shifting(name: str) -> Controller:
+    return build(problems.CASES[name].make(), Options(algorithm=RealTimeIteration(shift="repeat")))
+
+
+def shifting(name: str) -> Controller:
+    """A fresh controller of a case with shift="repeat"."""
+    fresh = _shifting(name).copy()
+    problems.apply(fresh, problems.CASES[name].data)
+    fresh.reset()
+    return fresh
+
+
+# u0 on every return ---------------------------------------------------------------------------------------------------
+
+
+def started(name: str = "crane") -> Controller:
+    """A controller that has run for two samples."""
+    c = problems.controller(name)
+    for _ in range(2):
+        c.step(problems.CASES[name].x0, on_failure="raise")
+    return c
+
+
+def test_feedback_without_prepare() -> None:
+    c = started()
+    plan = c.u[0].copy()
+    u = c.feedback(FAR)
+    assert c.status == Status.NOT_PREPARED
+    assert_safe(c, u)
+    np.testing.assert_array_equal(u, plan)
+    c.step(FAR, on_failure="raise")
+
+
+def test_every_prepare_serves_one_feedback() -> None:
+    c = started()
+    assert c.prepare() == Status.OK
+    c.feedback(FAR)
+    assert c.status == Status.OK
+    c.feedback(FAR)
+    assert c.status == Status.NOT_PREPARED
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("component", range(4))
+def test_state_not_finite(component: int, bad: float) -> None:
+    """A safe control, and the next sample is served as if nothing had been: bit for bit."""
+    c, twin = started(), started()
+    xhat = FAR.copy()
+    xhat[component] = bad
+    assert_safe(c, c.step(xhat))
+    assert c.status == Status.NOT_FINITE
+    np.testing.assert_array_equal(c.step(FAR), twin.step(FAR))
+    assert c.status == Status.OK
+    np.testing.assert_array_equal(c.x, twin.x)
+
+
+def test_infeasible_state() -> None:
+    """The plan stays, its control is returned, the next feasible sample is solved."""
+    c = started()
+    x, u = c.x.copy(), c.u.copy()
+    assert_safe(c, c.step(INFEASIBLE))
+    assert c.status == Status.INFEASIBLE
+    np.testing.assert_array_equal(c.x, x)
+    np.testing.assert_array_equal(c.u, u)
+    for _ in range(6):
+        c.step(FAR, on_failure="raise")
+    np.testing.assert_allclose(c.u, problems.reference("crane").u, atol=1e-9)
+
+
+def test_iteration_cap_of_the_qp() -> None:
+    c = build(problems.CASES["crane"].make(), Options(qp=DenseActiveSet(max_iterations=1)))
+    x = c.x.copy()
+    assert_safe(c, c.step(FAR))
+    assert c.status == Status.ITERATION_LIMIT
+    assert c.stats.qp_iterations == 1
+    np.testing.assert_array_equal(c.x, x)
+    assert_safe(c, c.step(np.zeros(4)))
+
+
+@pytest.mark.parametrize(("which", "fails"), [("x", True), ("u", True), ("lam", False), ("mu_u", False)])
+@pytest.mark.parametrize("name", ["crane", "path_rows"])
+def test_iterate_overwritten_with_nan(name: str, which: str, fails: bool) -> None:
+    """States and controls: NUMERICAL_FAILURE until reset(), which heals. Gauss-Newton does not read multipliers."""
+    c = started(name)
+    c.view(which)[...] = np.nan
+    x0 = problems.CASES[name].x0
+    for _ in range(2):
+        assert_safe(c, c.step(x0))
+        assert c.status == (Status.NUMERICAL_FAILURE if fails else Status.OK)
+    assert c.solve(x0).status == (Status.NUMERICAL_FAILURE if fails else Status.OK)
+    c.reset()
+    fresh = problems.controller(name)
+    np.testing.assert_array_equal(c.step(x0), fresh.step(x0))
+    assert c.status == Status.OK
+    np.testing.assert_array_equal(c.lam, fresh.lam)
+
+
+@pytest.mark.parametrize("node", range(0, 11, 5))
+def test_one_nan_in_one_node_is_noticed(node: int) -> None:
+    c = started()
+    c.x[node, 2] = np.nan
+    assert_safe(c, c.step(FAR))
+    assert c.status == Status.NUMERICAL_FAILURE
+
+
+def away_from_zero() -> OCP:
+    ocp = OCP("away", T=1.0, N=4)
+    x, u, v = ocp.state("x"), ocp.control("u"), ocp.control("v")
+    ocp.dynamics({x: u - v})
+    ocp.least_squares(ca.vertcat(x, u, v), weight=[1.0, 1.0, 1.0])
+    ocp.subject_to(0.4, u, 2)
+    ocp.subject_to(-3, v, -1.5)
+    return ocp
+
+
+def test_safe_control_where_zero_is_none() -> None:
+    """Not initialised: 0 clipped to the declared bounds; initialised: the plan clipped to the bounds of now."""
+    c = build(away_from_zero())
+    c.view("magic")[...] = 0
+    np.testing.assert_array_equal(c.feedback([0.0]), [0.4, -1.5])
+    assert int(c.view("magic")) == 0
+    c = build(away_from_zero())
+    np.testing.assert_array_equal(c.feedback([0.0]), [0.4, -1.5])
+    c.set_bounds("u", 0.7, 0.9)
+    c.u[:] = np.nan
+    np.testing.assert_array_equal(c.step([0.0]), [0.7, -1.5])
+    assert c.status == Status.NUMERICAL_FAILURE
+    c.reset()
+    assert_safe(c, c.step([1e3]))
+    assert c.status == Status.OK
+
+
+def test_u0_over_random_abuse() -> None:
+    """300 samples of states of any size, bounds, references, NaN, resets, skipped phases: safe every time."""
+    rng = np.random.default_rng(3)
+    c = problems.controller("state_bounds")
+    seen = set()
+    for _ in range(300):
+        act = rng.integers(8)
+        if act == 0:
+            low = rng.uniform(-2, 1)
+            c.set_bounds("u", low, low + rng.uniform(0, 1))
+        elif act == 1:
+            c.set_reference(rng.normal(size=3) * 10.0 ** rng.integers(-2, 6))
+        elif act == 2:
+            c.reset()
+        elif act == 3:
+            c.prepare()
+        elif act == 4:
+            c.shift()
+        xhat = rng.normal(size=2) * 10.0 ** rng.integers(-2, 3)
+        if rng.integers(10) == 0:
+            xhat[rng.integers(2)] = rng.choice([np.nan, np.inf, 1e300])
+        if act == 5:
+            c.prepare()
+            c.set_bounds("u", -0.1, 0.1)
+        u = c.feedback(xhat) if act in (5, 6) else c.step(xhat)
+        assert_safe(c, u)
+        seen.add(c.status)
+    assert seen >= {Status.OK, Status.INFEASIBLE, Status.NOT_FINITE, Status.NOT_PREPARED}
+
+
+# Data that change while it runs ---------------------------------------------------------------------------------------
+
+
+def test_bounds_between_prepare_and_feedback() -> None:
+    late, early = started("crane_weight"), started("crane_weight")
+    late.prepare()
+    late.set_bounds("a", -0.9, 0.9)
+    early.set_bounds("a", -0.9, 0.9)
+    early.prepare()
+    u = late.feedback(FAR, on_failure="raise")
+    assert abs(u[0]) <= 0.9
+    assert np.abs(late.u).max() == 0.9
+    np.testing.assert_allclose(u, early.feedback(FAR), atol=1e-11)
+    np.testing.assert_allclose(late.x, early.x, atol=1e-11)
+
+
+def test_bounds_of_states_between_prepare_and_feedback() -> None:
+    late, early = started("state_bounds"), started("state_bounds")
+    late.prepare()
+    for c in (late, early):
+        c.set_bounds("w", -0.5, 0.4)
+    early.prepare()
+    x0 = problems.CASES["state_bounds"].x0
+    np.testing.assert_allclose(late.feedback(x0, "raise"), early.feedback(x0, "raise"), atol=1e-11)
+    assert late.x[:, 1].min() == pytest.approx(-0.5, abs=1e-12)
+
+
+@pytest.mark.parametrize("what", ["path", "terminal"])
+@pytest.mark.parametrize("name", ["references", "dense_changed", "parameters"])
+def test_references_between_prepare_and_feedback(name: str, what: str) -> None:
+    """Equal to setting them before prepare; and not without effect."""
+    late, early, without = started(name), started(name), started(name)
+    x0 = problems.CASES[name].x0
+    rng = np.random.default_rng(1)
+    yref = rng.uniform(-0.5, 0.5, (late.dims.N, late.dims.ny))
+    yref_N = rng.uniform(-0.5, 0.5, late.dims.ny_N)
+    late.prepare()
+    for c in (late, early):
+        if what == "path":
+            c.set_reference(yref)
+        else:
+            c.set_terminal_reference(yref_N)
+    for c in (early, without):
+        c.prepare()
+    for c in (late, early, without):
+        c.feedback(x0, on_failure="raise")
+    np.testing.assert_allclose(late.u, early.u, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(late.lam, early.lam, rtol=0, atol=1e-11)
+    assert np.abs(late.u - without.u).max() > 1e-3
+
+
+@pytest.mark.parametrize("what", ["weight", "terminal weight", "parameter"])
+def test_weights_and_parameters_take_effect_in_the_next_prepare(what: str) -> None:
+    def change(c: Controller) -> None:
+        if what == "weight":
+            c.set_weight([1.0, 1.0, 2.0, 2.0, 0.4, 0.2])
+        elif what == "terminal weight":
+            c.set_terminal_weight([1.0, 5.0])
+        else:
+            c.set_parameter("k", 2.0)
+
+    late, without, early = started("parameters"), started("parameters"), started("parameters")
+    x0 = problems.CASES["parameters"].x0
+    late.prepare()
+    without.prepare()
+    change(late)
+    np.testing.assert_array_equal(late.feedback(x0), without.feedback(x0))
+    early.step(x0)
+    change(early)
+    np.testing.assert_array_equal(late.step(x0), early.step(x0))
+    assert np.abs(late.u - without.u).max() < np.inf
+    without.step(x0)
+    assert np.abs(late.u - without.u).max() > 1e-4
+
+
+def test_refused_data_change_nothing() -> None:
+    c, twin = started("parameters"), started("parameters")
+    for call, match in (
+        (lambda: c.set_parameter("k", np.nan), "k"),
+        (lambda: c.set_parameter("g", [0.0, np.inf], node=2), "g"),
+        (lambda: c.set_reference(np.full(6, np.nan)), "reference"),
+        (lambda: c.set_weight(-np.ones(6)), "weight"),
+        (lambda: c.set_bounds("a", 1.0, -1.0), r"'a'.*lower.*above upper"),
+        (lambda: c.set_bounds("a", np.nan, 1.0), "a"),
+        (lambda: c.set_bounds("mix", 0.0, 1.0, node=3), "mix"),
+    ):
+        with pytest.raises(ControllerError, match=match):
+            call()
+    np.testing.assert_array_equal(c.step((1.0, -0.5, 0, 0)), twin.step((1.0, -0.5, 0, 0)))
+
+
+# Closed loops ---------------------------------------------------------------------------------------------------------
+
+
+def loop(c: Controller, x0: Any, steps: int, dt: float = 0.3) -> tuple[np.ndarray, np.ndarray]:
+    """States and controls of the loop with the package's own model as plant."""
+    x, xs, us = np.asarray(x0, dtype=float), [], []
+    for _ in range(steps):
+        u = c.step(x, on_failure="raise")
+        for planned in c.u:
+            assert_safe(c, planned)
+        x = np.asarray(c.integrate(x, u, dt), dtype=float)
+        xs.append(x)
+        us.append(u)
+    return np.array(xs), np.array(us)
+
+
+@pytest.mark.parametrize("name", ["crane", "crane_weight", "crane_looped"])
+def test_crane_comes_to_rest(name: str) -> None:
+    xs, us = loop(problems.controller(name), FAR, 50)
+    assert np.abs(us).max() == 1.0
+    assert np.abs(xs[-1]).max() < 1e-3
+    assert np.abs(us[-1]).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", ["crane", "crane_weight"])
+def test_real_time_iterates_approach_the_optimum(name: str) -> None:
+    """Distance of the applied control from the optimal one for the same state: it falls to round-off."""
+    c, x, distance = problems.controller(name), FAR, []
+    for _ in range(40):
+        u = c.step(x, on_failure="raise")
+        optimal = c.copy().solve(x, tol=1e-10)
+        assert optimal.status == Status.OK
+        distance.append(abs(u[0] - optimal.u[0, 0]))
+        x = np.asarray(c.integrate(x, u, 0.3))
+    assert max(distance[:5]) > 1e-4
+    assert max(distance[-5:]) < 1e-2 * max(distance[:10])
+    assert max(distance[-5:]) < 1e-5
+
+
+def test_profiles_agree() -> None:
+    loops = [loop(problems.controller("crane", profile), FAR, 50) for profile in ("fast", "test", "verify")]
+    for xs, us in loops[1:]:
+        np.testing.assert_allclose(xs, loops[0][0], rtol=0, atol=1e-10)
+        np.testing.assert_allclose(us, loops[0][1], rtol=0, atol=1e-9)
+
+
+def test_runs_are_repeatable() -> None:
+    first, again = (loop(problems.controller("crane", "test"), FAR, 20) for _ in range(2))
+    np.testing.assert_array_equal(first[0], again[0])
+    np.testing.assert_array_equal(first[1], again[1])
+
+
+@pytest.mark.parametrize("name", ["crane", "crane_weight"])
+def test_single_precision_loop(name: str) -> None:
+    double, _ = loop(problems.controller(name), FAR, 50)
+    single, _ = loop(problems.controller(name, precision="single"), FAR, 50)
+    assert np.abs(double - single).max() < 1e-3
+
+
+def test_copy_in_mid_run() -> None:
+    c = problems.controller("crane")
+    xs, _ = loop(c, FAR, 5)
+    twin = c.copy()
+    a, b = loop(c, xs[-1], 10), loop(twin, xs[-1], 10)
+    np.testing.assert_array_equal(a[0], b[0])
+    np.testing.assert_array_equal(a[1], b[1])
+
+
+# Shifted plans --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["crane", "path_rows", "parameters"])
+def test_shift_moves_the_plan(name: str) -> None:
+    """x_k <- x_{k+1}, u_k <- u_{k+1}, the last control again and the tail integrated: bit for bit in NumPy."""
+    c = problems.controller(name)
+    x0 = problems.CASES[name].x0
+    c.set_parameter("k", 1.3) if name == "parameters" else None
+    c.solve(x0, tol=1e-8)
+    before = {which: c.view(which).copy() for which in ("x", "u", "lam", "mu_x", "mu_u", "mu", "mu_N", "qp.side")}
+    N, nu, dt = c.dims.N, c.dims.nu, problems.problem(name).dt[0]
+    nodal = c.description.parameters and c.view("p").copy()
+    c.shift()
+    for which in ("x", "lam"):
+        np.testing.assert_array_equal(c.view(which)[:N], before[which][1:])
+    np.testing.assert_array_equal(c.lam[N], before["lam"][N])
+    for which in ("u", "mu_u", "mu"):
+        np.testing.assert_array_equal(c.view(which)[: N - 1], before[which][1:])
+        np.testing.assert_array_equal(c.view(which)[N - 1], before[which][N - 1])
+    np.testing.assert_array_equal(c.mu_x[: N - 1], before["mu_x"][1:N])
+    np.testing.assert_array_equal(c.mu_N, before["mu_N"])
+    side, old = c.view("qp.side"), before["qp.side"]
+    np.testing.assert_array_equal(side[: (N - 1) * nu], old[nu : N * nu])
+    np.testing.assert_array_equal(side[(N - 1) * nu :], old[(N - 1) * nu :])
+    assert old.any()
+    if len(nodal):
+        np.testing.assert_array_equal(c.view("p"), nodal)
+        c.view("p")[0] = nodal[N - 1]
+    np.testing.assert_array_equal(c.x[N], c.integrate(c.x[N - 1], c.u[N - 1], dt))
+
+
+@pytest.mark.parametrize("name", ["crane", "path_rows"])
+def test_step_shifts_from_the_second_sample_on(name: str) -> None:
+    """shift="repeat" is shift() before every prepare() but the first; afterwards x is the plan just computed."""
+    automatic, by_hand = shifting(name), problems.controller(name)
+    x = np.asarray(problems.CASES[name].x0, dtype=float)
+    for n in range(6):
+        if n > 0:
+            by_hand.shift()
+        u = automatic.step(x, on_failure="raise")
+        np.testing.assert_array_equal(u, by_hand.step(x, on_failure="raise"))
+        np.testing.assert_array_equal(automatic.x, by_hand.x)
+        np.testing.assert_array_equal(automatic.u, by_hand.u)
+        np.testing.assert_allclose(automatic.x[0], x, atol=1e-12)
+        x = np.asarray(automatic.integrate(x, u, problems.problem(name).dt[0]))
+
+
+def test_shift_helps() -> None:
+    """A reference that moves with time: the shifted plan starts closer to the optimum of the next sample."""
+
+    def distance(c: Controller) -> float:
+        x, total = np.array([0.9, 0.0]), 0.0
+        times = 0.25 * np.arange(8)
+        for n in range(20):
+            c.set_reference(np.column_stack([0.9 * np.cos(1.5 * (times + 0.25 * n)), np.zeros(8), np.zeros(8)]))
+            u = c.step(x, on_failure="raise")
+            total += float(np.abs(c.u - c.copy().solve(x, tol=1e-9).u).max()) if n > 2 else 0.0
+            x = np.asarray(c.integrate(x, u, 0.25))
+        return total
+
+    assert distance(shifting("references")) < 0.5 * distance(problems.controller("references"))
+
+
+def explosive() -> OCP:
+    """x' = x^3 + u escapes to infinity within the horizon if the control stays."""
+    ocp = OCP("explosive", T=2.0, N=4)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: x**3 + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    return ocp
+
+
+def test_shift_of_a_tail_that_explodes() -> None:
+    """The new end of the plan is finite, whatever the model does there: the controller stays usable."""
+    c = build(explosive())
+    c.x[:] = 1e60
+    c.u[:] = 0.0
+    c.shift()
+    assert np.isfinite(c.x).all()
+
+
+def test_not_prepared_after_shift_and_reset() -> None:
+    for call in ("shift", "reset"):
+        c = started()
+        c.prepare()
+        getattr(c, call)()
+        c.feedback(FAR)
+        assert c.status == Status.NOT_PREPARED
+
+
+def test_texts_of_the_statuses() -> None:
+    """Every status has a sentence of its own, for people."""
+    texts = [s.meaning for s in Status]
+    assert len(set(texts)) == len(texts)
+    assert all(re.fullmatch(r"[a-z].{5,}", text) for text in texts)

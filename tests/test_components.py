@@ -1,0 +1,200 @@
+"""What every registered component promises: protocol, template, features, costs, and options that defend themselves."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from typing import Any
+
+import pytest
+
+from nmpc_codegen import OptionError, Options
+from nmpc_codegen.analyse import analyse
+from nmpc_codegen.cmodule import Field, Macro, Struct, struct_layout
+from nmpc_codegen.component import SEAMS, Component, Dims, refuse_unsupported
+from nmpc_codegen.kernel import OpCount
+from nmpc_codegen.linearize import Linearization, linearize
+from nmpc_codegen.lower import _dims, lower, qp_rows
+from nmpc_codegen.options import REGISTRIES, Online
+from nmpc_codegen.render import render, template_directory
+from nmpc_codegen.sweep import Routine
+from tests.models import discrete_map, problem_of
+
+COMPONENTS = [cls for seam in SEAMS for cls in REGISTRIES[seam].values()]
+every_component = pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls.__name__)
+
+#: Every feature that analyse() can find.
+FEATURES = {
+    "soft rows",
+    "coupled rows",
+    "free initial state",
+    "general cost",
+    "integrated cost",
+    "accumulators",
+}
+
+#: Macro names that lower.py and render.py decide themselves.
+OWN_MACROS = {f.upper() for f in ("MANY", "MAGIC", "PANEL", "PARAMS", "ALL", "OK")}
+
+
+def linearization(cls: type) -> Linearization:
+    """A tiny problem with the component among the options."""
+    seam = cls.seam  # type: ignore[attr-defined]
+    discrete = seam == "integrator" and cls.name == "discrete"  # type: ignore[attr-defined]
+    ocp = discrete_map() if discrete else problem_of("reactor", uniform=False)
+    ocp.subject_to(-1, ocp.x[0] + ocp.u[0], 1, name="row")
+    return linearize(analyse(ocp), Options(**{seam: cls()}))
+
+
+def parts(cls: type) -> tuple[Any, Linearization, Dims]:
+    lin = linearization(cls)
+    return getattr(lin.options, cls.seam), lin, _dims(lin, len(qp_rows(lin.problem)))  # type: ignore[attr-defined]
+
+
+@every_component
+def test_is_a_frozen_dataclass_with_defaults(cls: type) -> None:
+    component = cls()
+    assert dataclasses.is_dataclass(cls)
+    for field in dataclasses.fields(cls):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(component, field.name, getattr(component, field.name))
+    assert component == cls()
+    assert hash(component) == hash(cls())
+    assert repr(component).startswith(f"{cls.__name__}(")
+
+
+@every_component
+def test_has_every_member_of_the_protocol(cls: type) -> None:
+    """Class variables of their type, methods with the parameters that lower.py passes."""
+    for name in ("seam", "name", "template"):
+        assert isinstance(getattr(cls, name), str)
+        assert name in vars(cls), f"{name} is a class variable of the component itself"
+    assert isinstance(cls.needs, tuple)  # type: ignore[attr-defined]
+    assert isinstance(cls.supports, frozenset)  # type: ignore[attr-defined]
+    for method in ("routines", "sizes", "structs", "cost"):
+        wanted = list(inspect.signature(getattr(Component, method)).parameters)
+        assert list(inspect.signature(getattr(cls, method)).parameters) == wanted, method
+
+
+@every_component
+def test_template_exists_and_is_included(cls: type) -> None:
+    path = template_directory() / cls.template  # type: ignore[attr-defined]
+    assert path.is_file()
+    module = lower(linearization(cls))
+    assert cls.template in {section.template for section in module.sections}  # type: ignore[attr-defined]
+    assert f"/* ==== {cls.seam}: {cls.name} =" in render(module)[f"{module.name}.c"]  # type: ignore[attr-defined]
+
+
+@every_component
+def test_supports_known_features_and_refuses_the_others(cls: type) -> None:
+    component, lin, _ = parts(cls)
+    assert component.supports <= FEATURES
+    refuse_unsupported(dataclasses.replace(lin.problem, features=component.supports), [component], REGISTRIES)
+    for feature in FEATURES - component.supports:
+        problem = dataclasses.replace(lin.problem, features=frozenset({feature}))
+        with pytest.raises(OptionError, match=f"uses {feature}.*, which {component.seam} '{component.name}'"):
+            refuse_unsupported(problem, [component], REGISTRIES)
+
+
+@every_component
+def test_sizes_structs_and_routines(cls: type) -> None:
+    component, lin, dims = parts(cls)
+    common = {size.text for size in vars(dims).values()} | OWN_MACROS
+    for name, value, doc in component.sizes(dims):
+        assert Macro(name, value, doc)
+        assert name.isupper()
+        assert name not in common
+        assert isinstance(value, int)
+        assert doc
+    for struct in component.structs(dims):
+        assert isinstance(struct, Struct)
+        assert all(isinstance(f, Field) and f.doc for f in struct.fields)
+        assert len({f.name for f in struct.fields}) == len(struct.fields)
+    routines = component.routines(lin.problem)
+    assert all(isinstance(r, Routine) and r.doc for r in routines)
+    assert len({r.name for r in routines}) == len(routines)
+
+
+@every_component
+def test_costs_are_of_functions_in_its_own_section(cls: type) -> None:
+    component, lin, dims = parts(cls)
+    module = lower(lin)
+    known = {r.name: r.count for r in lin.routines} | module.products.counts
+    cost = component.cost(dims, known)
+    text = render(module)[f"{module.name}.c"]
+    section = text[text.index(f"/* ==== {component.seam}: ") :].split("/* ==== ")[1]
+    for name, count in cost.items():
+        assert isinstance(count, OpCount)
+        assert f" {name}(" in section
+        assert name not in known
+
+
+def test_macros_structs_and_routines_of_all_components_are_apart() -> None:
+    for cls in COMPONENTS:
+        lin = linearization(cls)
+        module = lower(lin)
+        macros = [m.name for m in module.macros]
+        assert len(set(macros)) == len(macros)
+        structs = [s.name for s in module.structs]
+        assert len(set(structs)) == len(structs)
+        names = [r.name for r in lin.routines]
+        assert len(set(names)) == len(names)
+        members = [f.name for f in module.structs[-1].fields]
+        assert len(set(members)) == len(members)
+        assert struct_layout(module.structs, "double")["solver"][0] == module.bytes
+
+
+@every_component
+def test_needs_name_seams(cls: type) -> None:
+    assert set(cls.needs) <= set(SEAMS) - {cls.seam}  # type: ignore[attr-defined]
+
+
+# Options --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seam", SEAMS)
+@pytest.mark.parametrize("bad", ["word", 3, object, Options])
+def test_options_list_what_is_allowed(seam: str, bad: object) -> None:
+    names = [cls.__name__ for cls in REGISTRIES[seam].values()]
+    with pytest.raises(OptionError, match=rf"{seam}: .*expected {names[0]}\(\.\.\.\)") as caught:
+        Options(**{seam: bad})  # type: ignore[arg-type]
+    assert all(name in str(caught.value) for name in names)
+
+
+@pytest.mark.parametrize("seam", ["hessian", "algorithm"])
+def test_seams_without_a_choice_are_not_none(seam: str) -> None:
+    with pytest.raises(OptionError, match=f"{seam}: None"):
+        Options(**{seam: None})  # type: ignore[arg-type]
+
+
+def test_components_stand_under_their_own_seam_only() -> None:
+    for cls in COMPONENTS:
+        for seam in set(SEAMS) - {cls.seam}:
+            with pytest.raises(OptionError, match=f"{seam}: "):
+                Options(**{seam: cls()})
+
+
+@pytest.mark.parametrize("precision", ["half", "float", None, 64])
+def test_precision(precision: Any) -> None:
+    with pytest.raises(OptionError, match=r"precision: .*; expected one of double, single"):
+        Options(precision=precision)
+
+
+@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(Online)])
+def test_online(field: str) -> None:
+    assert Online() == Online(**{field: getattr(Online(), field)})
+    with pytest.raises(OptionError, match=f"online.{field}: 'fixed'"):
+        Online(**{field: "fixed"})
+    with pytest.raises(OptionError, match=r"online: .*expected Online"):
+        Options(online=field)  # type: ignore[arg-type]
+
+
+def test_what_is_not_given_is_chosen_and_said() -> None:
+    ode, discrete = (linearize(analyse(ocp), Options()) for ocp in (problem_of("crane"), discrete_map()))
+    assert ode.options.integrator.name == "explicit_runge_kutta"
+    assert discrete.options.integrator.name == "discrete"
+    for lin in (ode, discrete):
+        for seam in ("integrator", "condensing", "qp"):
+            assert any(choice.startswith(f"{seam}: {getattr(lin.options, seam).name};") for choice in lin.choices)
+    given = Options(*(getattr(ode.options, seam) for seam in SEAMS))
+    assert linearize(analyse(problem_of("crane")), given).choices == ()

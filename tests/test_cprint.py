@@ -1,0 +1,115 @@
+"""Numbers and kernels as C text."""
+
+from __future__ import annotations
+
+import ctypes
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nmpc_codegen.cprint import CStyle, comment, print_kernel, signature
+from nmpc_codegen.kernel import Instruction, Kernel, Port
+from tests.c_harness import shared_library
+
+DOUBLE, SINGLE = CStyle("real", False), CStyle("real", True)
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_a_literal_reads_back_to_the_same_number(value: float) -> None:
+    text = DOUBLE.literal(value)
+    assert float(text) == value
+    assert any(c in text for c in ".e"), "an integer literal would divide as integers"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1, "1.0"), (-2.0, "-2.0"), (0.1, "0.1"), (1e-5, "1e-05"), (1e300, "1e+300"), (3e22, "3e+22")]
+)
+def test_literals(value: float, text: str) -> None:
+    assert DOUBLE.literal(value) == text
+    assert SINGLE.literal(value) == text + "f"
+
+
+def test_the_compiler_reads_what_was_meant() -> None:
+    """Literals through the C compiler, bit by bit."""
+    values = [0.1, -1 / 3, 1e-300, 5e-324, 1.7976931348623157e308, 123456789.0, 2.0**-1074, np.pi]
+    lines = ["double value(int i);", "double value(int i)", "{", "    static const double v[] = {"]
+    lines += [f"        {DOUBLE.literal(v)}," for v in values] + ["    };", "    return v[i];", "}", ""]
+    library = shared_library({"v.c": "\n".join(lines).replace(",\n    };", "\n    };")}, "v.c")
+    library.value.restype = ctypes.c_double
+    assert [library.value(i) for i in range(len(values))] == values
+
+
+def test_functions_of_the_precision() -> None:
+    assert DOUBLE.function("sin") == "sin"
+    assert SINGLE.function("sin") == "sinf"
+
+
+IN = (Port("x", 2), Port("p", 0))
+OUT = (Port("y", 2, 2, "a matrix"), Port("z", 1))
+
+
+def test_signature() -> None:
+    expected = "static void f(const real *x, const real *p, real *y, real *z)"
+    assert signature("f", IN, OUT, DOUBLE) == expected
+
+
+def test_comment() -> None:
+    expected = "/* y = A x\n *   x [2]\n *   p [0]\n *   y [2 x 2]: a matrix\n *   z [1]\n * 3 add */"
+    assert comment("y = A x", IN, OUT, "3 add") == expected
+
+
+KERNEL = Kernel(
+    "f",
+    "y = a hand-written kernel",
+    IN,
+    OUT,
+    (
+        Instruction(ca.OP_INPUT, (0, 0)),
+        Instruction(ca.OP_INPUT, (0, 1)),
+        Instruction(ca.OP_CONST, (), -0.5),
+        Instruction(ca.OP_MUL, (0, 2)),
+        Instruction(ca.OP_SIN, (3,)),
+        Instruction(ca.OP_NEG, (4,)),
+        Instruction(ca.OP_INV, (1,)),
+    ),
+    ((0, 0, 5), (0, 3, 6)),
+)
+
+TEXT = """\
+/* y = a hand-written kernel
+ *   x [2]
+ *   p [0]
+ *   y [2 x 2]: a matrix
+ *   z [1]
+ * 1 mul, 1 div, 1 call, 1 other */
+static void f(const real *x, const real *p, real *y, real *z)
+{
+    const real x_0 = x[0];
+    const real x_1 = x[1];
+    const real t3 = x_0 * (-0.5);
+    const real t4 = sin(t3);
+    const real t5 = -t4;
+    const real t6 = 1.0 / x_1;
+    y[0] = t5;
+    y[3] = t6;
+    (void)p;
+    (void)z;
+}"""
+
+
+def test_a_whole_kernel() -> None:
+    """Loads first, stores last, unused ports named."""
+    assert print_kernel(KERNEL, DOUBLE) == TEXT
+
+
+def test_a_whole_kernel_in_single_precision() -> None:
+    expected = TEXT.replace("-0.5", "-0.5f").replace("sin(", "sinf(").replace("1.0 /", "1.0f /")
+    assert print_kernel(KERNEL, SINGLE) == expected
+
+
+def test_no_operations() -> None:
+    copy = Kernel("g", "copy", IN[:1], OUT[1:], (Instruction(ca.OP_INPUT, (0, 1)),), ((0, 0, 0),))
+    assert "no operations" in print_kernel(copy, DOUBLE)

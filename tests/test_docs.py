@@ -1,0 +1,234 @@
+"""Documents cannot rot: their code is extracted and run, their links and their claims are followed."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import stat
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from examples.crane import build_ocp
+from nmpc_codegen import OCP, OptionError, build, generate
+from nmpc_codegen.build import WARNINGS
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+FENCE = re.compile(r"^```(\w+)(?: (file|run)(?:=(\S+))?)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its language, the file it is to stand in ("" if it is only run), its text."""
+
+    language: str
+    file: str
+    text: str
+
+
+def blocks(document: str) -> list[Block]:
+    """The fenced blocks of a document in their order."""
+    text = (ROOT / document).read_text(encoding="utf-8")
+    return [Block(m[1], m[3] or "", m[4]) for m in FENCE.finditer(text)]
+
+
+def run(command: list[str], folder: Path, search: tuple[Path, ...]) -> str:
+    """Run a command in a folder with Python looking into ``search`` first; its output."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(map(str, search)),
+        "PATH": os.pathsep.join([str(folder / "bin"), os.environ["PATH"]]),
+        "MPLBACKEND": "Agg",
+    }
+    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
+
+
+# README --------------------------------------------------------------------------------------------------------------
+
+
+def test_readme_walk(tmp_path: Path, compiler: tuple[str, ...]) -> None:
+    """All blocks in their order, in one folder: excerpt, problem file, command line, firmware, Python."""
+    tool = tmp_path / "bin" / "nmpc-export"
+    tool.parent.mkdir()
+    tool.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m nmpc_codegen.cli "$@"\n', encoding="utf-8")
+    tool.chmod(tool.stat().st_mode | stat.S_IXUSR)
+    search = (ROOT / "src",)
+    outputs = []
+    for block in blocks("README.md"):
+        if block.file:
+            (tmp_path / block.file).write_text(block.text, encoding="utf-8")
+        elif block.language == "python":
+            outputs.append(run([sys.executable, "-c", block.text], tmp_path, search))
+        else:
+            assert block.language == "sh"
+            outputs.append(run(["sh", "-ec", block.text], tmp_path, search))
+    _, exported, stepped = outputs
+    assert "check passed" in exported
+    assert "status: OK 60" in exported
+    assert "OK" in stepped
+    assert "status: OK 60" in stepped
+    excerpt = (tmp_path / "out" / "crane" / "crane.c").read_text(encoding="utf-8")
+    assert excerpt == generate(build_ocp())["crane.c"], "the README shows another crane than examples/crane.py"
+    for picture in ("out/crane.png", "cart.png"):
+        assert (tmp_path / picture).stat().st_size > 10_000
+    listed = set(re.findall(r"`([\w.]+)`", "".join(re.findall(r"^\| (`.*?) \|", readme(), re.MULTILINE))))
+    assert {p.name for p in (tmp_path / "cart").iterdir()} == {name for name in listed if "." in name}
+    firmware(tmp_path, compiler)
+
+
+def readme() -> str:
+    return (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def firmware(folder: Path, compiler: tuple[str, ...]) -> None:
+    """The C of the README is free of warnings, links, and drives the cart home."""
+    loop = """
+#include <stdio.h>
+#include "cart.h"
+int controller_start(void);
+cart_real controller_sample(const cart_real measured[CART_NX]);
+int main(void)
+{
+    static cart_solver_t plant;
+    cart_real x[CART_NX] = {1.0, 0.0};
+    cart_real u[CART_NU];
+    int k;
+    cart_init(&plant);
+    if (controller_start() != 0) {
+        return 1;
+    }
+    for (k = 0; k < 100; k++) {
+        u[0] = controller_sample(x);
+        cart_integrate(&plant, x, u, 0.1, x);
+    }
+    printf("%.9f %.9f", x[0], x[1]);
+    return 0;
+}
+"""
+    (folder / "loop.c").write_text(loop, encoding="utf-8")
+    run([*compiler, *WARNINGS, "-Icart", "cart/cart.c", "firmware.c", "loop.c", "-lm", "-o", "loop"], folder, ())
+    position, speed = map(float, run([str(folder / "loop")], folder, ()).split())
+    assert abs(position) < 1e-3
+    assert abs(speed) < 1e-3
+
+
+def _ocp() -> tuple[OCP, ca.SX]:
+    ocp = OCP("refused", T=1.0, N=4)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    return ocp, x
+
+
+@pytest.mark.parametrize(
+    ("feature", "state"),
+    [
+        ("soft rows", lambda ocp, x: ocp.subject_to(-1, x, 1, soft=(1, 1))),
+        ("coupled rows", lambda ocp, x: ocp.boundary(0, ocp.at_start(x) - ocp.at_end(x), 0)),
+        ("free initial state", lambda ocp, x: ocp.free_initial(x)),
+        ("accumulators", lambda ocp, x: ocp.accumulator(x)),
+        ("general cost", lambda ocp, x: ocp.stage_cost(x**4)),
+        ("general cost", lambda ocp, x: ocp.terminal_cost(x**4)),
+        ("integrated cost", lambda ocp, x: ocp.stage_cost(x**4, integrate=True)),
+    ],
+)
+def test_what_is_refused_is_refused_by_name(feature: str, state: Callable[[OCP, ca.SX], None]) -> None:
+    ocp, x = _ocp()
+    assert generate(ocp)
+    state(ocp, x)
+    with pytest.raises(OptionError, match=feature):
+        generate(ocp)
+
+
+# How to add a component ----------------------------------------------------------------------------------------------
+
+
+def changed(text: str, difference: str) -> str:
+    """The text with a difference applied; what the difference expects must stand in it exactly once."""
+    lines = difference.splitlines()
+    old = "\n".join(line[1:] for line in lines if line[0] in " -")
+    new = "\n".join(line[1:] for line in lines if line[0] in " +")
+    assert text.count(old) == 1, old
+    return text.replace(old, new)
+
+
+def test_component_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
+    """The page's edits, applied to a copy of the compiler, give a component that passes the page's test."""
+    assert compiler
+    ignore = shutil.ignore_patterns("__pycache__")
+    for folder in ("src", "templates", "examples"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=ignore)
+    program = []
+    for block in blocks("docs/add-a-component.md"):
+        path = tmp_path / block.file
+        if block.language == "diff":
+            path.write_text(changed(path.read_text(encoding="utf-8"), block.text), encoding="utf-8")
+        elif block.file:
+            assert not path.exists(), f"{block.file} exists by now: the page needs another example"
+            path.write_text(block.text, encoding="utf-8")
+        else:
+            program.append(block.text)
+    search = (tmp_path / "src", tmp_path)
+    run([sys.executable, "-c", "\n".join(program)], tmp_path, search)
+    options = run([sys.executable, "-m", "nmpc_codegen.cli", "--list-options"], tmp_path, search)
+    assert "hessian=scaled_identity" in options
+    export = ["examples/crane.py", "-o", "crane", "--hessian", "scaled_identity", "--set", "hessian.scale=2"]
+    assert "hessian.scale" in options
+    run([sys.executable, "-m", "nmpc_codegen.cli", *export], tmp_path, search)
+    assert "Q = scale I" in (tmp_path / "crane" / "crane.c").read_text(encoding="utf-8")
+
+
+# Claims and links ----------------------------------------------------------------------------------------------------
+
+
+def test_problem_class_scaling_and_signs() -> None:
+    """docs/problem-class.md: the factor 1/2, no dt, no term at N, lam_0 = gradient of the optimal cost in xhat.
+
+    x+ = x + dt u, N = 1: cost = (x^2 + u^2)/2 + w (x + dt u)^2/2 by hand.
+    """
+    dt, w, x0 = 0.5, 3.0, 2.0
+    ocp = OCP("signs", T=dt, N=1)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    ocp.terminal_least_squares(x, weight=w)
+    ocp.subject_to(-1, u, 1)
+    controller = build(ocp, profile="test")
+    solution = controller.solve(np.array([x0]), tol=1e-12)
+    # Free optimum u = -w dt x / (1 + w dt^2) = -12/7 < -1: the lower bound is active.
+    x1 = x0 - dt
+    np.testing.assert_allclose(solution.u, [[-1.0]], rtol=1e-14)
+    np.testing.assert_allclose(solution.cost, (x0**2 + 1) / 2 + w * x1**2 / 2, rtol=1e-14)
+    np.testing.assert_allclose(solution.lam, [[x0 + w * x1], [w * x1]], rtol=1e-13)
+    np.testing.assert_allclose(solution.mu_u, [[1 - w * x1 * dt]], rtol=1e-13)
+    assert solution.mu_u[0, 0] < 0
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
+def test_links_lead_somewhere(document: Path) -> None:
+    text = document.read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", text)
+    assert not [t for t in targets if "://" not in t and not (document.parent / t).exists()]
+
+
+def test_documented_make_targets_exist() -> None:
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    used = {t for d in DOCUMENTS for t in re.findall(r"`make ([a-z]+)|^    make ([a-z]+)", d.read_text(), re.MULTILINE)}
+    names = {name for pair in used for name in pair if name}
+    assert {"demo", "test"} <= names <= targets
+
+
+def test_pictures_are_small() -> None:
+    pictures = list((ROOT / "docs").glob("*.png"))
+    assert pictures
+    assert all(path.stat().st_size < 150_000 for path in pictures)

@@ -1,0 +1,262 @@
+"""The emitted C itself: warnings, symbols, sanitizers, stack, several controllers in one program, two languages."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import problems
+import pytest
+from conftest import require_tool
+
+from benchmarks import quality
+from nmpc_codegen import Options, RealTimeIteration, generate
+from nmpc_codegen.build import CACHE_VARIABLE, load
+from nmpc_codegen.errors import BuildError
+from nmpc_codegen.status import Status
+
+#: Cases whose C differs in structure; dense_changed differs from dense_weight in data only.
+STRUCTURES = tuple(name for name in problems.CASES if name != "dense_changed")
+#: A constraint of every kind, no constraint at all, loops instead of straight-line code.
+FEW = ("path_rows", "tiny", "crane_looped")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compilers() -> None:
+    require_tool("cc")
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_no_warning_as_c99(name: str) -> None:
+    for precision in ("double", "single"):
+        assert quality.warnings_of(problems.sources(name, precision), languages=("C99",)) == ""
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_no_warning_as_cpp17(name: str) -> None:
+    require_tool("cxx")
+    assert quality.warnings_of(problems.sources(name), languages=("C++17",)) == ""
+
+
+@pytest.mark.parametrize("name", FEW)
+def test_no_warning_at_any_level(name: str) -> None:
+    require_tool("cxx")
+    assert quality.warnings_of(problems.sources(name), levels=("-O0", "-O3", "-Os")) == ""
+    assert quality.warnings_of(problems.sources(name, "single"), levels=("-O2",), languages=("C++17",)) == ""
+
+
+def test_warnings_are_seen() -> None:
+    """A narrowing conversion, a double in single precision and an unused constant are counted in both languages."""
+    sources = dict(problems.sources("tiny", "single"))
+    sources["tiny.c"] += (
+        "int tiny_narrow(double x);\nint tiny_narrow(double x) { float y = x; return (int)(y * 2.0); }\n"
+    )
+    found = quality.warnings_of(sources)
+    assert "-Wfloat-conversion" in found
+    assert "-Wdouble-promotion" in found
+    assert quality.compiler_warnings(sources) >= 4
+
+
+@pytest.mark.parametrize("flag", ["-ffast-math", "-ffinite-math-only"])
+def test_fast_math_is_refused(flag: str) -> None:
+    with quality.written(problems.sources("tiny")) as folder:
+        done = quality.compile_c(folder, "-std=c99", "-O2", flag, "-c", "tiny.c")
+    assert done.returncode != 0
+    assert "-ffast-math" in done.stderr
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_symbols(name: str) -> None:
+    """Only the API is external; only <math.h> and memcpy and the like are called; there is no writable data."""
+    assert quality.foreign_symbols(problems.sources(name)) == []
+
+
+def test_api_symbols_are_those_of_the_header() -> None:
+    sources = problems.sources("crane")
+    with quality.written(sources) as folder:
+        quality.compile_c(folder, *quality.RELEASE, "-c", "crane.c").check_returncode()
+        listing = subprocess.run(["nm", "crane.o"], cwd=folder, capture_output=True, text=True, check=True).stdout
+    defined = {line.split()[-1] for line in listing.splitlines() if line.split()[-2] == "T"}
+    assert defined == set(re.findall(r"\b(crane_\w+)\(", sources["crane.h"]))
+    assert len(defined) == 17
+
+
+def test_foreign_symbols_are_seen() -> None:
+    sources = dict(problems.sources("tiny"))
+    sources["tiny.c"] += (
+        "int counter;\nstatic int hidden;\nvoid leak(void);\nvoid *malloc(unsigned long);\n"
+        "int *tiny_more(void);\nint *tiny_more(void) { leak(); hidden++; return malloc(4); }\n"
+    )
+    assert {s.split()[1] for s in quality.foreign_symbols(sources)} == {"counter", "hidden", "leak", "malloc"}
+
+
+@pytest.mark.parametrize("name", sorted(problems.CASES))
+def test_package_includes_nothing_but_math(name: str) -> None:
+    sources = problems.sources(name)
+    prefix = quality.package_name(sources)
+    included = set(re.findall(r'#include [<"](.*)[>"]', sources[f"{prefix}.c"] + sources[f"{prefix}.h"]))
+    assert included == {f"{prefix}.h", "math.h", "stdint.h", "string.h"}
+    code = re.sub(r"/\*.*?\*/", "", sources[f"{prefix}.c"], flags=re.DOTALL)
+    assert not re.search(r"\b(malloc|calloc|free|printf|goto|setjmp|restrict)\b", code)
+
+
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_whole_api_under_sanitizers(name: str) -> None:
+    """Every function with good and bad arguments; AddressSanitizer and UndefinedBehaviorSanitizer find nothing."""
+    assert quality.exercise(problems.sources(name), problems.CASES[name].x0) == ""
+
+
+@pytest.mark.parametrize("name", FEW)
+def test_whole_api_under_sanitizers_in_single_precision(name: str) -> None:
+    assert quality.exercise(problems.sources(name, "single"), problems.CASES[name].x0) == ""
+
+
+def test_shift_under_sanitizers() -> None:
+    sources = generate(problems.path_rows(), Options(algorithm=RealTimeIteration(shift="repeat")))
+    assert quality.exercise(sources, problems.CASES["path_rows"].x0) == ""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("s->yref[n][i] = yref[i];", "s->yref[n + 1][i] = yref[i];"),  # past the last node
+        ("u0[j] = clip(isfinite(u) ? u : 0.0,", "u0[j] = clip(u,"),  # a NaN gets through
+        ("if (!(lower <= upper)", "if (lower > upper"),  # a NaN is taken as a bound
+    ],
+)
+def test_exercise_finds_defects(old: str, new: str) -> None:
+    sources = dict(problems.sources("crane"))
+    assert sources["crane.c"].count(old) == 1
+    sources["crane.c"] = sources["crane.c"].replace(old, new)
+    assert quality.exercise(sources, problems.CASES["crane"].x0) != ""
+
+
+def test_stack(record_property: pytest.RecordProperty) -> None:
+    """No recursion, bounded stack: less than 2 kB for the crane."""
+    for level in ("-O2", "-Os"):
+        stack = quality.stack_use(problems.sources("crane"), level)
+        record_property(f"stack {level}", f"{stack.total} bytes, largest frame {stack.frame}")
+        assert 0 < stack.frame < stack.total < 2048
+
+
+def test_two_controllers_in_one_program() -> None:
+    """Crane, crane under another name and in single precision, interleaved: bit for bit as alone."""
+    runs = quality.run_together(quality.crane_packages(), problems.CASES["crane"].x0)
+    assert set(runs) == {"crane", "crane_b", "crane_f32"}
+    for alone, together in runs.values():
+        assert len(alone) == 30
+        assert alone == together
+    double, twin, single = ([line.split()[1:] for line in alone] for alone, _ in runs.values())
+    assert double == twin
+    assert all(line[1] == "0" for line in double + single)
+    for a, b in zip(double, single, strict=True):
+        assert float.fromhex(a[3]) == pytest.approx(float.fromhex(b[3]), abs=1e-4)
+        assert float.fromhex(a[3]) != float.fromhex(b[3])
+
+
+def test_copy_by_assignment_goes_on_alike() -> None:
+    """A struct copied with '=' in mid-run continues bit for bit as the original, which does not notice."""
+    program = """
+#include <stdio.h>
+#include "crane.h"
+static crane_solver_t a, b;
+static void run(crane_solver_t *s, double *x, int steps, const char *name)
+{
+    double u[CRANE_NU];
+    int n;
+    for (n = 0; n < steps; n++) {
+        const int status = (int)crane_step(s, x, u);
+        crane_integrate(s, x, u, 0.3, x);
+        printf("%s %d %a %a %a\\n", name, status, u[0], x[0], x[2]);
+    }
+}
+int main(void)
+{
+    double x[CRANE_NX] = { 2, 0, 0, 0 }, y[CRANE_NX];
+    int i;
+    crane_init(&a);
+    run(&a, x, 5, "start");
+    b = a;
+    for (i = 0; i < CRANE_NX; i++) {
+        y[i] = x[i];
+    }
+    run(&a, x, 10, "go");
+    run(&b, y, 10, "go");
+    return 0;
+}
+"""
+    with quality.written(problems.sources("crane")) as folder:
+        (folder / "copy.c").write_text(program)
+        quality.compile_c(folder, *quality.RELEASE, "copy.c", "crane.c", "-o", "copy", "-lm").check_returncode()
+        lines = subprocess.run(["./copy"], cwd=folder, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert lines[5:15] == lines[15:]
+    assert len(set(lines[5:15])) == 10
+
+
+def test_statuses() -> None:
+    """The shared order of the status values, in the header and in Python, and a text for every value."""
+    order = (
+        *("OK", "ITERATION_LIMIT", "INFEASIBLE", "RELAXED", "NUMERICAL_FAILURE", "NOT_FINITE", "NOT_PREPARED"),
+        *("NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED"),
+    )
+    sources = problems.sources("crane")
+    assert tuple(s.name for s in Status) == order
+    assert re.findall(r"CRANE_(\w+) = (\d+),? /\*", sources["crane.h"]) == [(n, str(i)) for i, n in enumerate(order)]
+    program = '#include <stdio.h>\n#include "crane.h"\nint main(void) { int i; for (i = -1; i <= 12; i++) { '
+    program += "puts(crane_status_string((crane_status_t)i)); } return 0; }\n"
+    with quality.written(sources) as folder:
+        (folder / "texts.c").write_text(program)
+        quality.compile_c(folder, *quality.RELEASE, "texts.c", "crane.c", "-o", "texts", "-lm").check_returncode()
+        texts = subprocess.run(["./texts"], cwd=folder, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert texts[0] == texts[-1] == "unknown status"
+    assert len(set(texts[1:-1])) == len(order)
+    comments = re.findall(r"CRANE_\w+ = \d+,? /\* (.*?) \*/", sources["crane.h"])
+    assert texts[1:-1] == comments[: len(order)]
+
+
+def test_sources_are_deterministic() -> None:
+    for name in ("path_rows", "crane_looped"):
+        case = problems.CASES[name]
+        assert generate(case.make(), case.options) == problems.sources(name)
+
+
+def test_no_machine_or_date_in_the_sources() -> None:
+    text = "".join(problems.sources("parameters").values())
+    assert str(Path.home()) not in text
+    assert not re.search(r"/(tmp|usr|work|home)/|20[2-9]\d-\d\d", text)
+
+
+@pytest.mark.parametrize("name", ["crane", "parameters", "path_rows"])
+def test_functions_fit_a_screen(name: str) -> None:
+    """At most about 40 lines each, kernels and stage products (printed) apart."""
+    source = problems.sources(name)[f"{quality.package_name(problems.sources(name))}.c"]
+    written = source[source.index("/* Rows of the QP") :]
+    written = re.sub(r"/\* ==== stage products.*?(?=/\* ==== )", "", written, flags=re.DOTALL)
+    found = re.findall(r"^(\w[^;{}]*\))\n\{\n(.*?)^\}$", written, flags=re.DOTALL | re.MULTILINE)
+    assert len(found) > 50
+    assert [(head, body.count("\n")) for head, body in found if body.count("\n") > 45] == []
+
+
+def test_sizes_in_the_header_are_those_of_the_compiler() -> None:
+    sources = problems.sources("crane")
+    stated = re.search(r"one crane_solver_t is (\d+) bytes", sources["crane.h"])
+    assert stated is not None
+    assert f"{stated[1]} |" in sources["README.md"]
+    check = f'#include "crane.h"\ntypedef char size[sizeof(crane_solver_t) == {stated[1]} ? 1 : -1];\n'
+    with quality.written(sources) as folder:
+        (folder / "size.c").write_text(check)
+        assert quality.compile_c(folder, "-std=c99", "-fsyntax-only", "size.c").returncode == 0
+
+
+def test_failed_build_can_be_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lock of the cache is free again although the exception, and with it the frame of build(), still lives."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    sources = dict(problems.sources("tiny"))
+    sources["tiny.c"] += "this is no C\n"
+    with pytest.raises(BuildError) as first:
+        load(sources, "tiny", "test")
+    with pytest.raises(BuildError) as second:
+        load(sources, "tiny", "test")
+    assert "tiny.c" in str(first.value)
+    assert "tiny.c" in str(second.value)

@@ -1,0 +1,125 @@
+"""Stated operation counts against the generated C run with a counting scalar, class by class.
+
+Every printed routine, every stage product in both spellings, every function that a component states a cost for, and
+the sums in the table of contents.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable
+
+import pytest
+
+from benchmarks.counting import CLASSES, count_mismatches, counting_header, mismatches
+from nmpc_codegen import OCP, ExplicitRungeKutta, GaussNewton, Options, RealTimeIteration, products
+from nmpc_codegen.analyse import analyse
+from nmpc_codegen.integrators import TABLEAUS
+from nmpc_codegen.kernel import OpCount
+from nmpc_codegen.linearize import linearize
+from nmpc_codegen.lower import lower
+from nmpc_codegen.options import REGISTRIES
+from nmpc_codegen.render import render
+from tests import problems
+from tests.c_harness import module_of
+from tests.models import discrete_map, problem_of
+from tests.test_condensing import PROBLEMS, SPELLINGS
+
+CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
+    **{f"condensing {name}": (make, Options()) for name, make in PROBLEMS.items()},
+    **{
+        f"tableau {name}": (lambda: problem_of("reactor", uniform=False), Options(ExplicitRungeKutta(tableau, 2)))
+        for name, tableau in TABLEAUS.items()
+    },
+    **{
+        f"unroll {unroll}": (lambda: problem_of("tanks"), Options(ExplicitRungeKutta(steps=3, unroll=unroll)))
+        for unroll in ("all", "step", "none", "auto")
+    },
+    "discrete": (discrete_map, Options()),
+    "dense weight": (problems.dense_weight, Options(hessian=GaussNewton(levenberg_marquardt=0.1))),
+    "scaled": (problems.scaled, Options(algorithm=RealTimeIteration())),
+    "tiny": (problems.tiny, Options(precision="single")),
+}
+
+
+@pytest.fixture(autouse=True)
+def cxx(need: Callable[[str], str]) -> None:
+    need("g++")
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_stated_counts_are_counted(case: str) -> None:
+    make, options = CASES[case]
+    assert count_mismatches(make(), options) == []
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_both_spellings_of_the_products(name: str, spelling: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(products, "WRITTEN_OUT", SPELLINGS[spelling])
+    module = module_of(PROBLEMS[name]())
+    assert spelling in module.products.template
+    assert mismatches(module, render(module)) == []
+
+
+def test_what_is_stated_covers_routines_products_and_components() -> None:
+    module = module_of(PROBLEMS["general"]())
+    stated = set(module.metadata["report"]["operations"])
+    assert {r.name for r in module.routines} <= stated
+    assert set(module.products.counts) <= stated
+    assert {"hessian", "linearize", "condense_hessian", "condense_gradient", "condense_embed"} <= stated
+    assert {"condense_expand", "qp_forward", "qp_backward"} <= stated
+
+
+def test_a_wrong_count_is_found() -> None:
+    """One operation more, in a routine, a product and components, in every class; the others still agree."""
+    module = module_of(problem_of("reactor"))
+    functions = ("integrator_interval", "state_step", "condense_hessian", "linearize", "path_gradient")
+    wrong = dict(zip(functions, CLASSES, strict=True))
+    operations = dict(module.metadata["report"]["operations"])
+    for function, cls in wrong.items():
+        operations[function] = {**operations[function], cls: operations[function][cls] + 1}
+    report = {**module.metadata["report"], "operations": operations}
+    altered = dataclasses.replace(module, metadata={**module.metadata, "report": report})
+    found = mismatches(altered, render(module))
+    assert {name for name, _, _ in found} == set(functions)
+    for name, stated, counted in found:
+        assert {cls: stated[cls] - counted[cls] for cls in CLASSES} == {cls: int(cls == wrong[name]) for cls in CLASSES}
+
+
+def test_sections_of_the_table_of_contents() -> None:
+    """The figure of a section is the sum over its functions, and it is what the text prints."""
+    module = module_of(PROBLEMS["general"]())
+    operations = {name: OpCount(**count) for name, count in module.metadata["report"]["operations"].items()}
+    expected = {
+        "condensing": ("condense_hessian", "condense_gradient", "condense_embed", "condense_expand"),
+        "hessian": ("hessian",),
+        "algorithm": ("linearize",),
+        "qp": ("qp_forward", "qp_backward"),
+        "integrator": (),
+    }
+    assert set(expected) == set(REGISTRIES)
+    text = render(module)[f"{module.name}.c"]
+    for section in module.sections:
+        functions = expected[section.title.split(":")[0]]
+        total = sum((operations[f] for f in functions), OpCount())
+        assert (section.count or OpCount()) == total
+        line = next(line for line in text.splitlines() if section.template in line)
+        assert re.search(rf" {total.total if functions else '-'} operations", line)
+    for routine in module.routines:
+        line = next(line for line in text.splitlines() if line.startswith(f" *   {routine.name} "))
+        assert line.endswith(f" {routine.count.total} operations")
+
+
+def test_the_counting_scalar_replaces_the_type_in_both_precisions() -> None:
+    for ctype in ("double", "float"):
+        assert counting_header(f"typedef {ctype} a_real;\n", "a") == "typedef counted a_real;\n"
+    with pytest.raises(ValueError, match="a_real"):
+        counting_header("typedef long double a_real;", "a")
+
+
+def test_lower_states_the_same_counts_twice() -> None:
+    """lower() is a pure function: asking again changes nothing."""
+    lin = linearize(analyse(problem_of("crane")), Options())
+    assert lower(lin).metadata == lower(lin).metadata

@@ -1,0 +1,177 @@
+"""solve() of the generated C against IPOPT, and its KKT residuals and cost against those recomputed in NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import problems
+import pytest
+from problems import CASES
+
+from nmpc_codegen import OCP, build
+from nmpc_codegen.controller import Controller
+from nmpc_codegen.evaluation import evaluate_cost, kkt_residuals
+from nmpc_codegen.status import Solution, Status
+
+MULTIPLIERS = ("lam", "mu_x", "mu_u", "mu", "mu_N")
+
+
+def relative(a: Any, b: Any) -> float:
+    """Largest difference per component, relative to max(1, largest |b| of the component)."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    return float(np.max(np.abs(a - b) / np.maximum(1.0, np.max(np.abs(b), axis=0, initial=0.0)), initial=0.0))
+
+
+def assert_equal_to_ipopt(name: str, solution: Solution, tolerance: float = 1e-6) -> None:
+    reference = problems.reference(name)
+    assert reference.success
+    assert solution.status == Status.OK
+    assert relative(solution.u, reference.u) <= tolerance
+    assert relative(solution.x, reference.x) <= tolerance
+    assert abs(solution.cost - reference.cost) <= 1e-2 * tolerance * abs(reference.cost)
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_equal_to_ipopt(name: str) -> None:
+    """In profile "fast", where gcc 12 once dropped a call (the pragma in solver.c.jinja)."""
+    case = CASES[name]
+    solution = problems.controller(name).solve(case.x0, tol=1e-10)
+    assert_equal_to_ipopt(name, solution)
+    assert problems.active_kinds(name, solution) >= case.active
+    residuals = kkt_residuals(problems.problem(name), problems.point(solution), problems.case_data(name), case.tableau)
+    assert residuals.worst <= 2e-10
+    assert problems.is_regular(name, solution)
+    for which in MULTIPLIERS:
+        assert relative(getattr(solution, which), getattr(problems.reference(name), which)) <= 1e-5
+
+
+@pytest.mark.parametrize("profile", ["test", "verify"])
+@pytest.mark.parametrize("name", ["crane", "crane_weight"])
+def test_every_profile(name: str, profile: str) -> None:
+    """The same iterations in every profile, to round-off."""
+    solution = problems.controller(name, profile).solve(CASES[name].x0, tol=1e-10)
+    assert_equal_to_ipopt(name, solution)
+    fast = problems.controller(name).solve(CASES[name].x0, tol=1e-10)
+    assert solution.iterations == fast.iterations
+    np.testing.assert_allclose(solution.u, fast.u, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("name", "tol"), [("crane", 2e-3), ("path_rows", 1e-4), ("dense_weight", 1e-4)])
+def test_single_precision(name: str, tol: float) -> None:
+    """The crane's multipliers reach 80, so that its residuals cannot be as small as the others'."""
+    solution = problems.controller(name, precision="single").solve(CASES[name].x0, tol=tol)
+    assert_equal_to_ipopt(name, solution, 1e-3)
+
+
+def perturbed(name: str) -> tuple[Controller, Any]:
+    """A controller at an iterate that is not optimal; multipliers keep their signs and zeros."""
+    c = problems.controller(name)
+    c.solve(CASES[name].x0, tol=1e-10)
+    rng = np.random.default_rng(7)
+    for which in ("x", "u", *MULTIPLIERS):
+        view = c.view(which)
+        view *= 1 + 0.3 * rng.uniform(-1, 1, view.shape)
+        if which in ("x", "u", "lam"):
+            view += 0.2 * rng.uniform(-1, 1, view.shape)
+    return c, problems.point(c)
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_kkt_residuals(name: str) -> None:
+    """kkt() away from the solution, where no part is zero by itself."""
+    c, point = perturbed(name)
+    ours = c.kkt()
+    theirs = kkt_residuals(problems.problem(name), point, problems.case_data(name), CASES[name].tableau)
+    assert theirs.worst > 1e-2
+    assert ours.stationarity == pytest.approx(theirs.stationarity, rel=1e-10)
+    assert ours.equality == pytest.approx(theirs.equality, rel=1e-10)
+    assert ours.inequality == pytest.approx(theirs.inequality, rel=1e-10)
+    rows = problems.problem(name).rows
+    if all(r.lower < r.upper for r in rows):  # the C leaves equalities to the part "inequality"
+        assert ours.complementarity == pytest.approx(theirs.complementarity, rel=1e-10)
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_cost(name: str) -> None:
+    c, point = perturbed(name)
+    data = problems.case_data(name)
+    expected = evaluate_cost(problems.problem(name), point.x, point.u, data, CASES[name].tableau)
+    assert c.cost == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["crane", "crane_weight"])
+def test_crane_kkt(name: str) -> None:
+    """What solve() stopped on is what NumPy finds at the same point."""
+    solution = problems.controller(name).solve(CASES[name].x0, tol=1e-8)
+    theirs = kkt_residuals(problems.problem(name), problems.point(solution), problems.case_data(name))
+    for part in ("stationarity", "equality", "inequality", "complementarity"):
+        assert getattr(solution.kkt, part) <= 1e-8
+        assert getattr(theirs, part) <= 1e-8
+
+
+def test_warm_start_needs_no_iteration() -> None:
+    c = problems.controller("path_rows")
+    first = c.solve(CASES["path_rows"].x0, tol=1e-9)
+    again = c.solve(CASES["path_rows"].x0, tol=1e-9)
+    assert first.iterations > 2
+    assert again.iterations == 0
+    np.testing.assert_array_equal(again.u, first.u)
+
+
+def test_start_elsewhere() -> None:
+    """From another guess, and for another xhat, the same answer as IPOPT's."""
+    c = problems.controller("crane")
+    c.solve((0.3, 0.0, 0.0, 0.0))
+    c.u[:] = 0.7
+    assert_equal_to_ipopt("crane", c.solve(CASES["crane"].x0, tol=1e-10))
+
+
+def test_iteration_limit() -> None:
+    c = problems.controller("crane")
+    solution = c.solve(CASES["crane"].x0, tol=1e-10, max_iterations=1)
+    assert solution.status == Status.ITERATION_LIMIT
+    assert solution.iterations == 1
+    assert solution.kkt.equality > 1e-10
+    assert c.status == Status.ITERATION_LIMIT
+
+
+def test_infeasible_and_recovered() -> None:
+    """The elastic QP leads to a point of least violation, which is no solution; the next solve forgets it."""
+    c = problems.controller("crane")
+    solution = c.solve((1.0, 0.0, 0.5, 0.0))
+    assert solution.status == Status.INFEASIBLE
+    assert np.isfinite(c.x).all()
+    assert solution.kkt.inequality > 1e-3
+    assert np.abs(solution.u).max() <= 1.0
+    assert_equal_to_ipopt("crane", c.solve(CASES["crane"].x0, tol=1e-10))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_state_not_finite(bad: float) -> None:
+    c = problems.controller("crane")
+    assert c.solve((0.0, bad, 0.0, 0.0)).status == Status.NOT_FINITE
+    assert_equal_to_ipopt("crane", c.solve(CASES["crane"].x0, tol=1e-10))
+
+
+def test_never_ok_without_being_solved() -> None:
+    """Full Gauss-Newton steps cycle on the terminal disc: the status says so, and the residuals are the true ones."""
+    ocp: OCP = problems.disc()
+    solution = build(ocp).solve((1.0, 0.0), tol=1e-8)
+    assert solution.status == Status.ITERATION_LIMIT
+    assert max(vars(solution.kkt).values()) > 1e-3
+    assert np.isfinite(solution.x).all()
+
+
+def test_single_interval_by_hand() -> None:
+    """x' = u, one Euler-exact interval: min 1/2 (W x0^2 + R u^2 + P (x0 + T u)^2), u = -P T x0 / (R + P T^2)."""
+    ocp = OCP("point", T=0.5, N=1)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(u, weight=[0.2])
+    ocp.terminal_least_squares(x, weight=[3.0])
+    solution = build(ocp).solve((2.0,), tol=1e-12)
+    expected = -3.0 * 0.5 * 2.0 / (0.2 + 3.0 * 0.25)
+    assert solution.u[0, 0] == pytest.approx(expected, rel=1e-14)
+    assert solution.lam[1, 0] == pytest.approx(3.0 * (2.0 + 0.5 * expected), rel=1e-13)
+    assert solution.cost == pytest.approx(0.1 * expected**2 + 1.5 * (2.0 + 0.5 * expected) ** 2, rel=1e-14)
