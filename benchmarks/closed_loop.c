@@ -1,7 +1,9 @@
 /* Times the closed loop of one package in C, the package's own model as plant.
- * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'; arguments: runs steps period amplitude x0...
- * Every `period` steps all states are disturbed by amplitude * U(-1, 1). Prints per run: median us of prepare + feedback,
- * of feedback, the largest total, failed steps, QP iterations per step. */
+ * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'. Arguments:
+ *     runs steps dt period amplitude x0...  set_points [y... y_N...]...  pushes [u...]
+ * Every `period` steps all states are disturbed by amplitude * U(-1, 1), the next set point is taken (references of path
+ * and end, in turn), and the plant runs `pushes` samples under u. Prints per run: median us of prepare + feedback, of
+ * feedback, the largest total, failed steps, QP iterations per step and at most. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>
@@ -13,6 +15,15 @@
 #define JOIN(a, b) JOIN_(a, b)
 #define API(name) JOIN(NAME, name)
 #define SIZE(name) JOIN(MACRO, name)
+
+enum { POINT = SIZE(_NY) + SIZE(_NY_N) };
+
+typedef struct {
+    int runs, steps, period, n_points, pushes;
+    double dt, amplitude;
+    API(_real) x0[SIZE(_NX)], push[SIZE(_NU)];
+    API(_real) *points; /* n_points rows (y, y_N) */
+} scenario_t;
 
 static API(_solver_t) solver;
 
@@ -29,42 +40,94 @@ static int ascending(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+static char **take(char **argument, int n, API(_real) *out)
+{
+    int i;
+    for (i = 0; i < n; i++) {
+        out[i] = (API(_real))atof(argument[i]);
+    }
+    return argument + n;
+}
+
+static void read_scenario(scenario_t *c, char **argument)
+{
+    c->runs = atoi(*argument++);
+    c->steps = atoi(*argument++);
+    c->dt = atof(*argument++);
+    c->period = atoi(*argument++);
+    c->amplitude = atof(*argument++);
+    argument = take(argument, SIZE(_NX), c->x0);
+    c->n_points = atoi(*argument++);
+    c->points = malloc((size_t)(1 + c->n_points * POINT) * sizeof *c->points);
+    argument = take(argument, c->n_points * POINT, c->points);
+    c->pushes = atoi(*argument++);
+    take(argument, c->pushes > 0 ? SIZE(_NU) : 0, c->push);
+}
+
+/* What happens before step n: nothing, except every `period` steps. */
+static void event(const scenario_t *c, int n, API(_real) *x)
+{
+    int i;
+    if (n % c->period != 0) {
+        return;
+    }
+    for (i = 0; i < SIZE(_NX); i++) {
+        x[i] += (API(_real))(c->amplitude * (2.0 * rand() / RAND_MAX - 1.0));
+    }
+    if (c->n_points > 0) {
+        const API(_real) *point = c->points + n / c->period % c->n_points * POINT;
+        API(_set_reference)(&solver, SIZE(_ALL), point);
+        API(_set_terminal_reference)(&solver, point + SIZE(_NY));
+    }
+    for (i = 0; i < c->pushes; i++) {
+        API(_integrate)(&solver, x, c->push, (API(_real))c->dt, x);
+    }
+}
+
+static void run(const scenario_t *c, double *total, double *feedback)
+{
+    API(_real) x[SIZE(_NX)], u[SIZE(_NU)];
+    double iterations = 0.0;
+    int failed = 0, most = 0, n, i;
+    srand(1);
+    for (i = 0; i < SIZE(_NX); i++) {
+        x[i] = c->x0[i];
+    }
+    API(_init)(&solver);
+    for (n = 0; n < c->steps; n++) {
+        double start, middle, end;
+        event(c, n, x);
+        start = microseconds();
+        API(_prepare)(&solver);
+        middle = microseconds();
+        failed += API(_feedback)(&solver, x, u) != 0;
+        end = microseconds();
+        total[n] = end - start;
+        feedback[n] = end - middle;
+        iterations += solver.stats.qp_iterations;
+        most = solver.stats.qp_iterations > most ? solver.stats.qp_iterations : most;
+        API(_integrate)(&solver, x, u, (API(_real))c->dt, x);
+    }
+    qsort(total, (size_t)c->steps, sizeof *total, ascending);
+    qsort(feedback, (size_t)c->steps, sizeof *feedback, ascending);
+    printf("%.4f %.4f %.4f %d %.4f %d\n", total[c->steps / 2], feedback[c->steps / 2], total[c->steps - 1], failed,
+        iterations / c->steps, most);
+}
+
 int main(int argc, char **argv)
 {
-    const int runs = atoi(argv[1]), steps = atoi(argv[2]), period = atoi(argv[3]);
-    const double amplitude = atof(argv[4]);
-    double *total = malloc((size_t)steps * sizeof *total), *feedback = malloc((size_t)steps * sizeof *feedback);
-    int run, n, i;
+    scenario_t c;
+    double *total, *feedback;
+    int k;
     (void)argc;
-    for (run = 0; run < runs; run++) {
-        API(_real) x[SIZE(_NX)], u[SIZE(_NU)];
-        int failed = 0;
-        double iterations = 0.0;
-        srand(1);
-        for (i = 0; i < SIZE(_NX); i++) {
-            x[i] = (API(_real))atof(argv[5 + i]);
-        }
-        API(_init)(&solver);
-        for (n = 0; n < steps; n++) {
-            double start, middle, end;
-            for (i = 0; n % period == 0 && i < SIZE(_NX); i++) {
-                x[i] += (API(_real))(amplitude * (2.0 * rand() / RAND_MAX - 1.0));
-            }
-            start = microseconds();
-            API(_prepare)(&solver);
-            middle = microseconds();
-            failed += API(_feedback)(&solver, x, u) != 0;
-            end = microseconds();
-            total[n] = end - start;
-            feedback[n] = end - middle;
-            iterations += solver.stats.qp_iterations;
-            API(_integrate)(&solver, x, u, interval_length[0], x);
-        }
-        qsort(total, (size_t)steps, sizeof *total, ascending);
-        qsort(feedback, (size_t)steps, sizeof *feedback, ascending);
-        printf("%.4f %.4f %.4f %d %.4f\n", total[steps / 2], feedback[steps / 2], total[steps - 1], failed, iterations / steps);
+    read_scenario(&c, argv + 1);
+    total = malloc((size_t)c.steps * sizeof *total);
+    feedback = malloc((size_t)c.steps * sizeof *feedback);
+    for (k = 0; k < c.runs; k++) {
+        run(&c, total, feedback);
     }
     free(total);
     free(feedback);
+    free(c.points);
     return 0;
 }

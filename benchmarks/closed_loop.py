@@ -18,8 +18,35 @@ DRIVER = Path(__file__).with_name("closed_loop.c")
 
 
 @dataclass(frozen=True)
+class Scenario:
+    """A closed loop from x0 with samples of dt (s), the controller's model as plant.
+
+    At every sample n with n % period == 0, in this order: all states get amplitude U(-1, 1); set point n / period (in
+    turn) becomes the reference (y, y_N) of all nodes and of the end; the plant runs ``pushes`` samples under ``push``.
+    """
+
+    x0: Sequence[float]
+    dt: float
+    period: int
+    amplitude: float = 0.0
+    set_points: Sequence[tuple[Sequence[float], Sequence[float]]] = ()
+    push: Sequence[float] = ()
+    pushes: int = 0
+
+    def arguments(self) -> list[str]:
+        """Command line of closed_loop.c from dt on."""
+        numbers = [self.dt, self.period, self.amplitude, *self.x0, len(self.set_points)]
+        numbers += [value for point in self.set_points for part in point for value in part]
+        numbers += [self.pushes, *(self.push if self.pushes else ())]
+        return [repr(v) if isinstance(v, int) else repr(float(v)) for v in numbers]
+
+
+@dataclass(frozen=True)
 class Timing:
-    """Over runs of the median over steps, us: minimum and median; failures and QP iterations per step."""
+    """Over runs of the median over steps, us: minimum and median; failures and QP iterations per step.
+
+    ``slowest``: minimum over runs of the largest total, which leaves out what the operating system did in one run.
+    """
 
     total: float
     feedback: float
@@ -28,6 +55,7 @@ class Timing:
     slowest: float
     failed: int
     qp_iterations: float
+    qp_iterations_max: int
     samples: int
 
 
@@ -42,21 +70,17 @@ def compile_driver(sources: Sources, name: str, folder: Path, flags: Sequence[st
     return program
 
 
-def closed_loop(
-    sources: Sources,
-    name: str,
-    x0: Sequence[float],
-    *,
-    amplitude: float,
-    period: int,
-    runs: int = 15,
-    steps: int = 1000,
-) -> Timing:
+def pinned_core() -> set[int]:
+    """The core on which everything is timed."""
+    return {max(os.sched_getaffinity(0))}
+
+
+def closed_loop(sources: Sources, name: str, scenario: Scenario, *, runs: int = 15, steps: int = 1000) -> Timing:
     """Time a package; the process is pinned to one core."""
+    core = pinned_core()
     with tempfile.TemporaryDirectory() as folder:
         program = compile_driver(sources, name, Path(folder))
-        command = [str(program), str(runs), str(steps), str(period), repr(amplitude), *(repr(float(v)) for v in x0)]
-        core = {max(os.sched_getaffinity(0))}
+        command = [str(program), str(runs), str(steps), *scenario.arguments()]
         text = subprocess.run(
             command, check=True, capture_output=True, text=True, preexec_fn=lambda: os.sched_setaffinity(0, core)
         ).stdout
@@ -69,5 +93,6 @@ def closed_loop(
         slowest=float(table[:, 2].min()),
         failed=int(table[:, 3].max()),
         qp_iterations=float(table[:, 4].mean()),
+        qp_iterations_max=int(table[:, 5].max()),
         samples=runs * steps,
     )

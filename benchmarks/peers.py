@@ -20,7 +20,8 @@ class SqpMethod:
     """
 
     def __init__(self, problem: Problem, qpsol: str = "qpoases") -> None:
-        assert not problem.path.nh and not problem.terminal.nh and not problem.np
+        if problem.path.nh or problem.terminal.nh or problem.np:
+            raise ValueError(f"{problem.name}: the peer takes neither general rows nor parameters")
         self.problem = problem
         N, nx, nu = problem.N, problem.nx, problem.nu
         Phi = interval_map(problem)

@@ -6,6 +6,7 @@ n balls, the first fixed, M = n - 2 free: nx = 6 M + 3, nu = 3; N = 40 intervals
 from __future__ import annotations
 
 import sys
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -23,7 +24,7 @@ def accelerations(free: list, end: ca.SX) -> list:
     rest, stiffness = 0.033 * 6 / (M + 1), STIFFNESS * (M + 1)
     points = [ca.SX(3, 1), *free, end]
     pulls = []
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in pairwise(points):
         d = b - a
         pulls.append(stiffness / MASS * (1 - rest / ca.sqrt(ca.dot(d, d))) * d)
     return [pulls[i + 1] - pulls[i] - ca.vertcat(0, 0, GRAVITY) for i in range(M)]
@@ -35,7 +36,7 @@ def rest_shape(n: int) -> np.ndarray:
     x = ca.SX.sym("x", 3 * M)
     f = ca.Function("f", [x], [ca.vertcat(*accelerations([x[3 * i : 3 * i + 3] for i in range(M)], ca.SX(ca.DM(END))))])
     guess = np.concatenate([[(i + 1) / (M + 1), 0.0, -0.3] for i in range(M)])
-    return np.asarray(fsolve(lambda v: np.array(f(v)).ravel(), guess, xtol=1e-14))
+    return np.asarray(fsolve(lambda v: np.array(f(v)).ravel(), guess, xtol=1e-12))
 
 
 def build_ocp(n: int = 5, N: int = 40) -> OCP:

@@ -20,7 +20,7 @@ HOVER = MASS * GRAVITY / 4
 def build_ocp(start: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> OCP:
     """The quadrotor at rest at ``start`` (m), to be brought to the origin."""
     ocp = OCP("quadrotor", T=1.0, N=20)
-    pos = ocp.state("pos", size=3, unit="m", initial=start)
+    ocp.state("pos", size=3, unit="m", initial=start)
     vel = ocp.state("vel", size=3, unit="m/s")
     phi, theta, psi = (ocp.state(name, unit="rad") for name in ("phi", "theta", "psi"))
     p, q, r = (ocp.state(name, unit="rad/s") for name in ("p", "q", "r"))

@@ -85,12 +85,12 @@ extern "C" {
 void test_init(test_qp_t *q);
 int test_factorize(test_qp_t *q);
 int test_solve(test_qp_t *q);
-void test_shift(test_qp_t *q, int n);
+void test_shift(test_qp_t *q, int n, const int *source);
 int test_size(void);
 void test_init(test_qp_t *q) { qp_init(q); }
 int test_factorize(test_qp_t *q) { return (int)qp_factorize(q); }
 int test_solve(test_qp_t *q) { return (int)qp_solve(q); }
-void test_shift(test_qp_t *q, int n) { qp_shift_working_set(q, n); }
+void test_shift(test_qp_t *q, int n, const int *source) { qp_shift_working_set(q, n, source); }
 int test_size(void) { return (int)sizeof(test_qp_t); }
 #ifdef __cplusplus
 }
@@ -160,14 +160,17 @@ class QP:
         self["g"][: self.nv] = g
         return STATUSES[self.library.test_solve(self._pointer)]
 
-    def run(self, H, g, A, lower, upper) -> str:
+    def run(self, H, g, A, lower, upper, penalty=np.inf) -> str:
         """Both phases; the status of the one that failed, else of qp_solve."""
         self.load(H, A, lower, upper)
+        self["penalty"][: self.ng] = penalty
         status = self.factorize()
         return status if status != "OK" else self.solve(g)
 
-    def shift(self, n: int) -> None:
-        self.library.test_shift(self._pointer, n)
+    def shift(self, n: int, source=None) -> None:
+        """``source``: per general row the row whose prediction it takes, default itself."""
+        rows = np.arange(self.ng) if source is None else source
+        self.library.test_shift(self._pointer, n, (ctypes.c_int * max(1, self.ng))(*rows))
 
     @property
     def z(self) -> np.ndarray:

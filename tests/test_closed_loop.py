@@ -14,6 +14,7 @@ import pytest
 from nmpc_codegen import OCP, DenseActiveSet, Options, RealTimeIteration, build
 from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.lower import qp_rows
 from nmpc_codegen.status import Status
 
 FAR = np.array([2.0, 0.0, 0.0, 0.0])  # feasible, six controls at bounds
@@ -354,6 +355,13 @@ def test_copy_in_mid_run() -> None:
 # Shifted plans --------------------------------------------------------------------------------------------------------
 
 
+def later_rows(name: str) -> list[int]:
+    """Position in the QP of the same row one node later, or of the row itself where it has no later one."""
+    rows = qp_rows(problems.problem(name))
+    position = {(k, identity): m for m, (k, _, _, identity) in enumerate(rows)}
+    return [position.get((k + 1, identity), m) for m, (k, _, _, identity) in enumerate(rows)]
+
+
 @pytest.mark.parametrize("name", ["crane", "path_rows", "parameters"])
 def test_shift_moves_the_plan(name: str) -> None:
     """x_k <- x_{k+1}, u_k <- u_{k+1}, the last control again and the tail integrated: bit for bit in NumPy."""
@@ -375,7 +383,8 @@ def test_shift_moves_the_plan(name: str) -> None:
     np.testing.assert_array_equal(c.mu_N, before["mu_N"])
     side, old = c.view("qp.side"), before["qp.side"]
     np.testing.assert_array_equal(side[: (N - 1) * nu], old[nu : N * nu])
-    np.testing.assert_array_equal(side[(N - 1) * nu :], old[(N - 1) * nu :])
+    np.testing.assert_array_equal(side[(N - 1) * nu : N * nu], old[(N - 1) * nu : N * nu])
+    np.testing.assert_array_equal(side[N * nu :], [old[N * nu + m] for m in later_rows(name)])
     assert old.any()
     if len(nodal):
         np.testing.assert_array_equal(c.view("p"), nodal)
@@ -447,3 +456,75 @@ def test_texts_of_the_statuses() -> None:
     texts = [s.meaning for s in Status]
     assert len(set(texts)) == len(texts)
     assert all(re.fullmatch(r"[a-z].{5,}", text) for text in texts)
+
+
+def shifted(shift: str, **options: float) -> Controller:
+    """A pendulum whose last state counts time, prepared with a plan that is not constant."""
+    ocp = OCP("shifted", T=1.0, N=5)
+    phi, omega, time = ocp.state("phi", initial=0.5), ocp.state("omega"), ocp.state("time")
+    u = ocp.control("u")
+    ocp.dynamics({phi: omega, omega: -9.81 * ca.sin(phi) + u, time: 1 + 0.1 * phi})
+    ocp.least_squares(ca.vertcat(phi, omega, u), weight=[1.0, 0.1, 0.1])
+    ocp.subject_to(-2, u, 2)
+    c = build(ocp, Options(algorithm=RealTimeIteration(shift=shift, **options)))
+    assert c.solve((0.5, 0.0, 0.0)).status == Status.OK
+    return c
+
+
+def test_shift_periodic() -> None:
+    """u_{N-1} <- old u_0, and the states follow from x_1 by integration."""
+    c = shifted("periodic")
+    x, u = c.x.copy(), c.u.copy()
+    c.shift()
+    np.testing.assert_array_equal(c.u, np.vstack([u[1:], u[:1]]))
+    np.testing.assert_array_equal(c.x[0], x[1])
+    for k in range(5):
+        np.testing.assert_allclose(c.x[k + 1], c.integrate(c.x[k], c.u[k], 0.2), atol=1e-14)
+
+
+@pytest.mark.parametrize("sampling", [0.03, 0.2, 0.5, 1.7])
+def test_shift_resample(sampling: float) -> None:
+    """The old plan read later: states integrated along it, controls averaged over the moved intervals."""
+    c = shifted("resample", sampling_time=sampling)
+    x, u, lam = c.x.copy(), c.u.copy(), c.lam.copy()
+    c.shift()
+    times = np.linspace(0, 1, 6)
+
+    def state(t: float) -> np.ndarray:
+        n = min(int(np.floor(t / 0.2 + 1e-9)), 4)
+        return np.asarray(c.integrate(x[n], u[n], t - times[n]))
+
+    def mean_control(a: float, b: float) -> float:
+        grid = np.linspace(a, b, 20001)
+        middle = (grid[1:] + grid[:-1]) / 2
+        return float(np.mean(u[np.minimum((middle / 0.2).astype(int), 4), 0]))
+
+    for k in range(6):
+        np.testing.assert_allclose(c.x[k], state(times[k] + sampling), atol=1e-9)
+        expected = [np.interp(times[k] + sampling, times, lam[:, i]) for i in range(3)]
+        np.testing.assert_allclose(c.lam[k], expected, atol=1e-12)
+    for k in range(5):
+        np.testing.assert_allclose(c.u[k, 0], mean_control(times[k] + sampling, times[k + 1] + sampling), atol=1e-3)
+
+
+def test_shift_resample_by_an_interval_is_repeat() -> None:
+    resampled, repeated = shifted("resample", sampling_time=0.2), shifted("repeat")
+    resampled.shift()
+    repeated.shift()
+    np.testing.assert_allclose(resampled.x, repeated.x, atol=1e-12)
+    np.testing.assert_allclose(resampled.u, repeated.u, atol=1e-12)
+
+
+def test_shift_resample_on_a_non_uniform_grid() -> None:
+    """With the plan of an undisturbed plant, the resampled plan starts where the plant is."""
+    ocp = OCP("grid", intervals=[0.1, 0.2, 0.4])
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: -x + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    c = build(ocp, Options(algorithm=RealTimeIteration(shift="resample", sampling_time=0.05)))
+    sol = c.solve((1.0,))
+    plant = c.integrate(np.array([1.0]), sol.u[0], 0.05)
+    c.shift()
+    np.testing.assert_allclose(c.x[0], plant, atol=1e-12)
+    assert sol.u[0, 0] != sol.u[1, 0]
+    np.testing.assert_allclose(c.u[0], (sol.u[0] + sol.u[1]) / 2, atol=1e-12)

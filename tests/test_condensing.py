@@ -248,9 +248,9 @@ def test_patterns_are_not_all_dense() -> None:
     """The sparse problem has what its comment promises, else nothing is shown about empty rows and columns."""
     p = package("sparse", "nonzeros").module.products
     assert sorted(p.S) == [(0, 0), (0, 1), (1, 1), (1, 4), (3, 5)]
-    assert p.unread_A == [2, 3]
-    assert p.unread_w == [2]
-    assert p.unread_g == [1, 2, 3]
+    assert p.read_A == [0, 1]
+    assert p.read_w == [0, 1, 3]
+    assert p.read_g == [0]
     assert sorted(p.Q) == [(0, 0), (4, 4)]
     assert not p.Q_N
 

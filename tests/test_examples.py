@@ -62,7 +62,7 @@ def test_crane_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert min(picture.shape[:2]) > 200
     assert picture[..., :3].std() > 0.01
     printed = capsys.readouterr().out
-    assert "ram_bytes" in printed
+    assert "bytes of memory" in printed
     assert "50" in printed
 
 

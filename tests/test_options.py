@@ -67,8 +67,11 @@ BAD: list[tuple[Callable[[], Any], list[str]]] = [
     (lambda: DenseActiveSet(max_iterations=0), ["max_iterations: 0", "positive integer", "None"]),
     (lambda: DenseActiveSet(max_iterations=1.5), ["max_iterations: 1.5", "positive integer"]),
     (lambda: DenseActiveSet(max_iterations=True), ["max_iterations: True", "positive integer"]),
-    (lambda: RealTimeIteration(shift="periodic"), ["shift: 'periodic'", "None", '"repeat"']),
-    (lambda: RealTimeIteration(shift=True), ["shift: True", '"repeat"']),
+    (lambda: RealTimeIteration(shift="once"), ["shift: 'once'", "None", "'repeat'", "'periodic'", "'resample'"]),
+    (lambda: RealTimeIteration(shift=True), ["shift: True", "'repeat'"]),
+    (lambda: RealTimeIteration(shift="resample"), ["sampling_time: None", "resample"]),
+    (lambda: RealTimeIteration(shift="repeat", sampling_time=0.1), ["sampling_time: 0.1", "'repeat'"]),
+    (lambda: RealTimeIteration(shift="resample", sampling_time=-1.0), ["sampling_time: -1.0", "> 0"]),
     (lambda: Online(reference="fixed"), ["online.reference: 'fixed'", '"node"']),
     (lambda: Online(weight="node"), ["online.weight: 'node'", '"shared"']),
     (lambda: Online(bounds="node"), ["online.bounds: 'node'", '"shared"']),
@@ -119,9 +122,10 @@ def test_integrator_must_fit_the_dynamics() -> None:
         generate(ocp, Options(integrator=ExplicitRungeKutta()))
 
 
-def test_shift_clashes_with_a_non_uniform_grid() -> None:
-    with pytest.raises(OptionError, match=r'shift="repeat".*clashes.*non-uniform grid'):
-        generate(integrator_ocp(intervals=[0.1, 0.2]), Options(algorithm=RealTimeIteration(shift="repeat")))
+@pytest.mark.parametrize("shift", ["repeat", "periodic"])
+def test_shift_clashes_with_a_non_uniform_grid(shift: str) -> None:
+    with pytest.raises(OptionError, match=rf'shift="{shift}".*clashes.*non-uniform grid'):
+        generate(integrator_ocp(intervals=[0.1, 0.2]), Options(algorithm=RealTimeIteration(shift=shift)))
 
 
 def test_choices_are_reported() -> None:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import problems
 import pytest
 from problems import CASES
 
-from nmpc_codegen import OCP, build
+from nmpc_codegen import OCP, GaussNewton, Options, build
+from nmpc_codegen.analyse import analyse
 from nmpc_codegen.controller import Controller
 from nmpc_codegen.evaluation import evaluate_cost, kkt_residuals
+from nmpc_codegen.reference import solve_reference
 from nmpc_codegen.status import Solution, Status
 
 MULTIPLIERS = ("lam", "mu_x", "mu_u", "mu", "mu_N")
@@ -175,3 +178,32 @@ def test_single_interval_by_hand() -> None:
     assert solution.u[0, 0] == pytest.approx(expected, rel=1e-14)
     assert solution.lam[1, 0] == pytest.approx(3.0 * (2.0 + 0.5 * expected), rel=1e-13)
     assert solution.cost == pytest.approx(0.1 * expected**2 + 1.5 * (2.0 + 0.5 * expected) ** 2, rel=1e-14)
+
+
+def test_convex_rows_make_the_disc_converge() -> None:
+    """The curvature of an active convex row, which plain Gauss-Newton lacks: equal to IPOPT in a few iterations."""
+    ocp = problems.disc()
+    solution = build(ocp, Options(hessian=GaussNewton(convex_rows=True))).solve((1.0, 0.0), tol=1e-8)
+    reference = solve_reference(analyse(ocp), x0=[1.0, 0.0])
+    assert solution.status == Status.OK
+    assert solution.iterations <= 15
+    np.testing.assert_allclose(solution.u, reference.u, atol=1e-6)
+    np.testing.assert_allclose(solution.cost, reference.cost, rtol=1e-8)
+
+
+def test_concave_rows_are_left_out() -> None:
+    """Outside of a disc: the curvature is negative definite, the iterates are those of plain Gauss-Newton."""
+    solutions = []
+    for convex_rows in (False, True):
+        ocp = OCP("outside", T=1.0, N=4)
+        x, y = ocp.state("x", initial=1.0), ocp.state("y", initial=0.4)
+        u, w = ocp.control("u"), ocp.control("w")
+        ocp.dynamics({x: u, y: w})
+        ocp.least_squares(ca.vertcat(x, y, u, w), weight=[1.0, 1.0, 0.1, 0.1], reference=[-1.0, 0.2, 0.0, 0.0])
+        ocp.subject_to(0.25, x**2 + y**2, np.inf)
+        solutions.append(build(ocp, Options(hessian=GaussNewton(convex_rows=convex_rows))).solve((1.0, 0.4)))
+    plain, convex = solutions
+    assert plain.status == convex.status == Status.OK
+    assert np.abs(plain.mu).max() > 1e-3
+    assert plain.iterations == convex.iterations
+    np.testing.assert_array_equal(plain.u, convex.u)

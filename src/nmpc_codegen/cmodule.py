@@ -124,11 +124,46 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Setting:
+    """Data that init() copies from the table of declared values into a member of the solver.
+
+    ``copies`` of ``entries`` numbers each: 1 or N for data of the path; 2 or N + 1, the last one terminal, for data of
+    all nodes; 1 for data of the terminal node alone.
+    """
+
+    field: Field
+    table: str
+    copies: Size
+    entries: Size
+
+    @property
+    def first(self) -> str:
+        """Address of the first number in the solver *s."""
+        return f"&s->{self.field.name}{'[0]' * len(self.field.shape)}"
+
+
+@dataclass(frozen=True)
+class Setter:
+    """Functions that change one kind of data (a word of Online) at run time; ``nodes``: what k may be besides ALL."""
+
+    option: str
+    nodes: str
+
+    @property
+    def template(self) -> str:
+        return f"settings/{self.option}.c.jinja"
+
+
+@dataclass(frozen=True)
 class Section:
-    """One section of the .c: its title, template, exact operation count (None: depends on data) and bytes of RAM."""
+    """One section of the .c: its title, template, exact operation count (None: depends on data) and bytes of RAM.
+
+    ``parts`` are templates that the template includes where the component chooses between several.
+    """
 
     title: str
     template: str
+    parts: tuple[str, ...]
     count: OpCount | None
     bytes: int
 
@@ -143,6 +178,9 @@ class CModule:
     enums: tuple[Enum, ...]
     structs: tuple[Struct, ...]  # "solver" last
     tables: tuple[Table, ...]
+    settings: tuple[Setting, ...]
+    setters: tuple[Setter, ...]
+    layouts: Mapping[str, str]  # reference, weight, bounds, parameter -> fixed, shared, node
     routines: tuple[Routine, ...]
     products: Products
     sections: tuple[Section, ...]
@@ -185,7 +223,7 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
 
 
 #: Prefixes whose API would bear the name of an internal function: integrator_step, path_cost, qp_init, ...
-TAKEN_PREFIXES = ("adjoint", "algorithm", "condense", "integrator", "path", "qp", "state", "take", "terminal")
+TAKEN_PREFIXES = ("adjoint", "algorithm", "condense", "integrator", "path", "qp", "qp_conjugate", "state", "take", "terminal")
 
 
 def check_prefix(name: str) -> None:

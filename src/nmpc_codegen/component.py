@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol
 from nmpc_codegen.errors import OptionError
 
 if TYPE_CHECKING:
-    from nmpc_codegen.cmodule import Size, Struct
+    from nmpc_codegen.cmodule import Size, Struct, Table
     from nmpc_codegen.kernel import OpCount
     from nmpc_codegen.problem import Problem, Row
     from nmpc_codegen.sweep import Routine
@@ -59,6 +59,15 @@ class Component(Protocol):
         """Functions lifted from CasADi that its template calls."""
         ...
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Templates that its template includes, where it chooses between several."""
+        ...
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """Constant tables that its template reads."""
+        ...
+
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Further compile-time sizes: (macro without prefix, value, meaning)."""
         ...
@@ -85,9 +94,8 @@ def refuse_unsupported(
             where = f" ({named})" if named else ""
             able = [name for name, cls in registries[component.seam].items() if feature in cls.supports]
             offer = f"choose {' or '.join(able)}" if able else f"no {component.seam} of this version does"
-            raise OptionError(
-                f"{problem.name} uses {feature}{where}, which {component.seam} {component.name!r} does not support; {offer}"
-            )
+            refused = f"which {component.seam} {component.name!r} does not support"
+            raise OptionError(f"{problem.name} uses {feature}{where}, {refused}; {offer}")
 
 
 def _uses(row: Row, feature: str) -> bool:

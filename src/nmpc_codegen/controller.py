@@ -467,7 +467,8 @@ class Controller:
             if member is None:
                 raise AttributeError(f"the algorithm of {self._library.name} has no {path!r}")
             here, struct = here[part], member.type
-            here = here[(..., *(slice(n) for n in member.shape))] if member.shape else here
+            true_shape: Any = (..., *(slice(n) for n in member.shape))
+            here = here[true_shape] if member.shape else here
         return here
 
     def _optional(self, name: str) -> Array:

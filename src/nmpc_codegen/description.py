@@ -106,6 +106,7 @@ class Description:
     dt: tuple[float, ...]
     discrete: bool
     statuses: tuple[str, ...]
+    online: Mapping[str, str]  # reference, weight, bounds, parameter -> fixed, shared, node
     options: str
     report: Mapping[str, Any]
 
@@ -192,9 +193,17 @@ def _parse(raw: Mapping[str, Any]) -> Description:
         dt=tuple(float(d) for d in raw["dt"]),
         discrete=bool(raw["discrete"]),
         statuses=tuple(raw["statuses"]),
+        online=_layouts(raw["online"]),
         options=raw["options"],
         report=raw["report"],
     )
+
+
+def _layouts(raw: Mapping[str, Any]) -> Mapping[str, str]:
+    for kind in ("reference", "weight", "bounds", "parameter"):
+        if raw[kind] not in ("fixed", "shared", "node"):
+            raise ValueError(f"online {kind} {raw[kind]!r}")
+    return dict(raw)
 
 
 def _member(raw: Mapping[str, Any]) -> Member:

@@ -37,12 +37,17 @@ class Linearization:
 def linearize(problem: Problem, options: Options) -> Linearization:
     """Problem -> Linearization. Raises OptionError for a combination that no component supports."""
     complete, choices = _choose(problem, options)
+    online = complete.online
+    path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
+    problem = replace(problem, path=path, terminal=terminal)
     refuse_unsupported(problem, complete.components, REGISTRIES)
     routines: list[Routine] = [r for c in complete.components for r in c.routines(problem)]
     routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal")]
     hessian = next(r for r in routines if r.name == "path_hessian")
-    varying = {"x", "u", "p"} if problem.uniform else {"x", "u", "p", "dt"}
-    return Linearization(problem, complete, choices, tuple(routines), not (varying & _inputs_read(hessian)))
+    varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
+    varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
+    constant = not varying & _inputs_read(hessian) and all(r.name != "path_curvature" for r in routines)
+    return Linearization(problem, complete, choices, tuple(routines), constant)
 
 
 def _choose(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,8 @@ from nmpc_codegen.cmodule import (
     Field,
     Macro,
     Section,
+    Setter,
+    Setting,
     Size,
     Struct,
     Table,
@@ -46,6 +50,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         Section(
             f"{c.seam}: {c.name}",
             c.template,
+            c.parts,
             _section_count(c.cost(dims, known)),
             sum(layout[s.name][0] * int(np.prod(s_shape(s))) for s in c.structs(dims) if s.name != "solver"),
         )
@@ -59,6 +64,9 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         enums=_enums(problem),
         structs=structs,
         tables=_tables(lin, rows),
+        settings=_settings(lin, dims),
+        setters=_setters(lin),
+        layouts=lin.options.online.layouts,
         routines=lin.routines,
         products=products,
         sections=sections,
@@ -182,20 +190,10 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
 
 def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
     nodes = Size("N + 1", dims.N.value + 1)
-    two = Size("2", 2)
-    p = lin.problem
-    weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
-    weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
     common = [
         Field("x", (nodes, dims.nx), "states of the plan", "iterate"),
         Field("u", (dims.N, dims.nu), "controls of the plan", "iterate"),
-        Field("p", (nodes, dims.np), "parameters", "setting"),
-        Field("yref", (dims.N, dims.ny), "references of the path residual", "setting"),
-        Field("yref_N", (dims.ny_N,), "reference of the terminal residual", "setting"),
-        Field("W", weight, "weight of the path residual", "setting"),
-        Field("W_N", weight_N, "weight of the terminal residual", "setting"),
-        Field("lower", (two, dims.nr), "lower bounds of the rows: path, terminal", "setting"),
-        Field("upper", (two, dims.nr), "upper bounds of the rows: path, terminal", "setting"),
+        *(setting.field for setting in _settings(lin, dims)),
     ]
     results = [
         Field("stats", (), "counters", "result", "stats"),
@@ -211,6 +209,55 @@ def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
         "solver", "the whole controller: no pointers, copy it with '='", (*common, *own_members, *members, *results)
     )
     return (*_result_structs(), *inner, solver)
+
+
+def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
+    """Members that hold what can be changed at run time; fixed data have none."""
+    p, layouts = lin.problem, lin.options.online.layouts
+    weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
+    weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
+    one = Size("1", 1)
+    path = {"shared": one, "node": dims.N}
+    every = {"shared": Size("2", 2), "node": Size("N + 1", dims.N.value + 1)}
+    which = {"shared": "path, terminal", "node": "every node"}
+
+    def setting(
+        option: str, name: str, table: str, shape: tuple[Size, ...], copies: Mapping[str, Size] | None, doc: str
+    ) -> list[Setting]:
+        layout = layouts[option]
+        if layout == "fixed":
+            return []
+        entries = Size(" * ".join(s.text for s in shape), math.prod(s.value for s in shape))
+        count = copies[layout] if copies else one
+        leading = (count,) if copies else ()
+        suffix = f": {which[layout]}" if option == "bounds" else ""
+        return [Setting(Field(name, (*leading, *shape), doc + suffix, "setting"), table, count, entries)]
+
+    return (
+        *setting("parameter", "p", "default_parameter", (dims.np,), every, "parameters"),
+        *setting("reference", "yref", "default_reference", (dims.ny,), path, "references of the path residual"),
+        *setting(
+            "reference", "yref_N", "default_terminal_reference", (dims.ny_N,), None, "reference of the terminal residual"
+        ),
+        *setting("weight", "W", "default_weight", weight, path, "weight of the path residual"),
+        *setting("weight", "W_N", "default_terminal_weight", weight_N, None, "weight of the terminal residual"),
+        *setting("bounds", "lower", "default_lower", (dims.nr,), every, "lower bounds of the rows"),
+        *setting("bounds", "upper", "default_upper", (dims.nr,), every, "upper bounds of the rows"),
+    )
+
+
+#: What k may be besides ALL, for every kind of data that a package lets change.
+_NODES = {
+    "reference": {"shared": "no node", "node": "0 .. N - 1"},
+    "weight": {"shared": "no node", "node": "0 .. N - 1"},
+    "parameter": {"shared": "N", "node": "0 .. N"},
+    "bounds": {"shared": "N, if the row holds there", "node": "a node of the row"},
+}
+
+
+def _setters(lin: Linearization) -> tuple[Setter, ...]:
+    layouts = lin.options.online.layouts
+    return tuple(Setter(name, nodes[layouts[name]]) for name, nodes in _NODES.items() if layouts[name] != "fixed")
 
 
 def _result_structs() -> tuple[Struct, ...]:
@@ -255,6 +302,7 @@ def _tables(lin: Linearization, rows: list[tuple[int, int, int, int]]) -> tuple[
     longest_step = max(p.dt) / _steps(lin)
     first = [sum(1 for r in rows if r[0] < k) for k in range(p.N + 2)]
     offsets = [s.offset for s in p.parameters] + [p.np]
+    fixed = lin.options.online.parameter == "fixed"
     return (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
@@ -269,13 +317,13 @@ def _tables(lin: Linearization, rows: list[tuple[int, int, int, int]]) -> tuple[
         real("default_upper", [r.upper for r in p.rows], "upper bounds of the rows"),
         integer("control_reference", p.control_reference, "residual that holds the reference of control j, or -1"),
         integer("control_row", _control_rows(p), "row that bounds control j, or -1"),
-        integer("row_has_terminal", [p.N in r.nodes for r in p.rows], "1: the row holds at node N"),
         integer("row_node", [r[0] for r in rows], "node of QP row m"),
         integer("row_general", [r[1] for r in rows], "1: general row, 0: state bound"),
         integer("row_index", [r[2] for r in rows], "component of h or x"),
         integer("row_id", [r[3] for r in rows], "scalar row of the user"),
         integer("row_first", first, "first QP row of node k"),
-        integer("parameter_offset", offsets, "first element of a parameter in p"),
+        *([] if fixed else [integer("parameter_offset", offsets, "first element of a parameter in p")]),
+        *(table for component in lin.options.components for table in component.tables(p)),
     )
 
 
@@ -361,6 +409,7 @@ def _metadata(
         "discrete": p.discrete,
         "statuses": [s.name for s in STATUSES],
         "shift": getattr(lin.options.algorithm, "shift", None),
+        "online": lin.options.online.layouts,
         "options": repr(lin.options),
         "report": _report(lin, structs, products),
     }

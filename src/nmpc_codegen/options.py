@@ -21,27 +21,37 @@ REGISTRIES: dict[str, dict[str, Any]] = {
 
 PRECISIONS = ("double", "single")
 
-_ONLINE = {"reference": "node", "weight": "shared", "bounds": "shared", "parameter": "node"}
+LAYOUTS = ("fixed", "shared", "node")
 
 
 @dataclass(frozen=True)
 class Online:
-    """Which data can be changed at run time, and whether per node or shared by all path nodes.
+    """Which data can be changed at run time, and how they are stored.
 
-    This version has one layout: references and parameters per node, weights and bounds shared (one for the path, one
-    for the terminal node).
+    "fixed": the declared values, a constant table without a setter; "shared": one for all path nodes and one for the
+    terminal node; "node": one for every node. ``dense_weight`` stores the whole matrix of a weight that is declared
+    diagonal, so that one with entries off its diagonal can be set.
     """
 
     reference: str = "node"
     weight: str = "shared"
     bounds: str = "shared"
     parameter: str = "node"
+    dense_weight: bool = False
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if value != _ONLINE[f.name]:
-                raise OptionError(f'online.{f.name}: {value!r}; this version supports "{_ONLINE[f.name]}" only')
+        for name, layout in self.layouts.items():
+            if layout not in LAYOUTS:
+                raise OptionError(f"online.{name}: {layout!r}; expected one of {', '.join(LAYOUTS)}")
+        if not isinstance(self.dense_weight, bool):
+            raise OptionError(f"online.dense_weight: {self.dense_weight!r}; expected True or False")
+        if self.dense_weight and self.weight == "fixed":
+            raise OptionError('online.dense_weight=True clashes with online.weight="fixed": no weight can be set')
+
+    @property
+    def layouts(self) -> dict[str, str]:
+        """Kind of data -> how it is stored."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "dense_weight"}
 
 
 @dataclass(frozen=True)

@@ -90,6 +90,7 @@ class Stage:
     h: Any  # SX (nh,): general rows
     h_names: tuple[str, ...]
     cost_rate: Any = None  # SX scalar: general cost per unit of time, integrated with the dynamics, or None
+    dense_weight: bool = False  # the weight is stored as a matrix even if it has no entry off its diagonal
 
     @property
     def nx(self) -> int:
@@ -109,8 +110,8 @@ class Stage:
 
     @property
     def diagonal_weight(self) -> bool:
-        """True if the weight has no entry off its diagonal."""
-        return bool(np.count_nonzero(self.weight - np.diag(np.diag(self.weight))) == 0)
+        """True if the weight is stored as its diagonal: it has no entry off it, and none can be set."""
+        return not self.dense_weight and bool(np.count_nonzero(self.weight - np.diag(np.diag(self.weight))) == 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -62,8 +62,7 @@ def render(module: CModule) -> Sources:
         "dim": lambda macro: _dim(macro, module),
         "values": lambda table: _values(table, style),
         "print_routine": lambda routine: print_routine(routine, style),
-        "W": "s->W" if module.diagonal_weight else "&s->W[0][0]",
-        "W_N": "s->W_N" if module.diagonal_weight_N else "&s->W_N[0][0]",
+        **_data(module),
         "initial": ", ".join(style.literal(v) for s in module.metadata["states"] for v in s["value"]),
         "dt": style.literal(module.metadata["dt"][0]),
     }
@@ -77,6 +76,42 @@ def render(module: CModule) -> Sources:
     sources = {path: _tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = json.dumps(module.metadata, indent=1, allow_nan=False) + "\n"
     return sources
+
+
+def _data(module: CModule) -> dict[str, Any]:
+    """Where the templates find the data that may change at run time; fixed ones in their tables.
+
+    yref(k), weight(k), param(k) at the path node k, yref_N, weight_N, param_N at the terminal one: pointers.
+    path_bound("lower", k, row) at a path node, row_bound("lower", k, row) at any: numbers. k and row are C texts.
+    copies("p"): how many of the member the solver holds.
+    """
+    layouts, N = module.layouts, f"{module.macro}_N"
+    matrix = "" if module.diagonal_weight else "[0]"
+
+    def member(option: str, text: str, table: str) -> str:
+        return table if layouts[option] == "fixed" else text
+
+    def at(option: str, k: str, shared: str = "0") -> str:
+        return k if layouts[option] == "node" else shared
+
+    def weight(k: str) -> str:
+        text = f"s->W[{at('weight', k)}]{matrix}"
+        return member("weight", f"&{text}[0]" if matrix else text, "default_weight")
+
+    def bound(which: str, index: str, row: str) -> str:
+        return f"{member('bounds', f's->{which}[{index}]', f'default_{which}')}[{row}]"
+
+    return {
+        "yref": lambda k: member("reference", f"s->yref[{at('reference', k)}]", "default_reference"),
+        "yref_N": member("reference", "s->yref_N", "default_terminal_reference"),
+        "weight": weight,
+        "weight_N": member("weight", "s->W_N" if module.diagonal_weight_N else "&s->W_N[0][0]", "default_terminal_weight"),
+        "param": lambda k: member("parameter", f"s->p[{at('parameter', k)}]", "default_parameter"),
+        "param_N": member("parameter", f"s->p[{at('parameter', N, '1')}]", "default_parameter"),
+        "path_bound": lambda which, k, row: bound(which, at("bounds", k), row),
+        "row_bound": lambda which, k, row: bound(which, at("bounds", k, f"{k} == {N}"), row),
+        "copies": lambda name: next(s.copies.c(module.macro) for s in module.settings if s.field.name == name),
+    }
 
 
 def _member(field: Field, module: CModule) -> str:

@@ -3,13 +3,17 @@
 EPS = {"double": 2.0**-52, "single": 2.0**-23}
 
 TOLERANCES: dict[str, tuple[float, str]] = {
-    "qp_pivot": (2.0**5, "smallest pivot of the condensed Hessian, relative to its diagonal entry"),
+    "qp_pivot": (2.0**5, "rounding of the curvature of a semidefinite Hessian, relative to its diagonal"),
     "qp_dependent": (2.0**10, "part of a normal outside the span of the working set that counts as zero, relative"),
     "qp_dependent_prediction": (2.0**14, "the same while the predicted working set is factorised"),
     "qp_feasibility": (2.0**2, "violation of a row that is taken as rounding, relative to |m|'(|y0| + |y|)"),
     "qp_redundant": (2.0**8, "the same for a row that depends on the working set"),
     "qp_sign": (2.0**6, "wrong sign of a multiplier that is taken as rounding: |m| |lam| relative to |y0| + |y|"),
+    "qp_proximal": (2.0**8, "step of the proximal point method that is taken as rounding, relative to |y0| + |y|"),
+    "qp_proximal_stagnation": (2.0**12, "the same if the step does not decrease any more"),
+    "unit": (1.0, "the machine epsilon; its square root separates a zero pivot from a positive one"),
     "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),
+    "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),
     "step_count": (2.0**12, "part of an integration step that is taken as rounding of dt / h"),
 }
 

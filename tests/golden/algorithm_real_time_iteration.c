@@ -256,21 +256,31 @@ golden_status_t golden_step(golden_solver_t *s, const golden_real xhat[GOLDEN_NX
     return golden_feedback(s, xhat, u0);
 }
 
-/* The plan moves by one interval: x_k <- x_{k+1}, u_k <- u_{k+1}, the last control is repeated and the tail integrated
- * (x_N stays if that overflows); multipliers and the working set move with it. */
-golden_status_t golden_shift(golden_solver_t *s)
+/* The QP's prediction moves by one interval: the row of node k takes that of node k + 1, if it holds there too. */
+static void shift_working_set(golden_solver_t *s)
 {
-    golden_real tail[GOLDEN_NX];
-    int k, i, j;
-    if (s->magic != GOLDEN_MAGIC) {
-        return GOLDEN_NOT_INITIALIZED;
+    int source[GOLDEN_NG + 1], m, next;
+    for (m = 0; m < GOLDEN_NG; m++) {
+        source[m] = m;
+        for (next = m + 1; next < GOLDEN_NG && row_node[next] <= row_node[m] + 1; next++) {
+            if (row_node[next] > row_node[m] && row_id[next] == row_id[m]) {
+                source[m] = next;
+            }
+        }
     }
+    qp_shift_working_set(&s->qp, GOLDEN_NU, source);
+}
+
+/* Node k takes what node k + 1 has; the last node and the last interval keep theirs. */
+static void shift_by_one(golden_solver_t *s)
+{
+    int k, i, j;
     for (k = 0; k < GOLDEN_N; k++) {
         const int from = (k + 1 < GOLDEN_N) ? k + 1 : k;
         for (i = 0; i < GOLDEN_NX; i++) {
             s->x[k][i] = s->x[k + 1][i];
             s->lam[k][i] = s->lam[k + 1][i];
-            s->mu_x[k][i] = (k + 1 < GOLDEN_N) ? s->mu_x[k + 1][i] : s->mu_x[k][i];
+            s->mu_x[k][i] = s->mu_x[from][i];
         }
         for (j = 0; j < GOLDEN_NU; j++) {
             s->u[k][j] = s->u[from][j];
@@ -280,11 +290,27 @@ golden_status_t golden_shift(golden_solver_t *s)
             s->mu[k][j] = s->mu[from][j];
         }
     }
-    integrate(s->x[GOLDEN_N - 1], s->u[GOLDEN_N - 1], s->p[GOLDEN_N - 1], interval_length[GOLDEN_N - 1], tail);
+    shift_working_set(s);
+}
+
+/* The plan moves by one interval: x_k <- x_{k+1}, u_k <- u_{k+1}, the last control is repeated and the tail integrated
+ * (x_N stays if that overflows); multipliers and the working set move with it. */
+static void shift_plan(golden_solver_t *s)
+{
+    golden_real tail[GOLDEN_NX];
+    shift_by_one(s);
+    interval_value(s->x[GOLDEN_N - 1], s->u[GOLDEN_N - 1], s->p[GOLDEN_N - 1], interval_length[GOLDEN_N - 1], tail);
     if (all_finite(tail, GOLDEN_NX)) {
         memcpy(s->x[GOLDEN_N], tail, sizeof tail);
     }
-    qp_shift_working_set(&s->qp, GOLDEN_NU);
+}
+
+golden_status_t golden_shift(golden_solver_t *s)
+{
+    if (s->magic != GOLDEN_MAGIC) {
+        return GOLDEN_NOT_INITIALIZED;
+    }
+    shift_plan(s);
     s->prepared = 0;
     return GOLDEN_OK;
 }
@@ -392,13 +418,307 @@ static int kkt_converged(golden_solver_t *s, golden_real tol)
     return kkt->stationarity <= tol && kkt->equality <= tol && kkt->inequality <= tol && kkt->complementarity <= tol;
 }
 
-/* Full-step SQP: prepare, test, feedback, until all KKT residuals are at most tol. */
+/* SQP to convergence: the pieces of the real-time iteration, globalised by a line search on the l1 merit function
+ *
+ *     phi = cost + gap_weight (sum |x_{k+1} - Phi_k| + |x_0 - xhat|) + row_weight (sum of row violations),
+ *
+ * with one second-order correction where the full step is refused, and an elastic QP (rows relaxed at row_weight) where
+ * a linearisation is infeasible. */
+
+/* Violation of the rows of node k; h are its general rows. */
+static golden_real row_violation(const golden_solver_t *s, int k, const golden_real *h)
+{
+    golden_real sum = 0.0;
+    int m;
+    for (m = row_first[k]; m < row_first[k + 1]; m++) {
+        const golden_real value = row_value(s, m, h);
+        sum += value - clip(value, row_lower(s, m), row_upper(s, m));
+        if (value < row_lower(s, m)) {
+            sum += 2.0 * (row_lower(s, m) - value);
+        }
+    }
+    return sum;
+}
+
+/* Constraints of the present iterate without derivatives: sqp.b = Phi(x_k, u_k) - x_{k+1}, general rows, and their norms. */
+static void evaluate_constraints(golden_solver_t *s, golden_real *gaps, golden_real *violation)
+{
+    golden_sqp_t *q = &s->sqp;
+    int k, i;
+    *gaps = 0.0;
+    *violation = 0.0;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        *gaps += fabs(s->x[0][i] - s->xhat[i]);
+    }
+    for (k = 0; k < GOLDEN_N; k++) {
+        interval_value(s->x[k], s->u[k], s->p[k], interval_length[k], q->b[k]);
+        for (i = 0; i < GOLDEN_NX; i++) {
+            q->b[k][i] -= s->x[k + 1][i];
+            *gaps += fabs(q->b[k][i]);
+        }
+        path_rows(s->x[k], s->u[k], s->p[k], q->h[k], &q->J[0][0]);
+        *violation += row_violation(s, k, q->h[k]);
+    }
+    terminal_rows(s->x[GOLDEN_N], s->p[GOLDEN_N], q->h_N, &q->J_N[0][0]);
+    *violation += row_violation(s, GOLDEN_N, q->h_N);
+}
+
+static golden_real merit(golden_solver_t *s)
+{
+    golden_real gaps, violation;
+    evaluate_constraints(s, &gaps, &violation);
+    return golden_cost(s) + s->sqp.gap_weight * gaps + s->sqp.row_weight * violation;
+}
+
+/* The step of the QP and the point it starts from are put aside. */
+static void put_step_aside(golden_solver_t *s)
+{
+    golden_sqp_t *q = &s->sqp;
+    memcpy(q->x, s->x, sizeof s->x);
+    memcpy(q->u, s->u, sizeof s->u);
+    memcpy(q->dx, s->condensed.dx, sizeof s->condensed.dx);
+    memcpy(q->du, s->qp.z, sizeof q->du);
+}
+
+/* (x, u) = base + alpha (dx, du). */
+static void move_to(golden_solver_t *s, golden_real alpha)
+{
+    const golden_sqp_t *q = &s->sqp;
+    int k, i, j;
+    for (k = 0; k <= GOLDEN_N; k++) {
+        for (i = 0; i < GOLDEN_NX; i++) {
+            s->x[k][i] = q->x[k][i] + alpha * q->dx[k][i];
+        }
+    }
+    for (k = 0; k < GOLDEN_N; k++) {
+        for (j = 0; j < GOLDEN_NU; j++) {
+            const golden_real u = q->u[k][j] + alpha * q->du[k * GOLDEN_NU + j];
+            s->u[k][j] = clip(u, control_lower(s, j), control_upper(s, j));
+        }
+    }
+}
+
+/* Weights of the merit function stay above the multipliers of the QP. */
+static void update_weights(golden_solver_t *s)
+{
+    golden_real lam = 0.0;
+    golden_real mu = 0.0;
+    int k, i, m;
+    for (k = 0; k <= GOLDEN_N; k++) {
+        for (i = 0; i < GOLDEN_NX; i++) {
+            enlarge(&lam, s->lam[k][i]);
+        }
+    }
+    for (m = 0; m < GOLDEN_NG; m++) {
+        enlarge(&mu, row_multiplier(s, m));
+    }
+    if (s->sqp.gap_weight < lam * 1.5) {
+        s->sqp.gap_weight = lam * 2.0;
+    }
+    if (s->sqp.row_weight < mu * 1.5 && !s->sqp.elastic) {
+        s->sqp.row_weight = mu * 2.0;
+    }
+}
+
+/* Directional derivative of the cost, g' (dx, du). */
+static golden_real cost_slope(const golden_solver_t *s)
+{
+    golden_real sum = 0.0;
+    int k, i;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        sum += s->terminal.g[i] * s->condensed.dx[GOLDEN_N][i];
+    }
+    for (k = 0; k < GOLDEN_N; k++) {
+        for (i = 0; i < GOLDEN_NX; i++) {
+            sum += s->node[k].g[i] * s->condensed.dx[k][i];
+        }
+        for (i = 0; i < GOLDEN_NU; i++) {
+            sum += s->node[k].g[GOLDEN_NX + i] * s->qp.z[k * GOLDEN_NU + i];
+        }
+    }
+    return sum;
+}
+
+/* Violation of the linearised rows after the full step; 0 unless the QP was elastic. */
+static golden_real linear_violation(const golden_solver_t *s)
+{
+    golden_real sum = 0.0;
+    int m, i;
+    for (m = 0; m < GOLDEN_NG; m++) {
+        golden_real value = 0.0;
+        for (i = 0; i < GOLDEN_NV; i++) {
+            value += s->qp.A[m][i] * s->qp.z[i];
+        }
+        sum += fabs(value - clip(value, s->qp.lower[GOLDEN_NV + m], s->qp.upper[GOLDEN_NV + m]));
+    }
+    return sum;
+}
+
+/* Second-order correction: the same QP with the constraint values of base + step,
+ * b = Phi(x + dx, u + du) - x_{k+1} - A dx - B du, rows likewise. Leaves the corrected step in sqp.dx, du; 0 if it fails. */
+static int second_order_correction(golden_solver_t *s)
+{
+    golden_sqp_t *q = &s->sqp;
+    const golden_real none[GOLDEN_NX] = {0};
+    golden_real y[GOLDEN_NX];
+    int k, i, j, m;
+    for (k = 0; k < GOLDEN_N; k++) {
+        golden_node_t *node = &s->node[k];
+        memcpy(node->b, none, sizeof y);
+        state_step(node, q->dx[k], &q->du[k * GOLDEN_NU], y);
+        for (i = 0; i < GOLDEN_NX; i++) {
+            node->b[i] = q->b[k][i] + q->dx[k + 1][i] - y[i];
+        }
+        for (i = 0; i < GOLDEN_NH; i++) {
+            golden_real value = q->h[k][i];
+            for (j = 0; j < GOLDEN_NZ; j++) {
+                value -= node->J[i][j] * ((j < GOLDEN_NX) ? q->dx[k][j] : q->du[k * GOLDEN_NU + j - GOLDEN_NX]);
+            }
+            node->h[i] = value;
+        }
+    }
+    for (i = 0; i < GOLDEN_NH_N; i++) {
+        s->terminal.h[i] = q->h_N[i];
+        for (j = 0; j < GOLDEN_NX; j++) {
+            s->terminal.h[i] -= s->terminal.J[i][j] * q->dx[GOLDEN_N][j];
+        }
+    }
+    memcpy(s->x, q->x, sizeof s->x);
+    memcpy(s->u, q->u, sizeof s->u);
+    condense_gradient(s);
+    condense_rows(s);
+    condense_embed(s);
+    if (qp_solve(&s->qp) != GOLDEN_OK) {
+        return 0;
+    }
+    condense_expand(s);
+    for (m = 0; m < GOLDEN_NV; m++) {
+        q->du[m] = s->qp.z[m];
+    }
+    memcpy(q->dx, s->condensed.dx, sizeof q->dx);
+    return step_is_finite(s);
+}
+
+/* The largest of the last merit values: steps may rise above the last one, which spares the full steps of
+ * Gauss-Newton that a monotone search would cut (Grippo, Lampariello and Lucidi 1986). */
+static golden_real merit_to_beat(golden_solver_t *s, int iteration, golden_real start)
+{
+    golden_real largest = start;
+    int n;
+    s->sqp.recent[iteration % GOLDEN_MEMORY] = start;
+    for (n = 0; n < GOLDEN_MEMORY && n <= iteration; n++) {
+        if (s->sqp.recent[n] > largest) {
+            largest = s->sqp.recent[n];
+        }
+    }
+    return largest;
+}
+
+/* Backtracking on the merit function, Armijo constant 1e-4; the full step gets one second-order correction. */
+static golden_status_t line_search(golden_solver_t *s, golden_real start, golden_real slope)
+{
+    const golden_real rounding = 1.4210854715202004e-14 * (1.0 + fabs(start));
+    golden_real alpha = 1.0;
+    int trial;
+    put_step_aside(s);
+    for (trial = 0; trial < GOLDEN_MAX_TRIALS; trial++) {
+        move_to(s, alpha);
+        if (merit(s) <= start + 0.0001 * alpha * slope + rounding) {
+            return GOLDEN_OK;
+        }
+        if (trial == 0) {
+            memcpy(s->sqp.dx_full, s->sqp.dx, sizeof s->sqp.dx);
+            memcpy(s->sqp.du_full, s->sqp.du, sizeof s->sqp.du);
+            if (second_order_correction(s)) {
+                move_to(s, 1.0);
+                if (merit(s) <= start + 0.0001 * slope + rounding) {
+                    return GOLDEN_OK;
+                }
+            }
+            memcpy(s->sqp.dx, s->sqp.dx_full, sizeof s->sqp.dx);
+            memcpy(s->sqp.du, s->sqp.du_full, sizeof s->sqp.du);
+        }
+        alpha *= 0.5;
+    }
+    move_to(s, 0.0);
+    return GOLDEN_STALLED;
+}
+
+/* QP of the present linearisation; an infeasible one is solved with relaxed rows, penalty row_weight. */
+static golden_status_t solve_qp(golden_solver_t *s)
+{
+    golden_status_t status;
+    int i, m;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        s->condensed.dx[0][i] = s->xhat[i] - s->x[0][i];
+    }
+    condense_embed(s);
+    s->sqp.elastic = 0;
+    status = qp_solve(&s->qp);
+    if (status == GOLDEN_INFEASIBLE) {
+        s->sqp.elastic = 1;
+        for (m = 0; m < GOLDEN_NG; m++) {
+            s->qp.penalty[m] = s->sqp.row_weight;
+        }
+        status = qp_solve(&s->qp);
+        for (m = 0; m < GOLDEN_NG; m++) {
+            s->qp.penalty[m] = (golden_real)INFINITY;
+        }
+    }
+    s->stats.qp_iterations = s->qp.iterations;
+    s->stats.active_set_changes = s->qp.changes;
+    s->stats.dropped_rows = s->qp.dropped;
+    return status;
+}
+
+/* One globalised iteration after prepare_here(). */
+static golden_status_t sqp_iteration(golden_solver_t *s, int iteration)
+{
+    golden_real gaps, violation, start, slope;
+    golden_status_t status = solve_qp(s);
+    if (status != GOLDEN_OK) {
+        return status;
+    }
+    condense_expand(s);
+    if (!step_is_finite(s)) {
+        return GOLDEN_NUMERICAL_FAILURE;
+    }
+    scatter_multipliers(s);
+    recover_multipliers(s);
+    update_weights(s);
+    evaluate_constraints(s, &gaps, &violation);
+    start = golden_cost(s) + s->sqp.gap_weight * gaps + s->sqp.row_weight * violation;
+    slope = cost_slope(s) - s->sqp.gap_weight * gaps - s->sqp.row_weight * (violation - linear_violation(s));
+    if (!isfinite(start)) {
+        return GOLDEN_NUMERICAL_FAILURE;
+    }
+    return line_search(s, merit_to_beat(s, iteration, start), (slope < 0.0) ? slope : 0.0);
+}
+
+/* 1 if the last step was elastic and moved nothing: the rows cannot be met near this point. */
+static int stuck_infeasible(const golden_solver_t *s, golden_real tol)
+{
+    golden_real step = 0.0;
+    int k, i;
+    for (k = 0; k <= GOLDEN_N; k++) {
+        for (i = 0; i < GOLDEN_NX; i++) {
+            enlarge(&step, s->sqp.dx[k][i]);
+        }
+    }
+    for (i = 0; i < GOLDEN_NV; i++) {
+        enlarge(&step, s->sqp.du[i]);
+    }
+    return s->sqp.elastic && step <= tol;
+}
+
 static golden_status_t solve_here(golden_solver_t *s, const golden_real *xhat, golden_real tol, int max_iterations)
 {
     int iteration, i;
     for (i = 0; i < GOLDEN_NX; i++) {
         s->xhat[i] = xhat[i];
     }
+    s->sqp.gap_weight = 1.0;
+    s->sqp.row_weight = 1.0;
     for (iteration = 0;; iteration++) {
         golden_status_t status = prepare_here(s);
         s->stats.sqp_iterations = iteration;
@@ -409,7 +729,14 @@ static golden_status_t solve_here(golden_solver_t *s, const golden_real *xhat, g
             return GOLDEN_ITERATION_LIMIT;
         }
         if (status == GOLDEN_OK) {
-            status = feedback_here(s, xhat);
+            status = sqp_iteration(s, iteration);
+        }
+        if (s->sqp.elastic && (status == GOLDEN_STALLED || (status == GOLDEN_OK && stuck_infeasible(s, tol)))) {
+            if (s->sqp.row_weight >= 100000000.0) {
+                return GOLDEN_INFEASIBLE;
+            }
+            s->sqp.row_weight *= 10.0;
+            continue;
         }
         if (status != GOLDEN_OK) {
             return status;

@@ -40,26 +40,20 @@ static void condense_store_rows(golden_solver_t *s, golden_real (*Q)[GOLDEN_NZ],
 static void condense_hessian(golden_solver_t *s)
 {
     golden_condensed_t *d = &s->condensed;
-    int k, c, i, j;
+    int k, i, j;
     for (k = 0; k < GOLDEN_N; k++) {
         const int width = GOLDEN_NX + k * GOLDEN_NU;
-        for (c = 0; c < width; c += GOLDEN_PANEL) {
-            condense_forward_panel(d, &s->node[k], k, c);
-        }
+        condense_forward_columns(d, &s->node[k], k, width);
         for (i = 0; i < GOLDEN_NX; i++) {
             for (j = 0; j < GOLDEN_NU; j++) {
                 d->G[k + 1][i][width + j] = s->node[k].S[i][GOLDEN_NX + j];
             }
         }
     }
-    for (c = 0; c < GOLDEN_NX + GOLDEN_NV; c += GOLDEN_PANEL) {
-        condense_terminal_panel(d, s->hessian.Q_N, c);
-    }
+    condense_terminal_columns(d, s->hessian.Q_N, GOLDEN_NX + GOLDEN_NV);
     for (k = GOLDEN_N - 1; k >= 0; k--) {
         golden_real (*Q)[GOLDEN_NZ] = s->hessian.Q[GOLDEN_NQ == 1 ? 0 : k];
-        for (c = 0; c < GOLDEN_NX + (k + 1) * GOLDEN_NU; c += GOLDEN_PANEL) {
-            condense_backward_panel(d, &s->node[k], Q, k, c);
-        }
+        condense_backward_columns(d, &s->node[k], Q, k, GOLDEN_NX + (k + 1) * GOLDEN_NU);
         condense_store_rows(s, Q, k);
     }
 }

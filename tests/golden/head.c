@@ -21,9 +21,9 @@
  *   terminal_rows                   printed kernel                                        2 operations
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c.jinja              - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c.jinja                         0 operations       40 bytes
- *   condensing: full                condensing/full.c.jinja                             108 operations      320 bytes
- *   qp: dense_active_set            qp/dense_active_set.c.jinja                          40 operations     1304 bytes
- *   algorithm: real_time_iteration  algorithms/real_time_iteration.c.jinja               28 operations      152 bytes
+ *   condensing: full                condensing/full.c.jinja                             108 operations      352 bytes
+ *   qp: dense_active_set            qp/dense_active_set.c.jinja                          40 operations     1456 bytes
+ *   algorithm: real_time_iteration  algorithms/real_time_iteration.c.jinja               28 operations      424 bytes
  */
 #include "golden.h"
 

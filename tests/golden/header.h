@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2240 bytes, holds no pointers and may be copied with '='.
+ * The caller owns the memory: one golden_solver_t is 2696 bytes, holds no pointers and may be copied with '='.
  * One context per instance; not interrupt-safe by itself: copy measurements first. Arrays of size 0 are padded to 1. */
 #ifndef GOLDEN_H
 #define GOLDEN_H
@@ -44,7 +44,10 @@ typedef double golden_real;
 #define GOLDEN_STEPS 1 /* Runge-Kutta steps per interval */
 #define GOLDEN_LDG 4 /* columns of G_k: NX + NV, rounded up to PANEL */
 #define GOLDEN_QP_MAX_ITERATIONS 120 /* cap on the active-set iterations of one feedback phase */
-#define GOLDEN_SHIFT 0 /* 1: step() moves the plan by one interval before preparing */
+#define GOLDEN_QP_MAX_PROXIMAL_STEPS 200 /* cap on the proximal steps for a semidefinite Hessian */
+#define GOLDEN_SHIFT 0 /* 1: step() moves the plan before preparing */
+#define GOLDEN_MAX_TRIALS 30 /* halvings of the step in the line search of solve() */
+#define GOLDEN_MEMORY 8 /* merit values that the line search of solve() remembers */
 #define GOLDEN_MANY 1000000 /* counters stop here */
 #define GOLDEN_MAGIC 1313689667 /* a struct that init has seen */
 
@@ -98,7 +101,7 @@ typedef struct { /* Hessian blocks, lower triangles, z = (x, u) */
 typedef struct { /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0 */
     golden_real G[GOLDEN_N + 1][GOLDEN_NX][GOLDEN_LDG]; /* columns: dx_0, then du_0 .. du_{N-1} */
     golden_real c[GOLDEN_N + 1][GOLDEN_NX]; /* free response of the gaps b_k */
-    golden_real W[GOLDEN_NX][GOLDEN_LDG]; /* backward sweep: sum of Q_k G_k over later nodes */
+    golden_real W[2][GOLDEN_NX][GOLDEN_LDG]; /* W_k of the backward sweep */
     golden_real T[GOLDEN_NU][GOLDEN_LDG]; /* one block row of the condensed Hessian */
     golden_real g[GOLDEN_NV]; /* condensed gradient at dx_0 = 0 */
     golden_real Hx[GOLDEN_NV][GOLDEN_NX]; /* coupling of the controls to dx_0 */
@@ -131,11 +134,19 @@ typedef struct { /* condensed QP and its active-set factorisation */
     golden_real shift; /* part of |y0| that the saturated rows may have */
     golden_real penalty[GOLDEN_NG]; /* l1 penalty of violating a general row; infinite: hard */
     golden_real certificate[GOLDEN_NV + GOLDEN_NG]; /* if INFEASIBLE: weights of a contradiction */
+    golden_real proximal[GOLDEN_LDV]; /* diagonal E added to a semidefinite Hessian */
+    golden_real weight[GOLDEN_LDV]; /* its entries where they are needed */
+    golden_real center[GOLDEN_LDV]; /* centre of the proximal term */
+    golden_real direction[GOLDEN_LDV]; /* direction of the last proximal step */
+    golden_real total; /* s'(H + E)s of it; 0: no conjugate direction follows */
+    golden_real step; /* length of the proximal step */
     int32_t work[GOLDEN_LDV]; /* rows in the working set, in the order of the basis */
     int32_t side[GOLDEN_NV + GOLDEN_NG]; /* +-1: member at upper, lower bound; +-2: saturated; else 0 */
     int32_t snapshot[GOLDEN_NV + GOLDEN_NG]; /* an earlier side, to recognise cycles */
     int32_t nw; /* members of the working set */
     int32_t factorized; /* qp_factorize has succeeded */
+    int32_t semidefinite; /* a pivot of H may be zero, E is not zero */
+    int32_t face; /* changes when the direction was set */
     int32_t elastic; /* a general row has a finite penalty */
     int32_t iterations; /* active-set iterations of the last qp_solve */
     int32_t changes; /* rows that entered or left the working set in it */
@@ -156,6 +167,24 @@ typedef struct { /* linearisation of the terminal node */
     golden_real h[GOLDEN_NH_N]; /* general rows */
     golden_real J[GOLDEN_NH_N][GOLDEN_NX]; /* their Jacobian C_N */
 } golden_terminal_t;
+
+typedef struct { /* line search of solve() */
+    golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states before the step */
+    golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls before the step */
+    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
+    golden_real du[GOLDEN_NV]; /* step of the controls */
+    golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* the same before the second-order correction */
+    golden_real du_full[GOLDEN_NV]; /* likewise */
+    golden_real b[GOLDEN_N][GOLDEN_NX]; /* gaps at a trial point */
+    golden_real h[GOLDEN_N][GOLDEN_NH]; /* general path rows at a trial point */
+    golden_real h_N[GOLDEN_NH_N]; /* general terminal rows at a trial point */
+    golden_real J[GOLDEN_NH][GOLDEN_NZ]; /* their Jacobian, not used */
+    golden_real J_N[GOLDEN_NH_N][GOLDEN_NX]; /* likewise */
+    golden_real gap_weight; /* weight of the gaps in the merit function */
+    golden_real row_weight; /* weight of the rows; penalty of the elastic QP */
+    golden_real recent[GOLDEN_MEMORY]; /* last merit values */
+    int32_t elastic; /* 1: the last QP was infeasible and relaxed */
+} golden_sqp_t;
 
 typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states of the plan */
@@ -181,6 +210,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_qp_t qp; /* condensed QP and its active-set factorisation */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
     golden_terminal_t terminal; /* linearisation of the terminal node */
+    golden_sqp_t sqp; /* line search of solve() */
     golden_stats_t stats; /* counters */
     golden_kkt_t kkt; /* KKT residuals of the last solve */
     int32_t status; /* status of the last prepare, feedback or solve */

@@ -1,7 +1,18 @@
 /* ==== integrator: explicit_runge_kutta ==================================================================== */
 
-/* Seam "integrator", contract: integrator_interval (above), integrate(): x_next = x(dt) for any dt >= 0.
+/* Seam "integrator", contract: integrator_interval (above); interval_value(): its x_next alone;
+ * integrate(): x_next = x(dt) for any dt >= 0.
  * Here: explicit Runge-Kutta; integrate() takes equal steps no longer than the controller's longest one. */
+
+static void interval_value(const golden_real *x, const golden_real *u, const golden_real *p, golden_real dt, golden_real *x_next)
+{
+    const golden_real h = dt / (golden_real)GOLDEN_STEPS;
+    int n;
+    integrator_step(x, u, p, &h, x_next);
+    for (n = 1; n < GOLDEN_STEPS; n++) {
+        integrator_step(x_next, u, p, &h, x_next);
+    }
+}
 
 static void integrate(const golden_real *x, const golden_real *u, const golden_real *p, golden_real dt, golden_real *x_next)
 {

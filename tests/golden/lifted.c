@@ -338,11 +338,11 @@ static void integrator_interval_step_length(const real *dt, real *h)
     h[0] = t2;
 }
 
-/* integrator_interval: copy
+/* integrator_interval: copy_x
  *   x [2]
  *   y [2]
  * no operations */
-static void integrator_interval_copy(const real *x, real *y)
+static void integrator_interval_copy_x(const real *x, real *y)
 {
     const real x_0 = x[0];
     const real x_1 = x[1];
@@ -358,9 +358,9 @@ static void integrator_interval_identity(real *s)
     s[0] = 1.0;
     s[1] = 0.0;
     s[2] = 0.0;
-    s[3] = 1.0;
+    s[3] = 0.0;
     s[4] = 0.0;
-    s[5] = 0.0;
+    s[5] = 1.0;
     s[6] = 0.0;
     s[7] = 0.0;
 }
@@ -371,9 +371,9 @@ static void integrator_interval_identity(real *s)
  *   p [2]
  *   K [2]
  *   fx [4]
- *   fu [4]
+ *   Fu [8]
  * 14 add, 8 mul, 6 div, 1 call, 4 other */
-static void integrator_interval_linearize_f(const real *x, const real *u, const real *p, real *K, real *fx, real *fu)
+static void integrator_interval_linearize_f(const real *x, const real *u, const real *p, real *K, real *fx, real *Fu)
 {
     const real u_0 = u[0];
     const real x_0 = x[0];
@@ -420,61 +420,14 @@ static void integrator_interval_linearize_f(const real *x, const real *u, const 
     fx[1] = t28;
     fx[2] = t32;
     fx[3] = t36;
-    fu[0] = t3;
-    fu[1] = t14;
-    fu[2] = 0.0;
-    fu[3] = t41;
-}
-
-/* integrator_interval: fx_times
- *   fx [4]
- *   s [2]
- *   Ks [2]
- * 2 add, 4 mul */
-static void integrator_interval_fx_times(const real *fx, const real *s, real *Ks)
-{
-    const real fx_0 = fx[0];
-    const real s_0 = s[0];
-    const real fx_2 = fx[2];
-    const real s_1 = s[1];
-    const real fx_1 = fx[1];
-    const real fx_3 = fx[3];
-    const real t2 = fx_0 * s_0;
-    const real t5 = fx_2 * s_1;
-    const real t6 = t2 + t5;
-    const real t8 = s_0 * fx_1;
-    const real t10 = s_1 * fx_3;
-    const real t11 = t8 + t10;
-    Ks[0] = t6;
-    Ks[1] = t11;
-}
-
-/* integrator_interval: fx_times_plus_fu
- *   fx [4]
- *   s [2]
- *   fu [2]
- *   Ks [2]
- * 4 add, 4 mul */
-static void integrator_interval_fx_times_plus_fu(const real *fx, const real *s, const real *fu, real *Ks)
-{
-    const real fx_0 = fx[0];
-    const real s_0 = s[0];
-    const real fx_2 = fx[2];
-    const real s_1 = s[1];
-    const real fu_0 = fu[0];
-    const real fx_1 = fx[1];
-    const real fx_3 = fx[3];
-    const real fu_1 = fu[1];
-    const real t2 = fx_0 * s_0;
-    const real t5 = fx_2 * s_1;
-    const real t6 = t2 + t5;
-    const real t8 = t6 + fu_0;
-    const real t10 = s_0 * fx_1;
-    const real t12 = s_1 * fx_3;
-    const real t13 = t10 + t12;
-    const real t15 = t13 + fu_1;
-    Ks[0] = t8;
-    Ks[1] = t15;
+    Fu[0] = 0.0;
+    Fu[1] = 0.0;
+    Fu[2] = t3;
+    Fu[3] = 0.0;
+    Fu[4] = 0.0;
+    Fu[5] = 0.0;
+    Fu[6] = t14;
+    Fu[7] = t41;
 }
 
 /* integrator_interval: stage_1
@@ -529,6 +482,22 @@ static void integrator_interval_update(const real *x, const real *h, const real 
     y[1] = t18;
 }
 
+/* integrator_interval: copy_row
+ *   x [4]
+ *   y [4]
+ * no operations */
+static void integrator_interval_copy_row(const real *x, real *y)
+{
+    const real x_0 = x[0];
+    const real x_1 = x[1];
+    const real x_2 = x[2];
+    const real x_3 = x[3];
+    y[0] = x_0;
+    y[1] = x_1;
+    y[2] = x_2;
+    y[3] = x_3;
+}
+
 /* x_next = Phi(x, u, p): 2 Ralston step(s) over dt; S = d x_next / d(x, u)
  *   x [2]
  *   u [2]
@@ -536,52 +505,98 @@ static void integrator_interval_update(const real *x, const real *h, const real 
  *   dt [1]
  *   x_next [2]
  *   S [2 x 4]
- * 164 add, 186 mul, 25 div, 4 call, 16 other */
+ * 180 add, 186 mul, 25 div, 4 call, 16 other */
 static void integrator_interval(const real *x, const real *u, const real *p, const real *dt, real *x_next, real *S)
 {
     real h[1];
     real X[2];
-    real Sc[8];
+    real Sx[8];
     real Xi[2];
-    real Si[2];
     real K[4];
     real Ks[16];
     real fx[4];
-    real fu[4];
-    int step, c;
+    real Fu[8];
+    int step, c, i;
     integrator_interval_step_length(&dt[0], &h[0]);
-    integrator_interval_copy(&x[0], &X[0]);
-    integrator_interval_identity(&Sc[0]);
+    integrator_interval_copy_x(&x[0], &X[0]);
+    integrator_interval_identity(&Sx[0]);
     for (step = 0; step < 2; step++) {
-        integrator_interval_linearize_f(&X[0], &u[0], &p[0], &K[0], &fx[0], &fu[0]);
-        for (c = 0; c < 2; c++) {
-            integrator_interval_fx_times(&fx[0], &Sc[2 * c], &Ks[2 * c]);
-        }
-        for (c = 2; c < 4; c++) {
-            integrator_interval_fx_times_plus_fu(&fx[0], &Sc[2 * c], &fu[2 * c + -4], &Ks[2 * c]);
+        integrator_interval_linearize_f(&X[0], &u[0], &p[0], &K[0], &fx[0], &Fu[0]);
+        for (c = 0; c < 4; c++) {
+            const real fx_0 = fx[0];
+            const real s_0 = Sx[c];
+            const real fx_2 = fx[2];
+            const real s_1 = Sx[c + 4];
+            const real Fu_0 = Fu[c];
+            const real fx_1 = fx[1];
+            const real fx_3 = fx[3];
+            const real Fu_1 = Fu[c + 4];
+            const real t2 = fx_0 * s_0;
+            const real t5 = fx_2 * s_1;
+            const real t6 = t2 + t5;
+            const real t8 = t6 + Fu_0;
+            const real t10 = s_0 * fx_1;
+            const real t12 = s_1 * fx_3;
+            const real t13 = t10 + t12;
+            const real t15 = t13 + Fu_1;
+            Ks[c] = t8;
+            Ks[c + 4] = t15;
         }
         integrator_interval_stage_1(&X[0], &h[0], &K[0], &Xi[0]);
-        integrator_interval_linearize_f(&Xi[0], &u[0], &p[0], &K[2], &fx[0], &fu[0]);
-        for (c = 0; c < 2; c++) {
-            integrator_interval_stage_1(&Sc[2 * c], &h[0], &Ks[2 * c], &Si[0]);
-            integrator_interval_fx_times(&fx[0], &Si[0], &Ks[2 * c + 8]);
-        }
-        for (c = 2; c < 4; c++) {
-            integrator_interval_stage_1(&Sc[2 * c], &h[0], &Ks[2 * c], &Si[0]);
-            integrator_interval_fx_times_plus_fu(&fx[0], &Si[0], &fu[2 * c + -4], &Ks[2 * c + 8]);
+        integrator_interval_linearize_f(&Xi[0], &u[0], &p[0], &K[2], &fx[0], &Fu[0]);
+        for (c = 0; c < 4; c++) {
+            const real fx_0 = fx[0];
+            const real s_0 = Sx[c];
+            const real h_0 = h[0];
+            const real K0_0 = Ks[c];
+            const real fx_2 = fx[2];
+            const real s_1 = Sx[c + 4];
+            const real K0_1 = Ks[c + 4];
+            const real Fu_0 = Fu[c];
+            const real fx_1 = fx[1];
+            const real fx_3 = fx[3];
+            const real Fu_1 = Fu[c + 4];
+            const real t4 = 0.6666666666666666 * h_0;
+            const real t6 = t4 * K0_0;
+            const real t7 = s_0 + t6;
+            const real t8 = fx_0 * t7;
+            const real t12 = t4 * K0_1;
+            const real t13 = s_1 + t12;
+            const real t14 = fx_2 * t13;
+            const real t15 = t8 + t14;
+            const real t17 = t15 + Fu_0;
+            const real t19 = t7 * fx_1;
+            const real t21 = t13 * fx_3;
+            const real t22 = t19 + t21;
+            const real t24 = t22 + Fu_1;
+            Ks[c + 8] = t17;
+            Ks[c + 12] = t24;
         }
         integrator_interval_update(&X[0], &h[0], &K[0], &K[2], &X[0]);
         for (c = 0; c < 4; c++) {
-            integrator_interval_update(&Sc[2 * c], &h[0], &Ks[2 * c], &Ks[2 * c + 8], &Sc[2 * c]);
+            const real x_0 = Sx[c];
+            const real h_0 = h[0];
+            const real K0_0 = Ks[c];
+            const real K1_0 = Ks[c + 8];
+            const real x_1 = Sx[c + 4];
+            const real K0_1 = Ks[c + 4];
+            const real K1_1 = Ks[c + 12];
+            const real t3 = 0.25 * h_0;
+            const real t5 = t3 * K0_0;
+            const real t6 = x_0 + t5;
+            const real t8 = h_0 * 0.75;
+            const real t10 = t8 * K1_0;
+            const real t11 = t6 + t10;
+            const real t14 = t3 * K0_1;
+            const real t15 = x_1 + t14;
+            const real t17 = t8 * K1_1;
+            const real t18 = t15 + t17;
+            Sx[c] = t11;
+            Sx[c + 4] = t18;
         }
     }
-    integrator_interval_copy(&X[0], &x_next[0]);
-    for (c = 0; c < 4; c++) {
-        {
-            int l;
-            real w0[2];
-            integrator_interval_copy(&Sc[2 * c], w0);
-            for (l = 0; l < 2; l++) { S[c + 4 * l] = w0[l]; }
-        }
+    integrator_interval_copy_x(&X[0], &x_next[0]);
+    for (i = 0; i < 2; i++) {
+        integrator_interval_copy_row(&Sx[4 * i], &S[4 * i]);
     }
 }

@@ -13,11 +13,11 @@
  * Contract of the seam
  *   qp_init       once: everything zero, all bounds and penalties infinite, empty working set.
  *   qp_factorize  preparation: H (lower triangle) and A are known, lower and upper hold a prediction. Overwrites H.
- *                 OK, or NUMERICAL_FAILURE: H not positive definite, data not finite.
+ *                 OK, or NUMERICAL_FAILURE: H not positive semidefinite, data not finite.
  *   qp_solve      feedback: g, lower, upper and penalty are known. Writes z, mult, iterations, changes, dropped, relaxed.
  *                 OK; ITERATION_LIMIT, STALLED (a working set came back), INFEASIBLE: z is the last iterate, 0 if bounds cross;
- *                 NUMERICAL_FAILURE: z = mult = 0.
- *   qp_shift_working_set  before qp_factorize: the prediction moves n variables towards the front.
+ *                 NUMERICAL_FAILURE (data not finite, cost unbounded below): z = mult = 0.
+ *   qp_shift_working_set  before qp_factorize: the prediction moves n variables towards the front, and rows as told.
  * Bounds may be infinite; equality = equal bounds. Redundant consistent equalities get multiplier 0 and are counted in
  * dropped; elastic rows that are violated, in relaxed. Bounds that cross are INFEASIBLE, of elastic rows too; without
  * crossed bounds and hard rows the answer is never INFEASIBLE. After INFEASIBLE certificate[] holds weights f, |f| <= 1, with
@@ -35,6 +35,9 @@
  *
  * A saturated row belongs to the cost: y0 = -D^{-1/2} L^{-1} (g + sum_saturated mult_c a_c). The dual problem is then one with
  * multipliers in [0, penalty], and every step increases its objective as before.
+ *
+ * Where a pivot of H may be zero, H + E with a diagonal E is factorised, E_ii > 0 at these pivots only, and the proximal point
+ * method iterates to the minimiser for H itself.
  *
  * Storage: H holds D on its diagonal, L below and L' above; R is stored transposed (row j: coefficients of member j).
  * Loops run over panels of four, for which every vector and matrix is padded with zeros.
@@ -69,7 +72,20 @@ static inline golden_real qp_dot(const golden_real *a, const golden_real *b, int
     return (s[0] + s[2]) + (s[1] + s[3]);
 }
 
-/* L D L' of the diagonal panel b; reference[k]: diagonal of H before elimination. Returns 0 if a pivot is not positive. */
+/* A pivot below this share of the diagonal entry may be zero. */
+static inline golden_real qp_zero_pivot(void)
+{
+    return 0.0625 * sqrt(2.220446049250313e-16);
+}
+
+/* Weight of the proximal term as a share of the diagonal entry. */
+static inline golden_real qp_proximal_share(void)
+{
+    return 512.0 * sqrt(2.220446049250313e-16);
+}
+
+/* L D L' of the diagonal panel b; reference[k]: diagonal of H before elimination. Returns 0, and leaves the panel as it is, if
+ * a pivot is not safely positive. */
 static int qp_factorize_diagonal(golden_qp_t *q, int b, const golden_real *reference)
 {
     golden_real *h0 = q->H[b] + b, *h1 = q->H[b + 1] + b, *h2 = q->H[b + 2] + b, *h3 = q->H[b + 3] + b;
@@ -83,6 +99,11 @@ static int qp_factorize_diagonal(golden_qp_t *q, int b, const golden_real *refer
     const golden_real d2 = h2[2] - l20 * x20 - l21 * x21, e2 = 1.0 / d2;
     const golden_real l32 = x32 * e2;
     const golden_real d3 = h3[3] - l30 * x30 - l31 * x31 - l32 * x32, e3 = 1.0 / d3;
+    if (!(d0 > qp_zero_pivot() * reference[b] && d1 > qp_zero_pivot() * reference[b + 1] &&
+          d2 > qp_zero_pivot() * reference[b + 2] && d3 > qp_zero_pivot() * reference[b + 3] &&
+          isfinite((d0 + d1) + (d2 + d3)))) {
+        return 0;
+    }
     h1[0] = h0[1] = l10;
     h2[0] = h0[2] = l20;
     h3[0] = h0[3] = l30;
@@ -96,9 +117,92 @@ static int qp_factorize_diagonal(golden_qp_t *q, int b, const golden_real *refer
     q->inverse[b + 1] = e1;
     q->inverse[b + 2] = e2;
     q->inverse[b + 3] = e3;
-    return d0 > 7.105427357601002e-15 * reference[b] && d1 > 7.105427357601002e-15 * reference[b + 1] &&
-           d2 > 7.105427357601002e-15 * reference[b + 2] && d3 > 7.105427357601002e-15 * reference[b + 3] &&
-           isfinite((d0 + d1) + (d2 + d3));
+    return 1;
+}
+
+/* A length for every variable: the smallest positive width of its bounds and of the rows it appears in; 1 if there is none.
+ * Returns the size of the cost over these lengths. */
+static golden_real qp_lengths(const golden_qp_t *q, const golden_real *reference, golden_real *length)
+{
+    golden_real cost = 0.0;
+    for (int i = 0; i < GOLDEN_NV; ++i) {
+        golden_real least = q->upper[i] - q->lower[i];
+        least = least > 0.0 ? least : (golden_real)INFINITY;
+        for (int j = 0; j < GOLDEN_NG; ++j) {
+            const golden_real a = fabs(q->A[j][i]), width = q->upper[GOLDEN_NV + j] - q->lower[GOLDEN_NV + j];
+            if (width > 0.0 && width < least * a) {
+                least = width / a;
+            }
+        }
+        length[i] = least < (golden_real)INFINITY ? least : 1.0;
+        const golden_real square = reference[i] * length[i] * length[i];
+        cost = square > cost ? square : cost;
+    }
+    return cost > 0.0 && isfinite(cost) ? cost : 1.0;
+}
+
+/* Weights of the proximal term: a share of the diagonal of H, and where that is (nearly) zero, of the cost over the square of a
+ * length. */
+static void qp_set_proximal_weights(golden_qp_t *q, const golden_real *reference)
+{
+    golden_real length[GOLDEN_LDV];
+    const golden_real cost = qp_lengths(q, reference, length);
+    for (int i = 0; i < GOLDEN_NV; ++i) {
+        const golden_real other = cost / (length[i] * length[i]);
+        q->weight[i] = reference[i] > 7.105427357601002e-15 * other ? qp_proximal_share() * reference[i] : 0.015625 * other;
+        q->proximal[i] = q->center[i] = 0.0;
+    }
+    for (int i = GOLDEN_NV; i < GOLDEN_LDV; ++i) {
+        q->weight[i] = q->proximal[i] = q->center[i] = 0.0;
+    }
+    q->semidefinite = 1;
+}
+
+/* As qp_factorize_diagonal, pivot by pivot: one that may be zero gets the weight of the proximal term. Returns 0 if a pivot is
+ * negative beyond rounding, or not finite. */
+static int qp_factorize_semidefinite(golden_qp_t *q, int b, const golden_real *reference)
+{
+    const golden_real zero = qp_zero_pivot();
+    if (!q->semidefinite) {
+        qp_set_proximal_weights(q, reference);
+    }
+    for (int k = b; k < b + 4; ++k) {
+        golden_real *h = q->H[k];
+        golden_real d = h[k];
+        for (int j = b; j < k; ++j) {
+            d -= h[j] * h[j] * q->H[j][j];
+        }
+        if (!isfinite(d) || d < -zero * reference[k]) {
+            return 0;
+        }
+        if (d <= zero * reference[k]) {
+            q->proximal[k] = q->weight[k];
+            d += q->weight[k];
+        }
+        h[k] = d;
+        q->inverse[k] = 1.0 / d;
+        for (int i = k + 1; i < b + 4; ++i) {
+            golden_real x = q->H[i][k];
+            for (int j = b; j < k; ++j) {
+                x -= q->H[i][j] * h[j] * q->H[j][j];
+            }
+            q->H[i][k] = h[i] = x * q->inverse[k];
+        }
+    }
+    return 1;
+}
+
+/* A zero pivot of a semidefinite matrix has zeros below it: x_ik^2 <= (pivot k) H_ii, where x_ik = L_ik d_k. */
+static int qp_zero_below(golden_qp_t *q, int b, const golden_real *reference)
+{
+    int valid = 1;
+    for (int k = b; k < b + 4; ++k) {
+        for (int i = k + 1; q->proximal[k] > 0.0 && i < GOLDEN_NV; ++i) {
+            const golden_real x = q->H[k][i] * q->H[k][k];
+            valid &= x * x <= qp_zero_pivot() * reference[k] * reference[i];
+        }
+    }
+    return valid;
 }
 
 /* Columns b..b+3 of L below the diagonal panel. With X = L D: X_i0 = H_i0, X_i1 = H_i1 - X_i0 L_10, ...;
@@ -133,10 +237,11 @@ static void qp_factorize_panel(golden_qp_t *q, int b)
     }
 }
 
-/* H = L D L' in place, inverse = D^{-1/2}; rows NV to LDV of the identity make the last panel whole. */
+/* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}; rows NV to LDV of the identity make the last panel whole. */
 static golden_status_t qp_factorize_hessian(golden_qp_t *q)
 {
     golden_real reference[GOLDEN_LDV];
+    q->semidefinite = 0;
     for (int i = GOLDEN_NV; i < GOLDEN_LDV; ++i) {
         for (int j = 0; j < GOLDEN_LDV; ++j) {
             q->H[i][j] = 0.0;
@@ -147,10 +252,14 @@ static golden_status_t qp_factorize_hessian(golden_qp_t *q)
         reference[i] = q->H[i][i];
     }
     for (int b = 0; b < GOLDEN_LDV; b += 4) {
-        if (!qp_factorize_diagonal(q, b, reference)) {
+        const int definite = qp_factorize_diagonal(q, b, reference);
+        if (!definite && !qp_factorize_semidefinite(q, b, reference)) {
             return GOLDEN_NUMERICAL_FAILURE;
         }
         qp_factorize_panel(q, b);
+        if (!definite && !qp_zero_below(q, b, reference)) {
+            return GOLDEN_NUMERICAL_FAILURE;
+        }
     }
     for (int i = 0; i < GOLDEN_LDV; ++i) {
         q->inverse[i] = sqrt(q->inverse[i]);
@@ -410,7 +519,7 @@ static void qp_saturate(golden_qp_t *q, int k, int side)
     q->side[c] = 2 * side;
 }
 
-/* y0 = -D^{-1/2} L^{-1} (g + sum_saturated mult_c a_c) and its size; shift: sum of |mult_c| |D^{-1/2} a_c|. */
+/* y0 = -D^{-1/2} L^{-1} (g - proximal center + sum_saturated mult_c a_c) and its size; shift: sum of |mult_c| |D^{-1/2} a_c|. */
 static void qp_set_origin(golden_qp_t *q)
 {
     for (int i = 0; i < GOLDEN_NV; ++i) {
@@ -418,6 +527,9 @@ static void qp_set_origin(golden_qp_t *q)
     }
     for (int i = GOLDEN_NV; i < GOLDEN_LDV; ++i) {
         q->y0[i] = 0.0;
+    }
+    for (int i = 0; q->semidefinite && i < GOLDEN_NV; ++i) {
+        q->y0[i] += q->proximal[i] * q->center[i];
     }
     q->shift = 0.0;
     for (int j = 0; q->elastic && j < GOLDEN_NG; ++j) {
@@ -438,7 +550,7 @@ static void qp_set_origin(golden_qp_t *q)
 /* 1 if y is the small difference of large terms. */
 static int qp_cancelled(const golden_qp_t *q)
 {
-    const golden_real size = 0.0009765625 * (q->scale + q->shift);
+    const golden_real size = 0.125 * (q->scale + q->shift);
     return qp_dot(q->y, q->y, GOLDEN_LDV) < size * size;
 }
 
@@ -481,10 +593,12 @@ static int qp_wrong_multiplier(const golden_qp_t *q)
     for (int k = 0; k < q->nw; ++k) {
         const int c = q->work[k];
         const golden_real lam = q->side[c] > 0 ? q->lam[k] : -q->lam[k];
-        const golden_real limit = q->elastic ? qp_limit(q, c) : (golden_real)INFINITY;
-        const golden_real above = lam - limit, below = q->lower[c] < q->upper[c] ? -lam : -lam - limit;
-        if (above > 0.0 || below > 0.0) {
-            const golden_real excess = above > below ? above : below;
+        golden_real excess = q->lower[c] < q->upper[c] ? -lam : 0.0;
+        if (q->elastic) {
+            const golden_real above = fabs(lam) - qp_limit(q, c);
+            excess = above > excess ? above : excess;
+        }
+        if (excess > 0.0) {
             const golden_real weighted = excess * sqrt(qp_dot(q->R[k], q->R[k], (k + 4) / 4 * 4));
             const golden_real rounding = q->scale + q->shift + sqrt(qp_dot(q->y, q->y, GOLDEN_LDV));
             if (weighted > most && weighted > 1.4210854715202004e-14 * rounding) {
@@ -632,37 +746,37 @@ static void qp_move(golden_qp_t *q, const golden_real *r, golden_real step, int 
     }
 }
 
-/* Violation of the row with normal m = Q'R r + v that is taken as rounding, a multiple of
- * size = |bound| + |t|'|r| + |m|'|y| + |v|'|y0|. Entering would move y by violation / |v|, so it grows with |m| / |v|, up to
- * that of a row that cannot enter. */
+/* Violation of the row with normal m = Q'R r + v that is taken as rounding. The members' part is a multiple of
+ * size = |bound| + |t|'|r| + |m| |y| / 2; entering would move y by violation / |v|, so it grows with |m| / |v|, up to that of a row
+ * that cannot enter. The other part is that of v'y, which y0 dominates: a multiple of |v| |y0|. */
 static golden_real qp_rounding(const golden_qp_t *q, const golden_real *r, golden_real bound, golden_real mm, golden_real vv)
 {
     const golden_real most = 5.684341886080802e-14, least = 8.881784197001252e-16;
-    golden_real size = fabs(bound) + sqrt(vv) * q->shift;
-    for (int j = 0; j < GOLDEN_LDV; ++j) {
-        size += fabs(q->m[j] * q->y[j]) + fabs(q->v[j] * q->y0[j]);
-    }
+    const golden_real outside = 2.220446049250313e-16 * sqrt(vv) * (q->scale + q->shift);
+    golden_real size = fabs(bound) + 0.5 * sqrt(mm * qp_dot(q->y, q->y, GOLDEN_LDV));
     for (int k = 0; k < q->nw; ++k) {
         size += fabs(qp_active_bound(q, k) * r[k]);
     }
-    return size * (vv * (most * most) > mm * (least * least) ? least * sqrt(mm / vv) : most);
+    return outside + size * (vv * (most * most) > mm * (least * least) ? least * sqrt(mm / vv) : most);
 }
 
-/* Row c and the members bound a combination of the rows by itself: certificate = side (e_c - sum_k r_k e_k), normalised. */
-static void qp_certify(golden_qp_t *q, int c, int side, const golden_real *r)
+/* The rows c and work[k] contradict each other: certificate = side (e_c - sum_k r_k e_k), normalised, rounding left out. */
+static void qp_certify(golden_qp_t *q, int c, int side, const golden_real *r, golden_real mm)
 {
     golden_real most = 1.0;
-    q->certificate[c] = (side > 0) ? 1.0 : -1.0;
+    for (int i = 0; i < GOLDEN_NV + GOLDEN_NG; ++i) {
+        q->certificate[i] = 0.0;
+    }
+    q->certificate[c] = side > 0 ? 1.0 : -1.0;
     for (int k = 0; k < q->nw; ++k) {
-        const int i = q->work[k];
-        const golden_real weight = side > 0 ? -r[k] : r[k];
-        if (q->lower[i] >= q->upper[i] || (weight > 0.0) == (q->side[i] > 0)) {
-            q->certificate[i] = weight;
-            most = fabs(weight) > most ? fabs(weight) : most;
+        const golden_real norm2 = qp_dot(q->R[k], q->R[k], (k + 4) / 4 * 4);
+        if (r[k] * r[k] * norm2 > 2.2737367544323206e-13 * 2.2737367544323206e-13 * mm) {
+            q->certificate[q->work[k]] = side > 0 ? -r[k] : r[k];
+            most = fabs(r[k]) > most ? fabs(r[k]) : most;
         }
     }
     for (int i = 0; i < GOLDEN_NV + GOLDEN_NG; ++i) {
-        q->certificate[i] /= most;
+        q->certificate[i] = q->certificate[i] / most;
     }
 }
 
@@ -723,7 +837,7 @@ static golden_status_t qp_enforce(golden_qp_t *q, int c, int side, golden_real v
         }
         const int blocking = qp_blocking(q, r, side, mm, &step, &leave);
         if (!primal && blocking < 0 && !(reach < (golden_real)INFINITY)) {
-            qp_certify(q, c, side, r);
+            qp_certify(q, c, side, r, mm);
             return GOLDEN_INFEASIBLE;
         }
         ++q->iterations;
@@ -765,19 +879,29 @@ static golden_status_t qp_predict_active(golden_qp_t *q, int c, int side)
     return GOLDEN_OK;
 }
 
-/* Saturation ends where the row has become hard, or the bound infinite. Sets elastic; returns 0 if a penalty is invalid. */
-static int qp_take_penalties(golden_qp_t *q)
+/* Saturation ends where the row has become hard, or the bound infinite. */
+static void qp_release_saturated(golden_qp_t *q)
 {
-    int valid = 1;
-    q->elastic = 0;
-    for (int j = 0; j < GOLDEN_NG; ++j) {
-        const int c = GOLDEN_NV + j, soft = q->penalty[j] < (golden_real)INFINITY;
-        valid &= q->penalty[j] >= 0.0;
-        q->elastic |= soft;
-        if (qp_saturated(q, c) && !(soft && isfinite(q->side[c] > 0 ? q->upper[c] : q->lower[c]))) {
+    for (int c = GOLDEN_NV; c < GOLDEN_NV + GOLDEN_NG; ++c) {
+        const int held = qp_limit(q, c) < (golden_real)INFINITY && isfinite(q->side[c] > 0 ? q->upper[c] : q->lower[c]);
+        if (qp_saturated(q, c) && !held) {
             q->side[c] = 0;
         }
     }
+}
+
+/* Sets elastic; returns 0 if a penalty is invalid. */
+static int qp_take_penalties(golden_qp_t *q)
+{
+    int valid = 1, elastic = 0;
+    for (int j = 0; j < GOLDEN_NG; ++j) {
+        valid &= q->penalty[j] >= 0.0;
+        elastic |= q->penalty[j] < (golden_real)INFINITY;
+    }
+    if (elastic || q->elastic) {
+        qp_release_saturated(q);
+    }
+    q->elastic = elastic;
     return valid;
 }
 
@@ -918,6 +1042,119 @@ static golden_status_t qp_iterate(golden_qp_t *q)
     return status;
 }
 
+/* u = D^{1/2} L's */
+static void qp_to_working_coordinates(const golden_qp_t *q, const golden_real *s, golden_real *u)
+{
+    for (int i = 0; i < GOLDEN_LDV; ++i) {
+        u[i] = s[i];
+        for (int j = i + 1; j < GOLDEN_LDV; ++j) {
+            u[i] += q->H[i][j] * s[j];
+        }
+        u[i] = u[i] / q->inverse[i];
+    }
+}
+
+/* The largest t for which z + t p crosses no bound of a row that is not a member. */
+static golden_real qp_distance(const golden_qp_t *q, const golden_real *z, const golden_real *p)
+{
+    golden_real most = (golden_real)INFINITY;
+    for (int c = 0; c < GOLDEN_NV + GOLDEN_NG; ++c) {
+        if (q->side[c] != 0 && !qp_saturated(q, c)) {
+            continue;
+        }
+        const golden_real value = c < GOLDEN_NV ? z[c] : qp_dot(q->A[c - GOLDEN_NV], z, GOLDEN_LDV);
+        const golden_real slope = c < GOLDEN_NV ? p[c] : qp_dot(q->A[c - GOLDEN_NV], p, GOLDEN_LDV);
+        golden_real over = value - q->upper[c], under = q->lower[c] - value;
+        if (q->side[c] != 0) {
+            qp_inside(q, c, &over, &under);
+        }
+        const golden_real room = slope > 0.0 ? -over : -under, speed = fabs(slope);
+        if (speed > 0.0 && room < most * speed) {
+            most = room > 0.0 ? room / speed : 0.0;
+        }
+    }
+    return most;
+}
+
+/* center += t p to the minimum along p = s + beta p, or to the next bound. On one face this is the conjugate gradient method
+ * with the proximal step as the preconditioned residual, so it ends after as many steps as E has directions:
+ *     beta = s'(H + E)s / (the one before),   t = s'(H + E)s / p'Hp,   p'Hp = |D^{1/2} L'p|^2 - p'Ep
+ * Returns t; infinite: the cost decreases without end. total: s'(H + E)s. */
+static golden_real qp_conjugate_step(golden_qp_t *q, const golden_real *s, golden_real total)
+{
+    const golden_real beta = q->total > 0.0 && q->face == q->changes ? total / q->total : 0.0;
+    golden_real u[GOLDEN_LDV], weighted = 0.0;
+    for (int i = 0; i < GOLDEN_LDV; ++i) {
+        q->direction[i] = s[i] + beta * q->direction[i];
+        weighted += q->proximal[i] * q->direction[i] * q->direction[i];
+    }
+    qp_to_working_coordinates(q, q->direction, u);
+    const golden_real square = qp_dot(u, u, GOLDEN_LDV), curvature = square - weighted;
+    golden_real t = qp_distance(q, q->center, q->direction);
+    q->total = 0.0;
+    q->face = q->changes;
+    if (curvature * qp_proximal_share() > 7.105427357601002e-15 * square && total < t * curvature) {
+        t = total / curvature;
+        q->total = total;
+    }
+    for (int i = 0; i < GOLDEN_LDV; ++i) {
+        q->center[i] += t * q->direction[i];
+    }
+    return t;
+}
+
+/* A proximal step s = x - center is known. OK: it is rounding, and x the minimiser. ITERATION_LIMIT: the centre has moved.
+ * NUMERICAL_FAILURE: the cost is unbounded below. */
+static golden_status_t qp_move_center(golden_qp_t *q)
+{
+    golden_real s[GOLDEN_LDV], u[GOLDEN_LDV], e[GOLDEN_LDV], weighted = 0.0;
+    const golden_real size = q->scale + q->shift + sqrt(qp_dot(q->y, q->y, GOLDEN_LDV));
+    for (int i = 0; i < GOLDEN_LDV; ++i) {
+        s[i] = q->x[i] - q->center[i];
+        weighted += q->proximal[i] * s[i] * s[i];
+    }
+    const golden_real step = sqrt(weighted), before = q->step;
+    q->step = step;
+    if (step <= 5.684341886080802e-14 * size ||
+        (step <= 9.094947017729282e-13 * size && step > 0.5 * before)) {
+        return GOLDEN_OK;
+    }
+    qp_to_working_coordinates(q, s, u);
+    qp_coefficients(q, u, e);
+    const golden_real total = qp_dot(u, u, GOLDEN_LDV), off = qp_dot(e, e, (q->nw + 3) / 4 * 4);
+    if (off <= 3.637978807091713e-12 * total) {
+        return qp_conjugate_step(q, s, total) < (golden_real)INFINITY ? GOLDEN_ITERATION_LIMIT : GOLDEN_NUMERICAL_FAILURE;
+    }
+    for (int i = 0; i < GOLDEN_LDV; ++i) {
+        q->center[i] = q->x[i];
+    }
+    q->total = 0.0;
+    return GOLDEN_ITERATION_LIMIT;
+}
+
+/* The minimiser for a Hessian that is only semidefinite, by the proximal point method: z_{j+1} minimises the cost plus
+ * 1/2 (z - z_j)'E(z - z_j), started at the working set of z_j. */
+static golden_status_t qp_iterate_proximal(golden_qp_t *q)
+{
+    for (int i = 0; i < GOLDEN_LDV; ++i) {
+        q->center[i] = q->direction[i] = 0.0;
+    }
+    q->total = 0.0;
+    q->step = (golden_real)INFINITY;
+    for (int step = 0; step < GOLDEN_QP_MAX_PROXIMAL_STEPS; ++step) {
+        qp_set_origin(q);
+        golden_status_t status = isfinite(q->scale) ? qp_iterate(q) : GOLDEN_NUMERICAL_FAILURE;
+        if (status == GOLDEN_OK) {
+            status = qp_move_center(q);
+            if (status == GOLDEN_ITERATION_LIMIT) {
+                continue;
+            }
+        }
+        return status;
+    }
+    return GOLDEN_ITERATION_LIMIT;
+}
+
 static void qp_init(golden_qp_t *q)
 {
     for (int i = 0; i < GOLDEN_LDV; ++i) {
@@ -928,6 +1165,7 @@ static void qp_init(golden_qp_t *q)
         }
         q->inverse[i] = q->R_inverse[i] = q->y0[i] = q->y[i] = q->x[i] = 0.0;
         q->m[i] = q->v[i] = q->d[i] = q->lam[i] = 0.0;
+        q->weight[i] = q->proximal[i] = q->center[i] = q->direction[i] = 0.0;
         q->work[i] = 0;
     }
     for (int j = 0; j < GOLDEN_NG; ++j) {
@@ -945,8 +1183,9 @@ static void qp_init(golden_qp_t *q)
         q->slack[c] = 0.0;
         q->snapshot[c] = 0;
     }
-    q->scale = q->shift = 0.0;
+    q->scale = q->shift = q->total = q->step = 0.0;
     q->iterations = q->changes = q->dropped = q->factorized = q->elastic = 0;
+    q->semidefinite = q->face = 0;
     qp_fail(q, GOLDEN_OK);
 }
 
@@ -975,19 +1214,26 @@ static golden_status_t qp_solve(golden_qp_t *q)
     if (status != GOLDEN_OK) {
         return qp_fail(q, status);
     }
-    qp_set_origin(q);
-    status = isfinite(q->scale) ? qp_iterate(q) : GOLDEN_NUMERICAL_FAILURE;
+    if (q->semidefinite) {
+        status = qp_iterate_proximal(q);
+    } else {
+        qp_set_origin(q);
+        status = isfinite(q->scale) ? qp_iterate(q) : GOLDEN_NUMERICAL_FAILURE;
+    }
     if (status == GOLDEN_NUMERICAL_FAILURE || !qp_write_result(q)) {
         return qp_fail(q, GOLDEN_NUMERICAL_FAILURE);
     }
     return status;
 }
 
-/* Warm start of a shifted problem: the bound of variable i + n becomes the prediction for variable i; the last n keep
- * theirs, general rows too. */
-static inline void qp_shift_working_set(golden_qp_t *q, int n)
+/* Warm start of a shifted problem: the side of variable i + n becomes the prediction for variable i, the last n keep theirs;
+ * general row j takes that of row source[j] >= j, or none if source[j] < 0. */
+static inline void qp_shift_working_set(golden_qp_t *q, int n, const int *source)
 {
     for (int i = 0; i + n < GOLDEN_NV; ++i) {
         q->side[i] = q->side[i + n];
+    }
+    for (int j = 0; j < GOLDEN_NG; ++j) {
+        q->side[GOLDEN_NV + j] = source[j] < 0 ? 0 : q->side[GOLDEN_NV + source[j]];
     }
 }

@@ -32,25 +32,6 @@ static void recursion_fade(const real *i0, const real *i1, real *o)
     o[2] = t12;
 }
 
-/* recursion: column
- *   i0 [4]
- *   i1 [1]
- *   o [1]
- * 3 add, 1 mul */
-static void recursion_column(const real *i0, const real *i1, real *o)
-{
-    const real i0_0 = i0[0];
-    const real i0_1 = i0[1];
-    const real i0_2 = i0[2];
-    const real i0_3 = i0[3];
-    const real i1_0 = i1[0];
-    const real t2 = i0_0 + i0_1;
-    const real t4 = t2 + i0_2;
-    const real t6 = t4 + i0_3;
-    const real t8 = t6 * i1_0;
-    o[0] = t8;
-}
-
 /* recursion: double
  *   i0 [1]
  *   o [1]
@@ -60,18 +41,6 @@ static void recursion_double(const real *i0, real *o)
     const real i0_0 = i0[0];
     const real t1 = i0_0 + i0_0;
     o[0] = t1;
-}
-
-/* recursion: spread
- *   i0 [1]
- *   o [2]
- * 1 call */
-static void recursion_spread(const real *i0, real *o)
-{
-    const real i0_0 = i0[0];
-    const real t1 = sinf(i0_0);
-    o[0] = i0_0;
-    o[1] = t1;
 }
 
 /* a test of everything
@@ -90,19 +59,25 @@ static void recursion(const real *A, const real *unused, real *y, real *Y)
     }
     for (c = 0; c < 3; c++) {
         {
-            int l;
-            real w0[4];
-            for (l = 0; l < 4; l++) { w0[l] = A[c + 3 * l]; }
-            recursion_column(w0, &s[c], &y[c]);
+            const real i0_0 = A[c];
+            const real i0_1 = A[c + 3];
+            const real i0_2 = A[c + 6];
+            const real i0_3 = A[c + 9];
+            const real i1_0 = s[c];
+            const real t2 = i0_0 + i0_1;
+            const real t4 = t2 + i0_2;
+            const real t6 = t4 + i0_3;
+            const real t8 = t6 * i1_0;
+            y[c] = t8;
         }
         for (r = 1; r < 3; r++) {
             recursion_double(&y[c], &y[c]);
         }
         {
-            int l;
-            real w0[2];
-            recursion_spread(&y[c], w0);
-            for (l = 0; l < 2; l++) { Y[c + 3 * l] = w0[l]; }
+            const real i0_0 = y[c];
+            const real t1 = sinf(i0_0);
+            Y[c] = i0_0;
+            Y[c + 3] = t1;
         }
     }
     (void)unused;

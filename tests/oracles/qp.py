@@ -50,25 +50,30 @@ class Residuals:
         return max(self.stationarity, self.feasibility, self.sign)
 
 
-def residuals(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray) -> Residuals:
+def residuals(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray, penalty: np.ndarray | float = np.inf) -> Residuals:
     """Relative residuals at (z, mult).
 
     stationarity: |H z + g + C'mult| / (|H||z| + |g| + |C'||mult|) in the largest norm, C = rows.
-    feasibility: violation / (|bound| + |c_i||z|_max); sign: |mult_i| relative to the
+    feasibility: violation / (|bound| + |c_i||z|_max + 1e-20); sign: |mult_i| relative to the
     largest, times the relative distance (at most 1) from the bound that its sign names.
+    ``penalty``: of the general rows, cost penalty * violation in place of the row. A row whose multiplier is at this
+    limit may be violated on that side; |mult| > penalty counts as a sign violation of 1.
     """
     C = qp.rows
+    limit = np.concatenate([np.full(len(z), np.inf), np.broadcast_to(penalty, len(qp.A))])
     terms = np.abs(qp.H) @ np.abs(z) + np.abs(qp.g) + np.abs(C.T) @ np.abs(mult)
     stationarity = np.max(np.abs(qp.H @ z + qp.g + C.T @ mult)) / max(np.max(terms), np.finfo(float).tiny)
     value = C @ z
-    size = np.abs(C) @ np.full(len(z), np.max(np.abs(z), initial=0.0)) + np.finfo(float).tiny
+    size = np.abs(C) @ np.full(len(z), np.max(np.abs(z), initial=0.0)) + 1e-20
     over = np.where(np.isfinite(qp.upper), value - qp.upper, -np.inf)
     under = np.where(np.isfinite(qp.lower), qp.lower - value, -np.inf)
+    over = np.where(mult >= limit, np.minimum(over, 0.0), over)
+    under = np.where(mult <= -limit, np.minimum(under, 0.0), under)
     bound = np.where(np.isfinite(qp.upper), np.abs(qp.upper), 0) + np.where(np.isfinite(qp.lower), np.abs(qp.lower), 0)
     feasibility = np.max(np.maximum(over, under) / (size + bound), initial=0.0)
     distance = np.where(mult > 0, -over, np.where(mult < 0, -under, 0.0)) / (size + bound)
     weight = np.abs(mult) / max(np.max(np.abs(mult), initial=0.0), np.finfo(float).tiny)
-    sign = np.max(weight * np.minimum(1.0, np.abs(distance)), initial=0.0)
+    sign = np.max(weight * np.minimum(1.0, np.abs(distance)), initial=float(np.any(np.abs(mult) > limit)))
     return Residuals(float(stationarity), float(max(feasibility, 0.0)), float(sign))
 
 

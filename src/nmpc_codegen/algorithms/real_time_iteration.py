@@ -6,30 +6,34 @@ prepare(): (shift,) linearise, Hessian, condense, factorise. feedback(xhat): emb
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.cmodule import Field, Size, Struct
+from nmpc_codegen.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.sweep import Routine
 
-SHIFTS = (None, "repeat")
+SHIFTS = (None, "repeat", "periodic", "resample")
 MAX_TRIALS = 30
 MEMORY = 8
 
 
 @dataclass(frozen=True)
 class RealTimeIteration:
-    """One QP per sample, full step. ``shift``: None, or "repeat" (the plan moves by one interval before prepare).
+    """One QP per sample, full step. ``shift``: how the plan moves before every prepare but the first.
 
-    "repeat" is right only if the sampling time equals the first interval; the last control is repeated and the tail
-    integrated.
+    None: it stays. "repeat": by one interval, the last control is repeated and the tail integrated. "periodic": by one
+    interval, the first control becomes the last, states are integrated anew, accumulators start at 0. "resample": the
+    old plan is read ``sampling_time`` (s) later, on any grid. "repeat" and "periodic" are right only if the sampling
+    time equals the first interval.
     """
 
     shift: str | None = None
+    sampling_time: float | None = None
 
     seam: ClassVar[str] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
@@ -39,20 +43,56 @@ class RealTimeIteration:
 
     def __post_init__(self) -> None:
         if self.shift not in SHIFTS:
-            raise OptionError(f'shift: {self.shift!r}; this version supports None and "repeat"')
+            raise OptionError(f"shift: {self.shift!r}; expected one of {', '.join(map(repr, SHIFTS))}")
+        given = self.sampling_time
+        if (given is not None) != (self.shift == "resample"):
+            raise OptionError(
+                f'sampling_time: {given!r} with shift={self.shift!r}; shift="resample" needs it, others not'
+            )
+        number = isinstance(given, int | float) and not isinstance(given, bool)
+        if given is not None and not (number and math.isfinite(given) and given > 0):
+            raise OptionError(f"sampling_time: {given!r}; expected a finite number > 0 (s)")
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Templates that its own one includes; without an option, shift() moves by one interval."""
+        if self.shift == "resample":
+            return ("algorithms/shift_resample.c.jinja",)
+        if self.shift == "periodic":
+            return ("algorithms/shift_by_one.c.jinja", "algorithms/shift_periodic.c.jinja")
+        return ("algorithms/shift_by_one.c.jinja", "algorithms/shift_repeat.c.jinja")
 
     def check(self, problem: Problem) -> None:
-        """Shifting by an interval needs intervals of one length."""
-        if self.shift == "repeat" and not problem.uniform:
-            raise OptionError('shift="repeat" moves the plan by one interval and clashes with a non-uniform grid')
+        """Moving by an interval needs intervals of one length, reading between nodes a differential equation."""
+        if self.shift in ("repeat", "periodic") and not problem.uniform:
+            raise OptionError(
+                f'shift="{self.shift}" moves the plan by one interval and clashes with a non-uniform grid; '
+                'expected shift="resample", sampling_time=...'
+            )
+        if self.shift == "resample" and problem.discrete:
+            raise OptionError('shift="resample" reads the plan between nodes and clashes with a discrete map')
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """None of its own."""
         self.check(problem)
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """Times of the nodes, or the accumulators, for the shifts that need them."""
+        if self.shift == "resample":
+            times = tuple(math.fsum(problem.dt[:k]) for k in range(problem.N + 1))
+            return (
+                Table("node_time", "real", times, "t_k"),
+                Table("sampling_time", "real", (float(self.sampling_time or 0.0),), "the plan is read so much later"),
+            )
+        if self.shift == "periodic":
+            flags = tuple(int(i in problem.accumulators) for i in range(problem.nx))
+            return (Table("is_accumulator", "int", flags, "1: the state starts at 0 at every sample"),)
         return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
-            ("SHIFT", int(self.shift == "repeat"), "1: step() moves the plan by one interval before preparing"),
+            ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
             ("MEMORY", MEMORY, "merit values that the line search of solve() remembers"),
         )
@@ -82,27 +122,7 @@ class RealTimeIteration:
                     Field("J", (dims.nh_N, dims.nx), "their Jacobian C_N", "data"),
                 ),
             ),
-            Struct(
-                "sqp",
-                "line search of solve()",
-                (
-                    Field("x", (nodes, dims.nx), "states before the step", "scratch"),
-                    Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
-                    Field("dx", (nodes, dims.nx), "step of the states", "scratch"),
-                    Field("du", (dims.nv,), "step of the controls", "scratch"),
-                    Field("dx_full", (nodes, dims.nx), "the same before the second-order correction", "scratch"),
-                    Field("du_full", (dims.nv,), "likewise", "scratch"),
-                    Field("b", (dims.N, dims.nx), "gaps at a trial point", "scratch"),
-                    Field("h", (dims.N, dims.nh), "general path rows at a trial point", "scratch"),
-                    Field("h_N", (dims.nh_N,), "general terminal rows at a trial point", "scratch"),
-                    Field("J", (dims.nh, dims.nz), "their Jacobian, not used", "scratch"),
-                    Field("J_N", (dims.nh_N, dims.nx), "likewise", "scratch"),
-                    Field("gap_weight", (), "weight of the gaps in the merit function", "scratch"),
-                    Field("row_weight", (), "weight of the rows; penalty of the elastic QP", "scratch"),
-                    Field("recent", (Size("MEMORY", MEMORY),), "last merit values", "scratch"),
-                    Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
-                ),
-            ),
+            _line_search(dims),
             Struct(
                 "solver",
                 "",
@@ -125,3 +145,29 @@ class RealTimeIteration:
         node = known["integrator_interval"] + known["path_gradient"] + known["path_rows"]
         node += OpCount(add=dims.nx.value)
         return {"linearize": node * dims.N.value + known["terminal_gradient"] + known["terminal_rows"]}
+
+
+def _line_search(dims: Dims) -> Struct:
+    """Memory of solve() beyond that of the real-time iteration."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    return Struct(
+        "sqp",
+        "line search of solve()",
+        (
+            Field("x", (nodes, dims.nx), "states before the step", "scratch"),
+            Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
+            Field("dx", (nodes, dims.nx), "step of the states", "scratch"),
+            Field("du", (dims.nv,), "step of the controls", "scratch"),
+            Field("dx_full", (nodes, dims.nx), "the same before the second-order correction", "scratch"),
+            Field("du_full", (dims.nv,), "likewise", "scratch"),
+            Field("b", (dims.N, dims.nx), "gaps at a trial point", "scratch"),
+            Field("h", (dims.N, dims.nh), "general path rows at a trial point", "scratch"),
+            Field("h_N", (dims.nh_N,), "general terminal rows at a trial point", "scratch"),
+            Field("J", (dims.nh, dims.nz), "their Jacobian, not used", "scratch"),
+            Field("J_N", (dims.nh_N, dims.nx), "likewise", "scratch"),
+            Field("gap_weight", (), "weight of the gaps in the merit function", "scratch"),
+            Field("row_weight", (), "weight of the rows; penalty of the elastic QP", "scratch"),
+            Field("recent", (Size("MEMORY", MEMORY),), "last merit values", "scratch"),
+            Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
+        ),
+    )

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.cmodule import Field, Size, Struct
+from nmpc_codegen.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
@@ -34,6 +34,15 @@ class FullCondensing:
     supports: ClassVar[frozenset[str]] = frozenset({"general cost"})
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        return ()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Nothing to choose between."""
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
         return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:

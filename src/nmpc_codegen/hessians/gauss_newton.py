@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.cmodule import Field, Struct
+from nmpc_codegen.cmodule import Field, Struct, Table
 from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
@@ -23,7 +23,11 @@ from nmpc_codegen.sweep import Routine
 
 @dataclass(frozen=True)
 class GaussNewton:
-    """Gauss-Newton Hessian; ``levenberg_marquardt`` >= 0 is added to its diagonal."""
+    """Gauss-Newton Hessian; ``levenberg_marquardt`` >= 0 is added to its diagonal.
+
+    ``convex_rows`` adds sum_i mu_i d2 h_i of the general rows at every node where it is positive semidefinite, with the
+    multipliers of the last QP: discs and other convex rows need it to converge.
+    """
 
     convex_rows: bool = False
     levenberg_marquardt: float = 0.0
@@ -35,8 +39,8 @@ class GaussNewton:
     supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state"})
 
     def __post_init__(self) -> None:
-        if self.convex_rows is not False:
-            raise OptionError(f"convex_rows: {self.convex_rows!r}; this version supports False only")
+        if not isinstance(self.convex_rows, bool):
+            raise OptionError(f"convex_rows: {self.convex_rows!r}; expected True or False")
         lm = self.levenberg_marquardt
         if isinstance(lm, bool) or not isinstance(lm, int | float) or not (math.isfinite(lm) and lm >= 0):
             raise OptionError(f"levenberg_marquardt: {lm!r}; expected a finite number >= 0")
@@ -52,7 +56,11 @@ class GaussNewton:
         residual = stage.y - yref
         J = ca.jacobian(stage.y, z) if ny else ca.SX(0, nz)
         weighted = weight @ residual
-        hessian = ca.tril(J.T @ weight @ J + self.levenberg_marquardt * ca.DM.eye(nz))
+        hessian = ca.sparsify(ca.tril(J.T @ weight @ J + self.levenberg_marquardt * ca.DM.eye(nz)))
+        mu = ca.SX.sym("mu", stage.nh)
+        curvature = ca.sparsify(ca.tril(ca.hessian(ca.dot(mu, stage.h), z)[0])) if stage.nh else ca.SX(nz, nz)
+        if self.convex_rows:  # entries that only the rows have are stored as zeros, for add_rows() to add to
+            hessian = ca.project(hessian, hessian.sparsity().unite(curvature.sparsity()))
         terminal = not stage.nu
         args = [stage.x, stage.p] if terminal else [stage.x, stage.u, stage.p, stage.dt]
         ports = [Port("x", stage.nx), Port("p", int(stage.p.numel()))]
@@ -62,16 +70,31 @@ class GaussNewton:
         yp = Port("yref", ny)
 
         def kernel(suffix: str, doc: str, more: list[Any], more_ports: list[Port], value: Any, out: Port) -> Kernel:
-            function = ca.Function(suffix, args + more, [ca.densify(value) if suffix == "cost" else ca.sparsify(value)])
+            function = ca.Function(suffix, args + more, [ca.densify(value) if suffix == "cost" else value])
             return lift(function, f"{name}_{suffix}", doc, ports + more_ports, [out])
 
-        gradient = J.T @ weighted if ny else ca.SX(nz, 1)
+        gradient = ca.sparsify(J.T @ weighted) if ny else ca.SX(nz, 1)
         cost = ca.dot(residual, weighted) / 2 if ny else ca.SX(1, 1)
-        return (
+        kernels = (
             kernel("cost", "l = 1/2 (y - yref)' W (y - yref)", [yref, W], [yp, Wp], cost, Port("l", 1)),
             kernel("gradient", "g = J' W (y - yref)", [yref, W], [yp, Wp], gradient, Port("g", nz)),
             kernel("hessian", "Q = J' W J, lower triangle", [W], [Wp], hessian, Port("Q", nz, nz)),
         )
+        if not self.convex_rows:
+            return kernels
+        function = ca.Function("curvature", [*args[: 2 if terminal else 3], mu], [curvature])
+        doc = "M = sum_i mu_i d2 h_i, lower triangle"
+        curved = [*ports[: 2 if terminal else 3], Port("mu", stage.nh)]
+        return (*kernels, lift(function, f"{name}_curvature", doc, curved, [Port("M", nz, nz)]))
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What becomes of the curvature of the rows."""
+        return ("hessians/convex_rows.c.jinja",) if self.convex_rows else ("hessians/flat_rows.c.jinja",)
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return ()
@@ -92,7 +115,9 @@ class GaussNewton:
         )
 
     def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
-        """All blocks that hessian() forms."""
+        """All blocks that hessian() forms; with convex rows the count depends on the data."""
+        if self.convex_rows:
+            return {}
         return {"hessian": known["path_hessian"] * dims.nq.value + known["terminal_hessian"]}
 
 

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
+from nmpc_codegen.cmodule import Table
 from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount, Port, lift
@@ -48,6 +49,15 @@ class Discrete:
             ),
             lift(step, "integrator_step", "x_next = Phi(x, u, p)", (*ports, Port("h", 1)), (out,)),
         )
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Nothing to choose between."""
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("STEPS", 1, "evaluations of the map per interval"),)

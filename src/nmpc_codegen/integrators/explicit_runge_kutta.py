@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import casadi as ca
 
+from nmpc_codegen.cmodule import Table
 from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau
@@ -27,6 +28,8 @@ Unroll = Literal["auto", "all", "step", "none"]
 
 # unroll="auto": the largest straight-line program, in instructions, before loops are preferred
 AUTO_INSTRUCTIONS = 2500
+
+START = Affine()
 
 
 @dataclass(frozen=True)
@@ -78,6 +81,15 @@ class ExplicitRungeKutta:
             if len(program.instructions) <= AUTO_INSTRUCTIONS:
                 return program
         return rolled
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Nothing to choose between."""
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("STEPS", self.steps, "Runge-Kutta steps per interval"),)
@@ -142,7 +154,7 @@ class _Builder:
         return ca.Function(name, [x, h, *slopes], [y], ["x", "h", *(f"K{j}" for j in range(len(slopes)))], ["y"])
 
     def slopes(
-        self, buffer: str, coefficients: Sequence[Fraction], size: int, offset: Affine = Affine(), stride: int = 1
+        self, buffer: str, coefficients: Sequence[Fraction], size: int, offset: Affine = START, stride: int = 1
     ) -> list[Slice]:
         """Slices of the K_j with nonzero coefficient; K_j starts at j * size."""
         return [

@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from nmpc_codegen.cmodule import Field, Size, Struct
+from nmpc_codegen.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 
 if TYPE_CHECKING:
-    from nmpc_codegen.component import Dims
+    from nmpc_codegen.component import Counts, Dims
     from nmpc_codegen.problem import Problem
     from nmpc_codegen.sweep import Routine
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class DenseActiveSet:
     """Options of the dense active-set solver.
 
-    ``max_iterations``: changes of the working set allowed in one feedback phase; None: 4 (NV + NG) + 10.
+    ``max_iterations``: changes of the working set allowed in one feedback phase; None: 10 (NV + NG) + 50.
     """
 
     seam: ClassVar[str] = "qp"
@@ -47,10 +47,22 @@ class DenseActiveSet:
         """No function of the model is called."""
         return ()
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Nothing to choose between."""
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
+
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """The iteration cap."""
-        cap = 4 * (dims.nv.value + dims.ng.value) + 10 if self.max_iterations is None else self.max_iterations
-        return (("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one feedback phase"),)
+        cap = 10 * (dims.nv.value + dims.ng.value) + 50 if self.max_iterations is None else self.max_iterations
+        return (
+            ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one feedback phase"),
+            ("QP_MAX_PROXIMAL_STEPS", 200, "cap on the proximal steps for a semidefinite Hessian"),
+        )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The QP: data, result, factors and working set."""
@@ -81,20 +93,34 @@ class DenseActiveSet:
                     Field("d", (ld,), "its coefficients in the basis", "scratch"),
                     Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
                     Field("scale", (), "|y0|", "scratch"),
+                    Field("shift", (), "part of |y0| that the saturated rows may have", "scratch"),
+                    Field("penalty", (ng,), "l1 penalty of violating a general row; infinite: hard", "keep"),
+                    Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
+                    Field("proximal", (ld,), "diagonal E added to a semidefinite Hessian", "scratch"),
+                    Field("weight", (ld,), "its entries where they are needed", "scratch"),
+                    Field("center", (ld,), "centre of the proximal term", "scratch"),
+                    Field("direction", (ld,), "direction of the last proximal step", "scratch"),
+                    Field("total", (), "s'(H + E)s of it; 0: no conjugate direction follows", "scratch"),
+                    Field("step", (), "length of the proximal step", "scratch"),
                     Field("work", (ld,), "rows in the working set, in the order of the basis", "scratch", "int32"),
                     Field(
-                        "side", (rows,), "in the working set: 1 at upper, -1 at lower bound, else 0", "keep", "int32"
+                        "side", (rows,), "+-1: member at upper, lower bound; +-2: saturated; else 0", "keep", "int32"
                     ),
+                    Field("snapshot", (rows,), "an earlier side, to recognise cycles", "scratch", "int32"),
                     Field("nw", (), "members of the working set", "scratch", "int32"),
                     Field("factorized", (), "qp_factorize has succeeded", "scratch", "int32"),
+                    Field("semidefinite", (), "a pivot of H may be zero, E is not zero", "scratch", "int32"),
+                    Field("face", (), "changes when the direction was set", "scratch", "int32"),
+                    Field("elastic", (), "a general row has a finite penalty", "scratch", "int32"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
                     Field("changes", (), "rows that entered or left the working set in it", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
+                    Field("relaxed", (), "elastic rows that are violated", "result", "int32"),
                 ),
             ),
         )
 
-    def cost(self, dims: Dims) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
         """Operations of the functions whose count depends on sizes alone (padded columns included)."""
         n = dims.ld.value
         panels = n // 4
