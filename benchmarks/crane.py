@@ -9,7 +9,7 @@ import time
 import casadi as ca
 import numpy as np
 
-from benchmarks.closed_loop import closed_loop
+from benchmarks.closed_loop import Scenario, closed_loop
 from benchmarks.counting import count_mismatches
 from benchmarks.peers import time_sqpmethod
 from benchmarks.quality import compiler_warnings, foreign_external_symbols, sanitizer_findings, two_controllers_differ
@@ -21,7 +21,7 @@ from nmpc_codegen.analyse import analyse
 from nmpc_codegen.reference import Point, kkt_residuals, node_data, solve_reference
 
 X0 = np.array([2.0, 0.0, 0.0, 0.0])
-TIMING_X0 = (0.1, 0.0, 0.1, 0.0)
+TIMING = Scenario((0.1, 0.0, 0.1, 0.0), 0.3, 50, amplitude=0.05)
 CASES = {"terminal constraint": True, "terminal weight": False}
 
 
@@ -67,16 +67,16 @@ def times(report: Report) -> None:
     """Closed loop in C, and CasADi's sqpmethod with qpOASES in the same run."""
     for case, constraint in CASES.items():
         ocp = build_ocp(constraint)
-        t = closed_loop(generate(ocp), "crane", TIMING_X0, amplitude=0.05, period=50)
+        t = closed_loop(generate(ocp), "crane", TIMING)
         report.add("crane_total_us", t.total, "us", case=case, limit=2.6, n=t.samples)
         report.add("crane_feedback_us", t.feedback, "us", case=case, limit=1.0, n=t.samples)
         report.add("crane_total_median_us", t.total_median, "us", case=case, n=t.samples)
         report.add("crane_failed_steps", t.failed, case=case, n=t.samples)
         report.add("crane_qp_iterations", t.qp_iterations, "per step", case=case, n=t.samples)
         plant = build(ocp).integrate
-        peer = time_sqpmethod(analyse(ocp), plant, TIMING_X0, amplitude=0.05, period=50)
-        report.add("sqpmethod_total_us", peer, "us", case=case, profile="casadi", n=900)
-        report.add("crane_ratio_to_sqpmethod", t.total / peer, case=case, n=t.samples)
+        peer = time_sqpmethod(analyse(ocp), plant, TIMING)
+        report.add("sqpmethod_total_us", peer.total, "us", case=case, profile="casadi", n=peer.steps)
+        report.add("crane_ratio_to_sqpmethod", t.total / peer.total, case=case, n=t.samples)
 
 
 def quality(report: Report) -> None:

@@ -31,7 +31,7 @@ static void safe(int line)
 {
     int j;
     for (j = 0; j < SIZE(_NU); j++) {
-        const real low = control_lower(&s, j), high = control_upper(&s, j);
+        const real low = control_lower(&s, 0, j), high = control_upper(&s, 0, j);
         expect(isfinite(u[j]) && u[j] >= low && u[j] <= high, "u0 finite and inside its bounds", line);
         u[j] = (real)NAN;
     }

@@ -1,40 +1,57 @@
-"""Peers measured in the same run: CasADi's own sqpmethod with qpOASES, one iteration per sample, warm-started."""
+"""Peers measured in the same run: CasADi's sqpmethod with its QP plugins, one iteration per sample, warm-started."""
 
 from __future__ import annotations
 
+import contextlib
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from benchmarks.closed_loop import Scenario, pinned_core
 from nmpc_codegen.problem import Array, Problem
-from nmpc_codegen.reference import interval_map
+from nmpc_codegen.reference import CLASSICAL, Tableau, interval_map
+
+#: Options of each plugin: silent, and a failed QP is not the end of the closed loop.
+QUIET: dict[str, dict[str, Any]] = {
+    "qpoases": {"printLevel": "none", "error_on_fail": False, "print_time": False},
+    "daqp": {"error_on_fail": False, "print_time": False},
+    "hpipm": {"error_on_fail": False, "print_time": False},
+}
+
+
+def available(qpsol: str) -> bool:
+    """True if this CasADi ships the plugin."""
+    return bool(ca.has_conic(qpsol))
 
 
 class SqpMethod:
     """Multiple-shooting NLP of a Gauss-Newton problem without general rows, one full SQP step per call.
 
-    The dynamics are expanded to SX and the Gauss-Newton Hessian is handed over, so that it solves what we solve.
+    The dynamics are expanded to SX and the Gauss-Newton Hessian is handed over, so that it solves what we solve;
+    variables are (x_0, u_0, x_1, ...) and the gaps follow stage by stage, the structure that HPIPM detects.
     """
 
-    def __init__(self, problem: Problem, qpsol: str = "qpoases") -> None:
+    def __init__(self, problem: Problem, integrator: Tableau = CLASSICAL, qpsol: str = "qpoases") -> None:
         if problem.path.nh or problem.terminal.nh or problem.np:
             raise ValueError(f"{problem.name}: the peer takes neither general rows nor parameters")
         self.problem = problem
         N, nx, nu = problem.N, problem.nx, problem.nu
-        Phi = interval_map(problem)
+        Phi = interval_map(problem, integrator)
         X = [ca.SX.sym(f"x{k}", nx) for k in range(N + 1)]
         U = [ca.SX.sym(f"u{k}", nu) for k in range(N)]
         z = ca.vertcat(*[v for k in range(N) for v in (X[k], U[k])], X[N])
         gaps = [Phi(X[k], U[k], ca.SX(0, 1), problem.dt[k])[0] - X[k + 1] for k in range(N)]
-        residual, weight = self._residuals(X, U)
+        p = ca.SX.sym("p", problem.path.ny + problem.terminal.ny)
+        residual, weight = self._residuals(X, U, p)
         f = ca.dot(residual, weight @ residual) / 2
         J = ca.jacobian(residual, z)
         lam_f, lam_g = ca.SX.sym("lam_f"), ca.SX.sym("lam_g", N * nx)
-        p = ca.SX.sym("p", 0)
-        hessian = ca.Function("nlp_hess_l", [z, p, lam_f, lam_g], [lam_f * (J.T @ weight @ J)])
+        hessian = ca.Function("nlp_hess_l", [z, p, lam_f, lam_g], [ca.triu(lam_f * (J.T @ weight @ J))])
         options = {
             "qpsol": qpsol,
             "max_iter": 1,
@@ -44,24 +61,22 @@ class SqpMethod:
             "print_time": False,
             "error_on_fail": False,
             "hess_lag": hessian,
-            "qpsol_options": {"printLevel": "none", "error_on_fail": False, "print_time": False}
-            if qpsol == "qpoases"
-            else {},
+            "qpsol_options": QUIET.get(qpsol, {}),
         }
-        self.solver = ca.nlpsol("peer", "sqpmethod", {"x": z, "f": f, "g": ca.vertcat(*gaps)}, options)
+        self.solver = ca.nlpsol("peer", "sqpmethod", {"x": z, "p": p, "f": f, "g": ca.vertcat(*gaps)}, options)
         self.lower, self.upper = self._bounds()
-        self.guess: dict[str, Any] = {}
+        self.reset()
 
-    def _residuals(self, X: list[Any], U: list[Any]) -> tuple[Any, Any]:
+    def _residuals(self, X: list[Any], U: list[Any], p: Any) -> tuple[Any, Any]:
         path, terminal = self.problem.path, self.problem.terminal
         y = ca.Function("y", [path.x, path.u], [path.y])
         y_N = ca.Function("y_N", [terminal.x], [terminal.y])
-        residuals = [y(x, u) - path.reference for x, u in zip(X, U, strict=False)]
+        residuals = [y(x, u) - p[: path.ny] for x, u in zip(X, U, strict=False)]
         weights = [path.weight] * len(U)
         if terminal.ny:
-            residuals.append(y_N(X[-1]) - terminal.reference)
+            residuals.append(y_N(X[-1]) - p[path.ny :])
             weights.append(terminal.weight)
-        return ca.vertcat(*residuals), ca.diagcat(*weights)
+        return ca.vertcat(*residuals), ca.sparsify(ca.diagcat(*weights))
 
     def _bounds(self) -> tuple[Array, Array]:
         p = self.problem
@@ -74,34 +89,107 @@ class SqpMethod:
         return lower, upper
 
     def reset(self) -> None:
-        """Forget the plan: next start is the origin."""
-        self.guess = {}
+        """Forget the plan and the set point: the next plan starts at the measured state and the control reference."""
+        self.guess: dict[str, Any] = {}
+        self.set_point(self.problem.path.reference, self.problem.terminal.reference)
+
+    def set_point(self, y: Any, y_N: Any) -> None:
+        """Reference of all nodes and of the end."""
+        self.reference = np.concatenate([np.asarray(y, dtype=float), np.asarray(y_N, dtype=float)])
+
+    def _start(self, xhat: Array) -> Array:
+        p = self.problem
+        u = [self.reference[at] if at >= 0 else 0.0 for at in p.control_reference]
+        return np.concatenate([np.tile(np.concatenate([xhat, u]), p.N), xhat])
 
     def step(self, xhat: Array) -> Array:
         """One SQP iteration from the last plan; returns u_0."""
+        nx, nu = self.problem.nx, self.problem.nu
         lower, upper = self.lower.copy(), self.upper.copy()
-        lower[: self.problem.nx] = upper[: self.problem.nx] = xhat
-        solution = self.solver(lbx=lower, ubx=upper, lbg=0, ubg=0, **self.guess)
+        lower[:nx] = upper[:nx] = xhat
+        guess = self.guess or {"x0": self._start(xhat)}
+        solution = self.solver(p=self.reference, lbx=lower, ubx=upper, lbg=0, ubg=0, **guess)
         self.guess = {"x0": solution["x"], "lam_x0": solution["lam_x"], "lam_g0": solution["lam_g"]}
-        return np.array(solution["x"][self.problem.nx : self.problem.nx + self.problem.nu]).ravel()
+        return np.array(solution["x"][nx : nx + nu]).ravel()
+
+
+@dataclass(frozen=True)
+class PeerTiming:
+    """Median time of a step (us; minimum over runs), the number of steps behind it, and its controls (steps, nu)."""
+
+    total: float
+    steps: int
+    u: Array
 
 
 def time_sqpmethod(
-    problem: Problem, plant: Any, x0: Sequence[float], *, amplitude: float, period: int, steps: int = 300, runs: int = 3
-) -> float:
-    """Minimum over runs of the median time of a step, us, called from Python."""
-    peer = SqpMethod(problem)
-    medians = []
-    for _ in range(runs):
-        rng = np.random.default_rng(1)
-        x, times = np.array(x0, dtype=float), []
-        peer.reset()
-        for n in range(steps):
-            if n % period == 0:
-                x = x + amplitude * rng.uniform(-1, 1, x.size)
-            start = time.perf_counter()
-            u = peer.step(x)
-            times.append(1e6 * (time.perf_counter() - start))
-            x = plant(x, u, problem.dt[0])
-        medians.append(float(np.median(times)))
-    return min(medians)
+    problem: Problem,
+    plant: Any,
+    scenario: Scenario,
+    integrator: Tableau = CLASSICAL,
+    *,
+    qpsol: str = "qpoases",
+    seconds: float = 2.0,
+    runs: int = 3,
+) -> PeerTiming:
+    """Closed loop called from Python on one core, up to 300 steps per run, about ``seconds`` in all, one step at least.
+
+    Where few steps fit, they are those after a disturbance, the harder ones: look at the number of steps.
+    """
+    with pinned(), silent():
+        peer = SqpMethod(problem, integrator, qpsol)
+        results = [_run(peer, plant, scenario, seconds / runs)]
+        while len(results) < runs and sum(sum(r[0]) for r in results) < 1e6 * seconds:
+            results.append(_run(peer, plant, scenario, seconds / runs))
+    times, u = min(results, key=lambda r: float(np.median(r[0])))
+    return PeerTiming(float(np.median(times)), sum(len(r[0]) for r in results), u)
+
+
+def _run(peer: SqpMethod, plant: Any, scenario: Scenario, seconds: float) -> tuple[list[float], Array]:
+    rng = np.random.default_rng(1)
+    x, times, controls = np.array(scenario.x0, dtype=float), [], []
+    peer.reset()
+    while len(times) < 300 and sum(times) < 1e6 * seconds:
+        n = len(times)
+        if n % scenario.period == 0:
+            x = _event(peer, plant, scenario, n, x, rng)
+        start = time.perf_counter()
+        u = peer.step(x)
+        times.append(1e6 * (time.perf_counter() - start))
+        controls.append(u)
+        x = plant(x, u, scenario.dt)
+    return times, np.array(controls)
+
+
+def _event(peer: SqpMethod, plant: Any, s: Scenario, n: int, x: Array, rng: np.random.Generator) -> Array:
+    """What closed_loop.c does every ``period`` steps, with other random numbers."""
+    x = x + s.amplitude * rng.uniform(-1, 1, x.size)
+    if s.set_points:
+        peer.set_point(*s.set_points[n // s.period % len(s.set_points)])
+    for _ in range(s.pushes):
+        x = plant(x, np.array(s.push), s.dt)
+    return x
+
+
+@contextlib.contextmanager
+def pinned() -> Iterator[None]:
+    """This process on the core on which everything is timed."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, pinned_core())
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+@contextlib.contextmanager
+def silent() -> Iterator[None]:
+    """Banners that a solver's library writes to the file descriptor of stdout go nowhere."""
+    saved, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 1)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(sink)

@@ -1,5 +1,8 @@
 """Overhead crane: bring the load to rest at the origin in 3 s, |a| <= 1 m/s^2.
 
+What it shows: states, a control, dynamics, least squares, a bound and an equality at the end; the C package, the same
+code in Python, a closed loop and its picture.
+
 Houska, Ferreau and Diehl, "An auto-generated real-time iteration algorithm for nonlinear MPC in the microsecond range",
 Automatica 47 (2011), section 4.1.
 """

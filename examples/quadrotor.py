@@ -1,24 +1,30 @@
-"""Quadrotor: fly to a point and hover there; four rotor thrusts, Euler angles.
+"""Quadrotor: fly a figure of eight that leans into the air, previewed by the controller over its whole horizon.
 
-Twelve states, N = 20 over 1 s with one RK4 step per interval, 0 <= thrust <= 2.5 N, sampling 0.05 s.
+What it shows: states and controls that are vectors, options (one RK4 step per interval is enough here), and a
+reference for every node of the horizon, renewed at every sample. Twelve states, four rotor thrusts of 0 to 2.5 N.
 """
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
+from matplotlib.figure import Figure
 
-from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, Options, build, simulate
+from nmpc_codegen import OCP, RK4, Controller, ExplicitRungeKutta, Options, RealTimeIteration, build, simulate
+from nmpc_codegen.simulate import Log
 
 MASS, ARM, DRAG, GRAVITY = 0.5, 0.17, 0.016, 9.81
 INERTIA = (0.0023, 0.0023, 0.004)
 HOVER = MASS * GRAVITY / 4
+SAMPLING = 0.05
+PERIOD = 5.0  # s, of the figure of eight
 
 
 def build_ocp(start: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> OCP:
-    """The quadrotor at rest at ``start`` (m), to be brought to the origin."""
+    """N = 20 over 1 s; at rest at ``start`` (m), to hover at the origin unless given another reference."""
     ocp = OCP("quadrotor", T=1.0, N=20)
     ocp.state("pos", size=3, unit="m", initial=start)
     vel = ocp.state("vel", size=3, unit="m/s")
@@ -41,25 +47,85 @@ def build_ocp(start: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> OCP:
             r: (DRAG * (u[0] - u[1] + u[2] - u[3]) + (Jx - Jy) * p * q) / Jz,
         }
     )
-    weights = [10.0] * 3 + [1.0] * 6 + [0.1] * 3
-    reference = np.concatenate([np.zeros(12), np.full(4, HOVER)])
-    ocp.least_squares(ca.vertcat(ocp.x, u), weight=np.diag([*weights, *[0.1] * 4]), reference=reference)
-    ocp.terminal_least_squares(ocp.x, weight=10 * np.diag(weights))
+    Q = [10.0] * 3 + [1.0] * 6 + [0.1] * 3
+    hover = np.concatenate([np.zeros(12), np.full(4, HOVER)])
+    ocp.least_squares(ca.vertcat(ocp.x, u), weight=[*Q, *[0.1] * 4], reference=hover)
+    ocp.terminal_least_squares(ocp.x, weight=10 * np.array(Q))
     ocp.subject_to(0, u, 2.5)
     return ocp
 
 
-def options() -> Options:
-    """One RK4 step per interval."""
-    return Options(integrator=ExplicitRungeKutta(RK4, steps=1))
+def options(shift: str | None = None) -> Options:
+    """One RK4 step per interval; with shift="repeat" the plan moves by one interval per sample."""
+    return Options(integrator=ExplicitRungeKutta(RK4, steps=1), algorithm=RealTimeIteration(shift=shift))
 
 
-def main(picture: str = "out/quadrotor.png") -> None:
-    """Four seconds of closed loop from (1, 1, 1), drawn."""
-    controller = build(build_ocp(), options())
-    log = simulate(controller, np.array([1.0, 1.0, 1.0, *[0.0] * 9]), steps=80, dt=0.05)
+def path(t: np.ndarray) -> np.ndarray:
+    """Reference of the states at times t: position and velocity on the figure of eight, shape (len(t), 12)."""
+    w = 2 * np.pi / PERIOD
+    s, c, s2, c2 = np.sin(w * t), np.cos(w * t), np.sin(2 * w * t), np.cos(2 * w * t)
+    position = np.stack([1.5 * s, 0.75 * s2, 1.0 + 0.4 * s], axis=1)
+    velocity = np.stack([1.5 * w * c, 1.5 * w * c2, 0.4 * w * c], axis=1)
+    return np.hstack([position, velocity, np.zeros((len(t), 6))])
+
+
+def preview(k: int, controller: Controller) -> None:
+    """simulate() calls it before sample k: what lies ahead, node by node."""
+    N = controller.dims.N
+    ahead = path(SAMPLING * np.arange(k, k + N + 1))
+    controller.set_reference(np.hstack([ahead[:N], np.full((N, 4), HOVER)]))
+    controller.set_terminal_reference(ahead[N])
+
+
+def draw(log: Log, picture: str) -> None:
+    """The flight in space with the arms of the quadrotor every 0.25 s; distance from the path; thrusts."""
+    wanted = path(log.t)
+    figure = Figure(figsize=(9, 6.5), layout="constrained")
+    space, curves = figure.subfigures(2, 1, height_ratios=(2.1, 1))
+    axis = space.add_subplot(projection="3d")
+    axis.plot(*wanted[:, :3].T, color="0.35", linestyle=":", linewidth=1.2, label="reference")
+    axis.plot(*log.x[:, :3].T, color="#1f5fa8", linewidth=1.6, label="flight")
+    for k in range(0, len(log.t), 5):
+        position, (phi, theta, psi) = log.x[k, :3], log.x[k, 6:9]
+        rotation = _turn(2, psi) @ _turn(1, theta) @ _turn(0, phi)
+        for arm in rotation.T[:2]:
+            ends = np.stack([position - ARM * arm, position + ARM * arm])
+            axis.plot(*ends.T, color="#c2571a", linewidth=1.5)
+    axis.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    axis.set_aspect("equal")
+    axis.set_box_aspect(None, zoom=1.25)
+    axis.view_init(elev=38, azim=-72)
+    axis.legend(frameon=False, loc="upper right")
+    left, right = curves.subplots(1, 2, sharex=True)
+    left.semilogy(log.t, 100 * np.linalg.norm(log.x[:, :3] - wanted[:, :3], axis=1), color="#1f5fa8")
+    left.set(ylabel="distance to reference [cm]", xlabel="time [s]", xlim=(0, log.t[-1]))
+    right.step(log.t[:-1], log.u, where="post", linewidth=1.0)
+    for bound in (0, 2.5):
+        right.axhline(bound, color="#b3202c", linewidth=1.0)
+    right.set(ylabel="thrusts [N]", xlabel="time [s]")
+    for curve in (left, right):
+        curve.grid(alpha=0.25)
+    Path(picture).parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(picture, dpi=110)
+
+
+def _turn(axis: int, angle: float) -> np.ndarray:
+    """Rotation about a coordinate axis."""
+    c, s = np.cos(angle), np.sin(angle)
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    R = np.eye(3)
+    R[i, i], R[i, j], R[j, i], R[j, j] = c, -s, s, c
+    return R
+
+
+def main(picture: str = "out/quadrotor.png") -> Log:
+    """Two rounds, from rest at a point beside the path."""
+    start = (-0.5, 0.8, 0.2)
+    controller = build(build_ocp(start), options(shift="repeat"))
+    log = simulate(controller, controller.x[0], steps=round(2 * PERIOD / SAMPLING), dt=SAMPLING, reference=preview)
     print(log.summary())
-    log.plot(picture)
+    draw(log, picture)
+    return log
 
 
 if __name__ == "__main__":

@@ -12,9 +12,11 @@ import problems
 import pytest
 
 from nmpc_codegen import OCP, DenseActiveSet, Options, RealTimeIteration, build
+from nmpc_codegen.analyse import analyse
 from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.lower import qp_rows
+from nmpc_codegen.reference import solve_reference
 from nmpc_codegen.status import Status
 
 FAR = np.array([2.0, 0.0, 0.0, 0.0])  # feasible, six controls at bounds
@@ -528,3 +530,25 @@ def test_shift_resample_on_a_non_uniform_grid() -> None:
     np.testing.assert_allclose(c.x[0], plant, atol=1e-12)
     assert sol.u[0, 0] != sol.u[1, 0]
     np.testing.assert_allclose(c.u[0], (sol.u[0] + sol.u[1]) / 2, atol=1e-12)
+
+
+def test_accumulators_start_at_zero_at_every_sample() -> None:
+    """A state that adds up over the horizon, bounded at the end: what is measured of it does not matter."""
+    ocp = OCP("budget", T=1.0, N=5)
+    x, spent = ocp.state("x", initial=1.0), ocp.state("spent")
+    u = ocp.control("u")
+    ocp.dynamics({x: u, spent: -u + 0.1 * ca.sin(x)})
+    ocp.accumulator(spent)
+    ocp.least_squares(ca.vertcat(x, u), weight=[10.0, 0.01])
+    ocp.subject_to(-np.inf, spent, 0.5, at="end")
+    problem = analyse(ocp)
+    reference = solve_reference(problem, x0=[1.0, 0.0])
+    assert reference.x[-1, 1] == pytest.approx(0.5)
+    for noise in (0.0, 7.0, np.nan):
+        c = build(ocp)
+        solution = c.solve((1.0, noise), tol=1e-9)
+        assert solution.status == Status.OK
+        np.testing.assert_allclose(solution.u, reference.u, atol=1e-6)
+        assert c.step((1.0, noise)) == pytest.approx(solution.u[0], abs=1e-6)
+        assert c.x[0, 1] == 0.0
+    assert c.solve((np.nan, 0.0)).status == Status.NOT_FINITE

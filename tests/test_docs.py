@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -136,7 +137,6 @@ def _ocp() -> tuple[OCP, ca.SX]:
         ("soft rows", lambda ocp, x: ocp.subject_to(-1, x, 1, soft=(1, 1))),
         ("coupled rows", lambda ocp, x: ocp.boundary(0, ocp.at_start(x) - ocp.at_end(x), 0)),
         ("free initial state", lambda ocp, x: ocp.free_initial(x)),
-        ("accumulators", lambda ocp, x: ocp.accumulator(x)),
         ("general cost", lambda ocp, x: ocp.stage_cost(x**4)),
         ("general cost", lambda ocp, x: ocp.terminal_cost(x**4)),
         ("integrated cost", lambda ocp, x: ocp.stage_cost(x**4, integrate=True)),
@@ -212,6 +212,44 @@ def test_problem_class_scaling_and_signs() -> None:
     np.testing.assert_allclose(solution.lam, [[x0 + w * x1], [w * x1]], rtol=1e-13)
     np.testing.assert_allclose(solution.mu_u, [[1 - w * x1 * dt]], rtol=1e-13)
     assert solution.mu_u[0, 0] < 0
+
+
+@pytest.mark.parametrize(("page", "scale"), [("acado", 1.0), ("acados", 0.3)])
+def test_pages_for_newcomers(page: str, scale: float) -> None:
+    """Their blocks run; the cost has the scaling that the page promises: nodes times 1 or dt, no factor at the end."""
+    (block,) = blocks(f"docs/coming-from-{page}.md")
+    names: dict[str, Any] = {}
+    exec(block.text, names)
+    ocp, options = names["ocp"], names["options"]
+    assert options.integrator.steps == 3
+    solution = build(ocp, options, profile="test").solve(np.array([4.0, 0.0, 0.0, 0.0]), tol=1e-9)
+    assert solution.status.name == "OK"
+    assert np.abs(solution.u).max() == pytest.approx(1.0)
+    path = np.sum(solution.x[:-1] ** 2) + np.sum(solution.u**2)
+    assert solution.cost == pytest.approx(scale * path / 2 + 5 * np.sum(solution.x[-1] ** 2) / 2, rel=1e-12)
+
+
+def test_names_in_the_page_for_acado() -> None:
+    """Every C name stands in the header of such a problem."""
+    text = (ROOT / "docs" / "coming-from-acado.md").read_text(encoding="utf-8")
+    ocp = OCP("crane", T=1.0, N=2)
+    x, a, length = ocp.state("x"), ocp.control("a"), ocp.parameter("L", value=1.0)
+    ocp.dynamics({x: a * length})
+    ocp.least_squares(ca.vertcat(x, a), weight=1.0)
+    ocp.subject_to(-1, a, 1)
+    header = set(re.findall(r"\w+", generate(ocp)["crane.h"]))
+    used = set(re.findall(r"\b(?:crane|CRANE)_\w+", text))
+    assert len(used) > 10
+    assert used <= header
+
+
+def test_page_of_the_examples_is_complete() -> None:
+    """Every example has its heading and its picture there, and a line in the README."""
+    page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
+    for path in (ROOT / "examples").glob("*.py"):
+        assert f"(../examples/{path.name})" in page
+        assert f"({path.stem}.png)" in page
+        assert f"(examples/{path.name})" in readme()
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 import shlex
 import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +19,11 @@ import problems
 import pytest
 from conftest import require_tool
 
-from examples import crane
-from nmpc_codegen import export, open_package
+from examples import cart_pole, chain, crane, cstr, quadrotor
+from nmpc_codegen import OCP, Options, build, export, open_package
 from nmpc_codegen.analyse import analyse
+from nmpc_codegen.evaluation import CLASSICAL, Tableau, interval_map
+from nmpc_codegen.reference import Reference, node_data
 
 matplotlib.use("Agg")
 
@@ -53,17 +59,274 @@ def assert_loop(output: str) -> None:
     assert np.abs(x).max() < 2e-2
 
 
+def assert_picture(file: Path) -> None:
+    """It is of some size, and there is something on it."""
+    picture = matplotlib.image.imread(file)
+    assert min(picture.shape[:2]) > 200
+    assert picture[..., :3].std() > 0.01
+
+
 def test_crane_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It exports the package, runs the loop and draws the picture."""
     crane.main(str(tmp_path / "c"), str(tmp_path / "loop.png"))
     files = {p.name for p in (tmp_path / "c").iterdir()}
     assert files == {"crane.c", "crane.h", "crane.json", "main.c", "CMakeLists.txt", "README.md"}
-    picture = matplotlib.image.imread(tmp_path / "loop.png")
-    assert min(picture.shape[:2]) > 200
-    assert picture[..., :3].std() > 0.01
+    assert_picture(tmp_path / "loop.png")
     printed = capsys.readouterr().out
     assert "bytes of memory" in printed
     assert "50" in printed
+
+
+def test_cstr_main(tmp_path: Path) -> None:
+    """Figure 6: the set points in reach are reached, the other one up to the bounds; a node per sample keeps them."""
+    refined, coarse = cstr.main(str(tmp_path / "sub" / "cstr.png"))
+    assert_picture(tmp_path / "sub" / "cstr.png")
+    for log in (refined, coarse):
+        assert log.ok
+        for k, at in ((600, 0), (1800, 2)):
+            np.testing.assert_allclose(log.x[k], cstr.SET_POINTS[at][:4], rtol=0, atol=2e-3)
+        np.testing.assert_allclose(log.x[1200, 2:], [98, 92], rtol=0, atol=1e-2)
+    assert sum(cstr.REFINED) == 1500
+    assert (refined.x[:, 2:].min(axis=0) >= np.array([98, 92]) - 1e-5).all()
+    assert coarse.x[:, 2].min() == pytest.approx(98 - 0.027, abs=1e-3)  # as the example tells
+
+
+def test_cart_pole_main(tmp_path: Path) -> None:
+    """The plan is followed, and the pole stands at the end although it was hit."""
+    logs = cart_pole.main(str(tmp_path / "cart_pole.png"))
+    assert_picture(tmp_path / "cart_pole.png")
+    assert len(logs) == len(cart_pole.LENGTHS)
+    for log in logs:
+        assert log.ok
+        assert np.abs(log.x[39, :2]).max() < 0.08
+        assert np.abs(log.x[41:50, 1]).max() > 0.5
+        assert np.abs(log.x[-1, :2]).max() < 0.1
+
+
+def test_quadrotor_main(tmp_path: Path) -> None:
+    """After 2 s it is on the figure of eight, which is consistent: velocity is the derivative of position."""
+    log = quadrotor.main(str(tmp_path / "quadrotor.png"))
+    assert_picture(tmp_path / "quadrotor.png")
+    assert log.ok
+    wanted = quadrotor.path(log.t)
+    distance = np.linalg.norm(log.x[:, :3] - wanted[:, :3], axis=1)
+    assert distance[0] > 1
+    assert distance[40:].max() < 0.03
+    slope = (quadrotor.path(log.t + 1e-5) - quadrotor.path(log.t - 1e-5))[:, :3] / 2e-5
+    np.testing.assert_allclose(wanted[:, 3:6], slope, atol=1e-8)
+
+
+def test_chain_main(tmp_path: Path) -> None:
+    (log,) = chain.main(str(tmp_path / "chain.png"), sizes=(3,))
+    assert_picture(tmp_path / "chain.png")
+    assert log.ok
+    rest = [*chain.rest_shape(3), *chain.HAND]
+    assert np.abs(log.x[0, :6] - rest).max() > 0.9
+    np.testing.assert_allclose(log.x[-1, :6], rest, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("n", [3, 5, 7])
+def test_rest_shape_is_at_rest(n: int) -> None:
+    """The controls that keep the reference are 0: Phi(reference, 0) is the reference; the chain hangs down."""
+    M = n - 2
+    problem = analyse(chain.build_ocp(n))
+    x = np.asarray(problem.x_initial)
+    np.testing.assert_array_equal(problem.path.reference, [*x, 0, 0, 0])
+    np.testing.assert_array_equal(problem.terminal.reference, x)
+    Phi = interval_map(problem, CLASSICAL)
+    np.testing.assert_allclose(Phi(x, np.zeros(3), [], chain.SAMPLING)[0].full().ravel(), x, rtol=0, atol=1e-10)
+    balls = x[: 3 * M].reshape(M, 3)
+    assert (balls[:, 2] < -0.05).all()
+    np.testing.assert_allclose(balls[:, 1], 0, atol=1e-12)
+
+
+# The models -----------------------------------------------------------------------------------------------------------
+
+
+def rate(ocp: OCP, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """x' = f(x, u) with the declared parameters."""
+    problem = analyse(ocp)
+    return problem.dynamics(x, u, problem.p_value).full().ravel()
+
+
+def test_cstr_stands_still_at_its_set_points() -> None:
+    """Set point 1 is a steady state; 3 is rounded to three digits. Rates per hour."""
+    for index, tolerance in ((0, 1e-5), (2, 0.5)):
+        at = cstr.SET_POINTS[index]
+        np.testing.assert_allclose(3600 * rate(cstr.build_ocp(), at[:4], at[4:]), 0, atol=tolerance)
+
+
+@pytest.mark.parametrize("any_length", [False, True])
+def test_cart_pole_power(any_length: bool) -> None:
+    """dE/dt = F v; E from the velocities of cart and tip, the pole's mass sitting there, th = 0 upright."""
+    p, th, v, w, F = np.random.default_rng(3).uniform(-2, 2, 5)
+    length, M, m = 0.8, cart_pole.CART, cart_pole.POLE
+    x = np.array([p, th, v, w])
+
+    def energy(x: np.ndarray) -> float:
+        _, th, v, w = x
+        tip = np.array([v - length * np.cos(th) * w, -length * np.sin(th) * w])
+        return float(M * v**2 / 2 + m * tip @ tip / 2 + m * cart_pole.GRAVITY * length * np.cos(th))
+
+    f = rate(cart_pole.build_ocp(any_length), x, np.array([F]))
+    power = (energy(x + 1e-6 * f) - energy(x - 1e-6 * f)) / 2e-6
+    assert power == pytest.approx(F * v, abs=1e-6)
+
+
+def test_quadrotor_by_rotation_matrices() -> None:
+    """vel' = R (0, 0, sum u / m) - g with R = Rz Ry Rx, R' = R [omega x], torques of the arms."""
+    rng = np.random.default_rng(4)
+    x, u = rng.uniform(-0.6, 0.6, 12), rng.uniform(0, 2.5, 4)
+
+    def R(x: np.ndarray) -> np.ndarray:
+        c, s = np.cos(x[6:9]), np.sin(x[6:9])
+        Rx = np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
+        Ry = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]])
+        Rz = np.array([[c[2], -s[2], 0], [s[2], c[2], 0], [0, 0, 1]])
+        return Rz @ Ry @ Rx
+
+    f = rate(quadrotor.build_ocp(), x, u)
+    np.testing.assert_allclose(f[:3], x[3:6], atol=1e-15)
+    np.testing.assert_allclose(f[3:6], R(x)[:, 2] * u.sum() / 0.5 - [0, 0, 9.81], atol=1e-13)
+    omega, J = x[9:], np.diag([0.0023, 0.0023, 0.004])
+    turning = R(x).T @ (R(x + 1e-6 * f) - R(x - 1e-6 * f)) / 2e-6
+    for axis in np.eye(3):
+        np.testing.assert_allclose(turning @ axis, np.cross(omega, axis), atol=1e-8)
+    torque = np.array([0.17 * (u[1] - u[3]), 0.17 * (u[2] - u[0]), 0.016 * (u[0] - u[1] + u[2] - u[3])])
+    np.testing.assert_allclose(J @ f[9:], torque - np.cross(omega, J @ omega), atol=1e-13)
+
+
+@pytest.mark.parametrize("n", [3, 5])
+def test_chain_keeps_its_energy(n: int) -> None:
+    """While the hand rests, springs and weight do: dE/dt = 0."""
+    M = n - 2
+    x = np.random.default_rng(5).uniform(-1, 1, 6 * M + 3)
+    f = rate(chain.build_ocp(n), x, np.zeros(3))
+
+    def energy(x: np.ndarray) -> float:
+        balls = np.vstack([np.zeros(3), x[: 3 * M + 3].reshape(-1, 3)])
+        stretch = np.linalg.norm(np.diff(balls, axis=0), axis=1) - 0.033 * 6 / (M + 1)
+        speed = x[3 * M + 3 :]
+        weight = 0.033 * 9.81 * balls[1:-1, 2].sum()
+        return float(0.033 * speed @ speed / 2 + weight + (M + 1) * stretch @ stretch / 2)
+
+    assert np.abs(f).max() > 1
+    assert (energy(x + 1e-6 * f) - energy(x - 1e-6 * f)) / 2e-6 == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_run_time_dependencies_are_enough(name: str) -> None:
+    """No import but the standard library, the package, and what it depends on itself."""
+    tree = ast.parse((Path(__file__).parents[1] / "examples" / f"{name}.py").read_text(encoding="utf-8"))
+    modules = {
+        module.split(".")[0]
+        for node in ast.walk(tree)
+        for module in (
+            [alias.name for alias in node.names]
+            if isinstance(node, ast.Import)
+            else [str(node.module)]
+            if isinstance(node, ast.ImportFrom)
+            else []
+        )
+    }
+    assert modules - set(sys.stdlib_module_names) <= {"casadi", "matplotlib", "nmpc_codegen", "numpy"}
+
+
+# solve() against IPOPT ------------------------------------------------------------------------------------------------
+
+
+def pushed(n: int) -> np.ndarray:
+    """The chain after five pushes, by the classical scheme of the oracle."""
+    problem = analyse(chain.build_ocp(n))
+    Phi, x = interval_map(problem, CLASSICAL), np.asarray(problem.x_initial)
+    for _ in range(5):
+        x = Phi(x, chain.PUSH, [], chain.SAMPLING)[0].full().ravel()
+    return x
+
+
+@dataclass(frozen=True)
+class Solved:
+    """An example with the state it is solved from; ``optimum`` and the rows that touch a bound are known beforehand."""
+
+    make: Callable[[], OCP]
+    x0: Callable[[], np.ndarray]
+    active: frozenset[str]
+    options: Options = field(default_factory=Options)
+    tableau: Tableau = CLASSICAL
+    optimum: float | None = None
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+
+SOLVED = {
+    "cstr_0": Solved(lambda: cstr.build_ocp(0), lambda: cstr.START, frozenset({"u2"})),
+    "cstr_1": Solved(lambda: cstr.build_ocp(1), lambda: cstr.START, frozenset({"th", "thK"})),
+    "cstr_refined": Solved(
+        lambda: cstr.build_ocp(1, intervals=cstr.REFINED), lambda: cstr.START, frozenset({"th", "thK", "u2"})
+    ),
+    "cart_pole": Solved(
+        cart_pole.build_ocp,
+        lambda: cart_pole.HANGING,
+        frozenset({"F"}),
+        optimum=22417.4595,
+        options=cart_pole.options(),
+    ),
+    "cart_pole_long": Solved(
+        lambda: cart_pole.build_ocp(any_length=True),
+        lambda: cart_pole.HANGING,
+        frozenset({"F"}),
+        data={"p": np.full((21, 1), 1.2)},
+    ),
+    "quadrotor": Solved(
+        lambda: quadrotor.build_ocp((0.5, 0.5, 0.5)),
+        lambda: np.array([0.5, 0.5, 0.5, *[0.0] * 9]),
+        frozenset({"u[2]", "u[3]"}),
+        options=quadrotor.options(),
+        tableau=replace(CLASSICAL, steps=1),
+    ),
+    "chain_3": Solved(lambda: chain.build_ocp(3), lambda: pushed(3), frozenset({"u[0]", "u[1]", "u[2]"})),
+    "chain_5": Solved(lambda: chain.build_ocp(5), lambda: pushed(5), frozenset({"u[1]", "u[2]"})),
+    "chain_7": Solved(lambda: chain.build_ocp(7), lambda: pushed(7), frozenset()),
+}
+
+
+def relative(ours: Any, theirs: Any) -> float:
+    """Largest difference per component, relative to max(1, largest value of the component)."""
+    return float(np.max(np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs).max(axis=0))))
+
+
+@pytest.mark.parametrize("name", sorted(SOLVED))
+def test_equal_to_ipopt(name: str) -> None:
+    """Both from the plain start; where they find different optima, IPOPT started at ours must return it."""
+    case = SOLVED[name]
+    ocp, x0 = case.make(), case.x0()
+    problem = analyse(ocp)
+    controller = build(ocp, case.options)
+    problems.apply(controller, case.data)
+    controller.x[:] = x0
+    solution = controller.solve(x0, tol=1e-9, max_iterations=200)
+    assert solution.status.name == "OK"
+    reference, data = Reference(problem, case.tableau), node_data(problem, x0=x0, **case.data)
+    optimum = reference.solve(data)
+    if relative(solution.u, optimum.u) > 1e-3:
+        assert solution.cost < optimum.cost
+        optimum = reference.solve(data, x=solution.x, u=solution.u)
+    assert optimum.success
+    assert relative(solution.u, optimum.u) <= 1e-6
+    assert relative(solution.x, optimum.x) <= 1e-6
+    assert solution.cost == pytest.approx(optimum.cost, rel=1e-8)
+    if case.optimum is not None:
+        assert solution.cost == pytest.approx(case.optimum, abs=1e-4)
+    values = dict(zip(controller.names.states, solution.x[1:].T, strict=True))
+    values.update(zip(controller.names.controls, solution.u.T, strict=True))
+    near = {row.name for row in problem.rows if is_at_bound(values[row.name], row.lower, row.upper)}
+    assert near == case.active
+
+
+def is_at_bound(values: np.ndarray, lower: float, upper: float) -> bool:
+    return bool(np.minimum(values - lower, upper - values).min() <= 1e-7)
+
+
+# The packages ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -1,18 +1,31 @@
-"""Any sequence of calls, with good and bad arguments, either gives a consistent problem or raises ProblemError."""
+"""Any sequence of calls, with good and bad arguments, either gives a consistent problem or raises ProblemError.
+
+And any problem file, through the command line, ends in a package or in a message about the file: never in an exception
+that the library did not mean to raise.
+"""
 
 from __future__ import annotations
 
+import io
+import random
+import re
+import tokenize
+import traceback
 import warnings
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import nmpc_codegen
+from nmpc_codegen import cli
 from nmpc_codegen.analyse import analyse
-from nmpc_codegen.errors import ProblemError, ProblemWarning
+from nmpc_codegen.errors import NmpcError, ProblemError, ProblemWarning
 from nmpc_codegen.ocp import OCP
 from nmpc_codegen.problem import Problem
 
@@ -179,3 +192,173 @@ def test_mutations_of_a_whole_problem(data: st.DataObject) -> None:
                 consistent(analyse(ocp))
             except ProblemError as error:
                 speaks(error)
+
+
+# Problem files, through the command line ------------------------------------------------------------------------------
+
+FILE = """\
+import casadi as ca
+import numpy as np
+from nmpc_codegen import OCP, ExplicitRungeKutta, GaussNewton, Heun, Online, Options, RealTimeIteration
+
+ocp = OCP("fuzzed", intervals=[0.1, 0.1, 0.2])
+q = ocp.state("q", unit="rad", initial=1.0)
+r = ocp.state("r", size=2, initial=[0.5, 0.0])
+u = ocp.control("u", unit="N")
+k = ocp.parameter("k", value=0.3)
+g = ocp.parameter("g", size=2, value=[1.0, 2.0])
+ocp.dynamics({q: r[0], "r": ca.vertcat(-g[0] * ca.sin(q) + u, -k * r[1])})
+ocp.least_squares(ca.vertcat(q, r), weight=[1.0, 0.1, 0.1], reference=[0.1, 0.0, 0.0], names=["q", "a", "b"])
+ocp.least_squares(u, weight=0.2, scale_with_dt=True)
+ocp.terminal_least_squares(ca.vertcat(ca.sin(q), r), weight=np.diag([3.0, 1.0, 1.0]))
+ocp.subject_to(-1, u, 1)
+ocp.subject_to([-2, -3], r, 3, name="box")
+ocp.subject_to(-4, q + g[1] * r[0], np.inf, at="end", name="gate")
+ocp.subject_to(0, u * r[1], 5, at=(0, 2), name="power")
+options = Options(
+    integrator=ExplicitRungeKutta(Heun, steps=2),
+    hessian=GaussNewton(levenberg_marquardt=0.0),
+    algorithm=RealTimeIteration(shift=None),
+    online=Online(reference="node", weight="shared", bounds="node", parameter="fixed", dense_weight=False),
+    precision="double",
+)
+"""
+
+REPLACEMENTS = {
+    tokenize.NUMBER: [
+        "0",
+        "-1",
+        "1e308",
+        "1e-320",
+        "2.5",
+        "100",
+        "None",
+        "'1'",
+        "True",
+        "np.nan",
+        "np.inf",
+        "1j",
+        "[]",
+    ],
+    tokenize.STRING: [
+        "''",
+        "'u'",
+        "'q'",
+        "'r[0]'",
+        "'end'",
+        "'path'",
+        "'int'",
+        "'node'",
+        "'fixed'",
+        "'single'",
+        "None",
+        "7",
+    ],
+    tokenize.NAME: [
+        "q",
+        "r",
+        "u",
+        "k",
+        "g",
+        "ocp",
+        "np",
+        "ca",
+        "None",
+        "ocp.x",
+        "OCP",
+        "Heun",
+        "state",
+        "control",
+        "size",
+    ],
+    tokenize.OP: ["+", "*", "/", "-", ",", "**", "@", "==", "<"],
+}
+
+
+def mutated(seed: int) -> str:
+    """The file with one to three mutations: a token replaced, a line dropped, doubled or moved, an argument dropped."""
+    rng = random.Random(seed)
+    text = FILE
+    for _ in range(rng.randint(1, 3)):
+        lines = text.splitlines(keepends=True)
+        first = 4  # below the imports
+        kind = rng.choice(["token", "token", "token", "drop", "double", "move", "argument"])
+        at, to = rng.randrange(first, len(lines)), rng.randrange(first, len(lines))
+        if kind == "token":
+            text = "".join(lines[:first]) + with_another_token("".join(lines[first:]), rng)
+        elif kind == "argument":
+            lines[at] = re.sub(r", [a-z_]*=?[^,()]*(?=[,)])", "", lines[at], count=1)
+            text = "".join(lines)
+        else:
+            line = lines[at] if kind == "double" else lines.pop(at)
+            if kind != "drop":
+                lines.insert(to, line)
+            text = "".join(lines)
+    return text
+
+
+def with_another_token(text: str, rng: random.Random) -> str:
+    try:
+        tokens = list(tokenize.generate_tokens(io.StringIO(text).readline))
+    except (tokenize.TokenError, IndentationError):
+        return text
+    token = rng.choice([t for t in tokens if t.type in REPLACEMENTS])
+    lines = text.splitlines(keepends=True)
+    row, (start, end) = token.start[0] - 1, (token.start[1], token.end[1])
+    lines[row] = lines[row][:start] + rng.choice(REPLACEMENTS[token.type]) + lines[row][end:]
+    return "".join(lines)
+
+
+def meant(error: BaseException, file: Path) -> bool:
+    """True for an error of ours, and for one that Python raises in the file itself or in what it calls but us."""
+    package = Path(nmpc_codegen.__file__).parent
+    frames = [Path(f.filename) for f in traceback.extract_tb(error.__traceback__)]
+    ours = [f for f in frames if f == file or package in f.parents]
+    syntax = isinstance(error, SyntaxError) and error.filename == str(file)
+    return isinstance(error, NmpcError) or syntax or (bool(ours) and ours[-1] == file)
+
+
+@pytest.mark.parametrize("block", range(8))
+def test_mutated_files_through_the_command_line(
+    block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    errors: list[BaseException] = []
+    message = cli._message
+    monkeypatch.setattr(cli, "_message", lambda error, problem: (errors.append(error), message(error, problem))[1])
+    outcomes = {0: 0, 1: 0}
+    for seed in range(50 * block, 50 * (block + 1)):
+        file = tmp_path / f"problem_{seed}.py"
+        file.write_text(mutated(seed), encoding="utf-8")
+        errors.clear()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            status = cli.main([str(file), "-o", str(tmp_path / f"out_{seed}")])
+        outcomes[status] += 1
+        said = capsys.readouterr().err
+        assert "Traceback" not in said
+        assert len(errors) == status
+        for error in errors:
+            assert meant(error, file), f"{seed}: {error!r}\n" + "".join(traceback.format_exception(error))
+            assert len(said.split()) > 3
+    assert min(outcomes.values()) >= 3, outcomes
+
+
+def test_the_unmutated_file(tmp_path: Path) -> None:
+    (tmp_path / "problem.py").write_text(FILE, encoding="utf-8")
+    assert cli.main([str(tmp_path / "problem.py"), "-o", str(tmp_path / "out")]) == 0
+
+
+def test_an_exception_inside_the_library_is_not_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The judge of the test above: blames the library for what it lets through, not the file for its own mistakes."""
+    file = tmp_path / "problem.py"
+    errors: list[BaseException] = []
+    monkeypatch.setattr(cli, "_message", lambda error, problem: (errors.append(error), "message")[1])
+    for text in (FILE.replace("k = ocp", "k = 1 + None; ocp"), FILE.replace("N=", "M="), FILE.replace("0.2, ", "0.2(")):
+        file.write_text(text, encoding="utf-8")
+        cli.main([str(file), "-o", str(tmp_path / "out")])
+    assert all(meant(error, file) for error in errors)
+    errors.clear()
+    file.write_text(FILE, encoding="utf-8")
+    monkeypatch.setattr(nmpc_codegen.compiler, "analyse", lambda ocp: len(None))  # type: ignore[arg-type]
+    cli.main([str(file), "-o", str(tmp_path / "out")])
+    assert [meant(error, file) for error in errors] == [False]

@@ -45,7 +45,7 @@ def test_every_node(model: str, unroll: str, uniform: bool) -> None:
         np.testing.assert_allclose(node["S"], S, rtol=0, atol=TOLERANCE * np.max(np.abs(S)))
         np.testing.assert_allclose(node["b"], x_next - p["x"][k + 1], rtol=0, atol=TOLERANCE * np.max(np.abs(x_next)))
         z = np.concatenate([p["x"][k], p["u"][k]])
-        np.testing.assert_allclose(node["g"], p["W"] * (z - p["yref"][k]), rtol=1e-14, atol=1e-15)
+        np.testing.assert_allclose(node["g"], p["W"][0] * (z - p["yref"][k]), rtol=1e-14, atol=1e-15)
 
 
 def rows_problem() -> OCP:

@@ -72,10 +72,12 @@ BAD: list[tuple[Callable[[], Any], list[str]]] = [
     (lambda: RealTimeIteration(shift="resample"), ["sampling_time: None", "resample"]),
     (lambda: RealTimeIteration(shift="repeat", sampling_time=0.1), ["sampling_time: 0.1", "'repeat'"]),
     (lambda: RealTimeIteration(shift="resample", sampling_time=-1.0), ["sampling_time: -1.0", "> 0"]),
-    (lambda: Online(reference="fixed"), ["online.reference: 'fixed'", '"node"']),
-    (lambda: Online(weight="node"), ["online.weight: 'node'", '"shared"']),
-    (lambda: Online(bounds="node"), ["online.bounds: 'node'", '"shared"']),
-    (lambda: Online(parameter="shared"), ["online.parameter: 'shared'", '"node"']),
+    (lambda: Online(reference="each"), ["online.reference: 'each'", "fixed", "shared", "node"]),
+    (lambda: Online(weight=None), ["online.weight: None", "fixed", "shared", "node"]),  # type: ignore[arg-type]
+    (lambda: Online(bounds=["node"]), ["online.bounds: ['node']", "fixed", "shared", "node"]),  # type: ignore[arg-type]
+    (lambda: Online(parameter=True), ["online.parameter: True", "fixed", "shared", "node"]),  # type: ignore[arg-type]
+    (lambda: Online(dense_weight=1), ["online.dense_weight: 1", "True", "False"]),  # type: ignore[arg-type]
+    (lambda: Online(weight="fixed", dense_weight=True), ["dense_weight=True", "clashes", 'weight="fixed"']),
     (lambda: generate(integrator_ocp(), "fast"), ["options: 'fast'", "Options(...)"]),  # type: ignore[arg-type]
     (lambda: build(integrator_ocp(), profile="quick"), ["profile", "'quick'", "test", "fast", "verify"]),
     (lambda: build(integrator_ocp(), lanes=4), ["lanes", "4", "None", "1"]),

@@ -151,7 +151,13 @@ class Setter:
 
     @property
     def template(self) -> str:
+        """Their definitions."""
         return f"settings/{self.option}.c.jinja"
+
+    @property
+    def declarations(self) -> str:
+        """Template of their prototypes."""
+        return f"settings/{self.option}.h.jinja"
 
 
 @dataclass(frozen=True)
@@ -223,7 +229,18 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
 
 
 #: Prefixes whose API would bear the name of an internal function: integrator_step, path_cost, qp_init, ...
-TAKEN_PREFIXES = ("adjoint", "algorithm", "condense", "integrator", "path", "qp", "qp_conjugate", "state", "take", "terminal")
+TAKEN_PREFIXES = (
+    "adjoint",
+    "algorithm",
+    "condense",
+    "integrator",
+    "path",
+    "qp",
+    "qp_conjugate",
+    "state",
+    "take",
+    "terminal",
+)
 
 
 def check_prefix(name: str) -> None:

@@ -132,18 +132,17 @@ class Controller:
 
         Args:
             y: (ny,); or (N, ny), one row per node; or {name of a residual: value}, which leaves the others as they are.
-            node: 0..N-1, or None for every node.
+            node: 0..N-1, or None for every node. With Online(reference="shared") only None, and no (N, ny).
         """
-        call = "set_reference"
-        shape = (self.dims.ny,)
+        call, shape = "set_reference", (self.dims.ny,)
+        each = self._each_node("reference", "the reference", node)
         if isinstance(y, Mapping):
             columns = self._columns(y, self.names.y)
             current = self._view("yref")
-            nodes = range(self.dims.N) if node is None and current.ndim == 2 else [node]
-            for k in nodes:
-                row = current if current.ndim == 1 else current[self._node(k)]
+            for k in range(self.dims.N) if node is None and each else [node]:
+                row = current[self._node(k)] if each else current[0]
                 self._send(call, self._replaced(row, columns), k)
-        elif node is None and _ndim(y) == 2:
+        elif node is None and _ndim(y) == 2 and each:
             for k, row in enumerate(self._array("reference", y, (self.dims.N, self.dims.ny))):
                 self._send(call, row, k)
         else:
@@ -151,6 +150,7 @@ class Controller:
 
     def set_terminal_reference(self, y: ArrayLike | Mapping[str, float]) -> None:
         """Reference of the terminal residual: (ny_N,), or {name: value}."""
+        self._each_node("reference", "the terminal reference")
         if isinstance(y, Mapping):
             value = self._replaced(self._view("yref_N"), self._columns(y, self.names.y_N))
         else:
@@ -158,12 +158,27 @@ class Controller:
         self._expect(self._call("set_terminal_reference", self._s, self._pointer(value)), "set_terminal_reference")
 
     def set_weight(self, W: ArrayLike, node: int | None = None) -> None:
-        """Weight of the path residual: its diagonal (ny,) or the matrix (ny, ny), symmetric positive semidefinite."""
-        self._send("set_weight", self._weight("weight", W, self.dims.ny, self._view("W")), node)
+        """Weight of the path residual, symmetric positive semidefinite.
+
+        Args:
+            W: its diagonal (ny,) or the matrix (ny, ny); or (N, ny, ny), one matrix per node. Entries off the diagonal
+                need a weight that is declared with some, or Online(dense_weight=True).
+            node: 0..N-1, or None for every node. With Online(weight="shared") only None, and no (N, ny, ny).
+        """
+        each, ny = self._each_node("weight", "the weight", node), self.dims.ny
+        dense = self._view("W").ndim == 3
+        if node is None and each and _ndim(W) == 3:
+            matrices = self._array("weight", W, (self.dims.N, ny, ny))
+            checked = [self._weight(f"weight of node {k}", w, ny, dense) for k, w in enumerate(matrices)]
+            for k, one in enumerate(checked):
+                self._send("set_weight", one, k)
+        else:
+            self._send("set_weight", self._weight("weight", W, ny, dense), node)
 
     def set_terminal_weight(self, W: ArrayLike) -> None:
         """Weight of the terminal residual: (ny_N,) or (ny_N, ny_N)."""
-        value = self._weight("terminal weight", W, self.dims.ny_N, self._view("W_N"))
+        self._each_node("weight", "the terminal weight")
+        value = self._weight("terminal weight", W, self.dims.ny_N, self._view("W_N").ndim == 2)
         self._expect(self._call("set_terminal_weight", self._s, self._pointer(value)), "set_terminal_weight")
 
     def set_parameter(self, name: str, value: ArrayLike, node: int | None = None) -> None:
@@ -172,13 +187,14 @@ class Controller:
         Args:
             name: as declared; a vector parameter is set as a whole.
             value: a number, or (size,); or one row per node, (N+1, size), with node=None.
-            node: 0..N, or None for every node.
+            node: 0..N, or None for every node. With Online(parameter="shared") None or N, and no (N+1, size).
         """
         signals = self.description.parameters
         index = self._lookup(name, [p.name for p in signals], "parameter")
         size = signals[index].size
         what = f"parameter {name!r}"
-        if node is None and _ndim(value) == 2:
+        each = self._each_node("parameter", what, node, terminal=True)
+        if node is None and _ndim(value) == 2 and each:
             rows = self._array(what, value, (self.dims.N + 1, size))
             for k, row in enumerate(rows):
                 self._send("set_parameter", row, k, index)
@@ -193,9 +209,10 @@ class Controller:
             name: name of the row, e.g. "swing" or "r[1]"; or "r" for r[0], r[1], ...
             lower: a number or one per row; -inf: none.
             upper: likewise; +inf: none.
-            node: a node of the row, or None for all of them.
+            node: a node of the row, or None for all of them. With Online(bounds="shared") None or N.
         """
         rows = self._rows(name)
+        self._each_node("bounds", f"the bounds of {name!r}", node, terminal=True)
         low, high = (self._bound(name, which, v, len(rows)) for which, v in (("lower", lower), ("upper", upper)))
         if np.any(low > high):
             raise ControllerError(f"bounds of {name!r}: lower {low.tolist()} above upper {high.tolist()}")
@@ -203,6 +220,15 @@ class Controller:
         for row, one_low, one_high in zip(rows, low.tolist(), high.tolist(), strict=True):
             status = self._call("set_bounds", self._s, row, k, one_low, one_high)
             self._expect(status, "set_bounds", f"row {self.names.rows[row]!r}, node {node}")
+
+    def path_bounds(self, row: int) -> tuple[float, float]:
+        """Smallest lower and largest upper bound of scalar row number ``row`` over its path nodes, as they are now."""
+        info, layout = self.description.rows[row], self.description.online["bounds"]
+        if layout == "fixed":
+            return info.lower, info.upper
+        nodes = [k for k in info.nodes if k < self.dims.N] if layout == "node" else [0]
+        lower, upper = (self._view(which)[..., nodes, row] for which in ("lower", "upper"))
+        return float(lower.min()), float(upper.max())
 
     # -- the iterate and what is known about it ---------------------------------------------------------------------
 
@@ -404,7 +430,29 @@ class Controller:
             raise ControllerError(f"{what} holds a NaN or an infinity: {array.tolist()}")
         return array
 
-    def _weight(self, what: str, W: ArrayLike, size: int, stored: Array) -> Array:
+    def _each_node(self, option: str, what: str, node: int | None = None, terminal: bool = False) -> bool:
+        """True if this kind of data is stored for every node; an error if ``node`` has none of its own.
+
+        Args:
+            option: the word of Online.
+            what: is to be set.
+            node: as the caller was given it.
+            terminal: shared data of this kind have a copy for node N.
+        """
+        layout, k = self.description.online[option], self._node(node)
+        if layout == "fixed":
+            raise ControllerError(
+                f'{self._library.name}: {what} cannot be set: it was generated with Online({option}="fixed")'
+            )
+        if layout == "shared" and k != EVERY_NODE and not (terminal and k == self.dims.N):
+            allowed = f"None or {self.dims.N}" if terminal else "None"
+            raise ControllerError(
+                f"{self._library.name}: {what} cannot be set at node {node}; expected node {allowed}: "
+                f'it was generated with Online({option}="shared")'
+            )
+        return layout == "node"
+
+    def _weight(self, what: str, W: ArrayLike, size: int, matrix: bool) -> Array:
         """W checked and in the form in which the struct stores it: diagonal (size,) or matrix (size, size)."""
         given = self._array(what, W, (size,) if _ndim(W) == 1 else (size, size)).astype(np.float64)
         dense = np.diag(given) if given.ndim == 1 else given
@@ -414,10 +462,12 @@ class Controller:
         if size and np.linalg.eigvalsh(dense)[0] < -size * np.finfo(np.float64).eps * scale:
             raise ControllerError(f"{what} is not positive semidefinite")
         diagonal = np.diag(dense)
-        if stored.shape[-2:] == (size, size) and stored.ndim >= 2:
+        if matrix:
             return dense
         if np.any(dense != np.diag(diagonal)):
-            raise ControllerError(f"{what} has entries off its diagonal; only the diagonal is stored, as declared")
+            raise ControllerError(
+                f"{what} has entries off its diagonal; only the diagonal is stored, without Online(dense_weight=True)"
+            )
         return diagonal
 
     def _bound(self, name: str, which: str, value: ArrayLike, count: int) -> NDArray[np.float64]:

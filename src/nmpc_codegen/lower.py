@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -224,10 +223,10 @@ def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
     def setting(
         option: str, name: str, table: str, shape: tuple[Size, ...], copies: Mapping[str, Size] | None, doc: str
     ) -> list[Setting]:
+        entries = {"W": dims.nw, "W_N": dims.nw_N}.get(name, shape[0])
         layout = layouts[option]
         if layout == "fixed":
             return []
-        entries = Size(" * ".join(s.text for s in shape), math.prod(s.value for s in shape))
         count = copies[layout] if copies else one
         leading = (count,) if copies else ()
         suffix = f": {which[layout]}" if option == "bounds" else ""
@@ -237,7 +236,12 @@ def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
         *setting("parameter", "p", "default_parameter", (dims.np,), every, "parameters"),
         *setting("reference", "yref", "default_reference", (dims.ny,), path, "references of the path residual"),
         *setting(
-            "reference", "yref_N", "default_terminal_reference", (dims.ny_N,), None, "reference of the terminal residual"
+            "reference",
+            "yref_N",
+            "default_terminal_reference",
+            (dims.ny_N,),
+            None,
+            "reference of the terminal residual",
         ),
         *setting("weight", "W", "default_weight", weight, path, "weight of the path residual"),
         *setting("weight", "W_N", "default_terminal_weight", weight_N, None, "weight of the terminal residual"),

@@ -83,7 +83,7 @@ def _data(module: CModule) -> dict[str, Any]:
 
     yref(k), weight(k), param(k) at the path node k, yref_N, weight_N, param_N at the terminal one: pointers.
     path_bound("lower", k, row) at a path node, row_bound("lower", k, row) at any: numbers. k and row are C texts.
-    copies("p"): how many of the member the solver holds.
+    copies("weight"): lowest and highest node that has a copy of its own, and how many copies there are.
     """
     layouts, N = module.layouts, f"{module.macro}_N"
     matrix = "" if module.diagonal_weight else "[0]"
@@ -105,13 +105,21 @@ def _data(module: CModule) -> dict[str, Any]:
         "yref": lambda k: member("reference", f"s->yref[{at('reference', k)}]", "default_reference"),
         "yref_N": member("reference", "s->yref_N", "default_terminal_reference"),
         "weight": weight,
-        "weight_N": member("weight", "s->W_N" if module.diagonal_weight_N else "&s->W_N[0][0]", "default_terminal_weight"),
+        "weight_N": member(
+            "weight", "s->W_N" if module.diagonal_weight_N else "&s->W_N[0][0]", "default_terminal_weight"
+        ),
         "param": lambda k: member("parameter", f"s->p[{at('parameter', k)}]", "default_parameter"),
         "param_N": member("parameter", f"s->p[{at('parameter', N, '1')}]", "default_parameter"),
         "path_bound": lambda which, k, row: bound(which, at("bounds", k), row),
         "row_bound": lambda which, k, row: bound(which, at("bounds", k, f"{k} == {N}"), row),
-        "copies": lambda name: next(s.copies.c(module.macro) for s in module.settings if s.field.name == name),
+        "copies": lambda option: _copies(layouts[option], option in ("reference", "weight"), N),
     }
+
+
+def _copies(layout: str, path_only: bool, N: str) -> str:
+    if layout == "node":
+        return f"0, {N} - 1, {N}" if path_only else f"0, {N}, {N} + 1"
+    return "0, -1, 1" if path_only else f"{N}, {N}, 2"
 
 
 def _member(field: Field, module: CModule) -> str:

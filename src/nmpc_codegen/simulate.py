@@ -186,9 +186,8 @@ def _progress(samples: range, name: str) -> Iterable[int]:
 
 def _traces(ctrl: Controller) -> tuple[tuple[Trace, ...], tuple[Trace, ...]]:
     """Names, units and the present simple bounds of states and controls."""
-    lower, upper = ctrl.view("lower"), ctrl.view("upper")
     bounds = {
-        (row.kind, row.index): (float(lower[..., 0, i].min()), float(upper[..., 0, i].max()))
+        (row.kind, row.index): ctrl.path_bounds(i)
         for i, row in enumerate(ctrl.description.rows)
         if row.kind == "control" or (row.kind == "state" and len(row.nodes) > 1)
     }

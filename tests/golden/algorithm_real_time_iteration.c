@@ -16,7 +16,7 @@ static void algorithm_reset(golden_solver_t *s)
     for (k = 0; k < GOLDEN_N; k++) {
         for (j = 0; j < GOLDEN_NU; j++) {
             const int y = control_reference[j];
-            s->u[k][j] = clip(y >= 0 ? s->yref[k][y] : 0.0, control_lower(s, j), control_upper(s, j));
+            s->u[k][j] = clip(y >= 0 ? s->yref[k][y] : 0.0, control_lower(s, k, j), control_upper(s, k, j));
             s->mu_u[k][j] = 0.0;
         }
         for (j = 0; j < GOLDEN_NH; j++) {
@@ -45,7 +45,7 @@ static void linearize_node(const golden_solver_t *s, int k, golden_node_t *node)
     for (i = 0; i < GOLDEN_NX; i++) {
         node->b[i] = x_next[i] - s->x[k + 1][i];
     }
-    path_gradient(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W, node->g);
+    path_gradient(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W[0], node->g);
     path_rows(s->x[k], s->u[k], s->p[k], node->h, &node->J[0][0]);
 }
 
@@ -69,7 +69,7 @@ static void renew_gradients(golden_solver_t *s)
 {
     int k;
     for (k = 0; k < GOLDEN_N; k++) {
-        path_gradient(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W, s->node[k].g);
+        path_gradient(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W[0], s->node[k].g);
     }
     terminal_gradient(s->x[GOLDEN_N], s->p[GOLDEN_N], s->yref_N, s->W_N, s->terminal.g);
     condense_gradient(s);
@@ -82,7 +82,7 @@ static void safe_control(const golden_solver_t *s, golden_real *u0)
     int j;
     for (j = 0; j < GOLDEN_NU; j++) {
         const golden_real u = s->u[0][j];
-        u0[j] = clip(isfinite(u) ? u : 0.0, control_lower(s, j), control_upper(s, j));
+        u0[j] = clip(isfinite(u) ? u : 0.0, control_lower(s, 0, j), control_upper(s, 0, j));
     }
 }
 
@@ -190,13 +190,28 @@ static void take_step(golden_solver_t *s)
     for (k = 0; k < GOLDEN_N; k++) {
         for (j = 0; j < GOLDEN_NU; j++) {
             const golden_real u = s->u[k][j] + s->qp.z[k * GOLDEN_NU + j];
-            s->u[k][j] = clip(u, control_lower(s, j), control_upper(s, j));
+            s->u[k][j] = clip(u, control_lower(s, k, j), control_upper(s, k, j));
         }
     }
 }
 
-/* Embed xhat, solve the QP, take the full step. The iterate changes only if all went well. */
-static golden_status_t feedback_here(golden_solver_t *s, const golden_real *xhat)
+/* s->xhat = xhat with accumulators at 0, whatever was measured; 0 if an entry that counts is not finite. */
+static int take_state(golden_solver_t *s, const golden_real *xhat)
+{
+    int i;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        if (!is_accumulator[i] && !isfinite(xhat[i])) {
+            return 0;
+        }
+    }
+    for (i = 0; i < GOLDEN_NX; i++) {
+        s->xhat[i] = is_accumulator[i] ? 0.0 : xhat[i];
+    }
+    return 1;
+}
+
+/* Embed s->xhat, solve the QP, take the full step. The iterate changes only if all went well. */
+static golden_status_t feedback_here(golden_solver_t *s)
 {
     golden_status_t status;
     int i;
@@ -204,8 +219,7 @@ static golden_status_t feedback_here(golden_solver_t *s, const golden_real *xhat
         renew_gradients(s);
     }
     for (i = 0; i < GOLDEN_NX; i++) {
-        s->xhat[i] = xhat[i];
-        s->condensed.dx[0][i] = xhat[i] - s->x[0][i];
+        s->condensed.dx[0][i] = s->xhat[i] - s->x[0][i];
     }
     condense_embed(s);
     status = qp_solve(&s->qp);
@@ -237,12 +251,12 @@ golden_status_t golden_feedback(golden_solver_t *s, const golden_real xhat[GOLDE
     }
     if (!s->prepared) {
         status = GOLDEN_NOT_PREPARED;
-    } else if (!all_finite(xhat, GOLDEN_NX)) {
+    } else if (!take_state(s, xhat)) {
         status = GOLDEN_NOT_FINITE;
     } else if (s->status != GOLDEN_OK) {
         status = (golden_status_t)s->status;
     } else {
-        status = feedback_here(s, xhat);
+        status = feedback_here(s);
     }
     s->prepared = 0;
     s->samples += (s->samples < GOLDEN_MANY);
@@ -283,7 +297,7 @@ static void shift_by_one(golden_solver_t *s)
             s->mu_x[k][i] = s->mu_x[from][i];
         }
         for (j = 0; j < GOLDEN_NU; j++) {
-            s->u[k][j] = s->u[from][j];
+            s->u[k][j] = clip(s->u[from][j], control_lower(s, k, j), control_upper(s, k, j));
             s->mu_u[k][j] = s->mu_u[from][j];
         }
         for (j = 0; j < GOLDEN_NH; j++) {
@@ -349,7 +363,7 @@ static void kkt_rows(const golden_solver_t *s, int k, const golden_real *h, gold
         kkt_row(kkt, row_value(s, m, h), row_lower(s, m), row_upper(s, m), row_multiplier(s, m));
     }
     for (j = 0; k < GOLDEN_N && j < GOLDEN_NU; j++) {
-        kkt_row(kkt, s->u[k][j], control_lower(s, j), control_upper(s, j), s->mu_u[k][j]);
+        kkt_row(kkt, s->u[k][j], control_lower(s, k, j), control_upper(s, k, j), s->mu_u[k][j]);
     }
 }
 
@@ -493,7 +507,7 @@ static void move_to(golden_solver_t *s, golden_real alpha)
     for (k = 0; k < GOLDEN_N; k++) {
         for (j = 0; j < GOLDEN_NU; j++) {
             const golden_real u = q->u[k][j] + alpha * q->du[k * GOLDEN_NU + j];
-            s->u[k][j] = clip(u, control_lower(s, j), control_upper(s, j));
+            s->u[k][j] = clip(u, control_lower(s, k, j), control_upper(s, k, j));
         }
     }
 }
@@ -711,12 +725,9 @@ static int stuck_infeasible(const golden_solver_t *s, golden_real tol)
     return s->sqp.elastic && step <= tol;
 }
 
-static golden_status_t solve_here(golden_solver_t *s, const golden_real *xhat, golden_real tol, int max_iterations)
+static golden_status_t solve_here(golden_solver_t *s, golden_real tol, int max_iterations)
 {
-    int iteration, i;
-    for (i = 0; i < GOLDEN_NX; i++) {
-        s->xhat[i] = xhat[i];
-    }
+    int iteration;
     s->sqp.gap_weight = 1.0;
     s->sqp.row_weight = 1.0;
     for (iteration = 0;; iteration++) {
@@ -751,13 +762,13 @@ golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_N
         return GOLDEN_NOT_INITIALIZED;
     }
     s->prepared = 0;
-    if (!all_finite(xhat, GOLDEN_NX)) {
+    if (!take_state(s, xhat)) {
         return finish(s, GOLDEN_NOT_FINITE);
     }
     if (!(tol > 0.0) || max_iterations < 0) {
         return finish(s, GOLDEN_BAD_ARGUMENT);
     }
-    status = solve_here(s, xhat, tol, max_iterations);
+    status = solve_here(s, tol, max_iterations);
     s->samples += (s->samples < GOLDEN_MANY);
     return finish(s, status);
 }

@@ -127,8 +127,8 @@ static void condense_embed(golden_solver_t *s)
                 sum += d->Hx[row][i] * dx0[i];
             }
             s->qp.g[row] = sum;
-            s->qp.lower[row] = control_lower(s, j) - s->u[k][j];
-            s->qp.upper[row] = control_upper(s, j) - s->u[k][j];
+            s->qp.lower[row] = control_lower(s, k, j) - s->u[k][j];
+            s->qp.upper[row] = control_upper(s, k, j) - s->u[k][j];
         }
     }
     for (m = 0; m < GOLDEN_NG; m++) {

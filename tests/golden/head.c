@@ -66,8 +66,6 @@ static const golden_real default_upper[4] = { 1.0, 2.0, 3.0, 4.0 };
 static const int control_reference[1] = { 1 };
 /* row that bounds control j, or -1 */
 static const int control_row[1] = { 0 };
-/* 1: the row holds at node N */
-static const int row_has_terminal[4] = { 0, 1, 0, 1 };
 /* node of QP row m */
 static const int row_node[5] = { 0, 1, 1, 2, 2 };
 /* 1: general row, 0: state bound */
@@ -80,6 +78,8 @@ static const int row_id[5] = { 2, 1, 2, 1, 3 };
 static const int row_first[4] = { 0, 1, 3, 5 };
 /* first element of a parameter in p */
 static const int parameter_offset[2] = { 0, 1 };
+/* 1: the state starts at 0 at every sample */
+static const int is_accumulator[1] = { 0 };
 
 /* x_next = x + dt (u - p x)
  *   x [1]
@@ -310,24 +310,31 @@ static int all_finite(const golden_real *v, int n)
     return 1;
 }
 
-/* Bounds of control j; +-infinity where the user stated none. */
-static golden_real control_lower(const golden_solver_t *s, int j)
+/* Bounds of control j at node k; +-infinity where the user stated none. (void): for packages that store one pair for all
+ * nodes, or none. */
+static golden_real control_lower(const golden_solver_t *s, int k, int j)
 {
+    (void)s;
+    (void)k;
     return (control_row[j] >= 0) ? s->lower[0][control_row[j]] : -(golden_real)INFINITY;
 }
 
-static golden_real control_upper(const golden_solver_t *s, int j)
+static golden_real control_upper(const golden_solver_t *s, int k, int j)
 {
+    (void)s;
+    (void)k;
     return (control_row[j] >= 0) ? s->upper[0][control_row[j]] : (golden_real)INFINITY;
 }
 
 static golden_real row_lower(const golden_solver_t *s, int m)
 {
+    (void)s;
     return s->lower[row_node[m] == GOLDEN_N][row_id[m]];
 }
 
 static golden_real row_upper(const golden_solver_t *s, int m)
 {
+    (void)s;
     return s->upper[row_node[m] == GOLDEN_N][row_id[m]];
 }
 

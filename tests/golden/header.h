@@ -192,7 +192,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real p[GOLDEN_N + 1][GOLDEN_NP]; /* parameters */
     golden_real yref[GOLDEN_N][GOLDEN_NY]; /* references of the path residual */
     golden_real yref_N[GOLDEN_NY_N]; /* reference of the terminal residual */
-    golden_real W[GOLDEN_NY]; /* weight of the path residual */
+    golden_real W[1][GOLDEN_NY]; /* weight of the path residual */
     golden_real W_N[GOLDEN_NY_N]; /* weight of the terminal residual */
     golden_real lower[2][GOLDEN_NR]; /* lower bounds of the rows: path, terminal */
     golden_real upper[2][GOLDEN_NR]; /* upper bounds of the rows: path, terminal */
@@ -232,9 +232,13 @@ golden_status_t golden_shift(golden_solver_t *s);
 /* SQP iterations until all KKT residuals are at most tol. */
 golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real tol, int max_iterations);
 
-/* k is GOLDEN_ALL or one node. References: 0 .. N - 1. Parameters: 0 .. N. Weights: GOLDEN_ALL only. Bounds:
- * GOLDEN_ALL, or N for the terminal node of the row. What is refused (BAD_INDEX, BAD_ARGUMENT, BAD_BOUNDS) writes
- * nothing. References and bounds take effect in the next feedback, parameters and weights in the next prepare. */
+/* Data that can be changed. k is GOLDEN_ALL or one node:
+ *   reference  0 .. N - 1
+ *   weight     no node
+ *   parameter  0 .. N
+ *   bounds     N, if the row holds there
+ * What is refused (BAD_INDEX, BAD_ARGUMENT, BAD_BOUNDS) writes nothing. References and bounds take effect in the next
+ * feedback, parameters and weights in the next prepare. */
 golden_status_t golden_set_reference(golden_solver_t *s, int k, const golden_real yref[GOLDEN_NY]);
 golden_status_t golden_set_terminal_reference(golden_solver_t *s, const golden_real yref[GOLDEN_NY_N]);
 golden_status_t golden_set_weight(golden_solver_t *s, int k, const golden_real W[GOLDEN_NW]);

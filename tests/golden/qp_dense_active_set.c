@@ -43,6 +43,8 @@
  * Loops run over panels of four, for which every vector and matrix is padded with zeros.
  * ------------------------------------------------------------------------------------------------------------------ */
 
+/* Contract of this part: H = L D L', its substitutions, and panels of four lanes. */
+
 /* y[j] += c0 rows[0][j] + c1 rows[1][j] + c2 rows[2][j] + c3 rows[3][j],  from <= j < to */
 static inline void qp_add_panel(golden_real *y, const golden_real *rows, golden_real c0, golden_real c1, golden_real c2, golden_real c3,
                          int from, int to)
@@ -149,7 +151,8 @@ static void qp_set_proximal_weights(golden_qp_t *q, const golden_real *reference
     const golden_real cost = qp_lengths(q, reference, length);
     for (int i = 0; i < GOLDEN_NV; ++i) {
         const golden_real other = cost / (length[i] * length[i]);
-        q->weight[i] = reference[i] > 7.105427357601002e-15 * other ? qp_proximal_share() * reference[i] : 0.015625 * other;
+        const int known = reference[i] > 7.105427357601002e-15 * other;
+        q->weight[i] = known ? qp_proximal_share() * reference[i] : 0.015625 * other;
         q->proximal[i] = q->center[i] = 0.0;
     }
     for (int i = GOLDEN_NV; i < GOLDEN_LDV; ++i) {
@@ -302,6 +305,8 @@ static void qp_backward(const golden_qp_t *q, const golden_real *y, golden_real 
         qp_add_panel(z, q->H[b], -z0, -z1, -z2, -z3, 0, b);
     }
 }
+
+/* Contract of this part: the factorised working set, rows that enter and leave it, the minimiser on it. */
 
 /* w := R^{-T} w */
 static void qp_forward_working_set(const golden_qp_t *q, golden_real *w)
@@ -584,6 +589,8 @@ static void qp_minimize_on_working_set(golden_qp_t *q)
     }
 }
 
+/* Contract of this part: dual iterations from a predicted working set to the solution or a certificate. */
+
 /* Member with the most wrong multiplier, -1 if none: outside [0, limit] (equality: [-limit, limit]) by more than rounding,
  * excess |m| > tolerance (|y0| + |y|). */
 static int qp_wrong_multiplier(const golden_qp_t *q)
@@ -747,13 +754,14 @@ static void qp_move(golden_qp_t *q, const golden_real *r, golden_real step, int 
 }
 
 /* Violation of the row with normal m = Q'R r + v that is taken as rounding. The members' part is a multiple of
- * size = |bound| + |t|'|r| + |m| |y| / 2; entering would move y by violation / |v|, so it grows with |m| / |v|, up to that of a row
- * that cannot enter. The other part is that of v'y, which y0 dominates: a multiple of |v| |y0|. */
+ * size = |bound| + |t|'|r| + |m| (|y| / 4 + a little |y0|); entering would move y by violation / |v|, so it grows with
+ * |m| / |v|, up to that of a row that cannot enter. The other part is that of v'y, which y0 dominates: a multiple of |v| |y0|. */
 static golden_real qp_rounding(const golden_qp_t *q, const golden_real *r, golden_real bound, golden_real mm, golden_real vv)
 {
     const golden_real most = 5.684341886080802e-14, least = 8.881784197001252e-16;
     const golden_real outside = 2.220446049250313e-16 * sqrt(vv) * (q->scale + q->shift);
-    golden_real size = fabs(bound) + 0.5 * sqrt(mm * qp_dot(q->y, q->y, GOLDEN_LDV));
+    golden_real size = 0.25 * sqrt(qp_dot(q->y, q->y, GOLDEN_LDV));
+    size = fabs(bound) + sqrt(mm) * (size + 9.5367431640625e-07 * (q->scale + q->shift));
     for (int k = 0; k < q->nw; ++k) {
         size += fabs(qp_active_bound(q, k) * r[k]);
     }
@@ -1041,6 +1049,8 @@ static golden_status_t qp_iterate(golden_qp_t *q)
     qp_backward(q, q->y, q->x);
     return status;
 }
+
+/* Contract of this part: proximal-point iterations around them where H is only semidefinite. */
 
 /* u = D^{1/2} L's */
 static void qp_to_working_coordinates(const golden_qp_t *q, const golden_real *s, golden_real *u)

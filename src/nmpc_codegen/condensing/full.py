@@ -31,7 +31,7 @@ class FullCondensing:
     name: ClassVar[str] = "full"
     template: ClassVar[str] = "condensing/full.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
-    supports: ClassVar[frozenset[str]] = frozenset({"general cost"})
+    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators"})
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         return ()

@@ -36,7 +36,7 @@ class GaussNewton:
     name: ClassVar[str] = "gauss_newton"
     template: ClassVar[str] = "hessians/gauss_newton.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state"})
+    supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "accumulators"})
 
     def __post_init__(self) -> None:
         if not isinstance(self.convex_rows, bool):

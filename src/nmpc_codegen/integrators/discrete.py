@@ -23,7 +23,9 @@ class Discrete:
     name: ClassVar[str] = "discrete"
     template: ClassVar[str] = "integrators/discrete.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "general cost"})
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"soft rows", "coupled rows", "free initial state", "general cost", "accumulators"}
+    )
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""

@@ -48,7 +48,9 @@ class ExplicitRungeKutta:
     name: ClassVar[str] = "explicit_runge_kutta"
     template: ClassVar[str] = "integrators/explicit_runge_kutta.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "general cost"})
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"soft rows", "coupled rows", "free initial state", "general cost", "accumulators"}
+    )
 
     def __post_init__(self) -> None:
         if isinstance(self.tableau, str) and self.tableau in TABLEAUS:

@@ -66,9 +66,9 @@ toy_status_t toy_init(toy_solver_t *s)
         s->yref[k][0] = s->yref[k][1] = s->yref[k][2] = 0;
     }
     s->yref_N[0] = s->yref_N[1] = 0;
-    s->W[0] = 10;
-    s->W[1] = 1;
-    s->W[2] = (toy_real)0.1;
+    s->W[0][0] = 10;
+    s->W[0][1] = 1;
+    s->W[0][2] = (toy_real)0.1;
     s->W_N[0] = 100;
     s->W_N[1] = 10;
     for (i = 0; i < 2; ++i) {
@@ -94,21 +94,21 @@ static toy_status_t riccati_step(toy_solver_t *s, int k)
     const toy_real g1 = p01 * s->p[k][1] + p11 * s->p[k][2] + r->s[k + 1][1];
     const toy_real BP0 = B0 * p00 + B1 * p01;
     const toy_real BP1 = B0 * p01 + B1 * p11;
-    const toy_real R = s->W[2] + BP0 * B0 + BP1 * B1;
+    const toy_real R = s->W[0][2] + BP0 * B0 + BP1 * B1;
     const toy_real S0 = BP0;
     const toy_real S1 = BP0 * DT + BP1;
-    const toy_real h = -s->W[2] * s->yref[k][2] + B0 * g0 + B1 * g1;
+    const toy_real h = -s->W[0][2] * s->yref[k][2] + B0 * g0 + B1 * g1;
     if (!(R > 0)) {
         return TOY_NUMERICAL_FAILURE;
     }
     r->K[k][0] = -S0 / R;
     r->K[k][1] = -S1 / R;
     r->f[k] = -h / R;
-    r->P[k][0][0] = s->W[0] + p00 - S0 * S0 / R;
+    r->P[k][0][0] = s->W[0][0] + p00 - S0 * S0 / R;
     r->P[k][0][1] = r->P[k][1][0] = p00 * DT + p01 - S0 * S1 / R;
-    r->P[k][1][1] = s->W[1] + DT * (p00 * DT + p01) + p01 * DT + p11 - S1 * S1 / R;
-    r->s[k][0] = -s->W[0] * s->yref[k][0] + g0 - S0 * h / R;
-    r->s[k][1] = -s->W[1] * s->yref[k][1] + DT * g0 + g1 - S1 * h / R;
+    r->P[k][1][1] = s->W[0][1] + DT * (p00 * DT + p01) + p01 * DT + p11 - S1 * S1 / R;
+    r->s[k][0] = -s->W[0][0] * s->yref[k][0] + g0 - S0 * h / R;
+    r->s[k][1] = -s->W[0][1] * s->yref[k][1] + DT * g0 + g1 - S1 * h / R;
     return TOY_OK;
 }
 
@@ -151,9 +151,9 @@ static void multipliers(toy_solver_t *s)
         const toy_real l0 = s->lam[k + 1][0];
         const toy_real l1 = s->lam[k + 1][1];
         const toy_real Bl = (HALF * DT * DT * l0 + DT * l1) / s->p[k][0];
-        s->mu_u[k][0] = -(s->W[2] * (s->u[k][0] - s->yref[k][2]) + Bl);
-        s->lam[k][0] = s->W[0] * (s->x[k][0] - s->yref[k][0]) + l0;
-        s->lam[k][1] = s->W[1] * (s->x[k][1] - s->yref[k][1]) + DT * l0 + l1;
+        s->mu_u[k][0] = -(s->W[0][2] * (s->u[k][0] - s->yref[k][2]) + Bl);
+        s->lam[k][0] = s->W[0][0] * (s->x[k][0] - s->yref[k][0]) + l0;
+        s->lam[k][1] = s->W[0][1] * (s->x[k][1] - s->yref[k][1]) + DT * l0 + l1;
     }
 }
 
@@ -256,7 +256,7 @@ toy_status_t toy_set_weight(toy_solver_t *s, int k, const toy_real W[TOY_NY])
         return TOY_BAD_INDEX;
     }
     for (i = 0; i < TOY_NY; ++i) {
-        s->W[i] = W[i];
+        s->W[0][i] = W[i];
     }
     return TOY_OK;
 }
@@ -320,7 +320,7 @@ toy_real toy_cost(const toy_solver_t *s)
     for (k = 0; k < TOY_N; ++k) {
         const toy_real y[TOY_NY] = {s->x[k][0], s->x[k][1], s->u[k][0]};
         for (i = 0; i < TOY_NY; ++i) {
-            sum += HALF * s->W[i] * (y[i] - s->yref[k][i]) * (y[i] - s->yref[k][i]);
+            sum += HALF * s->W[0][i] * (y[i] - s->yref[k][i]) * (y[i] - s->yref[k][i]);
         }
     }
     for (i = 0; i < TOY_NY_N; ++i) {

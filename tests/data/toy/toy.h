@@ -82,7 +82,7 @@ typedef struct {
     toy_real p[TOY_N + 1][TOY_NP];
     toy_real yref[TOY_N][TOY_NY];
     toy_real yref_N[TOY_NY_N];
-    toy_real W[TOY_NY];
+    toy_real W[1][TOY_NY];
     toy_real W_N[TOY_NY_N];
     toy_real lower[2][TOY_NR];
     toy_real upper[2][TOY_NR];
