@@ -33,8 +33,8 @@ def test_closed_loop_in_c() -> None:
     t = closed_loop(problems.sources("crane"), "crane", SCENARIO, runs=2, steps=8)
     assert t.samples == 16
     assert t.failed == 0
-    assert 0 < t.feedback < t.total <= t.worst < 1e4
-    assert t.total <= t.total_median
+    assert 0 < t.feedback < t.total <= t.total_median
+    assert t.feedback < t.worst
     assert 0 < t.qp_iterations <= t.qp_iterations_max
 
 
