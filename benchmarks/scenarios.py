@@ -51,13 +51,14 @@ class Example:
     others: Mapping[str, Make] = field(default_factory=dict)
     tableau: Tableau = CLASSICAL
     curved_rows: bool = False
+    coarse_grid: Array | None = None  # on which the scheme may be unstable: watched only
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
     """One problem with the data it runs on: arguments of node_data().
 
-    ``rows``: general rows must be active. ``watched``: nothing is asked of it, and its keys are its own.
+    ``rows``: general rows must be active. ``watched``: nothing is asked of it, and its keys have this suffix.
     """
 
     example: str
@@ -67,7 +68,7 @@ class Case:
     x0: Array
     data: Mapping[str, Any] = field(default_factory=dict)
     rows: bool = False
-    watched: bool = False
+    watched: str = ""
     tableau: Tableau = CLASSICAL
 
 
@@ -85,8 +86,11 @@ def wrapped(make: Make, change: Callable[[OCP], None]) -> Make:
 def cases(example: Example) -> list[Case]:
     """The variants of an example, one by one."""
 
-    def regrid(ocp: OCP) -> None:
-        ocp.dt = tuple(float(v) for v in example.grid)
+    def regridded(grid: Array) -> Make:
+        def regrid(ocp: OCP) -> None:
+            ocp.dt = tuple(float(v) for v in grid)
+
+        return wrapped(example.make, regrid)
 
     def case(variant: str, make: Make = example.make, options: Options = example.options, **more: Any) -> Case:
         return Case(example.name, variant, make, options, example.x0(), tableau=example.tableau, **more)
@@ -97,14 +101,18 @@ def cases(example: Example) -> list[Case]:
         curvature = replace(example.options, hessian=GaussNewton(convex_rows=True))
         row_cases = [
             case("general rows active, convex_rows", with_rows, curvature, rows=True),
-            case("general rows active, no curvature", with_rows, rows=True, watched=True),
+            case("general rows active, no curvature", with_rows, rows=True, watched="without_curvature"),
         ]
 
+    coarse = []
+    if example.coarse_grid is not None:
+        coarse = [case("coarse grid", regridded(example.coarse_grid), watched="coarse_grid")]
     return [
         case("plain"),
         *(case(variant, make) for variant, make in example.others.items()),
         *row_cases,
-        case("non-uniform grid", wrapped(example.make, regrid)),
+        case("non-uniform grid", regridded(example.grid)),
+        *coarse,
         case("references, weights at run time", data=_run_time_data(example)),
         case("parameter per node", example.parametrised, data={"p": example.p}),
     ]
@@ -280,7 +288,7 @@ def _chain(n: int) -> Example:
         options=Options(),
         x0=lambda: _pushed(n),
         row=_chain_row,
-        grid=np.linspace(0.1, 0.2, 40),  # two RK4 steps are unstable from 0.21 s on for n = 7
+        grid=np.linspace(0.1, 0.2, 40),  # two RK4 steps are unstable from 0.22 s on for n = 7
         parametrised=wrapped(lambda: chain.build_ocp(n), _chain_disturbance),
         p=np.linspace(0.0, 3.0, 41)[:, None],
         move=np.concatenate([np.zeros(3 * M), [0.0, 0.2, 0.1], np.zeros(3 * M), [0.1, 0.0, -0.1]]),
@@ -290,6 +298,7 @@ def _chain(n: int) -> Example:
         scenario=lambda: Scenario(_at_rest(n), 0.2, 100, push=PUSH, pushes=5),
         steps=400,
         curved_rows=True,
+        coarse_grid=np.linspace(0.1, 0.3, 40),
     )
 
 

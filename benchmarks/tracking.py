@@ -156,7 +156,7 @@ def accuracy(report: Report, examples: Sequence[Example] = EXAMPLES) -> None:
 def report_case(report: Report, case: Case, c: Comparison) -> None:
     """Records of one comparison."""
     ours, ref = c.solution, c.reference
-    name = case.example + ("_without_curvature" if case.watched else "")
+    name = case.example + (f"_{case.watched}" if case.watched else "")
     label = case.variant + ("" if c.other is None else " (IPOPT from ours)")
 
     def add(key: str, value: float, limit: float | None = None, **more: Any) -> None:
