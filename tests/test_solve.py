@@ -207,3 +207,63 @@ def test_concave_rows_are_left_out() -> None:
     assert np.abs(plain.mu).max() > 1e-3
     assert plain.iterations == convex.iterations
     np.testing.assert_array_equal(plain.u, convex.u)
+
+
+def free_start(rows: bool, N: int = 6) -> OCP:
+    """A pendulum whose angle is measured and whose speed at the start the solver chooses."""
+    ocp = OCP("free_start", T=1.2, N=N)
+    phi, omega = ocp.state("phi", initial=0.8), ocp.state("omega", initial=0.1)
+    torque = ocp.control("torque")
+    ocp.dynamics({phi: omega, omega: -9.81 * ca.sin(phi) + torque})
+    ocp.least_squares(ca.vertcat(phi, omega, torque), weight=[3.0, 0.2, 0.1], reference=[0.5, 0.0, 0.0])
+    ocp.terminal_least_squares(phi, weight=[10.0])
+    ocp.free_initial(omega)
+    ocp.subject_to(-8, torque, 8)
+    if rows:
+        ocp.subject_to(-0.6, omega, 0.6)
+        ocp.subject_to(-np.inf, phi**2 + 0.1 * omega**2, 0.7, at="end")
+    return ocp
+
+
+@pytest.mark.parametrize("rows", [False, True])
+@pytest.mark.parametrize("N", [1, 6])
+def test_free_components_of_the_initial_state(rows: bool, N: int) -> None:
+    ocp = free_start(rows, N)
+    reference = solve_reference(analyse(ocp), x0=[0.8, 0.1])
+    assert reference.success
+    c = build(ocp)
+    solution = c.solve((0.8, 0.1), tol=1e-9)
+    assert solution.status == Status.OK
+    assert relative(solution.x, reference.x) <= 1e-6
+    assert relative(solution.u, reference.u) <= 1e-6
+    assert abs(solution.cost - reference.cost) <= 1e-8 * reference.cost
+    assert relative(solution.lam, reference.lam) <= 1e-5
+    assert relative(solution.mu_x, reference.mu_x) <= 1e-5
+    assert solution.lam[0, 1] == 0.0
+    assert abs(solution.x[0, 1] - 0.1) > 1e-2
+    if rows and N > 1:
+        assert np.abs(solution.mu_x).max() > 1e-3
+
+
+def test_a_free_component_need_not_be_measured() -> None:
+    """In solve() it is the first guess, NaN keeps the plan's; step() does not look at it."""
+    c = build(free_start(True))
+    solution = c.solve((0.8, np.nan), tol=1e-9)
+    assert solution.status == Status.OK
+    for noise in (0.0, np.nan, 100.0):
+        d = c.copy()
+        np.testing.assert_allclose(d.step((0.8, noise), on_failure="raise"), solution.u[0], atol=1e-7)
+        np.testing.assert_allclose(d.x, solution.x, atol=1e-7)
+    assert c.solve((np.nan, 0.0)).status == Status.NOT_FINITE
+
+
+def test_all_of_the_initial_state_free() -> None:
+    """Nothing is measured: the optimum does not depend on xhat."""
+    ocp = free_start(False)
+    ocp.free_initial("phi")
+    c = build(ocp)
+    first = c.solve((0.8, 0.1), tol=1e-9)
+    reference = solve_reference(analyse(ocp), x0=[0.8, 0.1])
+    assert first.status == Status.OK
+    assert relative(first.x, reference.x) <= 1e-6
+    np.testing.assert_allclose(c.solve((-0.3, 1.0), tol=1e-9).x, first.x, atol=1e-6)

@@ -41,7 +41,8 @@ class Dims:
     nh_N: Size  # general terminal rows
     nr: Size  # scalar rows the user stated
     nq: Size  # Hessian blocks of the path: 1 where the block is the same at all nodes, else N
-    nv: Size  # variables of the condensed QP: N nu
+    nf: Size  # free components of x_0
+    nv: Size  # variables of the condensed QP: N nu + nf
     ng: Size  # general rows of the condensed QP
     ld: Size  # leading dimension of condensed matrices: nv rounded up to PANEL
 

@@ -126,7 +126,7 @@ def _weight_entries(stage: Stage) -> int:
 
 def _dims(lin: Linearization, n_rows: int) -> Dims:
     p = lin.problem
-    nv = p.N * p.nu
+    nv = p.N * p.nu + len(p.free_initial)
     return Dims(
         N=Size("N", p.N),
         nx=Size("NX", p.nx),
@@ -141,6 +141,7 @@ def _dims(lin: Linearization, n_rows: int) -> Dims:
         nh_N=Size("NH_N", p.terminal.nh),
         nr=Size("NR", len(p.rows)),
         nq=Size("NQ", 1 if lin.constant_hessian else p.N),
+        nf=Size("NF", len(p.free_initial)),
         nv=Size("NV", nv),
         ng=Size("NG", n_rows),
         ld=Size("LDV", -(-nv // PANEL) * PANEL),
@@ -162,7 +163,8 @@ def _macros(lin: Linearization, dims: Dims) -> tuple[Macro, ...]:
         "NH_N": "general terminal rows",
         "NR": "scalar rows with bounds",
         "NQ": "path Hessian blocks",
-        "NV": "variables of the QP: N NU",
+        "NF": "free components of x_0",
+        "NV": "variables of the QP: N NU + NF",
         "NG": "rows of the QP besides control bounds",
         "LDV": "NV rounded up to PANEL",
     }
@@ -321,6 +323,7 @@ def _tables(lin: Linearization, rows: list[tuple[int, int, int, int]]) -> tuple[
         real("default_upper", [r.upper for r in p.rows], "upper bounds of the rows"),
         integer("control_reference", p.control_reference, "residual that holds the reference of control j, or -1"),
         integer("control_row", _control_rows(p), "row that bounds control j, or -1"),
+        integer("free_state", p.free_initial, "state that is free component f of x_0"),
         integer("row_node", [r[0] for r in rows], "node of QP row m"),
         integer("row_general", [r[1] for r in rows], "1: general row, 0: state bound"),
         integer("row_index", [r[2] for r in rows], "component of h or x"),

@@ -141,10 +141,13 @@ static void recover_multipliers(golden_solver_t *s)
             s->lam[k][i] = w[i];
         }
         if (k == 0) {
-            return;
+            break;
         }
         adjoint_step(&s->node[k - 1], s->hessian.Q[GOLDEN_NQ == 1 ? 0 : k - 1], s->condensed.dx[k - 1],
             &s->qp.z[(k - 1) * GOLDEN_NU], w);
+    }
+    for (i = 0; i < GOLDEN_NF; i++) {
+        s->lam[0][free_state[i]] = 0.0;
     }
 }
 
@@ -195,17 +198,18 @@ static void take_step(golden_solver_t *s)
     }
 }
 
-/* s->xhat = xhat with accumulators at 0, whatever was measured; 0 if an entry that counts is not finite. */
+/* s->xhat = xhat where it is measured, 0 for accumulators, the plan's own value where x_0 is free; 0 is returned if a
+ * measured entry is not finite. */
 static int take_state(golden_solver_t *s, const golden_real *xhat)
 {
     int i;
     for (i = 0; i < GOLDEN_NX; i++) {
-        if (!is_accumulator[i] && !isfinite(xhat[i])) {
+        if (is_measured[i] && !isfinite(xhat[i])) {
             return 0;
         }
     }
     for (i = 0; i < GOLDEN_NX; i++) {
-        s->xhat[i] = is_accumulator[i] ? 0.0 : xhat[i];
+        s->xhat[i] = is_measured[i] ? xhat[i] : (is_accumulator[i] ? 0.0 : s->x[0][i]);
     }
     return 1;
 }
@@ -397,7 +401,9 @@ static void kkt_terminal(const golden_solver_t *s, const golden_terminal_t *term
             sum += terminal->J[j][i] * s->mu_N[j];
         }
         enlarge(&kkt->stationarity, sum);
-        enlarge(&kkt->equality, s->xhat[i] - s->x[0][i]);
+        if (is_measured[i] || is_accumulator[i]) {
+            enlarge(&kkt->equality, s->xhat[i] - s->x[0][i]);
+        }
     }
     kkt_rows(s, GOLDEN_N, terminal->h, kkt);
 }
@@ -462,7 +468,9 @@ static void evaluate_constraints(golden_solver_t *s, golden_real *gaps, golden_r
     *gaps = 0.0;
     *violation = 0.0;
     for (i = 0; i < GOLDEN_NX; i++) {
-        *gaps += fabs(s->x[0][i] - s->xhat[i]);
+        if (is_measured[i] || is_accumulator[i]) {
+            *gaps += fabs(s->x[0][i] - s->xhat[i]);
+        }
     }
     for (k = 0; k < GOLDEN_N; k++) {
         interval_value(s->x[k], s->u[k], s->p[k], interval_length[k], q->b[k]);
@@ -758,6 +766,7 @@ static golden_status_t solve_here(golden_solver_t *s, golden_real tol, int max_i
 golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real tol, int max_iterations)
 {
     golden_status_t status;
+    int i;
     if (s->magic != GOLDEN_MAGIC) {
         return GOLDEN_NOT_INITIALIZED;
     }
@@ -767,6 +776,10 @@ golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_N
     }
     if (!(tol > 0.0) || max_iterations < 0) {
         return finish(s, GOLDEN_BAD_ARGUMENT);
+    }
+    for (i = 0; i < GOLDEN_NF; i++) {
+        const golden_real guess = xhat[free_state[i]];
+        s->x[0][free_state[i]] = isfinite(guess) ? guess : s->x[0][free_state[i]];
     }
     status = solve_here(s, tol, max_iterations);
     s->samples += (s->samples < GOLDEN_MANY);

@@ -7,7 +7,8 @@
  *   condense_rows      preparation: rows of the QP into qp.A, their values v and coupling Ax to dx_0
  *   condense_embed     feedback: gradient and bounds of the QP for the measured dx_0
  *   condense_expand    feedback: dx_k from dx_0 and du (in qp.z)
- * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k, all states but dx_0 eliminated in O(N^2). */
+ * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k, all states but dx_0 eliminated in O(N^2). Variables of the QP are
+ * du_0 .. du_{N-1}, then the free components of dx_0. */
 
 static void condense_init(golden_solver_t *s)
 {
@@ -36,6 +37,25 @@ static void condense_store_rows(golden_solver_t *s, golden_real (*Q)[GOLDEN_NZ],
     }
 }
 
+/* Rows of the free components of dx_0, from W_0 = d2 cost / d(dx_0)^2 and the coupling of the controls. */
+static void condense_store_free(golden_solver_t *s)
+{
+    int f, e, i;
+    for (f = 0; f < GOLDEN_NF; f++) {
+        const int row = GOLDEN_N * GOLDEN_NU + f;
+        const golden_real *w = s->condensed.W[0][free_state[f]];
+        for (i = 0; i < GOLDEN_NX; i++) {
+            s->condensed.Hx[row][i] = w[i];
+        }
+        for (i = 0; i < GOLDEN_N * GOLDEN_NU; i++) {
+            s->qp.H[row][i] = s->condensed.Hx[i][free_state[f]];
+        }
+        for (e = 0; e <= f; e++) {
+            s->qp.H[row][GOLDEN_N * GOLDEN_NU + e] = w[free_state[e]];
+        }
+    }
+}
+
 /* Forward: G_{k+1} = [A_k G_k, B_k at du_k]. Backward: block rows of the condensed Hessian from the last to the first. */
 static void condense_hessian(golden_solver_t *s)
 {
@@ -50,12 +70,13 @@ static void condense_hessian(golden_solver_t *s)
             }
         }
     }
-    condense_terminal_columns(d, s->hessian.Q_N, GOLDEN_NX + GOLDEN_NV);
+    condense_terminal_columns(d, s->hessian.Q_N, GOLDEN_NX + GOLDEN_N * GOLDEN_NU);
     for (k = GOLDEN_N - 1; k >= 0; k--) {
         golden_real (*Q)[GOLDEN_NZ] = s->hessian.Q[GOLDEN_NQ == 1 ? 0 : k];
         condense_backward_columns(d, &s->node[k], Q, k, GOLDEN_NX + (k + 1) * GOLDEN_NU);
         condense_store_rows(s, Q, k);
     }
+    condense_store_free(s);
 }
 
 /* c_0 = 0, c_{k+1} = A_k c_k + b_k;  w_N = q_N + Q_N c_N;  g_k = r_k + S_k c_k + B_k' w_{k+1};
@@ -75,6 +96,9 @@ static void condense_gradient(golden_solver_t *s)
         for (j = 0; j < GOLDEN_NU; j++) {
             d->g[k * GOLDEN_NU + j] = w[GOLDEN_NX + j];
         }
+    }
+    for (j = 0; j < GOLDEN_NF; j++) {
+        d->g[GOLDEN_N * GOLDEN_NU + j] = w[free_state[j]];
     }
 }
 
@@ -109,16 +133,35 @@ static void condense_rows(golden_solver_t *s)
         for (j = 0; k < GOLDEN_N && j < GOLDEN_NU; j++) {
             a[k * GOLDEN_NU + j] = J[GOLDEN_NX + j];
         }
+        for (j = 0; j < GOLDEN_NF; j++) {
+            a[GOLDEN_N * GOLDEN_NU + j] = d->Ax[m][free_state[j]];
+        }
         d->v[m] = value;
     }
 }
 
-/* g = g(0) + Hx dx_0;  bounds of du and of the rows relative to the present iterate. */
+/* g = g(0) + Hx dx_0, free components of dx_0 apart;  bounds of du and of the rows relative to the present iterate. */
 static void condense_embed(golden_solver_t *s)
 {
     golden_condensed_t *d = &s->condensed;
-    const golden_real *dx0 = d->dx[0];
+    golden_real dx0[GOLDEN_NX];
     int k, j, m, i;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        dx0[i] = d->dx[0][i];
+    }
+    for (j = 0; j < GOLDEN_NF; j++) {
+        const int row = GOLDEN_N * GOLDEN_NU + j;
+        dx0[free_state[j]] = 0.0;
+        s->qp.lower[row] = -(golden_real)INFINITY;
+        s->qp.upper[row] = (golden_real)INFINITY;
+    }
+    for (j = 0; j < GOLDEN_NF; j++) {
+        const int row = GOLDEN_N * GOLDEN_NU + j;
+        s->qp.g[row] = d->g[row];
+        for (i = 0; i < GOLDEN_NX; i++) {
+            s->qp.g[row] += d->Hx[row][i] * dx0[i];
+        }
+    }
     for (k = 0; k < GOLDEN_N; k++) {
         for (j = 0; j < GOLDEN_NU; j++) {
             const int row = k * GOLDEN_NU + j;
@@ -146,6 +189,9 @@ static void condense_expand(golden_solver_t *s)
 {
     golden_condensed_t *d = &s->condensed;
     int k;
+    for (k = 0; k < GOLDEN_NF; k++) {
+        d->dx[0][free_state[k]] = s->qp.z[GOLDEN_N * GOLDEN_NU + k];
+    }
     for (k = 0; k < GOLDEN_N; k++) {
         state_step(&s->node[k], d->dx[k], &s->qp.z[k * GOLDEN_NU], d->dx[k + 1]);
     }

@@ -66,6 +66,8 @@ static const golden_real default_upper[4] = { 1.0, 2.0, 3.0, 4.0 };
 static const int control_reference[1] = { 1 };
 /* row that bounds control j, or -1 */
 static const int control_row[1] = { 0 };
+/* state that is free component f of x_0 */
+static const int free_state[1] = { 0 };
 /* node of QP row m */
 static const int row_node[5] = { 0, 1, 1, 2, 2 };
 /* 1: general row, 0: state bound */
@@ -80,6 +82,8 @@ static const int row_first[4] = { 0, 1, 3, 5 };
 static const int parameter_offset[2] = { 0, 1 };
 /* 1: the state starts at 0 at every sample */
 static const int is_accumulator[1] = { 0 };
+/* 1: x_0 is what is measured */
+static const int is_measured[1] = { 1 };
 
 /* x_next = x + dt (u - p x)
  *   x [1]

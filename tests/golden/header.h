@@ -36,13 +36,14 @@ typedef double golden_real;
 #define GOLDEN_NH_N 1 /* general terminal rows */
 #define GOLDEN_NR 4 /* scalar rows with bounds */
 #define GOLDEN_NQ 1 /* path Hessian blocks */
-#define GOLDEN_NV 2 /* variables of the QP: N NU */
+#define GOLDEN_NF 0 /* free components of x_0 */
+#define GOLDEN_NV 2 /* variables of the QP: N NU + NF */
 #define GOLDEN_NG 5 /* rows of the QP besides control bounds */
 #define GOLDEN_LDV 4 /* NV rounded up to PANEL */
 #define GOLDEN_PANEL 4 /* columns processed together */
 #define GOLDEN_PARAMS 1 /* parameters by name */
 #define GOLDEN_STEPS 1 /* Runge-Kutta steps per interval */
-#define GOLDEN_LDG 4 /* columns of G_k: NX + NV, rounded up to PANEL */
+#define GOLDEN_LDG 4 /* columns of G_k: NX + N NU, rounded up to PANEL */
 #define GOLDEN_QP_MAX_ITERATIONS 120 /* cap on the active-set iterations of one feedback phase */
 #define GOLDEN_QP_MAX_PROXIMAL_STEPS 200 /* cap on the proximal steps for a semidefinite Hessian */
 #define GOLDEN_SHIFT 0 /* 1: step() moves the plan before preparing */

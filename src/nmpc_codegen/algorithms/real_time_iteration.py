@@ -39,7 +39,7 @@ class RealTimeIteration:
     name: ClassVar[str] = "real_time_iteration"
     template: ClassVar[str] = "algorithms/real_time_iteration.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("integrator", "hessian", "condensing", "qp")
-    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators"})
+    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators", "free initial state"})
 
     def __post_init__(self) -> None:
         if self.shift not in SHIFTS:
@@ -78,17 +78,21 @@ class RealTimeIteration:
         return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """The accumulators; times of the nodes for shift="resample"."""
+        """Which components of x_0 are measured, which accumulate; times of the nodes for shift="resample"."""
         flags = tuple(int(i in problem.accumulators) for i in range(problem.nx))
-        accumulators = Table("is_accumulator", "int", flags, "1: the state starts at 0 at every sample")
+        measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
+        accumulators = (
+            Table("is_accumulator", "int", flags, "1: the state starts at 0 at every sample"),
+            Table("is_measured", "int", measured, "1: x_0 is what is measured"),
+        )
         if self.shift == "resample":
             times = tuple(math.fsum(problem.dt[:k]) for k in range(problem.N + 1))
             return (
-                accumulators,
+                *accumulators,
                 Table("node_time", "real", times, "t_k"),
                 Table("sampling_time", "real", (float(self.sampling_time or 0.0),), "the plan is read so much later"),
             )
-        return (accumulators,)
+        return accumulators
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (

@@ -23,15 +23,20 @@ def _panels(width: int) -> int:
     return -(-width // PANEL) * PANEL
 
 
+def _columns(dims: Dims) -> int:
+    """Columns of G_k: dx_0 and all controls."""
+    return dims.nx.value + dims.N.value * dims.nu.value
+
+
 @dataclass(frozen=True)
 class FullCondensing:
-    """Eliminate all states but the first; the QP has N nu variables."""
+    """Eliminate all states but the first; the QP has N nu variables and the free components of x_0."""
 
     seam: ClassVar[str] = "condensing"
     name: ClassVar[str] = "full"
     template: ClassVar[str] = "condensing/full.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
-    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators"})
+    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators", "free initial state"})
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         return ()
@@ -46,11 +51,11 @@ class FullCondensing:
         return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return (("LDG", _panels(dims.nx.value + dims.nv.value), "columns of G_k: NX + NV, rounded up to PANEL"),)
+        return (("LDG", _panels(_columns(dims)), "columns of G_k: NX + N NU, rounded up to PANEL"),)
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Sensitivities of the condensed states and what the feedback phase needs."""
-        ldg = Size("LDG", _panels(dims.nx.value + dims.nv.value))
+        ldg = Size("LDG", _panels(_columns(dims)))
         nodes = Size("N + 1", dims.N.value + 1)
         return (
             Struct(
@@ -72,20 +77,20 @@ class FullCondensing:
 
     def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
         """All but condense_rows, which leaves out zeros of the row gradients; columns are padded to PANEL."""
-        N, nx, nu, nv, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nv, dims.ng))
+        N, nx, nu, nf, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf, dims.ng))
 
         def panels(first: int, step: int, nodes: int) -> int:
             return sum(_panels(first + k * step) // PANEL for k in range(nodes))
 
         hessian = known["condense_forward_columns"] * panels(nx, nu, N)
-        hessian += known["condense_terminal_columns"] * panels(nx + nv, 0, 1)
+        hessian += known["condense_terminal_columns"] * panels(nx + N * nu, 0, 1)
         hessian += known["condense_backward_columns"] * panels(nx + nu, nu, N)
         hessian += OpCount(add=nu * (nu + 1) // 2) * N
         gradient = (known["state_step"] + known["adjoint_step"]) * N + known["terminal_adjoint"]
-        rows = nv + ng
+        rows = N * nu + ng
         return {
             "condense_hessian": hessian,
             "condense_gradient": gradient,
-            "condense_embed": OpCount(add=nx + 2, mul=nx) * rows,
+            "condense_embed": OpCount(add=nx + 2, mul=nx) * rows + OpCount(add=nx, mul=nx) * nf,
             "condense_expand": known["state_step"] * N,
         }
