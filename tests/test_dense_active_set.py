@@ -274,7 +274,11 @@ def test_a_zero_diagonal_entry_with_a_coupling_is_indefinite() -> None:
 @few
 @given(seed=seeds, share=st.sampled_from([0.0, 0.3, 0.9]), spread=st.sampled_from([1.0, 1e2]))
 def test_semidefinite_hessians(nv: int, ng: int, seed: int, share: float, spread: float) -> None:
-    """Any rank, 0 (a linear program) included: KKT conditions and the objective of the constructed solution."""
+    """Any rank, 0 (a linear program) included: KKT conditions and the objective of the constructed solution.
+
+    The proximal term amplifies rounding: a row outside of the working set may stay violated by some 1e-8, relative,
+    where a definite Hessian keeps 1e-10.
+    """
     rng = np.random.default_rng(seed)
     rank = int(share * nv)
     factor = rng.normal(size=(rank, nv)) * np.geomspace(1, spread, rank)[:, None]
@@ -282,7 +286,11 @@ def test_semidefinite_hessians(nv: int, ng: int, seed: int, share: float, spread
     solver = QP(nv, ng)
     for _ in range(2):
         assert solver.run(*qp.data) == "OK"
-        assert not wrong_answer(qp, solver.z, solver.mult, unique=False)
+        assert residuals(qp, solver.z, solver.mult).worst < 1e-7
+        assert qp.z is not None
+        size = np.abs(qp.g) @ np.abs(qp.z) + np.abs(qp.z) @ np.abs(qp.H) @ np.abs(qp.z)
+        d = solver.z - qp.z  # the difference of the objectives, without cancellation
+        assert abs(d @ (qp.H @ (solver.z + qp.z) / 2 + qp.g)) <= 1e-7 * size + 1e-14
 
 
 @few
