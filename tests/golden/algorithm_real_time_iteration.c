@@ -214,22 +214,35 @@ static int take_state(golden_solver_t *s, const golden_real *xhat)
     return 1;
 }
 
-/* Embed s->xhat, solve the QP, take the full step. The iterate changes only if all went well. */
-static golden_status_t feedback_here(golden_solver_t *s)
+/* dx_0 = xhat - x_0 into the gradient and the bounds of the QP. */
+static void embed_state(golden_solver_t *s)
 {
-    golden_status_t status;
     int i;
-    if (s->reference_changed) {
-        renew_gradients(s);
-    }
     for (i = 0; i < GOLDEN_NX; i++) {
         s->condensed.dx[0][i] = s->xhat[i] - s->x[0][i];
     }
     condense_embed(s);
-    status = qp_solve(&s->qp);
+}
+
+/* The QP as it is embedded, and its counters. */
+static golden_status_t run_qp(golden_solver_t *s)
+{
+    const golden_status_t status = qp_solve(&s->qp);
     s->stats.qp_iterations = s->qp.iterations;
     s->stats.active_set_changes = s->qp.changes;
     s->stats.dropped_rows = s->qp.dropped;
+    return status;
+}
+
+/* Embed s->xhat, solve the QP, take the full step. The iterate changes only if all went well. */
+static golden_status_t feedback_here(golden_solver_t *s)
+{
+    golden_status_t status;
+    if (s->reference_changed) {
+        renew_gradients(s);
+    }
+    embed_state(s);
+    status = run_qp(s);
     if (status != GOLDEN_OK) {
         return status;
     }
@@ -452,10 +465,7 @@ static golden_real row_violation(const golden_solver_t *s, int k, const golden_r
     int m;
     for (m = row_first[k]; m < row_first[k + 1]; m++) {
         const golden_real value = row_value(s, m, h);
-        sum += value - clip(value, row_lower(s, m), row_upper(s, m));
-        if (value < row_lower(s, m)) {
-            sum += 2.0 * (row_lower(s, m) - value);
-        }
+        sum += fabs(value - clip(value, row_lower(s, m), row_upper(s, m)));
     }
     return sum;
 }
@@ -670,26 +680,20 @@ static golden_status_t line_search(golden_solver_t *s, golden_real start, golden
 static golden_status_t solve_qp(golden_solver_t *s)
 {
     golden_status_t status;
-    int i, m;
-    for (i = 0; i < GOLDEN_NX; i++) {
-        s->condensed.dx[0][i] = s->xhat[i] - s->x[0][i];
-    }
-    condense_embed(s);
+    int m;
+    embed_state(s);
     s->sqp.elastic = 0;
-    status = qp_solve(&s->qp);
+    status = run_qp(s);
     if (status == GOLDEN_INFEASIBLE) {
         s->sqp.elastic = 1;
         for (m = 0; m < GOLDEN_NG; m++) {
             s->qp.penalty[m] = s->sqp.row_weight;
         }
-        status = qp_solve(&s->qp);
+        status = run_qp(s);
         for (m = 0; m < GOLDEN_NG; m++) {
             s->qp.penalty[m] = (golden_real)INFINITY;
         }
     }
-    s->stats.qp_iterations = s->qp.iterations;
-    s->stats.active_set_changes = s->qp.changes;
-    s->stats.dropped_rows = s->qp.dropped;
     return status;
 }
 
