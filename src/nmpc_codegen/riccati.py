@@ -53,6 +53,9 @@ def riccati_struct(dims: Dims) -> Struct:
             Field("g", (nodes, dims.nzs), "gradient", "scratch"),
             Field("b", (stages, dims.nx), "gaps of the dynamics", "scratch"),
             Field("du", (dims.nvs,), "values of the fixed controls", "scratch"),
+            Field("proximal", (stages, dims.nus), "added to pivots of M_uu that may be zero", "scratch"),
+            Field("proximal_free", (dims.nf,), "added to pivots of P_0", "scratch"),
+            Field("regularize_zero", (), "the least that is added", "scratch"),
             Field("P", (nodes, ldx, ldx), "cost to go, symmetric", "scratch"),
             Field("M", (stages, ldu, ldz), "rows of the controls of M_k", "scratch"),
             Field("L", (stages, dims.nus, dims.nus), "M_uu = L D L'", "scratch"),
@@ -65,6 +68,7 @@ def riccati_struct(dims: Dims) -> Struct:
             Field("W", (ldt, ldw), "S_k, then -D^{-1}V", "scratch"),
             Field("T", (ldt, ldz), "P_{k+1}S_k, then V", "scratch"),
             Field("fixed", (dims.nvs,), "1: the control is given", "scratch", "int32"),
+            Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),
             Field("failed", (), "stage whose pivot was not positive; -1: x_0", "scratch", "int32"),
         ),
     )
