@@ -34,14 +34,7 @@ class DenseActiveSet:
     needs: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[str] = "condensed"
     supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "coupled rows with free initial state",
-        }
+        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     max_iterations: int | None = None
