@@ -30,6 +30,18 @@ class Products:
     Q: Pattern
     Q_N: Pattern
 
+    @classmethod
+    def of(cls, nx: int, nu: int, routines: Iterable[Routine]) -> Products:
+        """The patterns that the routines store."""
+        routine = {r.name: r for r in routines}
+        return cls(
+            nx,
+            nu,
+            pattern(routine["integrator_interval"], "S"),
+            pattern(routine["path_hessian"], "Q"),
+            pattern(routine["terminal_hessian"], "Q"),
+        )
+
     @property
     def written_out(self) -> bool:
         """True: over the structural nonzeros; False: dense loops."""

@@ -54,6 +54,10 @@ class FullCondensing:
         controls, slacks = problem.N * problem.nu, sum(s >= 0 for s in _slacks(problem))
         return QpShape(1, controls, controls + len(problem.free_initial) + slacks, slacks)
 
+    def refusal(self, problem: Problem) -> str | None:
+        """It takes every problem of its features."""
+        return None
+
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         return ()
 

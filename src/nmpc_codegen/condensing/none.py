@@ -7,7 +7,8 @@ from typing import ClassVar
 
 from nmpc_codegen.cmodule import Struct, Table
 from nmpc_codegen.component import Counts, Dims, QpShape
-from nmpc_codegen.condensing.stages import embed_cost, refuse_free_coupled, stage_tables
+from nmpc_codegen.condensing.stages import embed_cost, free_coupled, stage_tables
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.sweep import Routine
@@ -32,8 +33,14 @@ class NoCondensing:
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
-        refuse_free_coupled(problem, self.name)
+        reason = self.refusal(problem)
+        if reason:
+            raise OptionError(reason)
         return ()
+
+    def refusal(self, problem: Problem) -> str | None:
+        """Why it does not take the problem, beyond its features; None if it does."""
+        return free_coupled(problem, self.name)
 
     @property
     def parts(self) -> tuple[str, ...]:
