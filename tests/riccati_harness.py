@@ -36,7 +36,7 @@ class Shape:
     def dims(self) -> Any:
         """The members of Dims that the Riccati components look at."""
         named = {"ns": self.ns, "nx": self.nx, "nus": self.nus, "nzs": self.nx + self.nus, "nf": len(self.free)}
-        named |= {"nvs": self.ns * self.nus, "ng": len(self.rows)}
+        named |= {"nv": self.ns * self.nus, "ng": len(self.rows)}
         return types.SimpleNamespace(**{name: Size(name.upper(), value) for name, value in named.items()})
 
     @property
