@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     )
     from nmpc_codegen.ocp import OCP
     from nmpc_codegen.options import Online, Options
-    from nmpc_codegen.qp import DenseActiveSet, Osqp
+    from nmpc_codegen.qp import DenseActiveSet, Osqp, RiccatiInteriorPoint
 
 _HOMES = {
     "algorithms": ("RealTimeIteration",),
@@ -51,7 +51,7 @@ _HOMES = {
     ),
     "ocp": ("OCP",),
     "options": ("Online", "Options"),
-    "qp": ("DenseActiveSet", "Osqp"),
+    "qp": ("DenseActiveSet", "Osqp", "RiccatiInteriorPoint"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -83,6 +83,7 @@ __all__ = [
     "ProblemError",
     "ProblemWarning",
     "RealTimeIteration",
+    "RiccatiInteriorPoint",
     "Status",
     "build",
     "export",

@@ -69,14 +69,14 @@ def _pairs(condensing: Any, qp: Any) -> Iterator[tuple[Any, Any]]:
     """Candidates that agree with what is given."""
     forms: tuple[Any, ...] = (FullCondensing(), NoCondensing(), *(PartialCondensing(block) for block in BLOCKS))
     for c in forms if condensing is None else (condensing,):
-        for q in _solvers() if qp is None else (qp,):
+        for q in _solvers(c.gives) if qp is None else (qp,):
             if c.gives == q.takes:
                 yield c, q
 
 
-def _solvers() -> list[Any]:
-    """Solvers that may be chosen."""
-    return [cls() for cls in REGISTRY.values() if cls.automatic]
+def _solvers(form: str) -> list[Any]:
+    """Solvers of a form that may be chosen."""
+    return [cls() for cls in REGISTRY.values() if cls.takes == form and cls.automatic]
 
 
 def _check_forms(options: Options) -> None:

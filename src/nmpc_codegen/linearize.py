@@ -50,7 +50,8 @@ def linearize(problem: Problem, options: Options) -> Linearization:
     routines: list[Routine] = [r for c in first for r in c.routines(problem)]
     routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal"), _coupled(problem)]
     constant = _constant_hessian(problem, online, routines)
-    known = {r.name: r.count for r in routines} | Products.of(problem.nx, problem.nu, routines).counts
+    products = Products.of(problem.nx, problem.nu, routines)
+    known = {r.name: r.count for r in routines} | products.counts | products.column_counts
     options, why = choose_qp(problem, options, constant, known)
     rest = (options.condensing, options.qp, options.algorithm)
     refuse_unsupported(problem, rest, REGISTRIES)

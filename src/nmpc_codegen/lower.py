@@ -89,7 +89,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
 
 def _known(lin: Linearization, products: Products) -> Counts:
     """Operations of the functions that components call: printed routines and stage products."""
-    return {r.name: r.count for r in lin.routines} | products.counts
+    return {r.name: r.count for r in lin.routines} | products.counts | products.column_counts
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -405,7 +405,9 @@ def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products)
     N = lin.problem.N
     linearization = sum((lin.count(n) for n in ("integrator_interval", "path_gradient", "path_rows")), OpCount()) * N
     known = _known(lin, products)
-    counts = dict(known)
+    counts = {r.name: r.count for r in lin.routines} | products.counts
+    if lin.options.condensing.columns:
+        counts |= products.column_counts
     dims = _dims(lin)
     for component in lin.options.components:
         counts |= component.cost(dims, known)

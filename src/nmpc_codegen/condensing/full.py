@@ -45,6 +45,7 @@ class FullCondensing:
     template: ClassVar[str] = "condensing/full.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "condensed"
+    columns: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )

@@ -23,6 +23,7 @@ class NoCondensing:
     template: ClassVar[str] = "condensing/none.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
+    columns: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )

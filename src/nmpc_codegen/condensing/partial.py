@@ -31,6 +31,7 @@ class PartialCondensing:
     template: ClassVar[str] = "condensing/partial.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
+    columns: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )

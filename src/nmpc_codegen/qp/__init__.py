@@ -4,7 +4,8 @@ from typing import Any
 
 from nmpc_codegen.qp.dense_active_set import DenseActiveSet
 from nmpc_codegen.qp.osqp import Osqp
+from nmpc_codegen.qp.riccati_interior_point import RiccatiInteriorPoint
 
-REGISTRY: dict[str, Any] = {cls.name: cls for cls in (DenseActiveSet, Osqp)}
+REGISTRY: dict[str, Any] = {cls.name: cls for cls in (DenseActiveSet, RiccatiInteriorPoint, Osqp)}
 
-__all__ = ["REGISTRY", "DenseActiveSet", "Osqp"]
+__all__ = ["REGISTRY", "DenseActiveSet", "Osqp", "RiccatiInteriorPoint"]
