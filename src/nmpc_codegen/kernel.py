@@ -219,7 +219,8 @@ def lift(function: Any, name: str, doc: str, inputs: Sequence[Port], outputs: Se
             work[o[0]] = numbering.number(Instruction(opcode, tuple(work[a] for a in args)))
         else:
             raise ProblemError(f"{name}: {opcode_name(opcode)} has no C code; use elementary operations only")
-    return Kernel(name, doc, tuple(inputs), tuple(outputs), *_live(numbering.instructions, stores))
+    live, live_stores = _live(numbering.instructions, stores)
+    return Kernel(name, doc, tuple(inputs), tuple(outputs), *_live(*_reciprocals(live, live_stores)))
 
 
 def _row_major(sparsity: Any, port: Port) -> list[int]:
@@ -230,8 +231,37 @@ def _row_major(sparsity: Any, port: Port) -> list[int]:
     return [r * shape[1] + c for r, c in zip(rows, cols, strict=True)]
 
 
+def _reciprocals(
+    instructions: Sequence[Instruction], stores: Sequence[tuple[int, int, int]]
+) -> tuple[list[Instruction], list[tuple[int, int, int]]]:
+    """Divisions by a constant, and by a value that is divided by more than once, become products with its reciprocal.
+
+    A division takes as long as ten products; derivatives of a quotient have several by one denominator.
+    """
+    divisors: dict[int, int] = {}
+    for ins in instructions:
+        if ins.opcode in (ca.OP_DIV, ca.OP_INV):
+            divisors[ins.args[-1]] = divisors.get(ins.args[-1], 0) + 1
+    numbering = _ValueNumbering()
+    new: list[int] = []
+    for ins in instructions:
+        args = tuple(new[a] for a in ins.args) if ins.opcode in OPERATIONS else ins.args
+        if ins.opcode == ca.OP_DIV:
+            divisor = numbering.instructions[args[1]]
+            inverse = None
+            if divisor.opcode == ca.OP_CONST and divisor.constant and math.isfinite(1 / divisor.constant):
+                inverse = numbering.number(Instruction(ca.OP_CONST, (), 1 / divisor.constant))
+            elif divisors[ins.args[1]] > 1:
+                inverse = numbering.number(Instruction(ca.OP_INV, (args[1],)))
+            if inverse is not None:
+                new.append(numbering.number(Instruction(ca.OP_MUL, (args[0], inverse))))
+                continue
+        new.append(numbering.number(Instruction(ins.opcode, args, ins.constant)))
+    return numbering.instructions, [(o, e, new[v]) for o, e, v in stores]
+
+
 def _live(
-    instructions: list[Instruction], stores: list[tuple[int, int, int]]
+    instructions: Sequence[Instruction], stores: Sequence[tuple[int, int, int]]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
     """Drop values that no output needs and number the rest anew."""
     live = [False] * len(instructions)

@@ -57,11 +57,12 @@ class Call:
     leaf: Any
     ins: tuple[Slice, ...]
     outs: tuple[Slice, ...]
+    inline: bool = False  # print it in its place, whatever its slices are
 
     @property
     def written_out(self) -> bool:
         """True if the leaf is printed inside its loop instead of being called: its slices are columns of matrices."""
-        return any(s.stride != 1 and s.size > 1 for s in (*self.ins, *self.outs))
+        return self.inline or any(s.stride != 1 and s.size > 1 for s in (*self.ins, *self.outs))
 
 
 @dataclass(frozen=True, eq=False)
