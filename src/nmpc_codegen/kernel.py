@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import casadi as ca
@@ -111,6 +111,12 @@ OPERATIONS: dict[int, Operation] = {
     ca.OP_IF_ELSE_ZERO: Operation("({0} != {zero}) ? {1} : {zero}", "other"),
 }
 
+# Operations of one argument that are zero at zero.
+_ZERO_AT_ZERO = (
+    *(ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_SQRT, ca.OP_SIN, ca.OP_TAN, ca.OP_ASIN, ca.OP_ATAN),
+    *(ca.OP_SINH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ATANH, ca.OP_EXPM1, ca.OP_LOG1P, ca.OP_FABS, ca.OP_ERF),
+)
+
 _UNARY_ARITY = {op for op, o in OPERATIONS.items() if "{1}" not in o.c}
 _OPCODE_NAMES = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
 
@@ -172,6 +178,35 @@ class Kernel:
     def kernels(self) -> tuple[Kernel, ...]:
         """The straight-line functions that it consists of."""
         return (self,)
+
+    def nonzero_values(self, inputs: Sequence[Sequence[bool]]) -> list[bool]:
+        """Which values are not structurally zero, given which input elements are not."""
+        marks: list[bool] = []
+        for ins in self.instructions:
+            if ins.opcode == ca.OP_INPUT:
+                marks.append(inputs[ins.args[0]][ins.args[1]])
+            elif ins.opcode == ca.OP_CONST:
+                marks.append(ins.constant != 0)
+            elif ins.opcode == ca.OP_MUL:
+                marks.append(all(marks[a] for a in ins.args))
+            elif ins.opcode in (ca.OP_DIV, *_ZERO_AT_ZERO):
+                marks.append(marks[ins.args[0]])
+            else:
+                marks.append(ins.opcode not in (ca.OP_ADD, ca.OP_SUB) or any(marks[a] for a in ins.args))
+        return marks
+
+    def with_zeros(self, port: str, entries: Sequence[tuple[int, int]]) -> Kernel:
+        """The same kernel, storing zeros in those of the (row, column) entries of an output that it does not write."""
+        output = next(i for i, p in enumerate(self.outputs) if p.name == port)
+        written = {e for o, e, _ in self.stores if o == output}
+        missing = [r * self.outputs[output].cols + c for r, c in entries]
+        missing = [e for e in missing if e not in written]
+        if not missing:
+            return self
+        zero = len(self.instructions)
+        instructions = (*self.instructions, Instruction(ca.OP_CONST, ()))
+        stores = (*self.stores, *((output, e, zero) for e in missing))
+        return replace(self, instructions=instructions, stores=stores)
 
 
 class _ValueNumbering:

@@ -42,11 +42,13 @@ def linearize(problem: Problem, options: Options) -> Linearization:
     problem = replace(problem, path=path, terminal=terminal)
     refuse_unsupported(problem, complete.components, REGISTRIES)
     routines: list[Routine] = [r for c in complete.components for r in c.routines(problem)]
+    routines += complete.hessian.joint_routines(problem, complete.integrator)
     routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal")]
-    hessian = next(r for r in routines if r.name == "path_hessian")
     varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
     varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
-    constant = not varying & _inputs_read(hessian) and all(r.name != "path_curvature" for r in routines)
+    named = {r.name: r for r in routines}
+    block = named.get("path_hessian")  # a routine of its own: it depends on nothing but what it reads
+    constant = block is not None and "path_curvature" not in named and not varying & _inputs_read(block)
     return Linearization(problem, complete, choices, tuple(routines), constant)
 
 

@@ -91,8 +91,7 @@ def _products(lin: Linearization) -> Products:
         lin.problem.nx,
         lin.problem.nu,
         pattern(routine["integrator_interval"], "S"),
-        pattern(routine["path_hessian"], "Q"),
-        pattern(routine["terminal_hessian"], "Q"),
+        *lin.options.hessian.patterns(routine),
     )
 
 
@@ -425,8 +424,6 @@ def _metadata(
 def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products) -> dict[str, Any]:
     """Memory, exact operation counts, and what was chosen and why."""
     layout = struct_layout(structs, lin.options.precision)
-    N = lin.problem.N
-    linearization = sum((lin.count(n) for n in ("integrator_interval", "path_gradient", "path_rows")), OpCount()) * N
     known = _known(lin, products)
     counts = dict(known)
     dims = _dims(lin, len(qp_rows(lin.problem)))
@@ -436,7 +433,7 @@ def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products)
         "ram_bytes": layout["solver"][0],
         "ram_bytes_by_struct": {s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
         "operations": {name: count.as_dict() for name, count in counts.items()},
-        "linearization_operations": linearization.total,
+        "linearization_operations": counts["linearize"].total,
         "choices": list(lin.choices),
         "looped": [r.name for r in lin.routines if len(r.kernels) > 1],
     }

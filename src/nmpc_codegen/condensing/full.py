@@ -36,7 +36,9 @@ class FullCondensing:
     name: ClassVar[str] = "full"
     template: ClassVar[str] = "condensing/full.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
-    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators", "free initial state"})
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "free initial state"}
+    )
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         return ()

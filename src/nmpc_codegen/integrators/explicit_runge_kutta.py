@@ -18,10 +18,10 @@ import casadi as ca
 from nmpc_codegen.cmodule import Table
 from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.integrators.forward_over_adjoint import ForwardOverAdjoint
+from nmpc_codegen.integrators.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.integrators.quadrature import Quadrature
 from nmpc_codegen.integrators.second_order import fuse_steps, straight_lower
-from nmpc_codegen.integrators.symmetric import Symmetric
+from nmpc_codegen.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau, combine
 from nmpc_codegen.kernel import Kernel, OpCount, Port
 from nmpc_codegen.problem import Problem
@@ -35,9 +35,9 @@ AUTO_INSTRUCTIONS = 2500
 
 START = Affine()
 
-SCHEMES: dict[str, type[Symmetric] | type[ForwardOverAdjoint]] = {
-    "symmetric": Symmetric,
-    "forward_over_adjoint": ForwardOverAdjoint,
+SCHEMES: dict[str, type[ThreeSweeps] | type[AdjointSweep]] = {
+    "symmetric": ThreeSweeps,
+    "forward_over_adjoint": AdjointSweep,
 }
 
 

@@ -16,7 +16,7 @@ from nmpc_codegen.integrators.tableau import combine
 from nmpc_codegen.sweep import Affine, Call, For, Node, Slice
 
 
-class ForwardOverAdjoint(Builder):
+class AdjointSweep(Builder):
     """The reference in cost, memory and result."""
 
     def body(self) -> list[Node]:

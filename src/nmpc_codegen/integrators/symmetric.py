@@ -16,7 +16,7 @@ from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Affine, Call, For, Node, Slice
 
 
-class Symmetric(Builder):
+class ThreeSweeps(Builder):
     """Three sweeps with a symmetric third one."""
 
     def body(self) -> list[Node]:

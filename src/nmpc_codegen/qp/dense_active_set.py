@@ -32,7 +32,9 @@ class DenseActiveSet:
     name: ClassVar[str] = "dense_active_set"
     template: ClassVar[str] = "qp/dense_active_set.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators", "free initial state"})
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "free initial state"}
+    )
 
     max_iterations: int | None = None
 
