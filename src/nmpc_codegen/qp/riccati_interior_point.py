@@ -110,7 +110,7 @@ class RiccatiInteriorPoint:
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     def __post_init__(self) -> None:
