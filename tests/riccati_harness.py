@@ -24,7 +24,7 @@ from nmpc_codegen.tolerances import tolerance
 
 @dataclass(frozen=True)
 class Shape:
-    """Sizes of a stage QP. ``rows``: (stage, state index or -1 for a general row), sorted; ``free``: components of x_0."""
+    """Sizes of a stage QP. ``rows``: (stage, state index or -1: general), sorted; ``free``: components of x_0."""
 
     ns: int
     nx: int
@@ -36,7 +36,7 @@ class Shape:
     def dims(self) -> Any:
         """The members of Dims that the Riccati components look at."""
         named = {"ns": self.ns, "nx": self.nx, "nus": self.nus, "nzs": self.nx + self.nus, "nf": len(self.free)}
-        named |= {"nvs": self.ns * self.nus, "ng": len(self.rows)}
+        named |= {"nv": self.ns * self.nus, "ng": len(self.rows)}
         return types.SimpleNamespace(**{name: Size(name.upper(), value) for name, value in named.items()})
 
     @property
@@ -164,7 +164,16 @@ def compiled(text: str, flags: tuple[str, ...] = FAST) -> ctypes.CDLL:
 def _compiled(text: str, flags: tuple[str, ...]) -> ctypes.CDLL:
     stem = Path(build_directory().name) / f"riccati_{abs(hash((text, flags)))}"
     stem.with_suffix(".c").write_text(text)
-    command = ["gcc", "-std=c99", *WARNINGS, "-Wno-unused-const-variable", "-Wno-unused-function", *flags, "-shared", "-fPIC"]
+    command = [
+        "gcc",
+        "-std=c99",
+        *WARNINGS,
+        "-Wno-unused-const-variable",
+        "-Wno-unused-function",
+        *flags,
+        "-shared",
+        "-fPIC",
+    ]
     subprocess.run([*command, "-o", stem.with_suffix(".so"), stem.with_suffix(".c"), "-lm"], check=True)
     return ctypes.CDLL(str(stem.with_suffix(".so")))
 

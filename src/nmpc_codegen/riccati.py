@@ -1,6 +1,6 @@
 """Python side of the Riccati recursion (templates/riccati) that the Riccati QP solvers share: struct, sizes, counts.
 
-    M_k = Q_k + diag(diagonal) + sum_m weight_m a_m a_m' + S_k'P_{k+1}S_k,   K = -M_uu^{-1} M_ux,   P_k = M_xx + M_ux'K
+M_k = Q_k + diag(diagonal) + sum_m weight_m a_m a_m' + S_k'P_{k+1}S_k,   K = -M_uu^{-1} M_ux,   P_k = M_xx + M_ux'K
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nmpc_codegen.cmodule import Field, Size, Struct
-from nmpc_codegen.kernel import OpCount
 
 if TYPE_CHECKING:
     from nmpc_codegen.component import Dims
@@ -52,7 +51,7 @@ def riccati_struct(dims: Dims) -> Struct:
             Field("weight", (dims.ng,), "of a a' for the rows of the QP", "scratch"),
             Field("g", (nodes, dims.nzs), "gradient", "scratch"),
             Field("b", (stages, dims.nx), "gaps of the dynamics", "scratch"),
-            Field("du", (dims.nvs,), "values of the fixed controls", "scratch"),
+            Field("du", (dims.nv,), "values of the fixed controls", "scratch"),
             Field("proximal", (stages, dims.nus), "added to pivots of M_uu that may be zero", "scratch"),
             Field("proximal_free", (dims.nf,), "added to pivots of P_0", "scratch"),
             Field("regularize_zero", (), "the least that is added", "scratch"),
@@ -67,7 +66,7 @@ def riccati_struct(dims: Dims) -> Struct:
             Field("feed", (stages, dims.nus), "controls at x = 0", "scratch"),
             Field("W", (ldt, ldw), "S_k, then -D^{-1}V", "scratch"),
             Field("T", (ldt, ldz), "P_{k+1}S_k, then V", "scratch"),
-            Field("fixed", (dims.nvs,), "1: the control is given", "scratch", "int32"),
+            Field("fixed", (dims.nv,), "1: the control is given", "scratch", "int32"),
             Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),
             Field("failed", (), "stage whose pivot was not positive; -1: x_0", "scratch", "int32"),
         ),

@@ -1,7 +1,7 @@
 """Dense oracles of the stage QP: everything in one vector, solved by one KKT matrix.
 
-    min  sum_{k<NS} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_NS'Q_NS x_NS + g_NS'x_NS,   z = (x, u)
-    s.t. x_{k+1} = S_k z_k + b_k,   x_0 given except for its free components
+min  sum_{k<NS} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_NS'Q_NS x_NS + g_NS'x_NS,   z = (x, u)
+s.t. x_{k+1} = S_k z_k + b_k,   x_0 given except for its free components
 """
 
 from __future__ import annotations

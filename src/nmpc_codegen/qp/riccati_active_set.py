@@ -15,12 +15,26 @@ from typing import TYPE_CHECKING, ClassVar
 from nmpc_codegen.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
+from nmpc_codegen.qp.riccati_interior_point import CORE, interior_point_struct
+from nmpc_codegen.qp.riccati_interior_point import MAX_ITERATIONS as INTERIOR_POINT_ITERATIONS
 from nmpc_codegen.riccati import TEMPLATES, riccati_sizes, riccati_struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.component import Counts, Dims
     from nmpc_codegen.problem import Problem
     from nmpc_codegen.sweep import Routine
+
+
+#: Working sets that are tried where no cap is given.
+MAX_ITERATIONS = 50
+
+#: The parts of the method.
+PARTS = (
+    "qp/riccati_active_set_working_set.c.jinja",
+    "qp/riccati_active_set_refine.c.jinja",
+    "qp/riccati_active_set_iterate.c.jinja",
+    "qp/riccati_active_set_fall_back.c.jinja",
+)
 
 
 @dataclass(frozen=True)
@@ -33,9 +47,11 @@ class RiccatiActiveSet:
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "riccati_active_set"
     template: ClassVar[str] = "qp/riccati_active_set.c.jinja"
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[str, ...]] = ("condensing",)
+    takes: ClassVar[str] = "stages"
+    automatic: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     max_iterations: int | None = None
@@ -54,7 +70,7 @@ class RiccatiActiveSet:
     @property
     def parts(self) -> tuple[str, ...]:
         """The recursion and the parts of the method."""
-        return TEMPLATES
+        return (*TEMPLATES, *CORE, *PARTS)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""
@@ -64,21 +80,22 @@ class RiccatiActiveSet:
         """Leading dimensions and caps."""
         return (
             *riccati_sizes(dims),
-            ("QP_MAX_ITERATIONS", self.max_iterations or 50, "cap on the working sets of one feedback phase"),
-            ("QP_PATIENCE", int(__import__("os").environ.get("PAT","10")), "working sets"),
-            ("QP_MODE", int(__import__("os").environ.get("MODE","1")), "working sets"),
-            ("QP_THETA", int(__import__("os").environ.get("THETA","50")), "working sets"),
+            ("QP_MAX_ITERATIONS", self.max_iterations or MAX_ITERATIONS, "cap on the working sets of one feedback phase"),
+            ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
+            ("IPM_MAX_ITERATIONS", INTERIOR_POINT_ITERATIONS, "cap on its iterations"),
+            ("IPM_WARM_START", 0, "it starts cold"),
             ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion; the QP and its working set."""
-        nvs, ng, nx = dims.nvs, dims.ng, dims.nx
-        rows = Size(f"{nvs.text} + {ng.text}", nvs.value + ng.value)
+        nv, ng, nx = dims.nv, dims.ng, dims.nx
+        rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
-        history = Size("QP_MAX_ITERATIONS + 1", (self.max_iterations or 50) + 1)
+        history = Size("QP_MAX_ITERATIONS + 1", (self.max_iterations or MAX_ITERATIONS) + 1)
         return (
             riccati_struct(dims),
+            interior_point_struct(dims),
             Struct(
                 "qp",
                 "working set of the stage QP",
@@ -88,12 +105,12 @@ class RiccatiActiveSet:
                     Field("penalty", (ng,), "l1 penalty of violating a row; infinite: hard", "keep"),
                     Field("curvature", (ng,), "l2 penalty", "keep"),
                     Field("x", (nodes, nx), "minimiser: states", "result"),
-                    Field("z", (nvs,), "minimiser: controls", "result"),
+                    Field("z", (nv,), "minimiser: controls", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
                     Field("lam", (nodes, nx), "multipliers of the dynamics while refining", "scratch"),
                     Field("dx", (nodes, nx), "correction of x", "scratch"),
-                    Field("dz", (nvs,), "correction of z", "scratch"),
+                    Field("dz", (nv,), "correction of z", "scratch"),
                     Field("target", (rows,), "bounds of the members that the vectors were made with", "scratch"),
                     Field("center", (ng,), "multipliers of the members that the vectors were made with", "scratch"),
                     Field("value", (ng,), "values of the rows", "scratch"),
@@ -106,8 +123,7 @@ class RiccatiActiveSet:
                     ),
                     Field("raised", (ng,), "how often the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
-                    Field("fewest", (), "fewest", "scratch", "int32"),
-                    Field("patience", (), "patience", "scratch", "int32"),
+                    Field("scaled", (), "1: base is known", "keep", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
                     Field("stale_vectors", (), "last stage whose vectors are out of date, or -1", "scratch", "int32"),
                     Field("factorized", (), "qp_factorize has succeeded", "scratch", "int32"),
