@@ -17,6 +17,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "riccati_refined": (2.0**6, "correction of a component that is taken as rounding, relative to its size"),
     "ipm_dual_regularization": (2.0**22, "compliance of an active row, relative to that of the cost along it"),
     "ipm_equation_regularization": (2.0**22, "the same for an equation"),
+    "ipm_dynamics": (2.0**8, "gap of the dynamics, relative to its terms"),
     "ipm_gap": (2.0**-8, "product of multiplier and distance, relative to the cost of the most expensive row"),
     "ipm_primal": (2.0**12, "residual of a row, relative to its size"),
     "ipm_stationarity": (2.0**14, "gradient of the Lagrangian, relative to its largest term"),

@@ -88,6 +88,7 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("primal", (), "largest relative residual of the rows", "scratch"),
             Field("merit", (), "largest residual relative to its tolerance", "scratch"),
             Field("step", (), "length of the last step", "scratch"),
+            Field("stiffening", (), "by how much the regularisation of the rows is divided", "scratch"),
             Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
             Field("least_pivot", (), "added to pivots that are zero", "scratch"),
             Field("row", (sides,), "row of a side", "scratch", "int32"),
