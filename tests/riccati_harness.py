@@ -24,7 +24,7 @@ from nmpc_codegen.tolerances import tolerance
 
 @dataclass(frozen=True)
 class Shape:
-    """Sizes of a stage QP. ``rows``: (stage, state index or -1 for a general row), sorted; ``free``: components of x_0."""
+    """Sizes of a stage QP. ``rows``: (stage, state index or -1: general), sorted; ``free``: components of x_0."""
 
     ns: int
     nx: int
@@ -164,7 +164,16 @@ def compiled(text: str, flags: tuple[str, ...] = FAST) -> ctypes.CDLL:
 def _compiled(text: str, flags: tuple[str, ...]) -> ctypes.CDLL:
     stem = Path(build_directory().name) / f"riccati_{abs(hash((text, flags)))}"
     stem.with_suffix(".c").write_text(text)
-    command = ["gcc", "-std=c99", *WARNINGS, "-Wno-unused-const-variable", "-Wno-unused-function", *flags, "-shared", "-fPIC"]
+    command = [
+        "gcc",
+        "-std=c99",
+        *WARNINGS,
+        "-Wno-unused-const-variable",
+        "-Wno-unused-function",
+        *flags,
+        "-shared",
+        "-fPIC",
+    ]
     subprocess.run([*command, "-o", stem.with_suffix(".so"), stem.with_suffix(".c"), "-lm"], check=True)
     return ctypes.CDLL(str(stem.with_suffix(".so")))
 
@@ -176,3 +185,89 @@ def memory_layout(shape: Shape, extra: tuple[Struct, ...] = (), precision: str =
         fields = [(f.name, scalars[f.ctype], f.padded) for f in struct.fields]
         scalars[struct.name] = np.dtype(fields, align=True)
     return np.dtype(scalars["solver"])
+
+
+SOLVER = """
+void test_qp_init(test_solver_t *s) { qp_init(s); }
+int test_qp_factorize(test_solver_t *s) { return (int)qp_factorize(s); }
+void test_qp_gradient(test_solver_t *s) { qp_gradient(s); }
+int test_qp_solve(test_solver_t *s) { return (int)qp_solve(s); }
+void test_qp_shift(test_solver_t *s, int n, const int *source) { qp_shift_working_set(s, n, source); }
+int test_qp_size(void) { return (int)sizeof(test_solver_t); }
+"""
+
+
+class RiccatiQP:
+    """A solver on the stage seam; ``self["z"]`` is the view on the member z of its struct qp."""
+
+    def __init__(self, shape: Shape, component: Any, precision: str = "double", flags: tuple[str, ...] = FAST) -> None:
+        self.shape = shape
+        extra = tuple(s for s in component.structs(shape.dims) if s.name != "riccati")
+        known = {name for name, _, _ in riccati_sizes(shape.dims)}
+        sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
+        text = source(shape, component.template, sizes, extra, precision) + SOLVER
+        self.library = compiled(text, flags)
+        self.memory = np.zeros((), memory_layout(shape, extra, precision))
+        assert self.library.test_qp_size() == self.memory.nbytes
+        self.library.test_qp_init(self.pointer)
+
+    @property
+    def pointer(self) -> ctypes.c_void_p:
+        return ctypes.c_void_p(self.memory.ctypes.data)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.memory["qp"][name]
+
+    def load(self, qp: Any) -> None:
+        """All data of a StageQP; strict upper triangles are NaN, nobody may read them."""
+        problem, stage, hessian = qp.problem, self.memory["stage"], self.memory["hessian"]
+        nx = self.shape.nx
+        upper = np.triu(np.full(problem.Q[0].shape, np.nan), 1)
+        stage["S"][...], stage["b"][...] = problem.S, problem.b
+        hessian["Q"][...], hessian["Q_N"][...] = problem.Q + upper, problem.Q_N + upper[:nx, :nx]
+        if len(qp.rows):
+            stage["J"][...] = qp.rows
+            self["penalty"][...], self["curvature"][...] = qp.penalty, qp.curvature
+        self.load_gradient(qp)
+        self.load_bounds(qp)
+
+    def load_gradient(self, qp: Any) -> None:
+        self.memory["stage"]["g"][:-1] = qp.problem.g
+        self.memory["stage"]["g"][-1, : self.shape.nx] = qp.problem.g_N
+
+    def load_bounds(self, qp: Any) -> None:
+        n = self.shape.ns * self.shape.nus + len(self.shape.rows)
+        self["lower"][:n], self["upper"][:n] = qp.lower, qp.upper
+
+    def factorize(self) -> str:
+        return STATUSES[self.library.test_qp_factorize(self.pointer)]
+
+    def solve(self, x_0: np.ndarray) -> str:
+        """``x_0``: its free components are overwritten by NaN, nobody may read them."""
+        start = np.array(x_0, dtype=float)
+        start[list(self.shape.free)] = np.nan
+        self.memory["step"]["dx"][0] = start
+        return STATUSES[self.library.test_qp_solve(self.pointer)]
+
+    def run(self, qp: Any) -> str:
+        """Both phases; the status of the one that failed, else of qp_solve."""
+        self.load(qp)
+        status = self.factorize()
+        return status if status != "OK" else self.solve(qp.problem.x_0)
+
+    def shift(self, n: int, source: Any = None) -> None:
+        rows = np.arange(len(self.shape.rows)) if source is None else source
+        self.library.test_qp_shift(self.pointer, n, (ctypes.c_int * max(1, len(rows)))(*rows))
+
+    @property
+    def x(self) -> np.ndarray:
+        return self["x"].astype(float)
+
+    @property
+    def u(self) -> np.ndarray:
+        return self["z"].astype(float).reshape(self.shape.ns, self.shape.nus)
+
+    @property
+    def mult(self) -> np.ndarray:
+        n = self.shape.ns * self.shape.nus + len(self.shape.rows)
+        return self["mult"][:n].astype(float)

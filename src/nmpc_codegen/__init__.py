@@ -25,8 +25,16 @@ from nmpc_codegen.status import Status
 if TYPE_CHECKING:
     from nmpc_codegen.algorithms import RealTimeIteration
     from nmpc_codegen.compiler import Package, export, generate
-    from nmpc_codegen.condensing import FullCondensing
-    from nmpc_codegen.hessians import GaussNewton
+    from nmpc_codegen.condensing import FullCondensing, NoCondensing, PartialCondensing
+    from nmpc_codegen.hessians import (
+        ExactHessian,
+        ForwardOverAdjoint,
+        GaussNewton,
+        IdentityHessian,
+        Mirror,
+        Project,
+        Symmetric,
+    )
     from nmpc_codegen.integrators import (
         RK4,
         SSPRK3,
@@ -39,19 +47,21 @@ if TYPE_CHECKING:
     )
     from nmpc_codegen.ocp import OCP
     from nmpc_codegen.options import Online, Options
-    from nmpc_codegen.qp import DenseActiveSet
+    from nmpc_codegen.qp import DenseActiveSet, Osqp, RiccatiInteriorPoint
 
 _HOMES = {
     "algorithms": ("RealTimeIteration",),
     "compiler": ("Package", "export", "generate"),
-    "condensing": ("FullCondensing",),
-    "hessians": ("GaussNewton",),
+    "condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
+    "hessians": (
+        *("ExactHessian", "ForwardOverAdjoint", "GaussNewton", "IdentityHessian", "Mirror", "Project", "Symmetric"),
+    ),
     "integrators": (
         *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
     ),
     "ocp": ("OCP",),
     "options": ("Online", "Options"),
-    "qp": ("DenseActiveSet",),
+    "qp": ("DenseActiveSet", "Osqp", "RiccatiInteriorPoint"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -66,21 +76,31 @@ __all__ = [
     "DenseActiveSet",
     "Discrete",
     "Euler",
+    "ExactHessian",
     "ExplicitRungeKutta",
+    "ForwardOverAdjoint",
     "FullCondensing",
     "GaussNewton",
     "Heun",
+    "IdentityHessian",
     "Log",
     "Midpoint",
+    "Mirror",
     "NmpcError",
+    "NoCondensing",
     "Online",
     "OptionError",
     "Options",
+    "Osqp",
     "Package",
+    "PartialCondensing",
     "ProblemError",
     "ProblemWarning",
+    "Project",
     "RealTimeIteration",
+    "RiccatiInteriorPoint",
     "Status",
+    "Symmetric",
     "build",
     "export",
     "generate",

@@ -7,9 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any
 
 from nmpc_codegen.kernel import OpCount
-from nmpc_codegen.sweep import Routine
+from nmpc_codegen.sweep import LoopedRoutine, Routine, nonzeros
+
+if TYPE_CHECKING:
+    from nmpc_codegen.problem import Problem
 
 # Columns of a dense matrix that are processed together; leading dimensions are rounded up to it.
 PANEL = 4
@@ -30,6 +35,13 @@ class Products:
     Q: Pattern
     Q_N: Pattern
 
+    @classmethod
+    def of(cls, problem: Problem, hessian: Any, routines: Iterable[Routine]) -> Products:
+        """The patterns that the routines store; those of Q are the Hessian component's."""
+        named = {r.name: r for r in routines}
+        S = pattern(named["integrator_interval"], "S")
+        return cls(problem.nx, problem.nu, S, *hessian.patterns(named))
+
     @property
     def written_out(self) -> bool:
         """True: over the structural nonzeros; False: dense loops."""
@@ -41,17 +53,34 @@ class Products:
         return f"products/{'nonzeros' if self.written_out else 'loops'}.c.jinja"
 
     @property
+    def columns_template(self) -> str:
+        """The products with columns in the same spelling, for full condensing."""
+        return f"products/{'nonzeros' if self.written_out else 'loops'}_columns.c.jinja"
+
+    @property
     def counts(self) -> dict[str, OpCount]:
-        """Operations of one run of every product, by C function; those on columns: of one panel."""
+        """Operations of one run of every product with a vector, by C function."""
+        nz = self.nx + self.nu
+        if not self.written_out:
+            return {
+                "state_step": _accumulated(self.nx * nz),
+                "adjoint_step": _accumulated(self.nx * nz + nz * nz),
+                "terminal_adjoint": _accumulated(self.nx * self.nx),
+            }
+        return {
+            "state_step": _accumulated(len(self.S)),
+            "adjoint_step": _accumulated(sum(len(rows) + len(entries) for _, rows, entries in self.adjoint)),
+            "terminal_adjoint": _accumulated(sum(len(entries) for _, entries in self.terminal)),
+        }
+
+    @property
+    def column_counts(self) -> dict[str, OpCount]:
+        """Operations on one panel of columns."""
         return self._counts_of_nonzeros() if self.written_out else self._counts_of_loops()
 
     def _counts_of_nonzeros(self) -> dict[str, OpCount]:
         terminal = [len(entries) for _, entries in self.terminal]
-        adjoint = [len(rows) + len(entries) for _, rows, entries in self.adjoint]
         return {
-            "state_step": _accumulated(len(self.S)),
-            "adjoint_step": _accumulated(sum(adjoint)),
-            "terminal_adjoint": _accumulated(sum(terminal)),
             "condense_forward_columns": _summed(len(columns) for _, columns in self.A_rows) * PANEL,
             "condense_terminal_columns": _summed(terminal) * PANEL,
             "condense_backward_columns": _summed(len(rows) + len(e) for _, rows, e in self.condensed) * PANEL,
@@ -62,9 +91,6 @@ class Products:
         terminal = sum(len(entries) for _, entries in self.terminal)
         cost = sum(len(entries) for _, _, entries in self.condensed)
         return {
-            "state_step": _accumulated(nx * nz),
-            "adjoint_step": _accumulated(nx * nz + nz * nz),
-            "terminal_adjoint": _accumulated(nx * nx),
             "condense_forward_columns": _accumulated(nx * nx) * PANEL,
             "condense_terminal_columns": _accumulated(terminal) * PANEL,
             "condense_backward_columns": _accumulated(nx * nz + cost) * PANEL,
@@ -133,8 +159,39 @@ class Products:
         """Nonzeros of Q_N in the order of the tables."""
         return sorted(self.Q_N)
 
+    @property
+    def Q_blocks(self) -> list[list[int]]:
+        """Rows of the irreducible diagonal blocks of Q."""
+        return irreducible_blocks(self.Q, self.nx + self.nu)
+
+    @property
+    def Q_N_blocks(self) -> list[list[int]]:
+        """Rows of the irreducible diagonal blocks of Q_N."""
+        return irreducible_blocks(self.Q_N, self.nx)
+
+    @property
+    def Q_block_ends(self) -> list[int]:
+        """Rows up to the end of every block of Q."""
+        return list(accumulate(len(block) for block in self.Q_blocks))
+
+    @property
+    def Q_N_block_ends(self) -> list[int]:
+        """Rows up to the end of every block of Q_N."""
+        return list(accumulate(len(block) for block in self.Q_N_blocks))
+
     def _column(self, i: int) -> list[int]:
         return sorted(r for r, c in self.S if c == i)
+
+
+def irreducible_blocks(lower: Pattern, n: int) -> list[list[int]]:
+    """Rows of the irreducible diagonal blocks of a symmetric matrix, each sorted."""
+    found: list[set[int]] = [{i} for i in range(n)]
+    for r, c in lower:
+        first, second = (next(s for s in found if i in s) for i in (r, c))
+        if first is not second:
+            first |= second
+            found.remove(second)
+    return sorted(sorted(s) for s in found)
 
 
 def _accumulated(n: int) -> OpCount:
@@ -154,10 +211,11 @@ def _entries(lower: Pattern, i: int) -> list[tuple[int, int, int]]:
 
 
 def pattern(routine: Routine, port: str) -> Pattern:
-    """Structural nonzeros of an output matrix; all of it for a looped routine."""
+    """Structural nonzeros of an output matrix; all of it if a looped routine has many."""
     index = next(i for i, p in enumerate(routine.outputs) if p.name == port)
     rows, cols = routine.outputs[index].rows, routine.outputs[index].cols
-    stores = getattr(routine, "stores", None)
-    if stores is None:
-        return frozenset((r, c) for r in range(rows) for c in range(cols))
-    return frozenset(divmod(element, cols) for o, element, _ in stores if o == index)
+    if isinstance(routine, LoopedRoutine):
+        if rows * cols > 2 * WRITTEN_OUT:
+            return frozenset((r, c) for r in range(rows) for c in range(cols))
+        return frozenset(divmod(e, cols) for e in nonzeros(routine)[port])
+    return frozenset(divmod(element, cols) for o, element, _ in routine.stores if o == index)

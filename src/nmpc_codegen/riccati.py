@@ -1,6 +1,6 @@
 """Python side of the Riccati recursion (templates/riccati) that the Riccati QP solvers share: struct, sizes, counts.
 
-    M_k = Q_k + diag(diagonal) + sum_m weight_m a_m a_m' + S_k'P_{k+1}S_k,   K = -M_uu^{-1} M_ux,   P_k = M_xx + M_ux'K
+M_k = Q_k + diag(diagonal) + sum_m weight_m a_m a_m' + S_k'P_{k+1}S_k,   K = -M_uu^{-1} M_ux,   P_k = M_xx + M_ux'K
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nmpc_codegen.cmodule import Field, Size, Struct
-from nmpc_codegen.kernel import OpCount
 
 if TYPE_CHECKING:
     from nmpc_codegen.component import Dims

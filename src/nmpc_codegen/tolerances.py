@@ -12,6 +12,9 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "qp_proximal": (2.0**8, "step of the proximal point method that is taken as rounding, relative to |y0| + |y|"),
     "qp_proximal_stagnation": (2.0**12, "the same if the step does not decrease any more"),
     "riccati_pivot": (2.0**5, "rounding of a pivot of the Riccati recursion, relative to its diagonal entry"),
+    "riccati_feasibility": (2.0**10, "violation of a bound that is taken as rounding, relative to |a|'|z| + |bound|"),
+    "riccati_sign": (2.0**8, "wrong sign of a multiplier that is taken as rounding, relative to the terms of it"),
+    "riccati_refined": (2.0**6, "correction of a component that is taken as rounding, relative to its size"),
     "ipm_dual_regularization": (2.0**22, "compliance of an active row, relative to that of the cost along it"),
     "ipm_equation_regularization": (2.0**22, "the same for an equation"),
     "ipm_dynamics": (2.0**8, "gap of the dynamics, relative to its terms"),
@@ -24,6 +27,8 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "unit": (1.0, "the machine epsilon; its square root separates a zero pivot from a positive one"),
     "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),
     "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),
+    "eigen_offdiagonal": (1.0, "element off the diagonal that Jacobi rotations leave, relative to the largest entry"),
+    "eigen_tiny": (2.0**-40, "entries below it, relative to the largest, do not count in a decomposition"),
     "step_count": (2.0**12, "part of an integration step that is taken as rounding of dt / h"),
 }
 

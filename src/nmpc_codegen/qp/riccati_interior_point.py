@@ -119,8 +119,9 @@ class RiccatiInteriorPoint:
     template: ClassVar[str] = "qp/riccati_interior_point.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
+    automatic: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     def __post_init__(self) -> None:
@@ -168,7 +169,9 @@ class RiccatiInteriorPoint:
                 Field("z", (nv,), "controls", "result"),
                 Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                 Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
-                Field("side", (rows,), "+-1: active at upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"),
+                Field(
+                    "side", (rows,), "+-1: active at upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"
+                ),
                 Field("iterations", (), "iterations of the last qp_solve", "result", "int32"),
                 Field("changes", (), "rows that became active or inactive in it", "result", "int32"),
                 Field("dropped", (), "0: redundant equations stay", "result", "int32"),
