@@ -87,6 +87,7 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("unit", (), "largest cost of a single row", "scratch"),
             Field("primal", (), "largest relative residual of the rows", "scratch"),
             Field("merit", (), "largest residual relative to its tolerance", "scratch"),
+            Field("energy", (), "unit of the last QP", "keep"),
             Field("step", (), "length of the last step", "scratch"),
             Field("stiffening", (), "by how much the regularisation of the rows is divided", "scratch"),
             Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
@@ -95,6 +96,8 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("kind", (rows,), "0: inequality, 1: equation, 2: fixed control", "scratch", "int32"),
             Field("sides", (), "finite bounds of inequalities", "scratch", "int32"),
             Field("hard", (), "hard ones among them, which come first", "scratch", "int32"),
+            Field("warm", (), "the first factorisation is that of a warm start", "scratch", "int32"),
+            Field("known", (), "the last QP was solved: reach, energy and multipliers are good", "keep", "int32"),
             Field("ready", (), "the first factorisation stands", "scratch", "int32"),
         ),
     )
