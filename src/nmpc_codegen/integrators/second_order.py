@@ -65,9 +65,16 @@ class Builder:
         """Tape of a stage."""
         return self.kept("tape", stage, self.d.tape, self.d.keeps_tape, length)
 
+    @property
+    def keeps_kappa(self) -> bool:
+        """The adjoints of all stages are stored: a later sweep uses them."""
+        return False
+
     def kappa(self, stage: int) -> Slice:
         """Adjoints of the curved rows of a stage."""
-        return self.kept("kappa", stage, len(self.d.curved))
+        size = len(self.d.curved)
+        terms = (("step", self.stages * size),) if self.keeps_kappa else ()
+        return Slice("kappa", size, Affine(stage * size, terms))
 
     def column(self, buffer: str, rows: int, block: int = 0, index: str = "c") -> Slice:
         """Column ``index`` of a matrix of packed columns; ``block``: of the block-th matrix of so many rows."""
@@ -214,6 +221,21 @@ class Builder:
         slopes = [Slice("K", self.nx, Affine(j * self.nx)) for j, c in enumerate(b) if c]
         return Call(self.combination("update", b, self.nx), (state, Slice("h", 1), *slopes), (state,))
 
+    def slope(self, stage: int, rows: list[int], target: Slice) -> For:
+        """Columns of K_i' = F_x Z + [0 F_u]; the given rows of Z go to ``target``."""
+        d, coefficients = self.d, self.tableau.a[stage]
+        tape, s, h = ca.SX.sym("t", d.slopes), ca.SX.sym("s", self.nF), ca.SX.sym("h")
+        Fu, units = ca.SX.sym("Fu", len(self.forced)), ca.SX.sym("E", len(self.controls))
+        slopes = [ca.SX.sym(f"K{j}", self.nF) for j, c in enumerate(coefficients) if c]
+        Z = combine(s, h, slopes, coefficients)[: self.nx]
+        K = d.Fz(tape)[:, : self.nx] @ Z + self.forcing(Fu, tape, units)
+        names = ["t", "s", "h", "Fu", "E", *(f"K{j}" for j in range(len(slopes)))]
+        leaf = ca.Function(f"slope_{stage}", [tape, s, h, Fu, units, *slopes], [K, Z[rows]], names, ["Ks", "Z"])
+        ins = [self.tape(stage, d.slopes), self.column("Sx", self.nF), Slice("h", 1)]
+        ins += [self.column("Fu", len(self.forced)), self.column("E", len(self.controls))]
+        ins += [self.column("Ks", self.nF, j) for j, a in enumerate(coefficients) if a]
+        return self.columnwise(leaf, ins, (self.column("Ks", self.nF, stage), target))
+
     def update_columns(self) -> For:
         """The same for the sensitivities."""
         b, S = self.tableau.b, self.column("Sx", self.nF)
@@ -226,21 +248,32 @@ class Builder:
             return []
         return [Call(self.d.leaf_tape(length, value=False), (self.point(stage), *self.up), (self.tape(stage, length),))]
 
-    def backward(self, stage: int) -> Call:
+    def backward(self) -> list[Node]:
+        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i. Xbar_i stays inside, if the tapes are kept."""
+        stages = range(self.stages)
+        adj, h = ca.SX.sym("adj", self.nx), ca.SX.sym("h")
+        if not self.d.keeps_tape:
+            nodes = [n for i in reversed(stages) for n in (*self.again(i, self.d.slopes), self._backward_stage(i))]
+            bars = [ca.SX.sym(f"Xbar{i}", self.nx) for i in stages]
+            slices = [Slice("Xbar", self.nx, Affine(i * self.nx)) for i in stages]
+            leaf = ca.Function("update_adjoint", [adj, *bars], [sum(bars, adj)])
+            return [*nodes, Call(leaf, (Slice("adj", self.nx), *slices), (Slice("adj", self.nx),))]
+        tapes = [ca.SX.sym(f"t{i}", self.d.slopes) for i in stages]
+        found: dict[int, Any] = {}
+        kappas: dict[int, Any] = {}
+        for i in reversed(stages):
+            kappas[i], found[i] = self.leaf_backward(i)(adj, h, tapes[i], *(found[j] for j in self.later(i)))
+        outputs = [*(kappas[i] for i in stages), sum(found.values(), adj)]
+        leaf = ca.Function("backward", [adj, h, *tapes], outputs)
+        ins = (Slice("adj", self.nx), Slice("h", 1), *(self.tape(i, self.d.slopes) for i in stages))
+        return [Call(leaf, ins, (*(self.kappa(i) for i in stages), Slice("adj", self.nx)))]
+
+    def _backward_stage(self, stage: int) -> Call:
         """kappa_i and Xbar_i."""
         bars = [Slice("Xbar", self.nx, Affine(j * self.nx)) for j in self.later(stage)]
         ins = (Slice("adj", self.nx), Slice("h", 1), self.tape(stage, self.d.slopes), *bars)
-        return Call(
-            self.leaf_backward(stage), ins, (self.kappa(stage), Slice("Xbar", self.nx, Affine(stage * self.nx)))
-        )
-
-    def update_adjoint(self) -> Call:
-        """adj += sum_i Xbar_i."""
-        adj = ca.SX.sym("adj", self.nx)
-        bars = [ca.SX.sym(f"Xbar{i}", self.nx) for i in range(self.stages)]
-        leaf = ca.Function("update_adjoint", [adj, *bars], [sum(bars, adj)])
-        slices = [Slice("Xbar", self.nx, Affine(i * self.nx)) for i in range(self.stages)]
-        return Call(leaf, (Slice("adj", self.nx), *slices), (Slice("adj", self.nx),))
+        outs = (self.kappa(stage), Slice("Xbar", self.nx, Affine(stage * self.nx)))
+        return Call(self.leaf_backward(stage), ins, outs)
 
     def curvature(self, stage: int) -> Call:
         """The values of H_i."""
