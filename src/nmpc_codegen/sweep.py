@@ -162,6 +162,11 @@ class LoopedRoutine:
         return _count(self.sweep.body, self.leaves, {})
 
     @property
+    def statements(self) -> int:
+        """Instructions of all calls as they are written, loops once: the size of the code if every leaf is inlined."""
+        return sum(len(self.leaves[c.leaf.name()].instructions) for c in _calls(self.sweep.body))
+
+    @property
     def kernels(self) -> tuple[Kernel, ...]:
         """The leaves, in the order of their first call."""
         return tuple(self.leaves.values())

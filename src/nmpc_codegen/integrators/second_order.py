@@ -432,3 +432,27 @@ def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: di
     body = (*load, For("step", 0, 1, loop.body))
     once = Sweep(f"step_{number}", "one step", tuple(ports.values()), results, inner, body)
     return Call(unroll(once), tuple(slices.values()), tuple(slices[b] for b in outs))
+
+
+def expand_steps(sweep: Sweep) -> Sweep:
+    """The same with loops over steps written out and every leaf printed in its place; loops over columns stay."""
+    body: list[Node] = []
+    for node in sweep.body:
+        if isinstance(node, For) and node.index == "step":
+            for value in node.values({}):
+                body += [_at_step(inner, value) for inner in node.body]
+        else:
+            body.append(_at_step(node, 0))
+    return Sweep(sweep.name, sweep.doc, sweep.inputs, sweep.outputs, sweep.locals, tuple(body))
+
+
+def _at_step(node: Node, step: int) -> Node:
+    if isinstance(node, For):
+        return For(node.index, node.start, node.count, tuple(_at_step(n, step) for n in node.body), node.down)
+
+    def fixed(s: Slice) -> Slice:
+        terms = tuple(t for t in s.offset.terms if t[0] != "step")
+        constant = s.offset.constant + step * dict(s.offset.terms).get("step", 0)
+        return Slice(s.buffer, s.size, Affine(constant, terms), s.stride)
+
+    return Call(node.leaf, tuple(map(fixed, node.ins)), tuple(map(fixed, node.outs)), inline=True)

@@ -9,12 +9,15 @@ from __future__ import annotations
 import casadi as ca
 
 from nmpc_codegen.integrators.derivatives import TAPE_PER_COMPONENT
-from nmpc_codegen.integrators.second_order import Builder, Local, addition, constant, copy
+from nmpc_codegen.integrators.second_order import Builder, Local, constant, copy
 from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Affine, Call, For, Node, Slice
 
 # Up to so many panels of rows have a loop each, with its own bounds.
 WRITTEN_PANELS = 3
+
+# So many factors of the rows of one panel are held in registers.
+FACTORS = 12
 
 
 class ThreeSweeps(Builder):
@@ -75,7 +78,7 @@ class ThreeSweeps(Builder):
         """A column of the curved rows of Z."""
         size = len(self.d.curved_states) * self.ld
         if not self.merged:
-            return Slice("Z", len(self.d.curved_states), Affine(0, column), self.ld)
+            return Slice("Z", len(self.d.curved_states), Affine(stage % self.group * size, column), self.ld)
         terms = (*column, ("step", self.stages * size))
         return Slice("Z", len(self.d.curved_states), Affine(stage * size, terms), self.ld)
 
@@ -83,38 +86,53 @@ class ThreeSweeps(Builder):
         return self.slope(stage, self.d.curved_states, self._curved(stage))
 
     def _bend(self, stage: int) -> list[Node]:
-        """HZ = H [Z; 0 I], curved rows, and what it adds to the result."""
+        """HZ = H [Z; 0 I], curved rows, and what it adds to the result as soon as its group of stages is complete."""
         d = self.d
         H, Z, units = ca.SX.sym("H", d.values), ca.SX.sym("Z", len(d.curved_states)), ca.SX.sym("E", len(self.controls))
         value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
         leaf = ca.Function("bend", [H, Z, units], [value], ["H", "Z", "E"], ["HZ"])
         ins = (Slice("Hs", d.values), self._curved(stage), self.column("E", len(self.controls)))
-        bend = self.columnwise(leaf, ins, (self.column("HZ", len(self.rows)),))
-        return [self.curvature(stage), bend, *self._accumulate(stage)]
+        bend = self.columnwise(leaf, ins, (self.column("HZ", len(self.rows), stage % self.group),))
+        first = stage - stage % self.group
+        complete = stage + 1 == min(first + self.group, self.stages)
+        return [self.curvature(stage), bend, *(self._accumulate(range(first, stage + 1)) if complete else ())]
 
-    def _accumulate(self, stage: int) -> list[Node]:
-        """H += Z_i' (HZ)_i, for every row the panels of PANEL columns up to the diagonal, and the rows of the controls."""
-        states = len(self.d.curved_states)
+    @property
+    def group(self) -> int:
+        """Stages whose terms are added up together: as many factors as fit into registers."""
+        return max(1, min(self.stages, FACTORS // max(1, len(self.d.curved_states))))
+
+    def _accumulate(self, stages: range) -> list[Node]:
+        """H += sum_i Z_i' (HZ)_i, for every row the panels of PANEL columns up to the diagonal, and the rows of the controls."""
+        states, n = len(self.d.curved_states), len(stages)
         nodes: list[Node] = []
         if states:
-            q, z, w = ca.SX.sym("q"), ca.SX.sym("z", states), ca.SX.sym("w", states)
-            leaf = ca.Function("accumulate", [q, z, w], [q + ca.dot(z, w)], ["q", "z", "w"], ["Q"])
+            q, w = ca.SX.sym("q"), ca.SX.sym("w", n * len(self.rows))
+            z = [ca.SX.sym(f"z{i}", states) for i in range(n)]
+            total = sum((ca.dot(z[i], w[i * len(self.rows) : i * len(self.rows) + states]) for i in range(n)), q)
+            leaf = ca.Function(f"accumulate_{n}", [q, w, *z], [total])
             panels = self.ld // PANEL
             for first in range(panels) if panels <= WRITTEN_PANELS else ():
-                here, Z = Slice("H", 1, Affine(0, (("i", self.ld), ("c", 1)))), self._curved(stage, (("i", 1),))
-                row = Call(leaf, (here, Z, self.column("HZ", states)), (here,), inline=True)
+                here = Slice("H", 1, Affine(0, (("i", self.ld), ("c", 1))))
+                Z = [self._curved(i, (("i", 1),)) for i in stages]
+                row = Call(leaf, (here, self.column("HZ", n * len(self.rows)), *Z), (here,), inline=True)
                 rows = min(PANEL, len(self.columns) - PANEL * first)
                 nodes.append(For("i", PANEL * first, rows, (For("c", 0, PANEL * (first + 1), (row,)),)))
             if panels > WRITTEN_PANELS:
                 here = Slice("H", 1, Affine(0, (("i", PANEL * self.ld), ("j", self.ld), ("b", PANEL), ("c", 1))))
-                HZ = Slice("HZ", states, Affine(0, (("b", PANEL), ("c", 1))), self.ld)
-                row = Call(leaf, (here, self._curved(stage, (("i", PANEL), ("j", 1))), HZ), (here,), inline=True)
+                HZ = Slice("HZ", n * len(self.rows), Affine(0, (("b", PANEL), ("c", 1))), self.ld)
+                Z = [self._curved(i, (("i", PANEL), ("j", 1))) for i in stages]
+                row = Call(leaf, (here, HZ, *Z), (here,), inline=True)
                 blocks = For("b", 0, Affine(1, (("i", 1),)), (For("c", 0, PANEL, (row,)),))
                 nodes.append(For("i", 0, panels, (For("j", 0, PANEL, (blocks,)),)))
         for m, j in enumerate(self.d.curved_controls):
-            row = Slice("H", 1, Affine(self.columns.index(self.nx + j) * self.ld, (("c", 1),)))
-            term = Slice("HZ", 1, Affine((states + m) * self.ld, (("c", 1),)))
-            nodes.append(self.columnwise(addition(1), (row, term), (row,)))
+            here = Slice("H", 1, Affine(self.columns.index(self.nx + j) * self.ld, (("c", 1),)))
+            terms = [
+                Slice("HZ", 1, Affine((i * len(self.rows) + states + m) * self.ld, (("c", 1),))) for i in range(n)
+            ]
+            symbols = [ca.SX.sym(f"a{i}") for i in range(n + 1)]
+            leaf = ca.Function(f"sum_{n}", symbols, [sum(symbols[1:], symbols[0])])
+            nodes.append(self.columnwise(leaf, (here, *terms), (here,)))
         return nodes
 
     def buffers(self) -> tuple[Local, ...]:
@@ -123,5 +141,5 @@ class ThreeSweeps(Builder):
         return (
             *self.locals(),
             *(("kappa", (self.stages if self.merged else n) * len(self.d.curved)), ("H", self.ld**2)),
-            *(("Z", (n if self.merged else 1) * len(self.d.curved_states) * self.ld), ("HZ", len(self.rows) * self.ld)),
+            *(("Z", (n if self.merged else self.group) * len(self.d.curved_states) * self.ld), ("HZ", self.group * len(self.rows) * self.ld)),
         )
