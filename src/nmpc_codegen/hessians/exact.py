@@ -48,9 +48,7 @@ class ForwardOverAdjoint:
 
 
 _REGULARIZATIONS: dict[str, Regularization | None] = {"project": Project(), "mirror": Mirror(), "none": None}
-_SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {
-    cls.scheme: cls() for cls in (Symmetric, ForwardOverAdjoint)
-}
+_SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {cls.scheme: cls() for cls in (Symmetric, ForwardOverAdjoint)}
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,9 @@ class ExactHessian:
                 f"{', '.join(_REGULARIZATIONS)}"
             )
         if not isinstance(self.sweep, Symmetric | ForwardOverAdjoint):
-            raise OptionError(f"sweep: {self.sweep!r}; expected Symmetric(), ForwardOverAdjoint() or one of {', '.join(_SWEEPS)}")
+            raise OptionError(
+                f"sweep: {self.sweep!r}; expected Symmetric(), ForwardOverAdjoint() or one of {', '.join(_SWEEPS)}"
+            )
         lm = self.levenberg_marquardt
         if isinstance(lm, bool) or not isinstance(lm, int | float) or not (math.isfinite(lm) and lm >= 0):
             raise OptionError(f"levenberg_marquardt: {lm!r}; expected a finite number >= 0")
@@ -160,7 +160,11 @@ class ExactHessian:
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         if self.regularization is None:
             return ()
-        mirror = ("MIRROR", int(self.regularization.mirrors), "1: negative eigenvalues change sign, 0: become the floor")
+        mirror = (
+            "MIRROR",
+            int(self.regularization.mirrors),
+            "1: negative eigenvalues change sign, 0: become the floor",
+        )
         if self.level == "stage":
             return (
                 mirror,

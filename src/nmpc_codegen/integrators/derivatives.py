@@ -154,7 +154,9 @@ class Derivatives:
             full[i] = kappa[n]
         entry = self._values([self.x, self.u, self.p, full], {v: tape[n] for n, v in enumerate(self._kept)})
         H = _column([entry(v) for v in self._values_of_H])
-        return ca.Function("curvature", [self.x, self.u, self.p, tape, kappa], [H], ["x", "u", "p", "t", "kappa"], ["H"])
+        return ca.Function(
+            "curvature", [self.x, self.u, self.p, tape, kappa], [H], ["x", "u", "p", "t", "kappa"], ["H"]
+        )
 
     # Structure -------------------------------------------------------------------------------------------------------
 
@@ -203,5 +205,9 @@ def _lifted(inputs: list[Any], outputs: list[Any]) -> Kernel:
     dense = [ca.densify(o) for o in outputs]
     ports = [Port(f"i{n}", int(s.numel())) for n, s in enumerate(inputs)]
     return lift(
-        ca.Function("joint", inputs, dense), "joint", "", ports, [Port(f"o{n}", int(o.numel())) for n, o in enumerate(dense)]
+        ca.Function("joint", inputs, dense),
+        "joint",
+        "",
+        ports,
+        [Port(f"o{n}", int(o.numel())) for n, o in enumerate(dense)],
     )

@@ -1,7 +1,7 @@
 """Integral of a cost rate over an interval, by the scheme of the dynamics: its value and, by the adjoint, its gradient.
 
-    q = h sum over steps and stages of b_i rate(X_i, u, p)
-    dq / d(x, u): kappa_i = (h b_i lam + h sum_j a_ji Xbar_j; h b_i), (Xbar_i; ubar_i) = F_z' kappa_i, lam = 0 at the end
+q = h sum over steps and stages of b_i rate(X_i, u, p)
+dq / d(x, u): kappa_i = (h b_i lam + h sum_j a_ji Xbar_j; h b_i), (Xbar_i; ubar_i) = F_z' kappa_i, lam = 0 at the end
 """
 
 from __future__ import annotations

@@ -418,10 +418,8 @@ def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: di
     for s, _ in own:
         step = dict(s.offset.terms).get("step", 0)
         part[s.buffer] = max(part.get(s.buffer, 0), step)
-    visible = [b for b in first if b in others or b in sizes and not first[b]]
-    slices = {
-        b: Slice(b, part[b], Affine(0, (("step", part[b]),))) if part[b] else Slice(b, sizes[b]) for b in visible
-    }
+    visible = [b for b in first if b in others or (b in sizes and not first[b])]
+    slices = {b: Slice(b, part[b], Affine(0, (("step", part[b]),))) if part[b] else Slice(b, sizes[b]) for b in visible}
     ports = {b: Port(f"{b}_0", slices[b].size) for b in visible}
     load = tuple(
         Call(copy(f"load_{b}", s.size), (Slice(ports[b].name, s.size),), (Slice(b, s.size),)) for b, s in slices.items()

@@ -127,9 +127,7 @@ class ThreeSweeps(Builder):
                 nodes.append(For("i", 0, panels, (For("j", 0, PANEL, (blocks,)),)))
         for m, j in enumerate(self.d.curved_controls):
             here = Slice("H", 1, Affine(self.columns.index(self.nx + j) * self.ld, (("c", 1),)))
-            terms = [
-                Slice("HZ", 1, Affine((i * len(self.rows) + states + m) * self.ld, (("c", 1),))) for i in range(n)
-            ]
+            terms = [Slice("HZ", 1, Affine((i * len(self.rows) + states + m) * self.ld, (("c", 1),))) for i in range(n)]
             symbols = [ca.SX.sym(f"a{i}") for i in range(n + 1)]
             leaf = ca.Function(f"sum_{n}", symbols, [sum(symbols[1:], symbols[0])])
             nodes.append(self.columnwise(leaf, (here, *terms), (here,)))
@@ -141,5 +139,8 @@ class ThreeSweeps(Builder):
         return (
             *self.locals(),
             *(("kappa", (self.stages if self.merged else n) * len(self.d.curved)), ("H", self.ld**2)),
-            *(("Z", (n if self.merged else self.group) * len(self.d.curved_states) * self.ld), ("HZ", self.group * len(self.rows) * self.ld)),
+            *(
+                ("Z", (n if self.merged else self.group) * len(self.d.curved_states) * self.ld),
+                ("HZ", self.group * len(self.rows) * self.ld),
+            ),
         )
