@@ -14,7 +14,7 @@ from nmpc_codegen.cmodule import Field, Macro, Struct, struct_layout
 from nmpc_codegen.component import SEAMS, Component, Dims, refuse_unsupported
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.linearize import Linearization, linearize
-from nmpc_codegen.lower import _dims, lower, qp_rows
+from nmpc_codegen.lower import _dims, lower
 from nmpc_codegen.options import REGISTRIES, Online
 from nmpc_codegen.render import render, template_directory
 from nmpc_codegen.sweep import Routine
@@ -48,7 +48,7 @@ def linearization(cls: type) -> Linearization:
 
 def parts(cls: type) -> tuple[Any, Linearization, Dims]:
     lin = linearization(cls)
-    return getattr(lin.options, cls.seam), lin, _dims(lin, len(qp_rows(lin.problem)))  # type: ignore[attr-defined]
+    return getattr(lin.options, cls.seam), lin, _dims(lin)  # type: ignore[attr-defined]
 
 
 @every_component
@@ -119,7 +119,7 @@ def test_sizes_structs_and_routines(cls: type) -> None:
 def test_costs_are_of_functions_in_its_own_section(cls: type) -> None:
     component, lin, dims = parts(cls)
     module = lower(lin)
-    known = {r.name: r.count for r in lin.routines} | module.products.counts
+    known = {r.name: r.count for r in lin.routines} | module.products.counts | module.products.column_counts
     cost = component.cost(dims, known)
     text = render(module)[f"{module.name}.c"]
     section = text[text.index(f"/* ==== {component.seam}: ") :].split("/* ==== ")[1]

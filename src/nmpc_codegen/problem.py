@@ -171,6 +171,25 @@ class Problem:
         return np.array([v for s in self.parameters for v in s.value])
 
     @property
+    def qp_rows(self) -> tuple[tuple[int, int, int, int], ...]:
+        """(node, kind, index, row) of every row of the QP besides the control bounds, sorted by node.
+
+        kind 0: bound of a state, 1: general row, 2: coupled row, which stands at node N. ``row``: position in rows.
+        """
+        kinds = {"state": 0, "general": 1, "coupled": 2}
+        found = []
+        for identity, row in enumerate(self.rows):
+            for k in (self.N,) if row.kind == "coupled" else row.nodes if row.kind in kinds else ():
+                index = row.index_terminal if row.kind == "general" and k == self.N else row.index
+                found.append((k, kinds[row.kind], index, identity))
+        return tuple(sorted(found))
+
+    @property
+    def coupled_rows(self) -> int:
+        """Number of scalar rows r(x_0, x_N)."""
+        return sum(row.kind == "coupled" for row in self.rows)
+
+    @property
     def state_names(self) -> tuple[str, ...]:
         return tuple(e for s in self.states for e in s.elements)
 

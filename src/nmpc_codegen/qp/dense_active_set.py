@@ -32,8 +32,10 @@ class DenseActiveSet:
     name: ClassVar[str] = "dense_active_set"
     template: ClassVar[str] = "qp/dense_active_set.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
+    takes: ClassVar[str] = "condensed"
+    automatic: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     max_iterations: int | None = None
@@ -96,7 +98,7 @@ class DenseActiveSet:
                     Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
                     Field("scale", (), "|y0|", "scratch"),
                     Field("shift", (), "part of |y0| that the saturated rows may have", "scratch"),
-                    Field("penalty", (ng,), "l1 penalty of violating a general row; infinite: hard", "keep"),
+                    Field("penalty", (rows,), "l1 penalty of violating a row; infinite: hard", "keep"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
                     Field("proximal", (ld,), "diagonal E added to a semidefinite Hessian", "scratch"),
                     Field("weight", (ld,), "its entries where they are needed", "scratch"),
@@ -132,6 +134,20 @@ class DenseActiveSet:
         scale = OpCount(mul=n)
         substitution = block * panels + OpCount(add=4, mul=4) * right
         return {
+            "qp_factorize_hessian": _factorization(dims),
             "qp_forward": substitution + scale,
             "qp_backward": substitution + scale,
         }
+
+
+def _factorization(dims: Dims) -> OpCount:
+    """L D L' of a positive definite H, panel by panel."""
+    n, ld = dims.nv.value, dims.ld.value
+    total = OpCount(sqrt=ld)
+    for b in range(0, ld, 4):
+        total += OpCount(add=13, mul=20, div=4)
+        total += OpCount(add=6, mul=10) * (ld - b - 4)
+        for i in range(b + 4, n):
+            lanes = -(-(i + 1 - b - 4) // 4) * 4
+            total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4, other=4)
+    return total
