@@ -249,7 +249,7 @@ class Builder:
         return [Call(self.d.leaf_tape(length, value=False), (self.point(stage), *self.up), (self.tape(stage, length),))]
 
     def backward(self) -> list[Node]:
-        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i. Xbar_i stays inside, if the tapes are kept."""
+        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i; one leaf where the tapes are kept."""
         stages = range(self.stages)
         adj, h = ca.SX.sym("adj", self.nx), ca.SX.sym("h")
         if not self.d.keeps_tape:
@@ -409,9 +409,9 @@ def _slices(node: Node) -> list[tuple[Slice, bool]]:
 
 
 def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: dict[str, int], number: int) -> Call:
-    """One pass of the loop as a leaf on what the rest of the sweep sees of it: whole buffers, or their part of a step."""
+    """One pass of the loop as a leaf on what the rest of the sweep sees: whole buffers, or their part of a step."""
     written = dict.fromkeys(s.buffer for s, out in own if out)
-    first = {}
+    first: dict[str, bool] = {}
     for s, out in own:
         first.setdefault(s.buffer, out)
     part: dict[str, int] = {}
@@ -421,7 +421,7 @@ def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: di
     visible = [b for b in first if b in others or (b in sizes and not first[b])]
     slices = {b: Slice(b, part[b], Affine(0, (("step", part[b]),))) if part[b] else Slice(b, sizes[b]) for b in visible}
     ports = {b: Port(f"{b}_0", slices[b].size) for b in visible}
-    load = tuple(
+    load: tuple[Node, ...] = tuple(
         Call(copy(f"load_{b}", s.size), (Slice(ports[b].name, s.size),), (Slice(b, s.size),)) for b, s in slices.items()
     )
     outs = [b for b in visible if b in written]

@@ -103,7 +103,7 @@ class ThreeSweeps(Builder):
         return max(1, min(self.stages, FACTORS // max(1, len(self.d.curved_states))))
 
     def _accumulate(self, stages: range) -> list[Node]:
-        """H += sum_i Z_i' (HZ)_i, for every row the panels of PANEL columns up to the diagonal, and the rows of the controls."""
+        """H += sum_i Z_i' (HZ)_i, every row in panels of PANEL columns up to the diagonal; the rows of the controls."""
         states, n = len(self.d.curved_states), len(stages)
         nodes: list[Node] = []
         if states:
