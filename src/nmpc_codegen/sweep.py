@@ -67,18 +67,18 @@ class Call:
 
 @dataclass(frozen=True, eq=False)
 class For:
-    """``for index = start .. start + count - 1`` (backwards if ``down``): body."""
+    """``for index = start .. start + count - 1`` (backwards if ``down``): body; count may depend on outer indices."""
 
     index: str
     start: int
-    count: int
+    count: int | Affine
     body: tuple[Node, ...]
     down: bool = False
 
-    @property
-    def range(self) -> range:
+    def values(self, indices: Mapping[str, int]) -> range:
         """Index values in the order of the loop."""
-        values = range(self.start, self.start + self.count)
+        count = self.count if isinstance(self.count, int) else self.count.at(indices)
+        values = range(self.start, self.start + count)
         return values[::-1] if self.down else values
 
 
@@ -111,7 +111,7 @@ def unroll(sweep: Sweep) -> Any:
 def _run(nodes: tuple[Node, ...], buffers: dict[str, list[Any]], indices: dict[str, int]) -> None:
     for node in nodes:
         if isinstance(node, For):
-            for value in node.range:
+            for value in node.values(indices):
                 _run(node.body, buffers, {**indices, node.index: value})
             continue
         arguments = [ca.vertcat(*(buffers[s.buffer][e] for e in s.elements(indices))) for s in node.ins]
@@ -159,7 +159,12 @@ class LoopedRoutine:
     @property
     def count(self) -> OpCount:
         """Operations of one run, loops multiplied out."""
-        return _count(self.sweep.body, self.leaves)
+        return _count(self.sweep.body, self.leaves, {})
+
+    @property
+    def statements(self) -> int:
+        """Instructions of all calls as they are written, loops once: the size of the code if every leaf is inlined."""
+        return sum(len(self.leaves[c.leaf.name()].instructions) for c in _calls(self.sweep.body))
 
     @property
     def kernels(self) -> tuple[Kernel, ...]:
@@ -185,7 +190,7 @@ def _mark(
 ) -> None:
     for node in nodes:
         if isinstance(node, For):
-            for value in node.range:
+            for value in node.values(indices):
                 _mark(node.body, leaves, buffers, {**indices, node.index: value})
             continue
         ins = [[buffers[s.buffer][e] for e in s.elements(indices)] for s in node.ins]
@@ -227,11 +232,16 @@ def _calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
             yield node
 
 
-def _count(nodes: tuple[Node, ...], leaves: Mapping[str, Kernel]) -> OpCount:
+def _count(nodes: tuple[Node, ...], leaves: Mapping[str, Kernel], indices: Mapping[str, int]) -> OpCount:
     total = OpCount()
     for node in nodes:
         if isinstance(node, For):
-            total += _count(node.body, leaves) * node.count
+            values = node.values(indices)
+            if any(isinstance(inner, For) and isinstance(inner.count, Affine) for inner in node.body):
+                for value in values:
+                    total += _count(node.body, leaves, {**indices, node.index: value})
+            elif values:
+                total += _count(node.body, leaves, {**indices, node.index: values[0]}) * len(values)
         else:
             total += leaves[node.leaf.name()].count
     return total
@@ -279,10 +289,12 @@ def _print_nodes(nodes: tuple[Node, ...], routine: LoopedRoutine, style: CStyle,
 
 
 def _head(loop: For) -> str:
-    i, first, last = loop.index, loop.start, loop.start + loop.count
+    i, first = loop.index, loop.start
+    count = Affine(loop.count) if isinstance(loop.count, int) else loop.count
+    last = Affine(count.constant + first, count.terms)
     if loop.down:
-        return f"for ({i} = {last - 1}; {i} >= {first}; {i}--) {{"
-    return f"for ({i} = {first}; {i} < {last}; {i}++) {{"
+        return f"for ({i} = {Affine(last.constant - 1, last.terms).c()}; {i} >= {first}; {i}--) {{"
+    return f"for ({i} = {first}; {i} < {last.c()}; {i}++) {{"
 
 
 def _print_call(call: Call, routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:

@@ -1,16 +1,17 @@
 """Exact Hessian of the Lagrangian, stage by stage, with the multipliers of the last QP.
 
-    Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k) / d(x_k, u_k)^2,   Q_N = d2 (l_N + mu_N' h_N) / dx_N^2
+    Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k) / d(x_k, u_k)^2,   Q_N = d2 (l_N + mu_N' h_N + eta' r) / dx_N^2
 
-l_k holds least squares, general costs and the integral of cost rates. x_next, [A_k B_k], the gradient and Q_k come from
-one sweep ([Q14] section IV). The first time an adjoint pass gives lam.
+Q_0 has d2 (eta' r) / dx_0^2 too; mixed derivatives of r in x_0 and x_N are left out. l_k holds least squares, general
+costs and the integral of cost rates. x_next, [A_k B_k], the gradient and Q_k come from one sweep ([Q14]
+section IV). The first time an adjoint pass gives lam.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -20,7 +21,7 @@ from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.hessians.regularization import Mirror, Project, Regularization
 from nmpc_codegen.hessians.stage_cost import StageCost, integrated_kernels, slices, stage_cost
-from nmpc_codegen.kernel import Kernel, OpCount, Port
+from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.products import Pattern, irreducible_blocks, pattern
 from nmpc_codegen.sweep import Call, Routine, Slice
@@ -59,8 +60,8 @@ class ExactHessian:
     sweep: Symmetric() or ForwardOverAdjoint(), how second derivatives of the dynamics are propagated.
     """
 
-    regularization: Regularization | None = Project()
-    sweep: Symmetric | ForwardOverAdjoint = Symmetric()
+    regularization: Regularization | None = field(default_factory=Project)
+    sweep: Symmetric | ForwardOverAdjoint = field(default_factory=Symmetric)
     levenberg_marquardt: float = 0.0
 
     seam: ClassVar[str] = "hessian"
@@ -68,7 +69,7 @@ class ExactHessian:
     template: ClassVar[str] = "hessians/exact.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("integrator",)
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"soft rows", "free initial state", "general cost", "integrated cost", "accumulators"}
+        {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
 
     def __post_init__(self) -> None:
@@ -100,17 +101,43 @@ class ExactHessian:
         kernels: list[Routine] = []
         if problem.path.cost_rate is None:
             kernels += [path.cost_kernel(), path.gradient_kernel()]
-        Q = ca.sparsify(terminal.hessian + self._damping(problem.nx))
-        doc = "Q = d2 (l + mu' h) / dx^2, lower triangle"
-        last = terminal.kernel("hessian", doc, Q, Port("Q", problem.nx, problem.nx), mu=True)
-        return (*kernels, terminal.cost_kernel(), terminal.gradient_kernel(), self._completed(last))
+        return (*kernels, terminal.cost_kernel(), terminal.gradient_kernel(), *self._ends(problem, terminal))
+
+    def _ends(self, problem: Problem, cost: StageCost) -> tuple[Routine, Routine]:
+        """The terminal block, and what the coupled rows add to the first one."""
+        nx, nz, ne = problem.nx, problem.nx + problem.nu, problem.coupled_rows
+        x_0, eta, Q_0 = ca.SX.sym("x_0", nx), ca.SX.sym("eta", ne), ca.SX.sym("Q_0", nz * nz)
+        x_N = cost.inputs[0]
+        r = ca.dot(eta, problem.coupled(x_0, x_N)) if ne else ca.SX(0)
+        first, last = (ca.sparsify(ca.tril(ca.hessian(r, x)[0])) for x in (x_0, x_N))
+        Q = ca.sparsify(cost.hessian + last + self._damping(nx))
+        ports = [Port("x_0", nx), Port("eta", ne, doc="multipliers of the coupled rows")]
+        terminal = lift(
+            ca.Function("hessian", [*cost.inputs, cost.yref, cost.W, cost.mu, x_0, eta], [Q]),
+            "terminal_hessian",
+            "Q = d2 (l + mu' h + eta' r) / dx_N^2, lower triangle",
+            [*cost.ports, *cost.data_ports, cost.mu_port, *ports],
+            [Port("Q", nx, nx)],
+        )
+        total = ca.SX(nz, nz)
+        for i, j in zip(*first.sparsity().get_triplet(), strict=True):
+            total[i, j] = Q_0[i * nz + j] + first[i, j]
+        initial = lift(
+            ca.Function("initial", [x_0, x_N, eta, Q_0], [total]),
+            "initial_hessian",
+            "Q = Q_0 + d2 (eta' r) / dx_0^2, entries that change",
+            [Port("x_0", nx), Port("x_N", nx), ports[1], Port("Q_0", nz * nz)],
+            [Port("Q", nz, nz)],
+        )
+        return self._completed(terminal), initial
 
     def joint_routines(self, problem: Problem, integrator: Any) -> tuple[Routine, ...]:
-        """path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q), and path_cost, path_gradient if they integrate."""
+        """path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q); path_cost and path_gradient that integrate."""
         cost = stage_cost(problem.path, "path")
         more = (*cost.data_ports, cost.mu_port)
         exact = integrator.curved(problem, self.sweep.scheme, "path_exact", self._start(cost), more)
-        return (*integrated_kernels(problem, integrator), self._completed(exact))
+        initial = self._ends(problem, stage_cost(problem.terminal, "terminal"))[1]
+        return (*integrated_kernels(problem, integrator), self._completed(exact, pattern(initial, "Q")))
 
     def _start(self, cost: StageCost) -> Call:
         """g and Q of the node's own cost and rows."""
@@ -126,20 +153,24 @@ class ExactHessian:
             return ca.DM(n, n)
         return self.levenberg_marquardt * ca.DM.eye(n)
 
-    def _completed(self, routine: Routine) -> Routine:
-        """With zeros stored in all entries that a regularisation of the block may fill."""
-        if self.level != "stage" or not isinstance(routine, Kernel):
+    def _completed(self, routine: Routine, more: Pattern = frozenset()) -> Routine:
+        """With zeros stored in the entries ``more``, and in all that a regularisation of the block may fill."""
+        if not isinstance(routine, Kernel):
             return routine
-        return routine.with_zeros("Q", sorted(filled(pattern(routine, "Q"), routine.outputs[-1].rows)))
+        return routine.with_zeros("Q", sorted(self._block(pattern(routine, "Q") | more, routine.outputs[-1].rows)))
+
+    def _block(self, lower: Pattern, n: int) -> Pattern:
+        """What is nonzero after the regularisation."""
+        return filled(lower, n) if self.level == "stage" else lower
 
     def patterns(self, routines: Mapping[str, Routine]) -> tuple[Pattern, Pattern]:
         """Nonzeros of Q and Q_N, lower triangles."""
-        found = []
-        for name in ("path_exact", "terminal_hessian"):
-            routine = routines[name]
-            lower = frozenset((r, c) for r, c in pattern(routine, "Q") if r >= c)
-            found.append(filled(lower, routine.outputs[-1].rows) if self.level == "stage" else lower)
-        return found[0], found[1]
+        path, first, last = (
+            frozenset((r, c) for r, c in pattern(routines[name], "Q") if r >= c)
+            for name in ("path_exact", "initial_hessian", "terminal_hessian")
+        )
+        nz, nx = (routines[name].outputs[-1].rows for name in ("path_exact", "terminal_hessian"))
+        return self._block(path | first, nz), self._block(last, nx)
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ class IdentityHessian:
     template: ClassVar[str] = "hessians/identity.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("integrator",)
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"soft rows", "free initial state", "general cost", "integrated cost", "accumulators"}
+        {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:

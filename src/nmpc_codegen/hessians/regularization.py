@@ -1,4 +1,4 @@
-"""What is done about an indefinite Hessian: mirror or project its eigenvalues, of every stage block or of the reduced one.
+"""What is done about an indefinite Hessian: its eigenvalues, of every stage block or of the reduced one, are changed.
 
     V max(|Lambda|, floor) V'   (mirror, [Q14] equation 4)      V max(Lambda, floor) V'   (project)
 

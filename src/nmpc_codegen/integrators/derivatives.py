@@ -176,8 +176,10 @@ class Derivatives:
         return sorted({j - self.nx for e in self.hessian for j in e if j >= self.nx})
 
     def closed(self, column: int) -> bool:
-        """True if column ``column`` of d x(t) / d(x, u) depends on time alone: all that it sets in motion is linear with
-        constant coefficients."""
+        """True if that column of d x(t) / d(x, u) depends on time alone.
+
+        All that it sets in motion is linear with constant coefficients, and few.
+        """
         constant: dict[int, bool] = {}
         rows: dict[int, list[int]] = {}
         for (i, j), is_constant in zip(self.jacobian, self.constants, strict=True):

@@ -20,7 +20,7 @@ from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.integrators.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.integrators.quadrature import Quadrature
-from nmpc_codegen.integrators.second_order import fuse_steps, straight_lower
+from nmpc_codegen.integrators.second_order import expand_steps, fuse_steps, straight_lower
 from nmpc_codegen.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau, combine
 from nmpc_codegen.kernel import Kernel, OpCount, Port
@@ -32,6 +32,9 @@ Unroll = Literal["auto", "all", "step", "none"]
 
 # unroll="auto": the largest straight-line program, in instructions, before loops are preferred
 AUTO_INSTRUCTIONS = 2500
+
+# The same for second derivatives, whose loops over columns stay: the largest program in statements of all leaves.
+AUTO_STATEMENTS = 4000
 
 START = Affine()
 
@@ -94,6 +97,9 @@ class ExplicitRungeKutta:
             b.buffers(),
             (start, *b.body()),
         )
+        if self.unroll == "auto":
+            expanded = looped(expand_steps(sweep))
+            return expanded if expanded.statements <= AUTO_STATEMENTS else looped(sweep)
         return self._spelled(sweep, straight_lower)
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:

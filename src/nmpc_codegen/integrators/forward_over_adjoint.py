@@ -12,7 +12,6 @@ from typing import Any
 import casadi as ca
 
 from nmpc_codegen.integrators.second_order import Builder, Local, constant, copy
-from nmpc_codegen.integrators.tableau import combine
 from nmpc_codegen.sweep import Affine, Call, For, Node, Slice
 
 
@@ -33,7 +32,7 @@ class AdjointSweep(Builder):
         if m:
             nodes.append(Call(constant("clear_controls", ca.SX.zeros(m)), (), (Slice("ubarS", m),)))
         second = [node for i in reversed(range(self.stages)) for node in self._second(i)]
-        nodes.append(For("step", 0, self.steps, (*second, self.update_adjoint(), self._update()), down=True))
+        nodes.append(For("step", 0, self.steps, (*self.backward(), *second, self._update()), down=True))
         return nodes + self._results()
 
     def _stored(self, stage: int) -> Slice:
@@ -43,26 +42,13 @@ class AdjointSweep(Builder):
         return Slice("Zs", len(self.d.needed), Affine(stage * size, terms), self.ld)
 
     def _slope(self, stage: int) -> list[Node]:
-        """Columns of K_i' = F_x Z + [0 F_u] in the first sweep."""
-        d, coefficients = self.d, self.tableau.a[stage]
-        tape, s, h = ca.SX.sym("t", d.slopes), ca.SX.sym("s", self.nF), ca.SX.sym("h")
-        Fu, units = ca.SX.sym("Fu", len(self.forced)), ca.SX.sym("E", len(self.controls))
-        slopes = [ca.SX.sym(f"K{j}", self.nF) for j, c in enumerate(coefficients) if c]
-        Z = combine(s, h, slopes, coefficients)[: self.nx]
-        K = d.Fz(tape)[:, : self.nx] @ Z + self.forcing(Fu, tape, units)
-        names = ["t", "s", "h", "Fu", "E", *(f"K{j}" for j in range(len(slopes)))]
-        arguments = [tape, s, h, Fu, units, *slopes]
-        leaf = ca.Function(f"slope_{stage}", arguments, [K, Z[d.needed]], names, ["Ks", "Z"])
-        ins = [self.tape(stage, d.slopes), self.column("Sx", self.nF), Slice("h", 1)]
-        ins += [self.column("Fu", len(self.forced)), self.column("E", len(self.controls))]
-        ins += [self.column("Ks", self.nF, j) for j, a in enumerate(coefficients) if a]
-        loop = self.columnwise(leaf, ins, (self.column("Ks", self.nF, stage), self._stored(stage)))
-        return [*self.again(stage, d.slopes), loop]
+        """The columns of K_i' in the first sweep."""
+        return [*self.again(stage, self.d.slopes), self.slope(stage, self.d.needed, self._stored(stage))]
 
     def _second(self, stage: int) -> list[Node]:
         """kappa_i, H_i, and the columns of Xbar_i' and ubar'."""
         needed, later = len(self.d.needed), self.later(stage)
-        nodes = [*self.again(stage, self.d.tape), self.backward(stage), self.curvature(stage)]
+        nodes = [*self.again(stage, self.d.tape), self.curvature(stage)]
         ins = [self.tape(stage, self.d.slopes), Slice("h", 1), Slice("Hs", self.d.values), self._stored(stage)]
         ins += [self.column("E", len(self.controls)), self.column("adjS", needed)]
         ins += [self.column("ubarS", len(self.controls)), *(self.column("XbarS", needed, j) for j in later)]
@@ -112,6 +98,6 @@ class AdjointSweep(Builder):
         needed = len(self.d.needed) * self.ld
         return (
             *self.locals(),
-            *(("kappa", self.steps * self.stages * len(self.d.curved)), ("Zs", self.steps * self.stages * needed)),
+            *(("kappa", self.stages * len(self.d.curved)), ("Zs", self.steps * self.stages * needed)),
             *(("adjS", needed), ("XbarS", self.stages * needed), ("ubarS", len(self.controls) * self.ld)),
         )

@@ -65,9 +65,16 @@ class Builder:
         """Tape of a stage."""
         return self.kept("tape", stage, self.d.tape, self.d.keeps_tape, length)
 
+    @property
+    def keeps_kappa(self) -> bool:
+        """The adjoints of all stages are stored: a later sweep uses them."""
+        return False
+
     def kappa(self, stage: int) -> Slice:
         """Adjoints of the curved rows of a stage."""
-        return self.kept("kappa", stage, len(self.d.curved))
+        size = len(self.d.curved)
+        terms = (("step", self.stages * size),) if self.keeps_kappa else ()
+        return Slice("kappa", size, Affine(stage * size, terms))
 
     def column(self, buffer: str, rows: int, block: int = 0, index: str = "c") -> Slice:
         """Column ``index`` of a matrix of packed columns; ``block``: of the block-th matrix of so many rows."""
@@ -214,6 +221,21 @@ class Builder:
         slopes = [Slice("K", self.nx, Affine(j * self.nx)) for j, c in enumerate(b) if c]
         return Call(self.combination("update", b, self.nx), (state, Slice("h", 1), *slopes), (state,))
 
+    def slope(self, stage: int, rows: list[int], target: Slice) -> For:
+        """Columns of K_i' = F_x Z + [0 F_u]; the given rows of Z go to ``target``."""
+        d, coefficients = self.d, self.tableau.a[stage]
+        tape, s, h = ca.SX.sym("t", d.slopes), ca.SX.sym("s", self.nF), ca.SX.sym("h")
+        Fu, units = ca.SX.sym("Fu", len(self.forced)), ca.SX.sym("E", len(self.controls))
+        slopes = [ca.SX.sym(f"K{j}", self.nF) for j, c in enumerate(coefficients) if c]
+        Z = combine(s, h, slopes, coefficients)[: self.nx]
+        K = d.Fz(tape)[:, : self.nx] @ Z + self.forcing(Fu, tape, units)
+        names = ["t", "s", "h", "Fu", "E", *(f"K{j}" for j in range(len(slopes)))]
+        leaf = ca.Function(f"slope_{stage}", [tape, s, h, Fu, units, *slopes], [K, Z[rows]], names, ["Ks", "Z"])
+        ins = [self.tape(stage, d.slopes), self.column("Sx", self.nF), Slice("h", 1)]
+        ins += [self.column("Fu", len(self.forced)), self.column("E", len(self.controls))]
+        ins += [self.column("Ks", self.nF, j) for j, a in enumerate(coefficients) if a]
+        return self.columnwise(leaf, ins, (self.column("Ks", self.nF, stage), target))
+
     def update_columns(self) -> For:
         """The same for the sensitivities."""
         b, S = self.tableau.b, self.column("Sx", self.nF)
@@ -226,21 +248,32 @@ class Builder:
             return []
         return [Call(self.d.leaf_tape(length, value=False), (self.point(stage), *self.up), (self.tape(stage, length),))]
 
-    def backward(self, stage: int) -> Call:
+    def backward(self) -> list[Node]:
+        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i; one leaf where the tapes are kept."""
+        stages = range(self.stages)
+        adj, h = ca.SX.sym("adj", self.nx), ca.SX.sym("h")
+        if not self.d.keeps_tape:
+            nodes = [n for i in reversed(stages) for n in (*self.again(i, self.d.slopes), self._backward_stage(i))]
+            bars = [ca.SX.sym(f"Xbar{i}", self.nx) for i in stages]
+            slices = [Slice("Xbar", self.nx, Affine(i * self.nx)) for i in stages]
+            leaf = ca.Function("update_adjoint", [adj, *bars], [sum(bars, adj)])
+            return [*nodes, Call(leaf, (Slice("adj", self.nx), *slices), (Slice("adj", self.nx),))]
+        tapes = [ca.SX.sym(f"t{i}", self.d.slopes) for i in stages]
+        found: dict[int, Any] = {}
+        kappas: dict[int, Any] = {}
+        for i in reversed(stages):
+            kappas[i], found[i] = self.leaf_backward(i)(adj, h, tapes[i], *(found[j] for j in self.later(i)))
+        outputs = [*(kappas[i] for i in stages), sum(found.values(), adj)]
+        leaf = ca.Function("backward", [adj, h, *tapes], outputs)
+        ins = (Slice("adj", self.nx), Slice("h", 1), *(self.tape(i, self.d.slopes) for i in stages))
+        return [Call(leaf, ins, (*(self.kappa(i) for i in stages), Slice("adj", self.nx)))]
+
+    def _backward_stage(self, stage: int) -> Call:
         """kappa_i and Xbar_i."""
         bars = [Slice("Xbar", self.nx, Affine(j * self.nx)) for j in self.later(stage)]
         ins = (Slice("adj", self.nx), Slice("h", 1), self.tape(stage, self.d.slopes), *bars)
-        return Call(
-            self.leaf_backward(stage), ins, (self.kappa(stage), Slice("Xbar", self.nx, Affine(stage * self.nx)))
-        )
-
-    def update_adjoint(self) -> Call:
-        """adj += sum_i Xbar_i."""
-        adj = ca.SX.sym("adj", self.nx)
-        bars = [ca.SX.sym(f"Xbar{i}", self.nx) for i in range(self.stages)]
-        leaf = ca.Function("update_adjoint", [adj, *bars], [sum(bars, adj)])
-        slices = [Slice("Xbar", self.nx, Affine(i * self.nx)) for i in range(self.stages)]
-        return Call(leaf, (Slice("adj", self.nx), *slices), (Slice("adj", self.nx),))
+        outs = (self.kappa(stage), Slice("Xbar", self.nx, Affine(stage * self.nx)))
+        return Call(self.leaf_backward(stage), ins, outs)
 
     def curvature(self, stage: int) -> Call:
         """The values of H_i."""
@@ -376,9 +409,9 @@ def _slices(node: Node) -> list[tuple[Slice, bool]]:
 
 
 def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: dict[str, int], number: int) -> Call:
-    """One pass of the loop as a leaf on what the rest of the sweep sees of it: whole buffers, or their part of a step."""
+    """One pass of the loop as a leaf on what the rest of the sweep sees: whole buffers, or their part of a step."""
     written = dict.fromkeys(s.buffer for s, out in own if out)
-    first = {}
+    first: dict[str, bool] = {}
     for s, out in own:
         first.setdefault(s.buffer, out)
     part: dict[str, int] = {}
@@ -388,7 +421,7 @@ def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: di
     visible = [b for b in first if b in others or (b in sizes and not first[b])]
     slices = {b: Slice(b, part[b], Affine(0, (("step", part[b]),))) if part[b] else Slice(b, sizes[b]) for b in visible}
     ports = {b: Port(f"{b}_0", slices[b].size) for b in visible}
-    load = tuple(
+    load: tuple[Node, ...] = tuple(
         Call(copy(f"load_{b}", s.size), (Slice(ports[b].name, s.size),), (Slice(b, s.size),)) for b, s in slices.items()
     )
     outs = [b for b in visible if b in written]
@@ -397,3 +430,27 @@ def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: di
     body = (*load, For("step", 0, 1, loop.body))
     once = Sweep(f"step_{number}", "one step", tuple(ports.values()), results, inner, body)
     return Call(unroll(once), tuple(slices.values()), tuple(slices[b] for b in outs))
+
+
+def expand_steps(sweep: Sweep) -> Sweep:
+    """The same with loops over steps written out and every leaf printed in its place; loops over columns stay."""
+    body: list[Node] = []
+    for node in sweep.body:
+        if isinstance(node, For) and node.index == "step":
+            for value in node.values({}):
+                body += [_at_step(inner, value) for inner in node.body]
+        else:
+            body.append(_at_step(node, 0))
+    return Sweep(sweep.name, sweep.doc, sweep.inputs, sweep.outputs, sweep.locals, tuple(body))
+
+
+def _at_step(node: Node, step: int) -> Node:
+    if isinstance(node, For):
+        return For(node.index, node.start, node.count, tuple(_at_step(n, step) for n in node.body), node.down)
+
+    def fixed(s: Slice) -> Slice:
+        terms = tuple(t for t in s.offset.terms if t[0] != "step")
+        constant = s.offset.constant + step * dict(s.offset.terms).get("step", 0)
+        return Slice(s.buffer, s.size, Affine(constant, terms), s.stride)
+
+    return Call(node.leaf, tuple(map(fixed, node.ins)), tuple(map(fixed, node.outs)), inline=True)

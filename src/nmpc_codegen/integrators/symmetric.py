@@ -6,99 +6,141 @@ nz x nz is stored per stage.
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 
+from nmpc_codegen.integrators.derivatives import TAPE_PER_COMPONENT
 from nmpc_codegen.integrators.second_order import Builder, Local, constant, copy
-from nmpc_codegen.integrators.tableau import combine
 from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Affine, Call, For, Node, Slice
 
+# Up to so many panels of rows have a loop each, with its own bounds.
+WRITTEN_PANELS = 3
+
+# So many factors of the rows of one panel are held in registers.
+FACTORS = 12
+
 
 class ThreeSweeps(Builder):
-    """Three sweeps with a symmetric third one."""
+    """Points forward, adjoints backward, sensitivities and Hessian forward.
+
+    Where the curved rows of S of all stages are few, they are kept as the first sweep passes, which then propagates S
+    too; what is left of the third sweep joins the second, for the order of the sum is arbitrary.
+    """
+
+    @property
+    def merged(self) -> bool:
+        """True: two sweeps that keep the curved rows of Z."""
+        return self.d.keeps_tape and len(self.d.curved_states) * self.ld <= TAPE_PER_COMPONENT * self.nz
+
+    @property
+    def keeps_kappa(self) -> bool:
+        """The adjoints of all stages are stored for the third sweep."""
+        return not self.merged
 
     def body(self) -> list[Node]:
         """All nodes, from the inputs x, u, p, dt, lam to x_next, S, and what is added to g and Q."""
-        nodes = self.start()
-        first = [node for i in range(self.stages) for node in self.evaluate(i)]
-        nodes.append(For("step", 0, self.steps, (*first, self.update())))
+        loops = self._two() if self.merged else self._three()
+        nodes = [*self.start(), *loops, *self.results()]
         if self.rows:
-            nodes.append(Call(copy("copy_x", self.nx), (Slice("lam", self.nx),), (Slice("adj", self.nx),)))
-            second = [
-                n for i in reversed(range(self.stages)) for n in (*self.again(i, self.d.slopes), self.backward(i))
-            ]
-            nodes.append(For("step", 0, self.steps, (*second, self.update_adjoint()), down=True))
-            nodes.append(Call(constant("clear", ca.SX.zeros(self.ld**2)), (), (Slice("H", self.ld**2),)))
-        third = [node for i in range(self.stages) for node in self._third(i)]
-        nodes.append(For("step", 0, self.steps, (*third, self.update_columns(), *self._accumulate())))
-        nodes += self.results()
-        if self.rows:
-            nodes += [
-                self.add_block("H", a, (j, n), (c, k, m)) for a, j, n in self.runs for c, k, m in self.runs if k <= j
-            ]
+            pairs = [(row, column) for row in self.runs for column in self.runs if column[1] <= row[1]]
+            nodes += [self.add_block("H", a, (j, n), column) for (a, j, n), column in pairs]
         return nodes
 
-    def _third(self, stage: int) -> list[Node]:
-        nodes = self.again(stage, self.d.tape)
+    def _two(self) -> list[Node]:
+        stages = range(self.stages)
+        first = [node for i in stages for node in (*self.evaluate(i), self._slope(i))]
+        nodes: list[Node] = [For("step", 0, self.steps, (*first, self.update(), self.update_columns()))]
         if self.rows:
-            nodes.append(self.curvature(stage))
-        coefficients = self.tableau.a[stage]
-        ins = [self.tape(stage, self.d.slopes), self.column("Sx", self.nF), Slice("h", 1)]
-        ins += [self.column("Fu", len(self.forced)), self.column("E", len(self.controls)), Slice("Hs", self.d.values)]
-        ins += [self.column("Ks", self.nF, j) for j, a in enumerate(coefficients) if a]
-        outs = [self.column("Ks", self.nF, stage)]
-        if self.rows:
-            outs += [self.column("Z", len(self.d.curved_states), stage), self.column("HZ", len(self.rows), stage)]
-        return [*nodes, self.columnwise(self._leaf_slope(stage), ins, outs)]
+            bends = [node for i in stages for node in self._bend(i)]
+            nodes += [*self._clear(), For("step", 0, self.steps, (*self.backward(), *bends), down=True)]
+        return nodes
 
-    def _leaf_slope(self, stage: int) -> Any:
-        """One column of K_i' = F_x Z + [0 F_u] and of HZ = H [Z; 0 I], with the curved rows of Z."""
-        d, coefficients = self.d, self.tableau.a[stage]
-        tape, s, h = ca.SX.sym("t", d.slopes), ca.SX.sym("s", self.nF), ca.SX.sym("h")
-        Fu, units = ca.SX.sym("Fu", len(self.forced)), ca.SX.sym("E", len(self.controls))
-        H = ca.SX.sym("H", d.values)
-        slopes = [ca.SX.sym(f"K{j}", self.nF) for j, c in enumerate(coefficients) if c]
-        Z = combine(s, h, slopes, coefficients)[: self.nx]
-        outputs = [d.Fz(tape)[:, : self.nx] @ Z + self.forcing(Fu, tape, units)]
+    def _three(self) -> list[Node]:
+        stages = range(self.stages)
+        first = [node for i in stages for node in self.evaluate(i)]
+        nodes: list[Node] = [For("step", 0, self.steps, (*first, self.update()))]
+        third = [node for i in stages for node in (*self.again(i, self.d.tape), self._slope(i))]
         if self.rows:
-            curved = self.full_hessian(H)[self.rows, : self.nx]
-            outputs += [Z[d.curved_states], curved @ Z + self.curvature_forcing(H, units)]
-        names = ["t", "s", "h", "Fu", "E", "H", *(f"K{j}" for j in range(len(slopes)))]
-        arguments = [tape, s, h, Fu, units, H, *slopes]
-        return ca.Function(f"slope_{stage}", arguments, outputs, names, ["Ks", "Z", "HZ"][: len(outputs)])
+            nodes += [*self._clear(), For("step", 0, self.steps, tuple(self.backward()), down=True)]
+            third = [n for i in stages for n in (*self.again(i, self.d.tape), self._slope(i), *self._bend(i))]
+        nodes.append(For("step", 0, self.steps, (*third, self.update_columns())))
+        return nodes
 
-    def _accumulate(self) -> list[Node]:
-        """H += sum_i Z_i' (HZ)_i, panels of rows up to their diagonal, and the rows of the controls."""
-        states, s = len(self.d.curved_states), self.stages
+    def _clear(self) -> list[Node]:
+        """adj = lam, H = 0."""
+        size = self.ld**2
+        return [
+            Call(copy("copy_x", self.nx), (Slice("lam", self.nx),), (Slice("adj", self.nx),)),
+            Call(constant("clear", ca.SX.zeros(size)), (), (Slice("H", size),)),
+        ]
+
+    def _curved(self, stage: int, column: tuple[tuple[str, int], ...] = (("c", 1),)) -> Slice:
+        """A column of the curved rows of Z."""
+        size = len(self.d.curved_states) * self.ld
+        if not self.merged:
+            return Slice("Z", len(self.d.curved_states), Affine(stage % self.group * size, column), self.ld)
+        terms = (*column, ("step", self.stages * size))
+        return Slice("Z", len(self.d.curved_states), Affine(stage * size, terms), self.ld)
+
+    def _slope(self, stage: int) -> For:
+        return self.slope(stage, self.d.curved_states, self._curved(stage))
+
+    def _bend(self, stage: int) -> list[Node]:
+        """HZ = H [Z; 0 I], curved rows, and what it adds to the result as soon as its group of stages is complete."""
+        d = self.d
+        H, Z, units = ca.SX.sym("H", d.values), ca.SX.sym("Z", len(d.curved_states)), ca.SX.sym("E", len(self.controls))
+        value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
+        leaf = ca.Function("bend", [H, Z, units], [value], ["H", "Z", "E"], ["HZ"])
+        ins = (Slice("Hs", d.values), self._curved(stage), self.column("E", len(self.controls)))
+        bend = self.columnwise(leaf, ins, (self.column("HZ", len(self.rows), stage % self.group),))
+        first = stage - stage % self.group
+        complete = stage + 1 == min(first + self.group, self.stages)
+        return [self.curvature(stage), bend, *(self._accumulate(range(first, stage + 1)) if complete else ())]
+
+    @property
+    def group(self) -> int:
+        """Stages whose terms are added up together: as many factors as fit into registers."""
+        return max(1, min(self.stages, FACTORS // max(1, len(self.d.curved_states))))
+
+    def _accumulate(self, stages: range) -> list[Node]:
+        """H += sum_i Z_i' (HZ)_i, every row in panels of PANEL columns up to the diagonal; the rows of the controls."""
+        states, n = len(self.d.curved_states), len(stages)
         nodes: list[Node] = []
         if states:
-            q, z, w = ca.SX.sym("q"), ca.SX.sym("z", s * states), ca.SX.sym("w", s * len(self.rows))
-            total = q
-            for stage in range(s):
-                for r in range(states):
-                    total += z[stage * states + r] * w[stage * len(self.rows) + r]
-            leaf = ca.Function("accumulate", [q, z, w], [total], ["q", "z", "w"], ["Q"])
-            ins = (self.column("Z", s * states, index="i"), self.column("HZ", s * len(self.rows)))
-            for first in range(0, self.ld, PANEL):
-                rows = min(PANEL, len(self.columns) - first)
+            q, w = ca.SX.sym("q"), ca.SX.sym("w", n * len(self.rows))
+            z = [ca.SX.sym(f"z{i}", states) for i in range(n)]
+            total = sum((ca.dot(z[i], w[i * len(self.rows) : i * len(self.rows) + states]) for i in range(n)), q)
+            leaf = ca.Function(f"accumulate_{n}", [q, w, *z], [total])
+            panels = self.ld // PANEL
+            for first in range(panels) if panels <= WRITTEN_PANELS else ():
                 here = Slice("H", 1, Affine(0, (("i", self.ld), ("c", 1))))
-                inner = For("c", 0, first + PANEL, (Call(leaf, (here, *ins), (here,), inline=True),))
-                nodes.append(For("i", first, rows, (inner,)))
+                Z = [self._curved(i, (("i", 1),)) for i in stages]
+                row = Call(leaf, (here, self.column("HZ", n * len(self.rows)), *Z), (here,), inline=True)
+                rows = min(PANEL, len(self.columns) - PANEL * first)
+                nodes.append(For("i", PANEL * first, rows, (For("c", 0, PANEL * (first + 1), (row,)),)))
+            if panels > WRITTEN_PANELS:
+                here = Slice("H", 1, Affine(0, (("i", PANEL * self.ld), ("j", self.ld), ("b", PANEL), ("c", 1))))
+                HZ = Slice("HZ", n * len(self.rows), Affine(0, (("b", PANEL), ("c", 1))), self.ld)
+                Z = [self._curved(i, (("i", PANEL), ("j", 1))) for i in stages]
+                row = Call(leaf, (here, HZ, *Z), (here,), inline=True)
+                blocks = For("b", 0, Affine(1, (("i", 1),)), (For("c", 0, PANEL, (row,)),))
+                nodes.append(For("i", 0, panels, (For("j", 0, PANEL, (blocks,)),)))
         for m, j in enumerate(self.d.curved_controls):
-            q, w = ca.SX.sym("q"), ca.SX.sym("w", s * len(self.rows))
-            total = sum((w[i * len(self.rows) + states + m] for i in range(s)), q)
             here = Slice("H", 1, Affine(self.columns.index(self.nx + j) * self.ld, (("c", 1),)))
-            leaf = ca.Function(f"accumulate_{m}", [q, w], [total], ["q", "w"], ["Q"])
-            nodes.append(self.columnwise(leaf, (here, self.column("HZ", s * len(self.rows))), (here,)))
-        return nodes if self.rows else []
+            terms = [Slice("HZ", 1, Affine((i * len(self.rows) + states + m) * self.ld, (("c", 1),))) for i in range(n)]
+            symbols = [ca.SX.sym(f"a{i}") for i in range(n + 1)]
+            leaf = ca.Function(f"sum_{n}", symbols, [sum(symbols[1:], symbols[0])])
+            nodes.append(self.columnwise(leaf, (here, *terms), (here,)))
+        return nodes
 
     def buffers(self) -> tuple[Local, ...]:
         """All local buffers."""
         n = self.steps * self.stages
         return (
             *self.locals(),
-            *(("kappa", n * len(self.d.curved)), ("H", self.ld**2)),
-            *(("Z", self.stages * len(self.d.curved_states) * self.ld), ("HZ", self.stages * len(self.rows) * self.ld)),
+            *(("kappa", (self.stages if self.merged else n) * len(self.d.curved)), ("H", self.ld**2)),
+            *(
+                ("Z", (n if self.merged else self.group) * len(self.d.curved_states) * self.ld),
+                ("HZ", self.group * len(self.rows) * self.ld),
+            ),
         )

@@ -80,7 +80,11 @@ class RiccatiActiveSet:
         """Leading dimensions and caps."""
         return (
             *riccati_sizes(dims),
-            ("QP_MAX_ITERATIONS", self.max_iterations or MAX_ITERATIONS, "cap on the working sets of one feedback phase"),
+            (
+                "QP_MAX_ITERATIONS",
+                self.max_iterations or MAX_ITERATIONS,
+                "cap on the working sets of one feedback phase",
+            ),
             ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
             ("IPM_MAX_ITERATIONS", INTERIOR_POINT_ITERATIONS, "cap on its iterations"),
             ("IPM_WARM_START", 0, "it starts cold"),
@@ -119,7 +123,11 @@ class RiccatiActiveSet:
                     Field("scale", (dims.nzs,), "largest entry of every component of (x, u)", "scratch"),
                     Field("largest", (), "largest multiplier of a row", "scratch"),
                     Field(
-                        "side", (rows,), "+-1: member at upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"
+                        "side",
+                        (rows,),
+                        "+-1: member at upper, lower bound; +-2: soft, violated; else 0",
+                        "keep",
+                        "int32",
                     ),
                     Field("raised", (ng,), "how often the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
