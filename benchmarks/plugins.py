@@ -6,6 +6,7 @@ qpOASES, dense solvers, get the condensed QP as well: their time is then that of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -137,30 +138,25 @@ def _states(qp: StageQP) -> tuple[Array, Array]:
 
 
 class Plugin:
-    """One conic solver for QPs of one sparsity; ``solve`` gives (success, w) and keeps its time."""
+    """One conic solver for QPs that fit into the union of the patterns of ``forms``; keeps its last solution."""
 
-    def __init__(self, name: str, form: Formulation, dense: bool = False, **more: Any) -> None:
-        n = len(form.g)
+    def __init__(self, name: str, forms: Sequence[Formulation], dense: bool = False, **more: Any) -> None:
+        form, n = forms[0], len(forms[0].g)
         if dense:
-            H, A = ca.Sparsity.dense(n, n), ca.Sparsity.dense(*form.A.shape)
+            self.H, self.A = ca.Sparsity.dense(n, n), ca.Sparsity.dense(*form.A.shape)
         else:
-            H, A = (_sparsity(m) for m in (form.H, form.A))
-        self.name, self.H, self.A = name, H, A
+            self.H, self.A = (_sparsity(sum(abs(getattr(f, m)) for f in forms)) for m in ("H", "A"))
+        self.name = name
         options: dict[str, Any] = {"error_on_fail": False, "print_time": False, "record_time": True}
         options |= OPTIONS.get(name, {}) | more
         if name in STAGE_STRUCTURED and form.nx:
             options |= {"N": len(form.nu), "nx": form.nx, "nu": (*form.nu, 0), "ng": form.ng}
-            if name == "hpipm":
-                options["nu"] = form.nu
-        self.solver = ca.conic(f"{name}_solver", name, {"h": H, "a": A}, options)
+        self.solver = ca.conic(f"{name}_solver", name, {"h": self.H, "a": self.A}, options)
         self.last: dict[str, Any] = {}
 
     def solve(self, f: Formulation, *, warm: bool = False) -> tuple[bool, Array]:
-        """Solve, from the last solution if ``warm`` and else from nothing."""
-        h, a = (
-            ca.DM(pattern, np.asarray(matrix[_indices(pattern)]).ravel())
-            for pattern, matrix in ((self.H, f.H.tocsr()), (self.A, f.A.tocsr()))
-        )
+        """(success, w); started from the last solution if ``warm``, else from nothing."""
+        h, a = (_values(self.H, f.H), _values(self.A, f.A))
         start = {}
         if warm and self.last:
             start = {"x0": self.last["x"], "lam_x0": self.last["lam_x"], "lam_a0": self.last["lam_a"]}
@@ -174,9 +170,9 @@ def _sparsity(m: sp.spmatrix) -> Any:
     return ca.Sparsity(*m.shape, m.indptr.tolist(), m.indices.tolist())
 
 
-def _indices(pattern: Any) -> tuple[Any, Any]:
-    row, col = pattern.get_triplet()
-    return np.array(row, dtype=int), np.array(col, dtype=int)
+def _values(pattern: Any, m: sp.spmatrix) -> Any:
+    row, col = (np.array(index, dtype=int) for index in pattern.get_triplet())
+    return ca.DM(pattern, np.asarray(m.tocsr()[row, col]).ravel() if len(row) else np.zeros(0))
 
 
 def point_of(qp: StageQP, w: Array) -> Point:

@@ -130,7 +130,7 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class StageQP:
-    """A stage QP. Q (N, nz, nz) and Q_N are symmetric; rows C (ng, nz) (x part only at node N), C0 (ng, nx), c (ng,).
+    """A stage QP; of its shape only nx, nu, N, free are looked at. Q (N, nz, nz) and Q_N are symmetric; rows C (ng, nz) (x part only at node N), C0 (ng, nx), c (ng,).
 
     ``optimum``: what it was built around; None: infeasible, and ``proof`` = (weights of du bounds, of rows) combines
     bounds to a contradiction. ``unique``: the minimiser is. ``growth``: bound of |A_k ... A_0|'s growth per interval.
@@ -138,6 +138,7 @@ class StageQP:
     """
 
     shape: Shape
+    rows: Rows
     S: Array
     b: Array
     Q: Array
@@ -162,10 +163,6 @@ class StageQP:
     growth: float = 1.0
     kind: str = ""
     seed: int = 0
-
-    @property
-    def rows(self) -> Rows:
-        return rows_of(self.shape)
 
     def __repr__(self) -> str:
         return f"StageQP({self.shape}, {self.kind!r}, {self.seed})"

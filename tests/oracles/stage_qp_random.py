@@ -94,7 +94,7 @@ def _stages(draw: _Draw, shape: Shape, kind: str, radius: float) -> StageQP:
     C[state] = np.eye(nz)[rows.index[state]]
     zero = np.zeros
     return StageQP(
-        shape=shape, S=S, b=zero((N, nx)), Q=Q, Q_N=Q_N, g=zero((N, nz)), g_N=zero(nx), C=C, C0=C0, c=zero(len(rows)),
+        shape=shape, rows=rows, S=S, b=zero((N, nx)), Q=Q, Q_N=Q_N, g=zero((N, nz)), g_N=zero(nx), C=C, C0=C0, c=zero(len(rows)),
         lower=zero(len(rows)), upper=zero(len(rows)), lower_u=zero((N, nu)), upper_u=zero((N, nu)),
         x=zero((N + 1, nx)), u=zero((N, nu)), dx0=zero(nx), optimum=None, proof=None,
         unit_x=np.ones(nx), unit_u=np.ones(nu), unique=kind != SEMIDEFINITE, growth=radius,
