@@ -33,7 +33,13 @@ def qp_dims(nv: int, ng: int) -> Dims:
     """Dims of a QP with nv variables and ng general rows; the other sizes are not looked at."""
     zero = Size("0", 0)
     named = dict.fromkeys(Dims.__dataclass_fields__, zero)
-    named |= {"nv": Size("NV", nv), "ng": Size("NG", ng), "ld": Size("LDV", -(-nv // 4) * 4)}
+    named |= {
+        "ns": Size("NS", 1),
+        "nus": Size("NUS", nv),
+        "nv": Size("NV", nv),
+        "ng": Size("NG", ng),
+        "ld": Size("LDV", -(-nv // 4) * 4),
+    }
     return Dims(**named)
 
 
@@ -63,7 +69,14 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
         tol=lambda name: literal(tolerance(name, precision)),
     )
     head = ["#include <math.h>", "#include <stdint.h>"]
-    sizes = [("NV", nv, ""), ("NG", ng, ""), ("LDV", dims.ld.value, ""), *component.sizes(dims)]
+    sizes = [
+        ("NS", 1, ""),
+        ("NUS", nv, ""),
+        ("NV", nv, ""),
+        ("NG", ng, ""),
+        ("LDV", dims.ld.value, ""),
+        *component.sizes(dims),
+    ]
     head += [f"#define TEST_{name} {value}" for name, value, _ in sizes]
     head += [f"typedef {'float' if single else 'double'} test_real;"]
     head += ["typedef enum { " + ", ".join(f"TEST_{s}" for s in STATUSES) + " } test_status_t;"]
@@ -163,7 +176,7 @@ class QP:
     def run(self, H, g, A, lower, upper, penalty=np.inf) -> str:
         """Both phases; the status of the one that failed, else of qp_solve."""
         self.load(H, A, lower, upper)
-        self["penalty"][: self.ng] = penalty
+        self["penalty"][self.nv : self.nv + self.ng] = penalty
         status = self.factorize()
         return status if status != "OK" else self.solve(g)
 

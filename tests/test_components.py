@@ -14,7 +14,7 @@ from nmpc_codegen.cmodule import Field, Macro, Struct, struct_layout
 from nmpc_codegen.component import SEAMS, Component, Dims, refuse_unsupported
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.linearize import Linearization, linearize
-from nmpc_codegen.lower import _dims, lower, qp_rows
+from nmpc_codegen.lower import _dims, lower
 from nmpc_codegen.options import REGISTRIES, Online
 from nmpc_codegen.render import render, template_directory
 from nmpc_codegen.sweep import Routine
@@ -27,6 +27,7 @@ every_component = pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls
 FEATURES = {
     "soft rows",
     "coupled rows",
+    "coupled rows with free initial state",
     "free initial state",
     "general cost",
     "integrated cost",
@@ -48,7 +49,7 @@ def linearization(cls: type) -> Linearization:
 
 def parts(cls: type) -> tuple[Any, Linearization, Dims]:
     lin = linearization(cls)
-    return getattr(lin.options, cls.seam), lin, _dims(lin, len(qp_rows(lin.problem)))  # type: ignore[attr-defined]
+    return getattr(lin.options, cls.seam), lin, _dims(lin)  # type: ignore[attr-defined]
 
 
 @every_component

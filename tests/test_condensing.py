@@ -16,7 +16,6 @@ import pytest
 from examples import crane
 from nmpc_codegen import OCP, products
 from nmpc_codegen.analyse import analyse
-from nmpc_codegen.lower import qp_rows
 from nmpc_codegen.problem import Problem
 from tests.c_harness import Package, module_of
 from tests.oracles.condensing import Condensed, StageData, condense, condense_row, multipliers
@@ -171,7 +170,7 @@ def test_hessian_and_gradient(name: str, spelling: str, seed: int) -> None:
 @every_case
 def test_rows(name: str, spelling: str, seed: int) -> None:
     p, d, condensed = prepared(name, spelling, seed)
-    rows = qp_rows(problem(name))
+    rows = problem(name).qp_rows
     assert p.module.value("NG") == len(rows)
     for m, (k, is_general, index, _) in enumerate(rows):
         J = np.zeros(d.nx + d.nu)
@@ -195,7 +194,7 @@ def test_embedding_and_expansion(name: str, spelling: str, seed: int) -> None:
     stated, N, nv = problem(name), d.N, d.N * d.nu
     random = np.random.default_rng(seed + 100)
     dx0, du = random.uniform(-1, 1, d.nx), random.uniform(-1, 1, nv)
-    p["condensed"]["dx"][0] = dx0
+    p["step"]["dx"][0] = dx0
     p.call("condense_embed")
     close(p["qp"]["g"][:nv], condensed.g + condensed.Hx @ dx0)
     bounds = {r.index: i for i, r in enumerate(stated.rows) if r.kind == "control"}
@@ -204,12 +203,12 @@ def test_embedding_and_expansion(name: str, spelling: str, seed: int) -> None:
             (p[which][0, bounds[j]] if j in bounds else infinite) - p["u"][k, j] for k in range(N) for j in range(d.nu)
         ]
         np.testing.assert_array_equal(p["qp"][which][:nv], expected)
-        for m, (k, _, _, identity) in enumerate(qp_rows(stated)):
+        for m, (k, _, _, identity) in enumerate(stated.qp_rows):
             value = p["condensed"]["v"][m] + p["condensed"]["Ax"][m] @ dx0
             close(p["qp"][which][nv + m], p[which][int(k == N), identity] - value)
     p["qp"]["z"][...] = du
     p.call("condense_expand")
-    close(p["condensed"]["dx"].ravel(), condensed.X0 @ dx0 + condensed.U @ du + condensed.c)
+    close(p["step"]["dx"].ravel(), condensed.X0 @ dx0 + condensed.U @ du + condensed.c)
 
 
 @every_case
@@ -219,7 +218,7 @@ def test_multipliers(name: str, spelling: str, seed: int) -> None:
     stated, N = problem(name), d.N
     random = np.random.default_rng(seed + 200)
     dx0, du = random.uniform(-1, 1, d.nx), random.uniform(-1, 1, N * d.nu)
-    p["condensed"]["dx"][0], p["qp"]["z"][...] = dx0, du
+    p["step"]["dx"][0], p["qp"]["z"][...] = dx0, du
     p.call("condense_expand")
     p.call("recover_multipliers")
     extra = p["mu_x"].copy()

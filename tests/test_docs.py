@@ -134,8 +134,6 @@ def _ocp() -> tuple[OCP, ca.SX]:
 @pytest.mark.parametrize(
     ("feature", "state"),
     [
-        ("soft rows", lambda ocp, x: ocp.subject_to(-1, x, 1, soft=(1, 1))),
-        ("coupled rows", lambda ocp, x: ocp.boundary(0, ocp.at_start(x) - ocp.at_end(x), 0)),
         ("general cost", lambda ocp, x: ocp.stage_cost(x**4)),
         ("general cost", lambda ocp, x: ocp.terminal_cost(x**4)),
         ("integrated cost", lambda ocp, x: ocp.stage_cost(x**4, integrate=True)),

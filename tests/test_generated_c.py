@@ -121,7 +121,7 @@ def test_shift_under_sanitizers() -> None:
     ("old", "new"),
     [
         ("s->yref[n][i] = yref[i];", "s->yref[n + 1][i] = yref[i];"),  # past the last node
-        ("u0[j] = clip(isfinite(u) ? u : 0.0,", "u0[j] = clip(u,"),  # a NaN gets through
+        ("u0[j] = isfinite(u) ? clip(u,", "u0[j] = 1 ? clip(u,"),  # a NaN gets through
         ("if (!(lower <= upper)", "if (lower > upper"),  # a NaN is taken as a bound
     ],
 )

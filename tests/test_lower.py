@@ -13,7 +13,7 @@ from nmpc_codegen import Options, ProblemError
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.cmodule import CModule, Field, Size, Struct, check_prefix, struct_layout
 from nmpc_codegen.linearize import linearize
-from nmpc_codegen.lower import lower, qp_rows
+from nmpc_codegen.lower import lower
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.render import render
 from tests import problems
@@ -100,18 +100,18 @@ def test_sizes(case: str) -> None:
 def test_rows_of_the_qp(case: str) -> None:
     """Sorted by node; every row of the user at every node where it holds; tables say the same."""
     p: Problem = problems.problem(case)
-    rows = qp_rows(p)
-    assert rows == sorted(rows)
+    rows = p.qp_rows
+    assert list(rows) == sorted(rows)
     expected = {(k, i) for i, r in enumerate(p.rows) if r.kind in ("state", "general") for k in r.nodes}
     assert {(k, identity) for k, _, _, identity in rows} == expected
     assert len(rows) == len(expected)
-    for k, general, index, identity in rows:
+    for k, kind, index, identity in rows:
         row = p.rows[identity]
-        assert general == (row.kind == "general")
-        assert index == (row.index_terminal if general and k == p.N else row.index)
+        assert kind == ("state", "general").index(row.kind)
+        assert index == (row.index_terminal if kind == 1 and k == p.N else row.index)
         assert index >= 0
     tables = {t.name: t.values for t in module(case).tables}
-    for column, name in enumerate(("row_node", "row_general", "row_index", "row_id")):
+    for column, name in enumerate(("row_node", "row_kind", "row_index", "row_id")):
         assert tables[name] == tuple(r[column] for r in rows)
     first = tables["row_first"]
     assert len(first) == p.N + 2

@@ -42,13 +42,36 @@ class Dims:
     nr: Size  # scalar rows the user stated
     nq: Size  # Hessian blocks of the path: 1 where the block is the same at all nodes, else N
     nf: Size  # free components of x_0
-    nv: Size  # variables of the condensed QP: N nu + nf
-    ng: Size  # general rows of the condensed QP
+    ne: Size  # coupled rows
+    ns: Size  # stages of the QP after condensing
+    nus: Size  # controls of such a stage
+    nzs: Size  # nx + nus
+    nv: Size  # variables of the QP
+    nsl: Size  # slacks among them
+    ng: Size  # rows of the QP besides control bounds
     ld: Size  # leading dimension of condensed matrices: nv rounded up to PANEL
 
 
+@dataclass(frozen=True)
+class QpShape:
+    """What a condensing component makes of N stages with nu controls each.
+
+    ``stages`` of ``controls`` controls; ``variables`` of the QP: the controls of all stages, and what else it adds to
+    them; ``slacks`` among the variables.
+    """
+
+    stages: int
+    controls: int
+    variables: int
+    slacks: int = 0
+
+
 class Component(Protocol):
-    """What lower.py asks of a component."""
+    """What lower.py asks of a component.
+
+    A condensing component has besides qp_shape(problem) -> QpShape and ``gives``, the form of QP it hands on
+    ("condensed", "stages"); a QP solver has ``takes``, the form it reads.
+    """
 
     seam: ClassVar[str]
     name: ClassVar[str]  # the word of the command line

@@ -297,7 +297,11 @@ class Controller:
             qp_iterations=int(counts["qp_iterations"]),
             active_set_changes=int(counts["active_set_changes"]),
             dropped_rows=int(counts["dropped_rows"]),
+            relaxed_rows=int(counts["relaxed_rows"]),
             sqp_iterations=int(counts["sqp_iterations"]),
+            violated_row=self._violated_row(),
+            violated_node=int(counts["violated_node"]) if self._violated_row() else None,
+            violation=float(counts["violation"]),
             kkt=Kkt(*(float(kkt[part]) for part in Kkt.__dataclass_fields__)),
             prepare_ns=self._prepare_ns,
             feedback_ns=self._feedback_ns,
@@ -395,7 +399,26 @@ class Controller:
 
     def _fail(self, status: Status, call: str, what: str) -> NoReturn:
         subject = f" ({what})" if what else ""
-        raise ControllerError(f"{self._library.name}.{call}{subject}: {status.name}: {status.meaning}")
+        raise ControllerError(
+            f"{self._library.name}.{call}{subject}: {status.name}: {status.meaning}{self._details(status)}"
+        )
+
+    def _details(self, status: Status) -> str:
+        """Which row or state is at fault, in the user's names."""
+        row = self._violated_row()
+        if status in (Status.INFEASIBLE, Status.RELAXED) and row:
+            stats = self.stats
+            return f"; row {row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}"
+        bad = [
+            name
+            for name, value in zip(self.description.names.states, self._xhat, strict=True)
+            if not np.isfinite(value)
+        ]
+        return f"; measured {', '.join(bad)}" if status is Status.NOT_FINITE and bad else ""
+
+    def _violated_row(self) -> str | None:
+        index = int(self._struct["stats"]["violated_row"])
+        return self.description.rows[index].name if index >= 0 else None
 
     def _buffer(self, size: int) -> tuple[Array, Any]:
         """An array of max(1, size) numbers for C, cut to size, and its pointer."""

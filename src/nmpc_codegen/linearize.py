@@ -8,6 +8,7 @@ import casadi as ca
 
 from nmpc_codegen.component import refuse_unsupported
 from nmpc_codegen.condensing import FullCondensing
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
 from nmpc_codegen.options import REGISTRIES, Options
@@ -42,7 +43,7 @@ def linearize(problem: Problem, options: Options) -> Linearization:
     problem = replace(problem, path=path, terminal=terminal)
     refuse_unsupported(problem, complete.components, REGISTRIES)
     routines: list[Routine] = [r for c in complete.components for r in c.routines(problem)]
-    routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal")]
+    routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal"), _coupled(problem)]
     hessian = next(r for r in routines if r.name == "path_hessian")
     varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
     varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
@@ -63,6 +64,11 @@ def _choose(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...
     if options.qp is None:
         options = replace(options, qp=DenseActiveSet())
         choices.append("qp: dense_active_set; the only registered solver")
+    if options.condensing.gives != options.qp.takes:
+        raise OptionError(
+            f"condensing {options.condensing.name!r} clashes with qp {options.qp.name!r}: it gives a QP in the form "
+            f"{options.condensing.gives!r}, the solver takes {options.qp.takes!r}"
+        )
     return options, tuple(choices)
 
 
@@ -79,6 +85,18 @@ def _rows(stage: Stage, name: str) -> Kernel:
     doc = f"h = general {name} rows, J = dh / d{'x' if terminal else '(x, u)'}"
     outputs = [Port("h", stage.nh), Port("J", stage.nh, int(z.numel()))]
     return lift(ca.Function("rows", args, [h, J]), f"{name}_rows", doc, ports, outputs)
+
+
+def _coupled(problem: Problem) -> Kernel:
+    """r(x_0, x_N) and its Jacobians."""
+    x_0, x_N = (ca.SX.sym(name, problem.nx) for name in ("x_0", "x_N"))
+    r = ca.SX(0, 1) if problem.coupled is None else problem.coupled(x_0, x_N)
+    n = problem.coupled_rows
+    values = [r] + [ca.sparsify(ca.jacobian(r, x)) if n else ca.SX(0, problem.nx) for x in (x_0, x_N)]
+    outputs = [Port("r", n), Port("J_0", n, problem.nx), Port("J_N", n, problem.nx)]
+    ports = [Port("x_0", problem.nx), Port("x_N", problem.nx)]
+    function = ca.Function("coupled", [x_0, x_N], values)
+    return lift(function, "coupled_rows", "coupled rows r(x_0, x_N), J_0 = dr / dx_0, J_N = dr / dx_N", ports, outputs)
 
 
 def _inputs_read(routine: Routine) -> set[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,8 +40,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
     problem = lin.problem
     name = name or problem.name
     check_prefix(name)
-    rows = qp_rows(problem)
-    dims = _dims(lin, len(rows))
+    dims = _dims(lin)
     structs = _structs(lin, dims)
     layout = struct_layout(structs, lin.options.precision)
     products = _products(lin)
@@ -62,7 +62,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         macros=macros,
         enums=_enums(problem),
         structs=structs,
-        tables=_tables(lin, rows),
+        tables=_tables(lin),
         settings=_settings(lin, dims),
         setters=_setters(lin),
         layouts=lin.options.online.layouts,
@@ -110,23 +110,13 @@ def _section_count(counts: dict[str, OpCount]) -> OpCount | None:
     return sum(counts.values(), OpCount()) if counts else None
 
 
-def qp_rows(problem: Problem) -> list[tuple[int, int, int, int]]:
-    """(node, general, index, row id) of every row of the QP besides the control bounds, sorted by node."""
-    found = []
-    for identity, row in enumerate(problem.rows):
-        for k in row.nodes if row.kind in ("state", "general") else ():
-            index = row.index_terminal if row.kind == "general" and k == problem.N else row.index
-            found.append((k, int(row.kind == "general"), index, identity))
-    return sorted(found)
-
-
 def _weight_entries(stage: Stage) -> int:
     return stage.ny if stage.diagonal_weight else stage.ny**2
 
 
-def _dims(lin: Linearization, n_rows: int) -> Dims:
+def _dims(lin: Linearization) -> Dims:
     p = lin.problem
-    nv = p.N * p.nu + len(p.free_initial)
+    shape = lin.options.condensing.qp_shape(p)
     return Dims(
         N=Size("N", p.N),
         nx=Size("NX", p.nx),
@@ -142,9 +132,14 @@ def _dims(lin: Linearization, n_rows: int) -> Dims:
         nr=Size("NR", len(p.rows)),
         nq=Size("NQ", 1 if lin.constant_hessian else p.N),
         nf=Size("NF", len(p.free_initial)),
-        nv=Size("NV", nv),
-        ng=Size("NG", n_rows),
-        ld=Size("LDV", -(-nv // PANEL) * PANEL),
+        ne=Size("NE", p.coupled_rows),
+        ns=Size("NS", shape.stages),
+        nus=Size("NUS", shape.controls),
+        nzs=Size("NZS", p.nx + shape.controls),
+        nv=Size("NV", shape.variables),
+        nsl=Size("NSL", shape.slacks),
+        ng=Size("NG", len(p.qp_rows)),
+        ld=Size("LDV", -(-shape.variables // PANEL) * PANEL),
     )
 
 
@@ -164,12 +159,18 @@ def _macros(lin: Linearization, dims: Dims) -> tuple[Macro, ...]:
         "NR": "scalar rows with bounds",
         "NQ": "path Hessian blocks",
         "NF": "free components of x_0",
-        "NV": "variables of the QP: N NU + NF",
+        "NE": "coupled rows",
+        "NS": "stages of the QP",
+        "NUS": "controls of a stage of the QP",
+        "NZS": "NX + NUS",
+        "NV": "variables of the QP",
+        "NSL": "slacks among them",
         "NG": "rows of the QP besides control bounds",
         "LDV": "NV rounded up to PANEL",
     }
     macros = [Macro(s.text, s.value, docs[s.text]) for s in vars(dims).values()]
     macros.append(Macro("PANEL", PANEL, "columns processed together"))
+    macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in lin.problem.rows), "rows with a penalty"))
     macros.append(Macro("PARAMS", len(lin.problem.parameters), "parameters by name"))
     for component in lin.options.components:
         macros += [Macro(*entry) for entry in component.sizes(dims)]
@@ -199,6 +200,7 @@ def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
     results = [
         Field("stats", (), "counters", "result", "stats"),
         Field("kkt", (), "KKT residuals of the last solve", "result", "kkt"),
+        Field("relaxation", (), "l1 penalty of hard rows while a QP is relaxed, else infinite", "scratch"),
         Field("status", (), "status of the last prepare, feedback or solve", "result", "int32"),
         Field("magic", (), "set by init", "keep", "int32"),
     ]
@@ -290,14 +292,19 @@ def _result_structs() -> tuple[Struct, ...]:
             count("qp_iterations", "iterations of the last QP"),
             count("active_set_changes", "changes of the working set in the last QP"),
             count("dropped_rows", "redundant rows left out of the working set"),
+            count("relaxed_rows", "soft or relaxed rows that are violated"),
             count("sqp_iterations", "iterations of the last solve"),
+            count("violated_row", "hard row that cannot be met (INFEASIBLE) or is relaxed (RELAXED), or -1"),
+            count("violated_node", "its node, or -1"),
+            real("violation", "by how much the last step of the QP violates it"),
         ),
     )
     return kkt, stats
 
 
-def _tables(lin: Linearization, rows: list[tuple[int, int, int, int]]) -> tuple[Table, ...]:
+def _tables(lin: Linearization) -> tuple[Table, ...]:
     p = lin.problem
+    rows = p.qp_rows
 
     def real(name: str, values: Any, doc: str) -> Table:
         return Table(name, "real", tuple(float(v) for v in np.ravel(values)), doc)
@@ -325,13 +332,20 @@ def _tables(lin: Linearization, rows: list[tuple[int, int, int, int]]) -> tuple[
         integer("control_row", _control_rows(p), "row that bounds control j, or -1"),
         integer("free_state", p.free_initial, "state that is free component f of x_0"),
         integer("row_node", [r[0] for r in rows], "node of QP row m"),
-        integer("row_general", [r[1] for r in rows], "1: general row, 0: state bound"),
-        integer("row_index", [r[2] for r in rows], "component of h or x"),
+        integer("row_kind", [r[1] for r in rows], "0: state bound, 1: general row, 2: coupled row"),
+        integer("row_index", [r[2] for r in rows], "component of x, h or r"),
         integer("row_id", [r[3] for r in rows], "scalar row of the user"),
         integer("row_first", first, "first QP row of node k"),
+        real("row_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
+        real("row_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
         *([] if fixed else [integer("parameter_offset", offsets, "first element of a parameter in p")]),
         *(table for component in lin.options.components for table in component.tables(p)),
     )
+
+
+def _penalty(row: Row) -> tuple[float, float]:
+    """(l1, l2) of a row; a hard one has an infinite l1."""
+    return (math.inf, 0.0) if row.soft is None else row.soft
 
 
 def _steps(lin: Linearization) -> int:
@@ -375,6 +389,7 @@ def _row(r: Row) -> dict[str, Any]:
         "nodes": list(r.nodes),
         "lower": _number(r.lower),
         "upper": _number(r.upper),
+        "soft": r.soft,
     }
 
 
@@ -429,7 +444,7 @@ def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products)
     linearization = sum((lin.count(n) for n in ("integrator_interval", "path_gradient", "path_rows")), OpCount()) * N
     known = _known(lin, products)
     counts = dict(known)
-    dims = _dims(lin, len(qp_rows(lin.problem)))
+    dims = _dims(lin)
     for component in lin.options.components:
         counts |= component.cost(dims, known)
     return {

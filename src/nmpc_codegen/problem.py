@@ -120,9 +120,9 @@ class Problem:
 
     ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` are the N interval
     lengths (s). ``features`` names what the problem uses beyond the core ("soft rows", "coupled rows",
-    "free initial state", "general cost", "integrated cost", "accumulators"): a component that does not list a feature
-    refuses the problem. ``control_reference[j]`` is the position in y_path whose reference is the reference of
-    control j, or -1.
+    "coupled rows with free initial state", "free initial state", "general cost", "integrated cost", "accumulators"): a
+    component that does not list a feature refuses the problem. ``control_reference[j]`` is the position in y_path
+    whose reference is the reference of control j, or -1.
     """
 
     name: str
@@ -169,6 +169,25 @@ class Problem:
     def p_value(self) -> Array:
         """Declared parameter values, shape (np,)."""
         return np.array([v for s in self.parameters for v in s.value])
+
+    @property
+    def qp_rows(self) -> tuple[tuple[int, int, int, int], ...]:
+        """(node, kind, index, row) of every row of the QP besides the control bounds, sorted by node.
+
+        kind 0: bound of a state, 1: general row, 2: coupled row, which stands at node N. ``row``: position in rows.
+        """
+        kinds = {"state": 0, "general": 1, "coupled": 2}
+        found = []
+        for identity, row in enumerate(self.rows):
+            for k in (self.N,) if row.kind == "coupled" else row.nodes if row.kind in kinds else ():
+                index = row.index_terminal if row.kind == "general" and k == self.N else row.index
+                found.append((k, kinds[row.kind], index, identity))
+        return tuple(sorted(found))
+
+    @property
+    def coupled_rows(self) -> int:
+        """Number of scalar rows r(x_0, x_N)."""
+        return sum(row.kind == "coupled" for row in self.rows)
 
     @property
     def state_names(self) -> tuple[str, ...]:

@@ -61,12 +61,20 @@ class Kkt:
 
 @dataclass(frozen=True)
 class Stats:
-    """What the last call did. Times (ns) are those of the C calls alone."""
+    """What the last call did. Times (ns) are those of the C calls alone.
+
+    ``violated_row``, ``violated_node``, ``violation``: after INFEASIBLE or RELAXED the hard row (the user's name) that
+    the last step of the QP violates most, its node, and by how much; else None, None and 0.
+    """
 
     qp_iterations: int
     active_set_changes: int
     dropped_rows: int
+    relaxed_rows: int
     sqp_iterations: int
+    violated_row: str | None
+    violated_node: int | None
+    violation: float
     kkt: Kkt
     prepare_ns: int
     feedback_ns: int

@@ -3,20 +3,29 @@
 /* Seam "algorithm", contract: algorithm_reset, golden_prepare, _feedback, _step, _shift, _solve, _kkt.
  * Here: real-time iteration, one QP per sample, full step. */
 
-/* The plain start: every state at its declared initial value, controls at their reference, multipliers 0. */
-static void algorithm_reset(golden_solver_t *s)
+/* What control j is without a plan: its reference, or 0, inside the bounds. */
+static golden_real reference_control(const golden_solver_t *s, int k, int j)
+{
+    const int y = control_reference[j];
+    (void)k;
+    return clip(y >= 0 ? s->yref[k][y] : 0.0, control_lower(s, k, j), control_upper(s, k, j));
+}
+
+/* Every state of the plan at x, every control where it is or, if that is not finite, at its reference; multipliers 0, empty
+ * working set. */
+static void start_at(golden_solver_t *s, const golden_real *x)
 {
     int k, i, j;
     for (k = 0; k <= GOLDEN_N; k++) {
         for (i = 0; i < GOLDEN_NX; i++) {
-            s->x[k][i] = initial_state[i];
+            s->x[k][i] = x[i];
             s->lam[k][i] = s->mu_x[k][i] = 0.0;
         }
     }
     for (k = 0; k < GOLDEN_N; k++) {
         for (j = 0; j < GOLDEN_NU; j++) {
-            const int y = control_reference[j];
-            s->u[k][j] = clip(y >= 0 ? s->yref[k][y] : 0.0, control_lower(s, k, j), control_upper(s, k, j));
+            const golden_real u = s->u[k][j];
+            s->u[k][j] = isfinite(u) ? clip(u, control_lower(s, k, j), control_upper(s, k, j)) : reference_control(s, k, j);
             s->mu_u[k][j] = 0.0;
         }
         for (j = 0; j < GOLDEN_NH; j++) {
@@ -26,14 +35,28 @@ static void algorithm_reset(golden_solver_t *s)
     for (j = 0; j < GOLDEN_NH_N; j++) {
         s->mu_N[j] = 0.0;
     }
-    for (i = 0; i < GOLDEN_NX; i++) {
-        s->xhat[i] = initial_state[i];
+    for (j = 0; j < GOLDEN_NE; j++) {
+        s->eta[j] = 0.0;
     }
+    condense_init(s);
+}
+
+/* The plain start: every state at its declared initial value, controls at their reference, multipliers 0. */
+static void algorithm_reset(golden_solver_t *s)
+{
+    int k, j;
+    for (k = 0; k < GOLDEN_N; k++) {
+        for (j = 0; j < GOLDEN_NU; j++) {
+            s->u[k][j] = reference_control(s, k, j);
+        }
+    }
+    memcpy(s->xhat, initial_state, sizeof s->xhat);
     s->prepared = 0;
     s->samples = 0;
     s->status = (int32_t)GOLDEN_OK;
-    qp_init(&s->qp);
-    condense_init(s);
+    s->relaxation = (golden_real)INFINITY;
+    s->stats.violated_row = s->stats.violated_node = -1;
+    start_at(s, s->xhat);
 }
 
 /* Node k: S = [A_k B_k], gap b_k = Phi(x_k, u_k) - x_{k+1}, gradient, general rows. */
@@ -55,6 +78,11 @@ static void linearize_terminal(const golden_solver_t *s, golden_terminal_t *term
     terminal_rows(s->x[GOLDEN_N], s->p[GOLDEN_N], terminal->h, &terminal->J[0][0]);
 }
 
+static void linearize_coupled(const golden_solver_t *s, golden_coupled_t *coupled)
+{
+    coupled_rows(s->x[0], s->x[GOLDEN_N], coupled->r, &coupled->J_0[0][0], &coupled->J_N[0][0]);
+}
+
 static void linearize(golden_solver_t *s)
 {
     int k;
@@ -62,6 +90,7 @@ static void linearize(golden_solver_t *s)
         linearize_node(s, k, &s->node[k]);
     }
     linearize_terminal(s, &s->terminal);
+    linearize_coupled(s, &s->coupled);
 }
 
 /* References entered after prepare: gradients anew, everything else stands. */
@@ -76,13 +105,13 @@ static void renew_gradients(golden_solver_t *s)
     s->reference_changed = 0;
 }
 
-/* The control that is returned whenever no new one could be computed: the plan's, or 0, inside the bounds. */
+/* The control that is returned whenever no new one could be computed: the plan's, or its reference, inside the bounds. */
 static void safe_control(const golden_solver_t *s, golden_real *u0)
 {
     int j;
     for (j = 0; j < GOLDEN_NU; j++) {
         const golden_real u = s->u[0][j];
-        u0[j] = clip(isfinite(u) ? u : 0.0, control_lower(s, 0, j), control_upper(s, 0, j));
+        u0[j] = isfinite(u) ? clip(u, control_lower(s, 0, j), control_upper(s, 0, j)) : reference_control(s, 0, j);
     }
 }
 
@@ -95,18 +124,10 @@ static golden_status_t finish(golden_solver_t *s, golden_status_t status)
 /* Linearise, Hessian, condense, factorise at the predicted working set. */
 static golden_status_t prepare_here(golden_solver_t *s)
 {
-    int i;
     linearize(s);
     hessian(s);
-    condense_hessian(s);
-    condense_gradient(s);
-    condense_rows(s);
     s->reference_changed = 0;
-    for (i = 0; i < GOLDEN_NX; i++) {
-        s->condensed.dx[0][i] = 0.0;
-    }
-    condense_embed(s);
-    return qp_factorize(&s->qp);
+    return condense_prepare(s);
 }
 
 golden_status_t golden_prepare(golden_solver_t *s)
@@ -128,10 +149,14 @@ static void recover_multipliers(golden_solver_t *s)
 {
     golden_real w[GOLDEN_NZ];
     int k, i, j;
-    terminal_adjoint(&s->terminal, s->hessian.Q_N, s->condensed.dx[GOLDEN_N], w);
+    terminal_adjoint(&s->terminal, s->hessian.Q_N, s->step.dx[GOLDEN_N], w);
     for (k = GOLDEN_N;; k--) {
         for (i = 0; i < GOLDEN_NX; i++) {
             w[i] += s->mu_x[k][i];
+            for (j = 0; j < GOLDEN_NE; j++) {
+                w[i] += ((k == GOLDEN_N) ? s->coupled.J_N[j][i] * s->eta[j] : 0.0) +
+                    ((k == 0) ? s->coupled.J_0[j][i] * s->eta[j] : 0.0);
+            }
             for (j = 0; k < GOLDEN_N && j < GOLDEN_NH; j++) {
                 w[i] += s->node[k].J[j][i] * s->mu[k][j];
             }
@@ -143,8 +168,8 @@ static void recover_multipliers(golden_solver_t *s)
         if (k == 0) {
             break;
         }
-        adjoint_step(&s->node[k - 1], s->hessian.Q[GOLDEN_NQ == 1 ? 0 : k - 1], s->condensed.dx[k - 1],
-            &s->qp.z[(k - 1) * GOLDEN_NU], w);
+        adjoint_step(&s->node[k - 1], s->hessian.Q[GOLDEN_NQ == 1 ? 0 : k - 1], s->step.dx[k - 1],
+            s->step.du[k - 1], w);
     }
     for (i = 0; i < GOLDEN_NF; i++) {
         s->lam[0][free_state[i]] = 0.0;
@@ -154,28 +179,26 @@ static void recover_multipliers(golden_solver_t *s)
 /* Multipliers of the QP to the places of their rows. */
 static void scatter_multipliers(golden_solver_t *s)
 {
-    int k, j, m;
-    for (k = 0; k < GOLDEN_N; k++) {
-        for (j = 0; j < GOLDEN_NU; j++) {
-            s->mu_u[k][j] = s->qp.mult[k * GOLDEN_NU + j];
-        }
-    }
+    int m;
+    memcpy(s->mu_u, s->step.mult_u, sizeof s->mu_u);
     for (m = 0; m < GOLDEN_NG; m++) {
-        *row_multiplier_place(s, m) = s->qp.mult[GOLDEN_NV + m];
+        *row_multiplier_place(s, m) = s->step.mult[m];
     }
 }
 
-/* 1 if the QP's step and multipliers are finite. */
+/* 1 if the QP's step is finite. */
 static int step_is_finite(const golden_solver_t *s)
 {
     golden_real probe = 0.0;
     int k, i;
-    for (i = 0; i < GOLDEN_NV; i++) {
-        probe += 0.0 * s->qp.z[i];
+    for (k = 0; k < GOLDEN_N; k++) {
+        for (i = 0; i < GOLDEN_NU; i++) {
+            probe += 0.0 * s->step.du[k][i];
+        }
     }
     for (k = 0; k <= GOLDEN_N; k++) {
         for (i = 0; i < GOLDEN_NX; i++) {
-            probe += 0.0 * s->condensed.dx[k][i];
+            probe += 0.0 * s->step.dx[k][i];
         }
     }
     return isfinite(probe) != 0;
@@ -187,12 +210,12 @@ static void take_step(golden_solver_t *s)
     int k, i, j;
     for (k = 0; k <= GOLDEN_N; k++) {
         for (i = 0; i < GOLDEN_NX; i++) {
-            s->x[k][i] += s->condensed.dx[k][i];
+            s->x[k][i] += s->step.dx[k][i];
         }
     }
     for (k = 0; k < GOLDEN_N; k++) {
         for (j = 0; j < GOLDEN_NU; j++) {
-            const golden_real u = s->u[k][j] + s->qp.z[k * GOLDEN_NU + j];
+            const golden_real u = s->u[k][j] + s->step.du[k][j];
             s->u[k][j] = clip(u, control_lower(s, k, j), control_upper(s, k, j));
         }
     }
@@ -214,24 +237,89 @@ static int take_state(golden_solver_t *s, const golden_real *xhat)
     return 1;
 }
 
-/* dx_0 = xhat - x_0 into the gradient and the bounds of the QP. */
-static void embed_state(golden_solver_t *s)
-{
-    int i;
-    for (i = 0; i < GOLDEN_NX; i++) {
-        s->condensed.dx[0][i] = s->xhat[i] - s->x[0][i];
-    }
-    condense_embed(s);
-}
-
-/* The QP as it is embedded, and its counters. */
+/* The QP for dx_0 = xhat - x_0 and the present bounds, and its counters. */
 static golden_status_t run_qp(golden_solver_t *s)
 {
-    const golden_status_t status = qp_solve(&s->qp);
+    golden_status_t status;
+    int i;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        s->step.dx[0][i] = s->xhat[i] - s->x[0][i];
+    }
+    status = condense_solve(s);
     s->stats.qp_iterations = s->qp.iterations;
     s->stats.active_set_changes = s->qp.changes;
     s->stats.dropped_rows = s->qp.dropped;
+    s->stats.relaxed_rows = s->qp.relaxed;
     return status;
+}
+
+/* What becomes of a QP that has no solution, and of a plan that has become useless. */
+
+/* What the linearised row m exceeds its bounds by after the step; > 0 at the upper bound. */
+static golden_real row_excess(const golden_solver_t *s, int m)
+{
+    golden_real J[GOLDEN_NZ];
+    golden_real value = row_gradient(s, m, J);
+    const int k = row_node[m];
+    int i;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        value += J[i] * s->step.dx[k][i];
+        value += (row_kind[m] == 2) ? s->coupled.J_0[row_index[m]][i] * s->step.dx[0][i] : 0.0;
+    }
+    for (i = 0; k < GOLDEN_N && i < GOLDEN_NU; i++) {
+        value += J[GOLDEN_NX + i] * s->step.du[k][i];
+    }
+    return value - clip(value, row_lower(s, m), row_upper(s, m));
+}
+
+static void forget_violation(golden_solver_t *s)
+{
+    s->stats.violated_row = s->stats.violated_node = -1;
+    s->stats.violation = 0.0;
+}
+
+/* The hard row that the step, the QP's last or relaxed one, violates most goes to the statistics. */
+static void name_violation(golden_solver_t *s)
+{
+    int m;
+    forget_violation(s);
+    for (m = 0; m < GOLDEN_NG; m++) {
+        const golden_real excess = fabs(row_excess(s, m));
+        if (excess > s->stats.violation && row_l1[row_id[m]] == (golden_real)INFINITY) {
+            s->stats.violation = excess;
+            s->stats.violated_row = (int32_t)row_id[m];
+            s->stats.violated_node = (int32_t)row_node[m];
+        }
+    }
+}
+
+/* The QP is infeasible: its hard rows are relaxed at the weight that the options ask for, or it stays so. */
+static golden_status_t relax_qp(golden_solver_t *s)
+{
+    golden_status_t status = GOLDEN_INFEASIBLE;
+    if (relaxation_weight[0] < (golden_real)INFINITY) {
+        s->relaxation = relaxation_weight[0];
+        status = run_qp(s);
+        s->relaxation = (golden_real)INFINITY;
+    }
+    name_violation(s);
+    return (status == GOLDEN_OK) ? GOLDEN_RELAXED : status;
+}
+
+static int plan_is_finite(const golden_solver_t *s)
+{
+    return all_finite(&s->x[0][0], (GOLDEN_N + 1) * GOLDEN_NX) && all_finite(&s->u[0][0], GOLDEN_N * GOLDEN_NU);
+}
+
+/* After a failure that would come back: where numbers broke down the plan starts anew at the measured state, where the QP
+ * did not end its working set is forgotten. Other plans stay. */
+static void recover(golden_solver_t *s, golden_status_t status)
+{
+    if (status == GOLDEN_NUMERICAL_FAILURE) {
+        start_at(s, all_finite(s->xhat, GOLDEN_NX) ? s->xhat : initial_state);
+    } else if (status == GOLDEN_ITERATION_LIMIT || status == GOLDEN_STALLED) {
+        condense_init(s);
+    }
 }
 
 /* Embed s->xhat, solve the QP, take the full step. The iterate changes only if all went well. */
@@ -241,34 +329,37 @@ static golden_status_t feedback_here(golden_solver_t *s)
     if (s->reference_changed) {
         renew_gradients(s);
     }
-    embed_state(s);
     status = run_qp(s);
-    if (status != GOLDEN_OK) {
+    if (status == GOLDEN_INFEASIBLE) {
+        status = relax_qp(s);
+    }
+    if (status != GOLDEN_OK && status != GOLDEN_RELAXED) {
         return status;
     }
-    condense_expand(s);
     if (!step_is_finite(s)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
     scatter_multipliers(s);
     recover_multipliers(s);
     take_step(s);
-    return GOLDEN_OK;
+    return status;
 }
 
 golden_status_t golden_feedback(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU])
 {
     golden_status_t status;
-    int j;
+    int measured, j;
     if (s->magic != GOLDEN_MAGIC) {
         for (j = 0; j < GOLDEN_NU; j++) {
             u0[j] = default_control[j];
         }
         return GOLDEN_NOT_INITIALIZED;
     }
+    measured = take_state(s, xhat);
+    forget_violation(s);
     if (!s->prepared) {
         status = GOLDEN_NOT_PREPARED;
-    } else if (!take_state(s, xhat)) {
+    } else if (!measured) {
         status = GOLDEN_NOT_FINITE;
     } else if (s->status != GOLDEN_OK) {
         status = (golden_status_t)s->status;
@@ -278,6 +369,7 @@ golden_status_t golden_feedback(golden_solver_t *s, const golden_real xhat[GOLDE
     s->prepared = 0;
     s->samples += (s->samples < GOLDEN_MANY);
     safe_control(s, u0);
+    recover(s, status);
     return finish(s, status);
 }
 
@@ -299,7 +391,7 @@ static void shift_working_set(golden_solver_t *s)
             }
         }
     }
-    qp_shift_working_set(&s->qp, GOLDEN_NU, source);
+    condense_shift(s, source);
 }
 
 /* Node k takes what node k + 1 has; the last node and the last interval keep theirs. */
@@ -372,12 +464,34 @@ static void kkt_row(golden_kkt_t *kkt, golden_real value, golden_real lower, gol
     }
 }
 
-/* Violation and complementarity of the rows of node k; h are its general rows. */
-static void kkt_rows(const golden_solver_t *s, int k, const golden_real *h, golden_kkt_t *kkt)
+/* One side of a soft row, excess over its bound and multiplier m >= 0: conditions of min l1 v + l2/2 v^2, v >= excess, v >= 0
+ * at v = max(0, excess); nu = l1 + l2 v - m >= 0 is the multiplier of v >= 0. */
+static void kkt_soft_side(golden_kkt_t *kkt, golden_real excess, golden_real m, golden_real l1, golden_real l2)
+{
+    const golden_real v = (excess > 0.0) ? excess : 0.0;
+    const golden_real nu = l1 + l2 * v - m;
+    enlarge(&kkt->complementarity, nu * v);
+    if (!(nu >= 0.0)) {
+        enlarge(&kkt->complementarity, nu);
+    }
+    if (m > 0.0) {
+        enlarge(&kkt->complementarity, m * (excess - v));
+    }
+}
+
+/* Violation and complementarity of the rows of node k; h are its general rows, r the coupled ones. */
+static void kkt_rows(const golden_solver_t *s, int k, const golden_real *h, const golden_real *r, golden_kkt_t *kkt)
 {
     int m, j;
     for (m = row_first[k]; m < row_first[k + 1]; m++) {
-        kkt_row(kkt, row_value(s, m, h), row_lower(s, m), row_upper(s, m), row_multiplier(s, m));
+        const golden_real l1 = row_l1[row_id[m]], value = row_value(s, m, h, r);
+        if (l1 < (golden_real)INFINITY) {
+            const golden_real mu = row_multiplier(s, m), l2 = row_curvature(m);
+            kkt_soft_side(kkt, value - row_upper(s, m), (mu > 0.0) ? mu : 0.0, l1, l2);
+            kkt_soft_side(kkt, row_lower(s, m) - value, (mu < 0.0) ? -mu : 0.0, l1, l2);
+        } else {
+            kkt_row(kkt, value, row_lower(s, m), row_upper(s, m), row_multiplier(s, m));
+        }
     }
     for (j = 0; k < GOLDEN_N && j < GOLDEN_NU; j++) {
         kkt_row(kkt, s->u[k][j], control_lower(s, k, j), control_upper(s, k, j), s->mu_u[k][j]);
@@ -385,7 +499,7 @@ static void kkt_rows(const golden_solver_t *s, int k, const golden_real *h, gold
 }
 
 /* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + mu_x, mu_u + J' mu, and the gap. */
-static void kkt_node(const golden_solver_t *s, int k, const golden_node_t *node, golden_kkt_t *kkt)
+static void kkt_node(const golden_solver_t *s, int k, const golden_node_t *node, const golden_coupled_t *coupled, golden_kkt_t *kkt)
 {
     int i, j;
     for (i = 0; i < GOLDEN_NZ; i++) {
@@ -396,16 +510,20 @@ static void kkt_node(const golden_solver_t *s, int k, const golden_node_t *node,
         for (j = 0; j < GOLDEN_NH; j++) {
             sum += node->J[j][i] * s->mu[k][j];
         }
+        for (j = 0; k == 0 && i < GOLDEN_NX && j < GOLDEN_NE; j++) {
+            sum += coupled->J_0[j][i] * s->eta[j];
+        }
         sum += (i < GOLDEN_NX) ? s->mu_x[k][i] - s->lam[k][i] : s->mu_u[k][i - GOLDEN_NX];
         enlarge(&kkt->stationarity, sum);
     }
     for (i = 0; i < GOLDEN_NX; i++) {
         enlarge(&kkt->equality, node->b[i]);
     }
-    kkt_rows(s, k, node->h, kkt);
+    kkt_rows(s, k, node->h, coupled->r, kkt);
 }
 
-static void kkt_terminal(const golden_solver_t *s, const golden_terminal_t *terminal, golden_kkt_t *kkt)
+static void kkt_terminal(const golden_solver_t *s, const golden_terminal_t *terminal, const golden_coupled_t *coupled,
+    golden_kkt_t *kkt)
 {
     int i, j;
     for (i = 0; i < GOLDEN_NX; i++) {
@@ -413,12 +531,15 @@ static void kkt_terminal(const golden_solver_t *s, const golden_terminal_t *term
         for (j = 0; j < GOLDEN_NH_N; j++) {
             sum += terminal->J[j][i] * s->mu_N[j];
         }
+        for (j = 0; j < GOLDEN_NE; j++) {
+            sum += coupled->J_N[j][i] * s->eta[j];
+        }
         enlarge(&kkt->stationarity, sum);
         if (is_measured[i] || is_accumulator[i]) {
             enlarge(&kkt->equality, s->xhat[i] - s->x[0][i]);
         }
     }
-    kkt_rows(s, GOLDEN_N, terminal->h, kkt);
+    kkt_rows(s, GOLDEN_N, terminal->h, coupled->r, kkt);
 }
 
 /* KKT residuals of the present iterate, linearised afresh (on the stack: one node). */
@@ -426,16 +547,19 @@ void golden_kkt(const golden_solver_t *s, golden_kkt_t *out)
 {
     golden_node_t node;
     golden_terminal_t terminal;
+    golden_coupled_t coupled;
     int k;
     memset(out, 0, sizeof *out);
     memset(&node, 0, sizeof node);
     memset(&terminal, 0, sizeof terminal);
+    memset(&coupled, 0, sizeof coupled);
+    linearize_coupled(s, &coupled);
     for (k = 0; k < GOLDEN_N; k++) {
         linearize_node(s, k, &node);
-        kkt_node(s, k, &node, out);
+        kkt_node(s, k, &node, &coupled, out);
     }
     linearize_terminal(s, &terminal);
-    kkt_terminal(s, &terminal, out);
+    kkt_terminal(s, &terminal, &coupled, out);
 }
 
 /* KKT residuals from the linearisation that prepare has just left; 1 if all are at most tol. */
@@ -445,38 +569,28 @@ static int kkt_converged(golden_solver_t *s, golden_real tol)
     int k;
     memset(kkt, 0, sizeof *kkt);
     for (k = 0; k < GOLDEN_N; k++) {
-        kkt_node(s, k, &s->node[k], kkt);
+        kkt_node(s, k, &s->node[k], &s->coupled, kkt);
     }
-    kkt_terminal(s, &s->terminal, kkt);
+    kkt_terminal(s, &s->terminal, &s->coupled, kkt);
     return kkt->stationarity <= tol && kkt->equality <= tol && kkt->inequality <= tol && kkt->complementarity <= tol;
 }
 
 /* SQP to convergence: the pieces of the real-time iteration, globalised by a line search on the l1 merit function
  *
- *     phi = cost + gap_weight (sum |x_{k+1} - Phi_k| + |x_0 - xhat|) + row_weight (sum of row violations),
+ *     phi = cost + gap_weight (sum |x_{k+1} - Phi_k| + |x_0 - xhat|) + row_weight (sum of row violations) + penalties,
  *
  * with one second-order correction where the full step is refused, and an elastic QP (rows relaxed at row_weight) where
- * a linearisation is infeasible. */
+ * a linearisation is infeasible. Soft rows enter with their penalties l1 v + l2/2 v^2. */
 
-/* Violation of the rows of node k; h are its general rows. */
-static golden_real row_violation(const golden_solver_t *s, int k, const golden_real *h)
-{
-    golden_real sum = 0.0;
-    int m;
-    for (m = row_first[k]; m < row_first[k + 1]; m++) {
-        const golden_real value = row_value(s, m, h);
-        sum += fabs(value - clip(value, row_lower(s, m), row_upper(s, m)));
-    }
-    return sum;
-}
-
-/* Constraints of the present iterate without derivatives: sqp.b = Phi(x_k, u_k) - x_{k+1}, general rows, and their norms. */
-static void evaluate_constraints(golden_solver_t *s, golden_real *gaps, golden_real *violation)
+/* Constraints of the present iterate without derivatives: sqp.b = Phi(x_k, u_k) - x_{k+1}, general rows, and
+ * their norms; penalties of the soft rows. */
+static void evaluate_constraints(golden_solver_t *s, golden_real *gaps, golden_real *violation, golden_real *penalties)
 {
     golden_sqp_t *q = &s->sqp;
     int k, i;
     *gaps = 0.0;
     *violation = 0.0;
+    *penalties = 0.0;
     for (i = 0; i < GOLDEN_NX; i++) {
         if (is_measured[i] || is_accumulator[i]) {
             *gaps += fabs(s->x[0][i] - s->xhat[i]);
@@ -489,17 +603,18 @@ static void evaluate_constraints(golden_solver_t *s, golden_real *gaps, golden_r
             *gaps += fabs(q->b[k][i]);
         }
         path_rows(s->x[k], s->u[k], s->p[k], q->h[k], &q->J[0][0]);
-        *violation += row_violation(s, k, q->h[k]);
+        add_rows_of_node(s, k, q->h[k], q->r, violation, penalties);
     }
     terminal_rows(s->x[GOLDEN_N], s->p[GOLDEN_N], q->h_N, &q->J_N[0][0]);
-    *violation += row_violation(s, GOLDEN_N, q->h_N);
+    coupled_rows(s->x[0], s->x[GOLDEN_N], q->r, &q->J_r[0][0], &q->J_r[0][0]);
+    add_rows_of_node(s, GOLDEN_N, q->h_N, q->r, violation, penalties);
 }
 
 static golden_real merit(golden_solver_t *s)
 {
-    golden_real gaps, violation;
-    evaluate_constraints(s, &gaps, &violation);
-    return golden_cost(s) + s->sqp.gap_weight * gaps + s->sqp.row_weight * violation;
+    golden_real gaps, violation, penalties;
+    evaluate_constraints(s, &gaps, &violation, &penalties);
+    return nodal_cost(s) + penalties + s->sqp.gap_weight * gaps + s->sqp.row_weight * violation;
 }
 
 /* The step of the QP and the point it starts from are put aside. */
@@ -508,8 +623,8 @@ static void put_step_aside(golden_solver_t *s)
     golden_sqp_t *q = &s->sqp;
     memcpy(q->x, s->x, sizeof s->x);
     memcpy(q->u, s->u, sizeof s->u);
-    memcpy(q->dx, s->condensed.dx, sizeof s->condensed.dx);
-    memcpy(q->du, s->qp.z, sizeof q->du);
+    memcpy(q->dx, s->step.dx, sizeof q->dx);
+    memcpy(q->du, s->step.du, sizeof q->du);
 }
 
 /* (x, u) = base + alpha (dx, du). */
@@ -524,7 +639,7 @@ static void move_to(golden_solver_t *s, golden_real alpha)
     }
     for (k = 0; k < GOLDEN_N; k++) {
         for (j = 0; j < GOLDEN_NU; j++) {
-            const golden_real u = q->u[k][j] + alpha * q->du[k * GOLDEN_NU + j];
+            const golden_real u = q->u[k][j] + alpha * q->du[k][j];
             s->u[k][j] = clip(u, control_lower(s, k, j), control_upper(s, k, j));
         }
     }
@@ -542,7 +657,7 @@ static void update_weights(golden_solver_t *s)
         }
     }
     for (m = 0; m < GOLDEN_NG; m++) {
-        enlarge(&mu, row_multiplier(s, m));
+        enlarge(&mu, (row_l1[row_id[m]] < (golden_real)INFINITY) ? 0.0 : row_multiplier(s, m));
     }
     if (s->sqp.gap_weight < lam * 1.5) {
         s->sqp.gap_weight = lam * 2.0;
@@ -558,32 +673,28 @@ static golden_real cost_slope(const golden_solver_t *s)
     golden_real sum = 0.0;
     int k, i;
     for (i = 0; i < GOLDEN_NX; i++) {
-        sum += s->terminal.g[i] * s->condensed.dx[GOLDEN_N][i];
+        sum += s->terminal.g[i] * s->step.dx[GOLDEN_N][i];
     }
     for (k = 0; k < GOLDEN_N; k++) {
         for (i = 0; i < GOLDEN_NX; i++) {
-            sum += s->node[k].g[i] * s->condensed.dx[k][i];
+            sum += s->node[k].g[i] * s->step.dx[k][i];
         }
         for (i = 0; i < GOLDEN_NU; i++) {
-            sum += s->node[k].g[GOLDEN_NX + i] * s->qp.z[k * GOLDEN_NU + i];
+            sum += s->node[k].g[GOLDEN_NX + i] * s->step.du[k][i];
         }
     }
     return sum;
 }
 
-/* Violation of the linearised rows after the full step; 0 unless the QP was elastic. */
-static golden_real linear_violation(const golden_solver_t *s)
+/* The linearised rows after the full step: violation of hard ones (0 unless the QP was elastic), penalties of soft ones. */
+static void linear_violation(const golden_solver_t *s, golden_real *violation, golden_real *penalties)
 {
-    golden_real sum = 0.0;
-    int m, i;
+    int m;
+    *violation = 0.0;
+    *penalties = 0.0;
     for (m = 0; m < GOLDEN_NG; m++) {
-        golden_real value = 0.0;
-        for (i = 0; i < GOLDEN_NV; i++) {
-            value += s->qp.A[m][i] * s->qp.z[i];
-        }
-        sum += fabs(value - clip(value, s->qp.lower[GOLDEN_NV + m], s->qp.upper[GOLDEN_NV + m]));
+        add_violation(m, fabs(row_excess(s, m)), violation, penalties);
     }
-    return sum;
 }
 
 /* Second-order correction: the same QP with the constraint values of base + step,
@@ -597,14 +708,14 @@ static int second_order_correction(golden_solver_t *s)
     for (k = 0; k < GOLDEN_N; k++) {
         golden_node_t *node = &s->node[k];
         memcpy(node->b, none, sizeof y);
-        state_step(node, q->dx[k], &q->du[k * GOLDEN_NU], y);
+        state_step(node, q->dx[k], q->du[k], y);
         for (i = 0; i < GOLDEN_NX; i++) {
             node->b[i] = q->b[k][i] + q->dx[k + 1][i] - y[i];
         }
         for (i = 0; i < GOLDEN_NH; i++) {
             golden_real value = q->h[k][i];
             for (j = 0; j < GOLDEN_NZ; j++) {
-                value -= node->J[i][j] * ((j < GOLDEN_NX) ? q->dx[k][j] : q->du[k * GOLDEN_NU + j - GOLDEN_NX]);
+                value -= node->J[i][j] * ((j < GOLDEN_NX) ? q->dx[k][j] : q->du[k][j - GOLDEN_NX]);
             }
             node->h[i] = value;
         }
@@ -615,19 +726,23 @@ static int second_order_correction(golden_solver_t *s)
             s->terminal.h[i] -= s->terminal.J[i][j] * q->dx[GOLDEN_N][j];
         }
     }
+    for (i = 0; i < GOLDEN_NE; i++) {
+        s->coupled.r[i] = q->r[i];
+        for (j = 0; j < GOLDEN_NX; j++) {
+            s->coupled.r[i] -= s->coupled.J_0[i][j] * q->dx[0][j] + s->coupled.J_N[i][j] * q->dx[GOLDEN_N][j];
+        }
+    }
     memcpy(s->x, q->x, sizeof s->x);
     memcpy(s->u, q->u, sizeof s->u);
-    condense_gradient(s);
     condense_rows(s);
-    condense_embed(s);
-    if (qp_solve(&s->qp) != GOLDEN_OK) {
+    for (m = 0; m < GOLDEN_NX; m++) {
+        s->step.dx[0][m] = s->xhat[m] - s->x[0][m];
+    }
+    if (condense_solve(s) != GOLDEN_OK) {
         return 0;
     }
-    condense_expand(s);
-    for (m = 0; m < GOLDEN_NV; m++) {
-        q->du[m] = s->qp.z[m];
-    }
-    memcpy(q->dx, s->condensed.dx, sizeof q->dx);
+    memcpy(q->dx, s->step.dx, sizeof q->dx);
+    memcpy(q->du, s->step.du, sizeof q->du);
     return step_is_finite(s);
 }
 
@@ -679,20 +794,12 @@ static golden_status_t line_search(golden_solver_t *s, golden_real start, golden
 /* QP of the present linearisation; an infeasible one is solved with relaxed rows, penalty row_weight. */
 static golden_status_t solve_qp(golden_solver_t *s)
 {
-    golden_status_t status;
-    int m;
-    embed_state(s);
-    s->sqp.elastic = 0;
-    status = run_qp(s);
-    if (status == GOLDEN_INFEASIBLE) {
-        s->sqp.elastic = 1;
-        for (m = 0; m < GOLDEN_NG; m++) {
-            s->qp.penalty[m] = s->sqp.row_weight;
-        }
+    golden_status_t status = run_qp(s);
+    s->sqp.elastic = status == GOLDEN_INFEASIBLE;
+    if (s->sqp.elastic) {
+        s->relaxation = s->sqp.row_weight;
         status = run_qp(s);
-        for (m = 0; m < GOLDEN_NG; m++) {
-            s->qp.penalty[m] = (golden_real)INFINITY;
-        }
+        s->relaxation = (golden_real)INFINITY;
     }
     return status;
 }
@@ -700,21 +807,22 @@ static golden_status_t solve_qp(golden_solver_t *s)
 /* One globalised iteration after prepare_here(). */
 static golden_status_t sqp_iteration(golden_solver_t *s, int iteration)
 {
-    golden_real gaps, violation, start, slope;
+    golden_real gaps, violation, penalties, later, penalties_later, start, slope;
     golden_status_t status = solve_qp(s);
     if (status != GOLDEN_OK) {
         return status;
     }
-    condense_expand(s);
     if (!step_is_finite(s)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
     scatter_multipliers(s);
     recover_multipliers(s);
     update_weights(s);
-    evaluate_constraints(s, &gaps, &violation);
-    start = golden_cost(s) + s->sqp.gap_weight * gaps + s->sqp.row_weight * violation;
-    slope = cost_slope(s) - s->sqp.gap_weight * gaps - s->sqp.row_weight * (violation - linear_violation(s));
+    evaluate_constraints(s, &gaps, &violation, &penalties);
+    linear_violation(s, &later, &penalties_later);
+    start = nodal_cost(s) + penalties + s->sqp.gap_weight * gaps + s->sqp.row_weight * violation;
+    slope = cost_slope(s) + (penalties_later - penalties) - s->sqp.gap_weight * gaps -
+        s->sqp.row_weight * (violation - later);
     if (!isfinite(start)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
@@ -731,8 +839,10 @@ static int stuck_infeasible(const golden_solver_t *s, golden_real tol)
             enlarge(&step, s->sqp.dx[k][i]);
         }
     }
-    for (i = 0; i < GOLDEN_NV; i++) {
-        enlarge(&step, s->sqp.du[i]);
+    for (k = 0; k < GOLDEN_N; k++) {
+        for (i = 0; i < GOLDEN_NU; i++) {
+            enlarge(&step, s->sqp.du[k][i]);
+        }
     }
     return s->sqp.elastic && step <= tol;
 }
@@ -785,7 +895,14 @@ golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_N
         const golden_real guess = xhat[free_state[i]];
         s->x[0][free_state[i]] = isfinite(guess) ? guess : s->x[0][free_state[i]];
     }
+    forget_violation(s);
+    if (!plan_is_finite(s)) {
+        start_at(s, s->xhat);
+    }
     status = solve_here(s, tol, max_iterations);
+    if (status == GOLDEN_INFEASIBLE) {
+        name_violation(s);
+    }
     s->samples += (s->samples < GOLDEN_MANY);
     return finish(s, status);
 }

@@ -226,15 +226,8 @@ void golden_integrate(const golden_solver_t *s, const golden_real x[GOLDEN_NX], 
     integrate(x, u, s->p[0], dt, x_next);
 }
 
-/* Cost of the present iterate: sum_k l_k + l_N. */
+/* Cost of the present iterate: sum_k l_k + l_N and the penalties of soft rows. */
 golden_real golden_cost(const golden_solver_t *s)
 {
-    golden_real total, l;
-    int k;
-    terminal_cost(s->x[GOLDEN_N], s->p[GOLDEN_N], s->yref_N, s->W_N, &total);
-    for (k = 0; k < GOLDEN_N; k++) {
-        path_cost(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W[0], &l);
-        total += l;
-    }
-    return total;
+    return nodal_cost(s) + soft_penalties(s);
 }

@@ -2,17 +2,24 @@
 
 /* Seam "condensing", contract:
  *   condense_init      once: constant parts
- *   condense_hessian   preparation: G_k, condensed Hessian (lower triangle) into qp.H, its coupling Hx to dx_0
- *   condense_gradient  preparation, again after a change of reference: c_k, condensed gradient g
- *   condense_rows      preparation: rows of the QP into qp.A, their values v and coupling Ax to dx_0
- *   condense_embed     feedback: gradient and bounds of the QP for the measured dx_0
- *   condense_expand    feedback: dx_k from dx_0 and du (in qp.z)
+ *   condense_prepare   preparation: everything that needs neither xhat nor the final bounds, the QP's factorisation included
+ *   condense_gradient  gradients of the nodes have changed, nothing else
+ *   condense_rows      gaps b and values of the rows have changed, no matrix
+ *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
+ *   condense_shift     the predicted working set moves by one interval
  * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k, all states but dx_0 eliminated in O(N^2). Variables of the QP are
- * du_0 .. du_{N-1}, then the free components of dx_0. */
+ * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
+ * lower <= row - sigma <= upper, cost l2/2 sigma^2, sigma = 0 elastic with penalty l1. */
+
+static void qp_init(golden_qp_t *q);
+static golden_status_t qp_factorize(golden_qp_t *q);
+static golden_status_t qp_solve(golden_qp_t *q);
+static void qp_shift_working_set(golden_qp_t *q, int n, const int *source);
 
 static void condense_init(golden_solver_t *s)
 {
     int i;
+    qp_init(&s->qp);
     for (i = 0; i < GOLDEN_NX; i++) {
         s->condensed.G[0][i][i] = 1.0;
     }
@@ -56,6 +63,18 @@ static void condense_store_free(golden_solver_t *s)
     }
 }
 
+/* Hessian rows of the slacks: l2 on the diagonal. */
+static void condense_store_slacks(golden_solver_t *s)
+{
+    int m, i;
+    for (m = 0; m < GOLDEN_NG; m++) {
+        const int row = row_slack[m];
+        for (i = 0; row >= 0 && i <= row; i++) {
+            s->qp.H[row][i] = (i == row) ? row_curvature(m) : 0.0;
+        }
+    }
+}
+
 /* Forward: G_{k+1} = [A_k G_k, B_k at du_k]. Backward: block rows of the condensed Hessian from the last to the first. */
 static void condense_hessian(golden_solver_t *s)
 {
@@ -77,6 +96,7 @@ static void condense_hessian(golden_solver_t *s)
         condense_store_rows(s, Q, k);
     }
     condense_store_free(s);
+    condense_store_slacks(s);
 }
 
 /* c_0 = 0, c_{k+1} = A_k c_k + b_k;  w_N = q_N + Q_N c_N;  g_k = r_k + S_k c_k + B_k' w_{k+1};
@@ -102,41 +122,66 @@ static void condense_gradient(golden_solver_t *s)
     }
 }
 
-/* Rows of the QP: A = J_x G_k + J_u at du_k, value v = row + J_x c_k; a state row is J_x = e_i. */
-static void condense_rows(golden_solver_t *s)
+/* Row m of the QP: A = J_x G_k + J_u at du_k, value v = row + J_x c_k; a state row is J_x = e_i, a coupled row has
+ * J_0 dx_0 besides. */
+static void condense_row(golden_solver_t *s, int m)
 {
     golden_condensed_t *d = &s->condensed;
-    int m, i, j;
-    for (m = 0; m < GOLDEN_NG; m++) {
-        const int k = row_node[m];
-        golden_real J[GOLDEN_NZ];
-        golden_real value = row_gradient(s, m, J);
-        golden_real *a = s->qp.A[m];
-        for (j = 0; j < GOLDEN_NX; j++) {
-            d->Ax[m][j] = 0.0;
-        }
-        for (j = 0; j < GOLDEN_NV; j++) {
-            a[j] = 0.0;
-        }
-        for (i = 0; i < GOLDEN_NX; i++) {
-            if (J[i] != 0.0) {
-                const golden_real *g = d->G[k][i];
-                for (j = 0; j < GOLDEN_NX; j++) {
-                    d->Ax[m][j] += J[i] * g[j];
-                }
-                for (j = 0; j < k * GOLDEN_NU; j++) {
-                    a[j] += J[i] * g[GOLDEN_NX + j];
-                }
-                value += J[i] * d->c[k][i];
+    const int k = row_node[m];
+    golden_real J[GOLDEN_NZ];
+    golden_real *a = s->qp.A[m];
+    int i, j;
+    d->v[m] = row_gradient(s, m, J);
+    for (j = 0; j < GOLDEN_NX; j++) {
+        d->Ax[m][j] = (row_kind[m] == 2) ? s->coupled.J_0[row_index[m]][j] : 0.0;
+    }
+    for (j = 0; j < GOLDEN_NV; j++) {
+        a[j] = 0.0;
+    }
+    for (i = 0; i < GOLDEN_NX; i++) {
+        if (J[i] != 0.0) {
+            const golden_real *g = d->G[k][i];
+            for (j = 0; j < GOLDEN_NX; j++) {
+                d->Ax[m][j] += J[i] * g[j];
             }
+            for (j = 0; j < k * GOLDEN_NU; j++) {
+                a[j] += J[i] * g[GOLDEN_NX + j];
+            }
+            d->v[m] += J[i] * d->c[k][i];
         }
-        for (j = 0; k < GOLDEN_N && j < GOLDEN_NU; j++) {
-            a[k * GOLDEN_NU + j] = J[GOLDEN_NX + j];
+    }
+    for (j = 0; k < GOLDEN_N && j < GOLDEN_NU; j++) {
+        a[k * GOLDEN_NU + j] = J[GOLDEN_NX + j];
+    }
+    for (j = 0; j < GOLDEN_NF; j++) {
+        a[GOLDEN_N * GOLDEN_NU + j] = d->Ax[m][free_state[j]];
+    }
+    if (row_slack[m] >= 0) {
+        a[row_slack[m]] = -1.0;
+    }
+}
+
+/* Gradient and bounds of the free components of dx_0 and of the slacks; dx0 has zeros at free components. */
+static void condense_embed_others(golden_solver_t *s, const golden_real *dx0)
+{
+    int j, i, m;
+    for (j = 0; j < GOLDEN_NF; j++) {
+        const int row = GOLDEN_N * GOLDEN_NU + j;
+        s->qp.g[row] = s->condensed.g[row];
+        for (i = 0; i < GOLDEN_NX; i++) {
+            s->qp.g[row] += s->condensed.Hx[row][i] * dx0[i];
         }
-        for (j = 0; j < GOLDEN_NF; j++) {
-            a[GOLDEN_N * GOLDEN_NU + j] = d->Ax[m][free_state[j]];
+        s->qp.lower[row] = -(golden_real)INFINITY;
+        s->qp.upper[row] = (golden_real)INFINITY;
+    }
+    for (m = 0; m < GOLDEN_NG; m++) {
+        const int slack = row_slack[m];
+        const golden_real l1 = row_penalty(s, m);
+        s->qp.penalty[GOLDEN_NV + m] = (slack < 0) ? l1 : (golden_real)INFINITY;
+        if (slack >= 0) {
+            s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = 0.0;
+            s->qp.penalty[slack] = l1;
         }
-        d->v[m] = value;
     }
 }
 
@@ -147,21 +192,12 @@ static void condense_embed(golden_solver_t *s)
     golden_real dx0[GOLDEN_NX];
     int k, j, m, i;
     for (i = 0; i < GOLDEN_NX; i++) {
-        dx0[i] = d->dx[0][i];
+        dx0[i] = s->step.dx[0][i];
     }
     for (j = 0; j < GOLDEN_NF; j++) {
-        const int row = GOLDEN_N * GOLDEN_NU + j;
         dx0[free_state[j]] = 0.0;
-        s->qp.lower[row] = -(golden_real)INFINITY;
-        s->qp.upper[row] = (golden_real)INFINITY;
     }
-    for (j = 0; j < GOLDEN_NF; j++) {
-        const int row = GOLDEN_N * GOLDEN_NU + j;
-        s->qp.g[row] = d->g[row];
-        for (i = 0; i < GOLDEN_NX; i++) {
-            s->qp.g[row] += d->Hx[row][i] * dx0[i];
-        }
-    }
+    condense_embed_others(s, dx0);
     for (k = 0; k < GOLDEN_N; k++) {
         for (j = 0; j < GOLDEN_NU; j++) {
             const int row = k * GOLDEN_NU + j;
@@ -184,15 +220,61 @@ static void condense_embed(golden_solver_t *s)
     }
 }
 
-/* dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
+static void condense_rows(golden_solver_t *s)
+{
+    int m;
+    condense_gradient(s);
+    for (m = 0; m < GOLDEN_NG; m++) {
+        condense_row(s, m);
+    }
+}
+
+static golden_status_t condense_prepare(golden_solver_t *s)
+{
+    condense_hessian(s);
+    condense_rows(s);
+    memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
+    condense_embed(s);
+    return qp_factorize(&s->qp);
+}
+
+/* du and multipliers from the QP;  dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
 static void condense_expand(golden_solver_t *s)
 {
-    golden_condensed_t *d = &s->condensed;
-    int k;
-    for (k = 0; k < GOLDEN_NF; k++) {
-        d->dx[0][free_state[k]] = s->qp.z[GOLDEN_N * GOLDEN_NU + k];
+    golden_step_t *d = &s->step;
+    int k, j;
+    for (j = 0; j < GOLDEN_NF; j++) {
+        d->dx[0][free_state[j]] = s->qp.z[GOLDEN_N * GOLDEN_NU + j];
     }
     for (k = 0; k < GOLDEN_N; k++) {
-        state_step(&s->node[k], d->dx[k], &s->qp.z[k * GOLDEN_NU], d->dx[k + 1]);
+        for (j = 0; j < GOLDEN_NU; j++) {
+            d->du[k][j] = s->qp.z[k * GOLDEN_NU + j];
+            d->mult_u[k][j] = s->qp.mult[k * GOLDEN_NU + j];
+        }
+        state_step(&s->node[k], d->dx[k], d->du[k], d->dx[k + 1]);
     }
+    for (j = 0; j < GOLDEN_NG; j++) {
+        d->mult[j] = s->qp.mult[GOLDEN_NV + j];
+    }
+}
+
+static golden_status_t condense_solve(golden_solver_t *s)
+{
+    golden_status_t status;
+    condense_embed(s);
+    status = qp_solve(&s->qp);
+    condense_expand(s);
+    return status;
+}
+
+/* Slacks follow their rows. */
+static void condense_shift(golden_solver_t *s, const int *source)
+{
+    int m;
+    for (m = 0; m < GOLDEN_NG; m++) {
+        if (row_slack[m] >= 0) {
+            s->qp.side[row_slack[m]] = (source[m] < 0) ? 0 : s->qp.side[row_slack[source[m]]];
+        }
+    }
+    qp_shift_working_set(&s->qp, GOLDEN_NU, source);
 }

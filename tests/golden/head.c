@@ -21,9 +21,9 @@
  *   terminal_rows                   printed kernel                                        2 operations
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c.jinja              - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c.jinja                         0 operations       40 bytes
- *   condensing: full                condensing/full.c.jinja                             108 operations      352 bytes
- *   qp: dense_active_set            qp/dense_active_set.c.jinja                          40 operations     1456 bytes
- *   algorithm: real_time_iteration  algorithms/real_time_iteration.c.jinja               28 operations      424 bytes
+ *   condensing: full                condensing/full.c.jinja                             108 operations      328 bytes
+ *   qp: dense_active_set            qp/dense_active_set.c.jinja                          40 operations     1472 bytes
+ *   algorithm: real_time_iteration  algorithms/real_time_iteration.c.jinja               28 operations      560 bytes
  */
 #include "golden.h"
 
@@ -70,20 +70,28 @@ static const int control_row[1] = { 0 };
 static const int free_state[1] = { 0 };
 /* node of QP row m */
 static const int row_node[5] = { 0, 1, 1, 2, 2 };
-/* 1: general row, 0: state bound */
-static const int row_general[5] = { 1, 0, 1, 0, 1 };
-/* component of h or x */
+/* 0: state bound, 1: general row, 2: coupled row */
+static const int row_kind[5] = { 1, 0, 1, 0, 1 };
+/* component of x, h or r */
 static const int row_index[5] = { 0, 0, 0, 0, 0 };
 /* scalar row of the user */
 static const int row_id[5] = { 2, 1, 2, 1, 3 };
 /* first QP row of node k */
 static const int row_first[4] = { 0, 1, 3, 5 };
+/* l1 penalty of a row of the user; infinite: hard */
+static const golden_real row_l1[4] = { (golden_real)INFINITY, (golden_real)INFINITY, (golden_real)INFINITY, (golden_real)INFINITY };
+/* quadratic penalty of its violation */
+static const golden_real row_l2[4] = { 0.0, 0.0, 0.0, 0.0 };
 /* first element of a parameter in p */
 static const int parameter_offset[2] = { 0, 1 };
+/* slack variable of QP row m, or -1 */
+static const int row_slack[5] = { -1, -1, -1, -1, -1 };
 /* 1: the state starts at 0 at every sample */
 static const int is_accumulator[1] = { 0 };
 /* 1: x_0 is what is measured */
 static const int is_measured[1] = { 1 };
+/* l1 penalty of hard rows whose QP is infeasible; infinite: they stay hard */
+static const golden_real relaxation_weight[1] = { (golden_real)INFINITY };
 
 /* x_next = x + dt (u - p x)
  *   x [1]
@@ -293,7 +301,8 @@ static void terminal_rows(const golden_real *x, const golden_real *p, golden_rea
     (void)p;
 }
 
-/* Rows of the QP besides the control bounds, sorted by node: a state bound (general = 0) or a general row. */
+/* Rows of the QP besides the control bounds, sorted by node: state bounds (kind 0), general rows h (kind 1) and, at the end,
+ * coupled rows r(x_0, x_N) (kind 2). */
 
 static golden_real clip(golden_real value, golden_real lower, golden_real upper)
 {
@@ -342,12 +351,27 @@ static golden_real row_upper(const golden_solver_t *s, int m)
     return s->upper[row_node[m] == GOLDEN_N][row_id[m]];
 }
 
+/* Penalty l1 v + l2/2 v^2 of the violation v of row m: infinite l1 for hard rows, unless the present QP is relaxed. */
+static golden_real row_penalty(const golden_solver_t *s, int m)
+{
+    const golden_real l1 = row_l1[row_id[m]];
+    return (l1 < (golden_real)INFINITY) ? l1 : s->relaxation;
+}
+
+static golden_real row_curvature(int m)
+{
+    return row_l2[row_id[m]];
+}
+
 /* Where the multiplier of row m lives. */
 static golden_real *row_multiplier_place(golden_solver_t *s, int m)
 {
     const int k = row_node[m];
-    if (!row_general[m]) {
+    if (row_kind[m] == 0) {
         return &s->mu_x[k][row_index[m]];
+    }
+    if (row_kind[m] == 2) {
+        return &s->eta[row_index[m]];
     }
     return (k == GOLDEN_N) ? &s->mu_N[row_index[m]] : &s->mu[k][row_index[m]];
 }
@@ -355,19 +379,35 @@ static golden_real *row_multiplier_place(golden_solver_t *s, int m)
 static golden_real row_multiplier(const golden_solver_t *s, int m)
 {
     const int k = row_node[m];
-    if (!row_general[m]) {
+    if (row_kind[m] == 0) {
         return s->mu_x[k][row_index[m]];
+    }
+    if (row_kind[m] == 2) {
+        return s->eta[row_index[m]];
     }
     return (k == GOLDEN_N) ? s->mu_N[row_index[m]] : s->mu[k][row_index[m]];
 }
 
-/* Value of row m at the iterate; h are the general rows of its node. */
-static golden_real row_value(const golden_solver_t *s, int m, const golden_real *h)
+/* Value of row m at the iterate; h are the general rows of its node, r the coupled rows. */
+static golden_real row_value(const golden_solver_t *s, int m, const golden_real *h, const golden_real *r)
 {
-    return row_general[m] ? h[row_index[m]] : s->x[row_node[m]][row_index[m]];
+    if (row_kind[m] == 0) {
+        return s->x[row_node[m]][row_index[m]];
+    }
+    return (row_kind[m] == 1) ? h[row_index[m]] : r[row_index[m]];
 }
 
-/* Gradient J = (d row / dx, d row / du) and value of row m from the linearisation. */
+/* Value of row m in the linearisation. */
+static golden_real row_constant(const golden_solver_t *s, int m)
+{
+    const int k = row_node[m];
+    if (row_kind[m] == 1) {
+        return (k == GOLDEN_N) ? s->terminal.h[row_index[m]] : s->node[k].h[row_index[m]];
+    }
+    return (row_kind[m] == 0) ? s->x[k][row_index[m]] : s->coupled.r[row_index[m]];
+}
+
+/* Gradient J = (d row / dx, d row / du) and value of row m in the linearisation; of a coupled row J = d row / dx_N. */
 static golden_real row_gradient(const golden_solver_t *s, int m, golden_real *J)
 {
     const int k = row_node[m];
@@ -376,19 +416,74 @@ static golden_real row_gradient(const golden_solver_t *s, int m, golden_real *J)
     for (i = 0; i < GOLDEN_NZ; i++) {
         J[i] = 0.0;
     }
-    if (!row_general[m]) {
+    if (row_kind[m] == 0) {
         J[r] = 1.0;
-        return s->x[k][r];
-    }
-    if (k == GOLDEN_N) {
-        for (i = 0; i < GOLDEN_NX; i++) {
-            J[i] = s->terminal.J[r][i];
+    } else if (row_kind[m] == 1 && k < GOLDEN_N) {
+        for (i = 0; i < GOLDEN_NZ; i++) {
+            J[i] = s->node[k].J[r][i];
         }
-        return s->terminal.h[r];
+    } else {
+        const golden_real *last = (row_kind[m] == 1) ? s->terminal.J[r] : s->coupled.J_N[r];
+        for (i = 0; i < GOLDEN_NX; i++) {
+            J[i] = last[i];
+        }
     }
-    for (i = 0; i < GOLDEN_NZ; i++) {
-        J[i] = s->node[k].J[r][i];
+    return row_constant(s, m);
+}
+
+/* The cost of the present iterate: the nodes' terms, and penalties l1 v + l2/2 v^2 of violated soft rows. */
+
+/* sum_k l_k + l_N */
+static golden_real nodal_cost(const golden_solver_t *s)
+{
+    golden_real total, l;
+    int k;
+    terminal_cost(s->x[GOLDEN_N], s->p[GOLDEN_N], s->yref_N, s->W_N, &total);
+    for (k = 0; k < GOLDEN_N; k++) {
+        path_cost(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W[0], &l);
+        total += l;
     }
-    return s->node[k].h[r];
+    return total;
+}
+
+/* What a violation v >= 0 of row m adds: to the violation of a hard row, to the penalties of a soft one. */
+static void add_violation(int m, golden_real v, golden_real *violation, golden_real *penalties)
+{
+    const golden_real l1 = row_l1[row_id[m]];
+    if (l1 < (golden_real)INFINITY) {
+        *penalties += l1 * v + 0.5 * row_curvature(m) * v * v;
+    } else {
+        *violation += v;
+    }
+}
+
+/* The rows of node k at the present iterate; h are its general rows, r the coupled ones. */
+static void add_rows_of_node(const golden_solver_t *s, int k, const golden_real *h, const golden_real *r, golden_real *violation,
+    golden_real *penalties)
+{
+    int m;
+    for (m = row_first[k]; m < row_first[k + 1]; m++) {
+        const golden_real value = row_value(s, m, h, r);
+        add_violation(m, fabs(value - clip(value, row_lower(s, m), row_upper(s, m))), violation, penalties);
+    }
+}
+
+/* Penalties of the soft rows, evaluated afresh. */
+static golden_real soft_penalties(const golden_solver_t *s)
+{
+    golden_real h[GOLDEN_NH], h_N[GOLDEN_NH_N], r[1] = {0};
+    golden_real J[GOLDEN_NH * GOLDEN_NZ], J_N[GOLDEN_NH_N * GOLDEN_NX], J_r[1 * GOLDEN_NX];
+    golden_real violation = 0.0, penalties = 0.0;
+    int k;
+    for (k = 0; GOLDEN_SOFT_ROWS > 0 && k < GOLDEN_N; k++) {
+        path_rows(s->x[k], s->u[k], s->p[k], h, J);
+        add_rows_of_node(s, k, h, r, &violation, &penalties);
+    }
+    if (GOLDEN_SOFT_ROWS > 0) {
+        terminal_rows(s->x[GOLDEN_N], s->p[GOLDEN_N], h_N, J_N);
+        coupled_rows(s->x[0], s->x[GOLDEN_N], r, J_r, J_r);
+        add_rows_of_node(s, GOLDEN_N, h_N, r, &violation, &penalties);
+    }
+    return penalties;
 }
 

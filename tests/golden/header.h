@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2696 bytes, holds no pointers and may be copied with '='.
+ * The caller owns the memory: one golden_solver_t is 2864 bytes, holds no pointers and may be copied with '='.
  * One context per instance; not interrupt-safe by itself: copy measurements first. Arrays of size 0 are padded to 1. */
 #ifndef GOLDEN_H
 #define GOLDEN_H
@@ -37,10 +37,16 @@ typedef double golden_real;
 #define GOLDEN_NR 4 /* scalar rows with bounds */
 #define GOLDEN_NQ 1 /* path Hessian blocks */
 #define GOLDEN_NF 0 /* free components of x_0 */
-#define GOLDEN_NV 2 /* variables of the QP: N NU + NF */
+#define GOLDEN_NE 0 /* coupled rows */
+#define GOLDEN_NS 1 /* stages of the QP */
+#define GOLDEN_NUS 2 /* controls of a stage of the QP */
+#define GOLDEN_NZS 3 /* NX + NUS */
+#define GOLDEN_NV 2 /* variables of the QP */
+#define GOLDEN_NSL 0 /* slacks among them */
 #define GOLDEN_NG 5 /* rows of the QP besides control bounds */
 #define GOLDEN_LDV 4 /* NV rounded up to PANEL */
 #define GOLDEN_PANEL 4 /* columns processed together */
+#define GOLDEN_SOFT_ROWS 0 /* rows with a penalty */
 #define GOLDEN_PARAMS 1 /* parameters by name */
 #define GOLDEN_STEPS 1 /* Runge-Kutta steps per interval */
 #define GOLDEN_LDG 4 /* columns of G_k: NX + N NU, rounded up to PANEL */
@@ -91,7 +97,11 @@ typedef struct { /* counters of the last feedback or solve */
     int32_t qp_iterations; /* iterations of the last QP */
     int32_t active_set_changes; /* changes of the working set in the last QP */
     int32_t dropped_rows; /* redundant rows left out of the working set */
+    int32_t relaxed_rows; /* soft or relaxed rows that are violated */
     int32_t sqp_iterations; /* iterations of the last solve */
+    int32_t violated_row; /* hard row that cannot be met (INFEASIBLE) or is relaxed (RELAXED), or -1 */
+    int32_t violated_node; /* its node, or -1 */
+    golden_real violation; /* by how much the last step of the QP violates it */
 } golden_stats_t;
 
 typedef struct { /* Hessian blocks, lower triangles, z = (x, u) */
@@ -108,7 +118,6 @@ typedef struct { /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependenc
     golden_real Hx[GOLDEN_NV][GOLDEN_NX]; /* coupling of the controls to dx_0 */
     golden_real Ax[GOLDEN_NG][GOLDEN_NX]; /* coupling of the rows to dx_0 */
     golden_real v[GOLDEN_NG]; /* values of the rows at du = 0, dx_0 = 0 */
-    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
 } golden_condensed_t;
 
 typedef struct { /* condensed QP and its active-set factorisation */
@@ -133,7 +142,7 @@ typedef struct { /* condensed QP and its active-set factorisation */
     golden_real slack[GOLDEN_NV + GOLDEN_NG]; /* violation of a row that is accepted as rounding */
     golden_real scale; /* |y0| */
     golden_real shift; /* part of |y0| that the saturated rows may have */
-    golden_real penalty[GOLDEN_NG]; /* l1 penalty of violating a general row; infinite: hard */
+    golden_real penalty[GOLDEN_NV + GOLDEN_NG]; /* l1 penalty of violating a row; infinite: hard */
     golden_real certificate[GOLDEN_NV + GOLDEN_NG]; /* if INFEASIBLE: weights of a contradiction */
     golden_real proximal[GOLDEN_LDV]; /* diagonal E added to a semidefinite Hessian */
     golden_real weight[GOLDEN_LDV]; /* its entries where they are needed */
@@ -169,18 +178,33 @@ typedef struct { /* linearisation of the terminal node */
     golden_real J[GOLDEN_NH_N][GOLDEN_NX]; /* their Jacobian C_N */
 } golden_terminal_t;
 
+typedef struct { /* linearisation of the coupled rows */
+    golden_real r[1]; /* values r(x_0, x_N) */
+    golden_real J_0[1][GOLDEN_NX]; /* Jacobian E_0 = d r / d x_0 */
+    golden_real J_N[1][GOLDEN_NX]; /* Jacobian E_N = d r / d x_N */
+} golden_coupled_t;
+
+typedef struct { /* solution of the QP */
+    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
+    golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
+    golden_real mult_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
+    golden_real mult[GOLDEN_NG]; /* multipliers of the rows */
+} golden_step_t;
+
 typedef struct { /* line search of solve() */
     golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states before the step */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls before the step */
     golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
-    golden_real du[GOLDEN_NV]; /* step of the controls */
+    golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
     golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* the same before the second-order correction */
-    golden_real du_full[GOLDEN_NV]; /* likewise */
+    golden_real du_full[GOLDEN_N][GOLDEN_NU]; /* likewise */
     golden_real b[GOLDEN_N][GOLDEN_NX]; /* gaps at a trial point */
     golden_real h[GOLDEN_N][GOLDEN_NH]; /* general path rows at a trial point */
     golden_real h_N[GOLDEN_NH_N]; /* general terminal rows at a trial point */
     golden_real J[GOLDEN_NH][GOLDEN_NZ]; /* their Jacobian, not used */
     golden_real J_N[GOLDEN_NH_N][GOLDEN_NX]; /* likewise */
+    golden_real r[1]; /* coupled rows at a trial point */
+    golden_real J_r[1][GOLDEN_NX]; /* their Jacobians, not used */
     golden_real gap_weight; /* weight of the gaps in the merit function */
     golden_real row_weight; /* weight of the rows; penalty of the elastic QP */
     golden_real recent[GOLDEN_MEMORY]; /* last merit values */
@@ -202,6 +226,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real mu_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
     golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
     golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
+    golden_real eta[1]; /* multipliers of the coupled rows */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
@@ -211,9 +236,12 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_qp_t qp; /* condensed QP and its active-set factorisation */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
     golden_terminal_t terminal; /* linearisation of the terminal node */
+    golden_coupled_t coupled; /* linearisation of the coupled rows */
+    golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
     golden_stats_t stats; /* counters */
     golden_kkt_t kkt; /* KKT residuals of the last solve */
+    golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
     int32_t status; /* status of the last prepare, feedback or solve */
     int32_t magic; /* set by init */
 } golden_solver_t;

@@ -7,8 +7,8 @@
  *
  *     H z + g + mult[0..NV) + A' mult[NV..NV+NG) = 0,   mult > 0 at an upper bound, < 0 at a lower one, 0 in between
  *
- * A general row j with a finite penalty[j] >= 0 is elastic: the cost has the term penalty[j] * (violation of the row) in place
- * of the row, so |mult| <= penalty. Where the multiplier stands at that limit the row is saturated and may be violated.
+ * A row c with a finite penalty[c] >= 0 is elastic: the cost has the term penalty[c] * (violation of the row) in place of the
+ * row, so |mult| <= penalty. Where the multiplier stands at that limit the row is saturated and may be violated.
  *
  * Contract of the seam
  *   qp_init       once: everything zero, all bounds and penalties infinite, empty working set.
@@ -495,7 +495,7 @@ static golden_real qp_active_bound(const golden_qp_t *q, int k)
 /* The largest multiplier that row c may have. */
 static inline golden_real qp_limit(const golden_qp_t *q, int c)
 {
-    return c < GOLDEN_NV ? (golden_real)INFINITY : q->penalty[c - GOLDEN_NV];
+    return q->penalty[c];
 }
 
 static inline int qp_saturated(const golden_qp_t *q, int c)
@@ -537,6 +537,12 @@ static void qp_set_origin(golden_qp_t *q)
         q->y0[i] += q->proximal[i] * q->center[i];
     }
     q->shift = 0.0;
+    for (int i = 0; q->elastic && i < GOLDEN_NV; ++i) {
+        if (qp_saturated(q, i)) {
+            q->y0[i] -= qp_outside_multiplier(q, i);
+            q->shift += q->penalty[i] * q->inverse[i];
+        }
+    }
     for (int j = 0; q->elastic && j < GOLDEN_NG; ++j) {
         if (qp_saturated(q, GOLDEN_NV + j)) {
             const golden_real *a = q->A[j], mult = qp_outside_multiplier(q, GOLDEN_NV + j);
@@ -545,7 +551,7 @@ static void qp_set_origin(golden_qp_t *q)
                 q->y0[i] -= mult * a[i];
                 squares += (a[i] * q->inverse[i]) * (a[i] * q->inverse[i]);
             }
-            q->shift += q->penalty[j] * sqrt(squares);
+            q->shift += q->penalty[GOLDEN_NV + j] * sqrt(squares);
         }
     }
     qp_forward(q, q->y0, 0);
@@ -902,7 +908,7 @@ static void qp_release_saturated(golden_qp_t *q)
 static int qp_take_penalties(golden_qp_t *q)
 {
     int valid = 1, elastic = 0;
-    for (int j = 0; j < GOLDEN_NG; ++j) {
+    for (int j = 0; j < GOLDEN_NV + GOLDEN_NG; ++j) {
         valid &= q->penalty[j] >= 0.0;
         elastic |= q->penalty[j] < (golden_real)INFINITY;
     }
@@ -1182,7 +1188,6 @@ static void qp_init(golden_qp_t *q)
         for (int i = 0; i < GOLDEN_LDV; ++i) {
             q->A[j][i] = 0.0;
         }
-        q->penalty[j] = (golden_real)INFINITY;
     }
     for (int i = 0; i < GOLDEN_NV; ++i) {
         q->g[i] = 0.0;
@@ -1190,6 +1195,7 @@ static void qp_init(golden_qp_t *q)
     for (int c = 0; c < GOLDEN_NV + GOLDEN_NG; ++c) {
         q->lower[c] = -(golden_real)INFINITY;
         q->upper[c] = (golden_real)INFINITY;
+        q->penalty[c] = (golden_real)INFINITY;
         q->slack[c] = 0.0;
         q->snapshot[c] = 0;
     }
@@ -1236,11 +1242,11 @@ static golden_status_t qp_solve(golden_qp_t *q)
     return status;
 }
 
-/* Warm start of a shifted problem: the side of variable i + n becomes the prediction for variable i, the last n keep theirs;
+/* Warm start of a shifted problem: the side of control i + n becomes the prediction for control i, the last n keep theirs;
  * general row j takes that of row source[j] >= j, or none if source[j] < 0. */
-static inline void qp_shift_working_set(golden_qp_t *q, int n, const int *source)
+static void qp_shift_working_set(golden_qp_t *q, int n, const int *source)
 {
-    for (int i = 0; i + n < GOLDEN_NV; ++i) {
+    for (int i = 0; i + n < GOLDEN_NS * GOLDEN_NUS; ++i) {
         q->side[i] = q->side[i + n];
     }
     for (int j = 0; j < GOLDEN_NG; ++j) {

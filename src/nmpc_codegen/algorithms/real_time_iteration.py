@@ -30,16 +30,29 @@ class RealTimeIteration:
     interval, the first control becomes the last, states are integrated anew, accumulators start at 0. "resample": the
     old plan is read ``sampling_time`` (s) later, on any grid. "repeat" and "periodic" are right only if the sampling
     time equals the first interval.
+
+    ``relaxation``: l1 weight at which hard rows on states are relaxed at a sample whose QP is infeasible; the status is
+    RELAXED then. None: the status is INFEASIBLE and the plan stays.
     """
 
     shift: str | None = None
     sampling_time: float | None = None
+    relaxation: float | None = None
 
     seam: ClassVar[str] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
     template: ClassVar[str] = "algorithms/real_time_iteration.c.jinja"
-    needs: ClassVar[tuple[str, ...]] = ("integrator", "hessian", "condensing", "qp")
-    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators", "free initial state"})
+    needs: ClassVar[tuple[str, ...]] = ("integrator", "hessian", "condensing")
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {
+            "general cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "coupled rows with free initial state",
+        }
+    )
 
     def __post_init__(self) -> None:
         if self.shift not in SHIFTS:
@@ -52,6 +65,10 @@ class RealTimeIteration:
         number = isinstance(given, int | float) and not isinstance(given, bool)
         if given is not None and not (number and math.isfinite(given) and given > 0):
             raise OptionError(f"sampling_time: {given!r}; expected a finite number > 0 (s)")
+        weight = self.relaxation
+        number = isinstance(weight, int | float) and not isinstance(weight, bool)
+        if weight is not None and not (number and math.isfinite(weight) and weight > 0):
+            raise OptionError(f"relaxation: {weight!r}; expected a finite number > 0 or None")
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -84,6 +101,12 @@ class RealTimeIteration:
         accumulators = (
             Table("is_accumulator", "int", flags, "1: the state starts at 0 at every sample"),
             Table("is_measured", "int", measured, "1: x_0 is what is measured"),
+            Table(
+                "relaxation_weight",
+                "real",
+                (math.inf if self.relaxation is None else float(self.relaxation),),
+                "l1 penalty of hard rows whose QP is infeasible; infinite: they stay hard",
+            ),
         )
         if self.shift == "resample":
             times = tuple(math.fsum(problem.dt[:k]) for k in range(problem.N + 1))
@@ -126,6 +149,7 @@ class RealTimeIteration:
                     Field("J", (dims.nh_N, dims.nx), "their Jacobian C_N", "data"),
                 ),
             ),
+            *_coupled_and_step(dims),
             _line_search(dims),
             Struct(
                 "solver",
@@ -136,6 +160,7 @@ class RealTimeIteration:
                     Field("mu_u", (dims.N, dims.nu), "multipliers of the control bounds", "iterate"),
                     Field("mu", (dims.N, dims.nh), "multipliers of the general path rows", "iterate"),
                     Field("mu_N", (dims.nh_N,), "multipliers of the general terminal rows", "iterate"),
+                    Field("eta", (dims.ne,), "multipliers of the coupled rows", "iterate"),
                     Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
                     Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
                     Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
@@ -151,6 +176,32 @@ class RealTimeIteration:
         return {"linearize": node * dims.N.value + known["terminal_gradient"] + known["terminal_rows"]}
 
 
+def _coupled_and_step(dims: Dims) -> tuple[Struct, ...]:
+    """Linearisation of the coupled rows, solution of the QP."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    return (
+        Struct(
+            "coupled",
+            "linearisation of the coupled rows",
+            (
+                Field("r", (dims.ne,), "values r(x_0, x_N)", "data"),
+                Field("J_0", (dims.ne, dims.nx), "Jacobian E_0 = d r / d x_0", "data"),
+                Field("J_N", (dims.ne, dims.nx), "Jacobian E_N = d r / d x_N", "data"),
+            ),
+        ),
+        Struct(
+            "step",
+            "solution of the QP",
+            (
+                Field("dx", (nodes, dims.nx), "step of the states", "result"),
+                Field("du", (dims.N, dims.nu), "step of the controls", "result"),
+                Field("mult_u", (dims.N, dims.nu), "multipliers of the control bounds", "result"),
+                Field("mult", (dims.ng,), "multipliers of the rows", "result"),
+            ),
+        ),
+    )
+
+
 def _line_search(dims: Dims) -> Struct:
     """Memory of solve() beyond that of the real-time iteration."""
     nodes = Size("N + 1", dims.N.value + 1)
@@ -161,14 +212,16 @@ def _line_search(dims: Dims) -> Struct:
             Field("x", (nodes, dims.nx), "states before the step", "scratch"),
             Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
             Field("dx", (nodes, dims.nx), "step of the states", "scratch"),
-            Field("du", (dims.nv,), "step of the controls", "scratch"),
+            Field("du", (dims.N, dims.nu), "step of the controls", "scratch"),
             Field("dx_full", (nodes, dims.nx), "the same before the second-order correction", "scratch"),
-            Field("du_full", (dims.nv,), "likewise", "scratch"),
+            Field("du_full", (dims.N, dims.nu), "likewise", "scratch"),
             Field("b", (dims.N, dims.nx), "gaps at a trial point", "scratch"),
             Field("h", (dims.N, dims.nh), "general path rows at a trial point", "scratch"),
             Field("h_N", (dims.nh_N,), "general terminal rows at a trial point", "scratch"),
             Field("J", (dims.nh, dims.nz), "their Jacobian, not used", "scratch"),
             Field("J_N", (dims.nh_N, dims.nx), "likewise", "scratch"),
+            Field("r", (dims.ne,), "coupled rows at a trial point", "scratch"),
+            Field("J_r", (dims.ne, dims.nx), "their Jacobians, not used", "scratch"),
             Field("gap_weight", (), "weight of the gaps in the merit function", "scratch"),
             Field("row_weight", (), "weight of the rows; penalty of the elastic QP", "scratch"),
             Field("recent", (Size("MEMORY", MEMORY),), "last merit values", "scratch"),

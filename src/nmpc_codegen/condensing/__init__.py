@@ -1,10 +1,13 @@
 """THE CONDENSING: a component with seam "condensing" that turns the stage QP into the QP of the qp seam.
 
-C contract: condense_init, condense_hessian, condense_gradient, condense_rows, condense_embed, condense_expand.
+C contract: condense_init, condense_prepare, condense_gradient, condense_rows, condense_solve, condense_shift.
+``gives`` says which form of QP it hands on, "condensed" or "stages"; a QP solver of the same ``takes`` follows it.
 """
 
 from nmpc_codegen.condensing.full import FullCondensing
+from nmpc_codegen.condensing.none import NoCondensing
+from nmpc_codegen.condensing.partial import PartialCondensing
 
 REGISTRY: dict[str, type[FullCondensing]] = {FullCondensing.name: FullCondensing}
 
-__all__ = ["REGISTRY", "FullCondensing"]
+__all__ = ["REGISTRY", "FullCondensing", "NoCondensing", "PartialCondensing"]

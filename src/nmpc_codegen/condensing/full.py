@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nmpc_codegen.cmodule import Field, Size, Struct, Table
-from nmpc_codegen.component import Counts, Dims
+from nmpc_codegen.component import Counts, Dims, QpShape
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.products import PANEL
@@ -21,6 +21,14 @@ from nmpc_codegen.sweep import Routine
 
 def _panels(width: int) -> int:
     return -(-width // PANEL) * PANEL
+
+
+def _slacks(problem: Problem) -> tuple[int, ...]:
+    """Variable that is the slack of every QP row, or -1: rows with a quadratic penalty have one."""
+    first = problem.N * problem.nu + len(problem.free_initial)
+    soft = [problem.rows[row].soft for _, _, _, row in problem.qp_rows]
+    needs = [penalty is not None and penalty[1] > 0 for penalty in soft]
+    return tuple(first + sum(needs[:m]) if need else -1 for m, need in enumerate(needs))
 
 
 def _columns(dims: Dims) -> int:
@@ -36,7 +44,22 @@ class FullCondensing:
     name: ClassVar[str] = "full"
     template: ClassVar[str] = "condensing/full.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
-    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators", "free initial state"})
+    gives: ClassVar[str] = "condensed"
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {
+            "general cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "coupled rows with free initial state",
+        }
+    )
+
+    def qp_shape(self, problem: Problem) -> QpShape:
+        """One stage with all controls; variables are the controls, the free components of x_0 and the slacks."""
+        controls, slacks = problem.N * problem.nu, sum(s >= 0 for s in _slacks(problem))
+        return QpShape(1, controls, controls + len(problem.free_initial) + slacks, slacks)
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         return ()
@@ -47,8 +70,8 @@ class FullCondensing:
         return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """No tables."""
-        return ()
+        """The slack of every row."""
+        return (Table("row_slack", "int", _slacks(problem), "slack variable of QP row m, or -1"),)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("LDG", _panels(_columns(dims)), "columns of G_k: NX + N NU, rounded up to PANEL"),)
@@ -70,7 +93,6 @@ class FullCondensing:
                     Field("Hx", (dims.nv, dims.nx), "coupling of the controls to dx_0", "data"),
                     Field("Ax", (dims.ng, dims.nx), "coupling of the rows to dx_0", "data"),
                     Field("v", (dims.ng,), "values of the rows at du = 0, dx_0 = 0", "data"),
-                    Field("dx", (nodes, dims.nx), "step of the states", "result"),
                 ),
             ),
         )

@@ -32,7 +32,17 @@ class DenseActiveSet:
     name: ClassVar[str] = "dense_active_set"
     template: ClassVar[str] = "qp/dense_active_set.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset({"general cost", "accumulators", "free initial state"})
+    takes: ClassVar[str] = "condensed"
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {
+            "general cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "coupled rows with free initial state",
+        }
+    )
 
     max_iterations: int | None = None
 
@@ -94,7 +104,7 @@ class DenseActiveSet:
                     Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
                     Field("scale", (), "|y0|", "scratch"),
                     Field("shift", (), "part of |y0| that the saturated rows may have", "scratch"),
-                    Field("penalty", (ng,), "l1 penalty of violating a general row; infinite: hard", "keep"),
+                    Field("penalty", (rows,), "l1 penalty of violating a row; infinite: hard", "keep"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
                     Field("proximal", (ld,), "diagonal E added to a semidefinite Hessian", "scratch"),
                     Field("weight", (ld,), "its entries where they are needed", "scratch"),

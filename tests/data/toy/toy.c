@@ -48,7 +48,10 @@ toy_status_t toy_reset(toy_solver_t *s)
     s->stats.qp_iterations = 0;
     s->stats.active_set_changes = 0;
     s->stats.dropped_rows = 0;
+    s->stats.relaxed_rows = 0;
     s->stats.sqp_iterations = 0;
+    s->stats.violated_row = s->stats.violated_node = -1;
+    s->stats.violation = 0;
     s->kkt.stationarity = s->kkt.equality = s->kkt.inequality = s->kkt.complementarity = 0;
     s->phase = READY;
     return report(s, TOY_OK);

@@ -56,7 +56,11 @@ typedef struct {
     int32_t qp_iterations;
     int32_t active_set_changes;
     int32_t dropped_rows;
+    int32_t relaxed_rows;
     int32_t sqp_iterations;
+    int32_t violated_row;
+    int32_t violated_node;
+    toy_real violation;
 } toy_stats_t;
 
 typedef struct {
