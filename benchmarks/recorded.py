@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from nmpc_codegen.lower import qp_rows
 from nmpc_codegen.problem import Problem
 from tests.oracles.stage_qp import Array, Rows, Shape, StageQP
 
 
 def rows_of_problem(problem: Problem) -> Rows:
     """QP rows besides the control bounds, from the statement of the problem."""
-    node, kind, index, user = (np.array([r[i] for r in qp_rows(problem)], dtype=int) for i in range(4))
+    node, kind, index, user = (np.array([r[i] for r in problem.qp_rows], dtype=int) for i in range(4))
     soft = [problem.rows[i].soft for i in user]
     l1 = np.array([np.inf if p is None else p[0] for p in soft])
     l2 = np.array([0.0 if p is None else p[1] for p in soft])
@@ -31,9 +30,12 @@ def read_qp(problem: Problem, struct: Any, xhat: Array) -> StageQP:
     x, u = struct["x"].copy(), struct["u"].copy()
     lower, upper = (_at_nodes(struct[name], N) for name in ("lower", "upper"))
     C, c = np.zeros((len(rows), nx + nu)), np.zeros(len(rows))
+    C0 = np.zeros((len(rows), nx))
     for m, (k, kind, i) in enumerate(zip(rows.node, rows.kind, rows.index, strict=True)):
         if kind == 0:
             C[m, i], c[m] = 1.0, x[k, i]
+        elif kind == 2:
+            C0[m], C[m, :nx], c[m] = struct["coupled"]["J_0"][i], struct["coupled"]["J_N"][i], struct["coupled"]["r"][i]
         elif k == N:
             C[m, :nx], c[m] = terminal["J"][i], terminal["h"][i]
         else:
@@ -47,7 +49,7 @@ def read_qp(problem: Problem, struct: Any, xhat: Array) -> StageQP:
     return StageQP(
         shape=Shape(nx, nu, N), rows=rows, S=node["S"].copy(), b=node["b"].copy(),
         Q=np.broadcast_to(Q, (N, nx + nu, nx + nu)).copy(), Q_N=Q_N, g=node["g"].copy(), g_N=terminal["g"].copy(),
-        C=C, C0=np.zeros((len(rows), nx)), c=c, lower=lower[rows.node, rows.user], upper=upper[rows.node, rows.user],
+        C=C, C0=C0, c=c, lower=lower[rows.node, rows.user], upper=upper[rows.node, rows.user],
         lower_u=lower_u, upper_u=upper_u, x=x, u=u, dx0=np.asarray(xhat, dtype=float) - x[0], optimum=None, proof=None,
         unit_x=np.ones(nx), unit_u=np.ones(nu), kind=problem.name,
     )  # fmt: skip

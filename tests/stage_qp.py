@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import itertools
 import os
 import subprocess
 import tempfile
@@ -20,35 +21,56 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen import OCP, Online, Options
+from nmpc_codegen import OCP, Online, Options, condensing, qp
+from nmpc_codegen.analyse import analyse
 from nmpc_codegen.build import PROFILES, find_compiler
-from nmpc_codegen.lower import qp_rows
 from nmpc_codegen.render import render
 from nmpc_codegen.status import Status
-from nmpc_codegen.analyse import analyse
 from tests.c_harness import memory_layout, module_of
-from tests.oracles.stage_qp import Point, Shape, StageQP, rows_of
+from tests.oracles.stage_qp import (
+    Array,
+    Point,
+    Shape,
+    StageQP,
+    condition,
+    distance,
+    objective_error,
+    residuals,
+    rows_of,
+)
+from tests.oracles.stage_qp_random import condensed_rows
 
 #: All that is not called from main.c is left out before it is compiled: most of a package.
 FLAGS = (*PROFILES["test"].flags, "-fwhole-program", "-w")
 
 MAIN = """
-#include "q.c"
+#include "stage.c"
 #define EXPORT __attribute__((externally_visible)) __attribute__((visibility("default")))
 EXPORT int call_size(void);
-EXPORT void call_init(q_solver_t *s);
-EXPORT int call_prepare(q_solver_t *s);
-EXPORT int call_solve(q_solver_t *s);
-int call_size(void) { return (int)sizeof(q_solver_t); }
-void call_init(q_solver_t *s) { memset(s, 0, sizeof *s); q_init(s); }
-int call_prepare(q_solver_t *s) { return (int)condense_prepare(s); }
-int call_solve(q_solver_t *s) { return (int)condense_solve(s); }
+EXPORT void call_init(stage_solver_t *s);
+EXPORT int call_prepare(stage_solver_t *s);
+EXPORT int call_solve(stage_solver_t *s);
+int call_size(void) { return (int)sizeof(stage_solver_t); }
+void call_init(stage_solver_t *s) { stage_init(s); }
+int call_prepare(stage_solver_t *s) { return (int)condense_prepare(s); }
+int call_solve(stage_solver_t *s) { return (int)condense_solve(s); }
 """
+
+
+def solvers(names: Iterable[str] = qp.REGISTRY) -> dict[str, Options]:
+    """Options of every registered pair of condensing and QP solver that fit together, by "condensing+qp"."""
+    pairs = itertools.product(condensing.REGISTRY.values(), (qp.REGISTRY[name] for name in names))
+    return {f"{c.name}+{q.name}": solver_options(c(), q()) for c, q in pairs if c.gives == q.takes}
+
+
+def solver_options(condense: Any, solver: Any) -> Options:
+    """Every node has bounds and a weight of its own."""
+    return Options(condensing=condense, qp=solver, online=Online(weight="node", bounds="node"))
 
 
 def stage_ocp(shape: Shape) -> OCP:
     """An OCP of that shape with dense S, Q_k of every node, Q_N and rows."""
-    ocp = OCP("q", N=shape.N)
+    ocp = OCP("stage", N=shape.N)
     x, u = ocp.state("x", size=shape.nx), ocp.control("u", size=shape.nu)
     total = ca.sum1(x) + ca.sum1(u)
     ocp.dynamics(total * ca.SX.ones(shape.nx), discrete=True)
@@ -73,6 +95,48 @@ def stage_ocp(shape: Shape) -> OCP:
     return ocp
 
 
+# Limits of wrong_answer(): relative residuals of stage QPs in double precision, and of the minimiser (docs: 1e-7).
+STATIONARITY, DYNAMICS, FEASIBILITY, ROWS, OBJECTIVE, MINIMISER = 1e-8, 1e-9, 1e-8, 1e-7, 1e-8, 1e-7
+
+
+def wrong_answer(qp: StageQP, p: Point) -> str:
+    """What is wrong with a point that should be the optimum, with its figure; empty if nothing is.
+
+    Residuals always; the minimiser to 1e-7 max(1, 1e-8 condition) where it is unique, the objective where it is not.
+    """
+    r = residuals(qp, p)
+    for name, limit in (("stationarity", STATIONARITY), ("dynamics", DYNAMICS), ("feasibility", FEASIBILITY)):
+        if not getattr(r, name) <= limit:
+            return f"{name} {getattr(r, name):.1e}"
+    if not r.rows <= ROWS:
+        return f"complementarity {r.rows:.1e}"
+    if not qp.unique:
+        error = objective_error(qp, p)
+        return "" if error <= OBJECTIVE else f"objective {error:.1e}"
+    error = distance(qp, p)
+    if error <= MINIMISER or error <= MINIMISER * 1e-8 * condition(qp):
+        return ""
+    return f"minimiser {error:.1e}, condition {condition(qp):.1e}"
+
+
+def wrong_certificate(qp: StageQP, weights: Array) -> str:
+    """What is wrong with weights of (du, rows): the same combination of their bounds is negative, whatever du is.
+
+    weights' (du, A du) <= weights' bounds < -|weights' (I, A)| reach;  reach: bound of |du|, 1000 where there is none.
+    """
+    A, value = condensed_rows(qp)
+    rest = weights[: A.shape[1]] + weights[A.shape[1] :] @ A
+    lower = np.concatenate([(qp.lower_u - qp.u).ravel(), qp.lower - value])
+    upper = np.concatenate([(qp.upper_u - qp.u).ravel(), qp.upper - value])
+    used = weights != 0
+    bound = np.where(weights > 0, upper, lower)[used]
+    if not np.all(np.isfinite(bound)):
+        return "certificate with an infinite bound"
+    largest = np.maximum(np.abs(lower), np.abs(upper))[: A.shape[1]]
+    total = float(weights[used] @ bound + np.abs(rest) @ np.where(np.isfinite(largest), largest, 1e3))
+    return "" if total < 0 else f"certificate proves nothing: {total:.1e}"
+
+
 @functools.cache
 def build_directory() -> tempfile.TemporaryDirectory[str]:
     """One temporary directory per session; removed at exit."""
@@ -91,9 +155,9 @@ class Built:
 def _sources(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any]]:
     """Texts of a package and the layout of its struct."""
     ocp = stage_ocp(shape)
-    module = module_of(ocp, options, "q")
+    module = module_of(ocp, options, "stage")
     assert module.value("NQ") == shape.N
-    stated = [(r[0], int(r[1]), r[2], r[3] - shape.bounded) for r in qp_rows(analyse(ocp))]
+    stated = [(k, kind, index, user - shape.bounded) for k, kind, index, user in analyse(ocp).qp_rows]
     rows = rows_of(shape)
     assert stated == list(zip(rows.node, rows.kind, rows.index, rows.user, strict=True))
     return render(module), memory_layout(module)
@@ -101,7 +165,7 @@ def _sources(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any]]:
 
 def _compile(sources: Any, flags: Sequence[str]) -> Path:
     folder = Path(tempfile.mkdtemp(dir=build_directory().name))
-    for name in ("q.h", "q.c"):
+    for name in ("stage.h", "stage.c"):
         (folder / name).write_text(sources[name], encoding="utf-8")
     (folder / "main.c").write_text(MAIN, encoding="utf-8")
     command = [*find_compiler(), *flags, "-shared", "-fPIC", "main.c", "-o", "library.so", "-lm"]
@@ -123,3 +187,88 @@ def build_all(wanted: Iterable[tuple[Shape, Options]], workers: int | None = Non
     """Compile packages side by side, each once: texts one after the other, compilers in parallel."""
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         list(pool.map(lambda pair: built(*pair), dict.fromkeys(wanted)))
+
+
+class StageSolver:
+    """One solver struct; solve() writes a stage QP into it and runs both phases."""
+
+    def __init__(self, shape: Shape, options: Options, flags: tuple[str, ...] = FLAGS) -> None:
+        self.shape, self.package = shape, built(shape, options, flags)
+        self.memory = np.zeros((), self.package.layout)
+        self.rows = rows_of(shape)
+        self.reset()
+
+    @property
+    def pointer(self) -> ctypes.c_void_p:
+        return ctypes.c_void_p(self.memory.ctypes.data)
+
+    def reset(self) -> None:
+        """As after init: no working set is predicted."""
+        self.package.library.call_init(self.pointer)
+
+    def load(self, qp: StageQP) -> None:
+        """Everything that the preparation phase reads, and the bounds."""
+        s, m, rows = self.shape, self.memory, self.rows
+        m["x"], m["u"] = qp.x, qp.u
+        node, terminal, coupled = m["node"], m["terminal"], m["coupled"]
+        node["S"], node["b"], node["g"] = qp.S, qp.b, qp.g
+        terminal["g"] = qp.g_N
+        m["hessian"]["Q"], m["hessian"]["Q_N"] = np.tril(qp.Q), np.tril(qp.Q_N)
+        path = (rows.kind == 1) & (rows.node < s.N)
+        node["h"][rows.node[path], rows.index[path]] = qp.c[path]
+        node["J"][rows.node[path], rows.index[path]] = qp.C[path]
+        end = (rows.kind == 1) & (rows.node == s.N)
+        terminal["h"][rows.index[end]], terminal["J"][rows.index[end]] = qp.c[end], qp.C[end, : s.nx]
+        both = rows.kind == 2
+        coupled["r"][rows.index[both]], coupled["J_0"][rows.index[both]] = qp.c[both], qp.C0[both]
+        coupled["J_N"][rows.index[both]] = qp.C[both, : s.nx]
+        self.load_bounds(qp)
+
+    def load_bounds(self, qp: StageQP) -> None:
+        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N."""
+        n = self.shape.bounded
+        for name, of_u, of_rows in (("lower", qp.lower_u, qp.lower), ("upper", qp.upper_u, qp.upper)):
+            self.memory[name][:-1, :n] = of_u[:, :n]
+            self.memory[name][self.rows.node, n + self.rows.user] = of_rows
+
+    def solve(self, qp: StageQP) -> Status:
+        """Both phases; the status of the one that failed, else of the second."""
+        self.load(qp)
+        prepared = Status(self.package.library.call_prepare(self.pointer))
+        return prepared if prepared != Status.OK else self.feedback(qp)
+
+    def feedback(self, qp: StageQP) -> Status:
+        """The second phase for dx_0 and the bounds of the QP; what is not given of dx_0 is no number."""
+        self.load_bounds(qp)
+        dx0 = qp.dx0.copy()
+        dx0[: self.shape.free] = np.nan
+        self.memory["step"]["dx"][0] = dx0
+        return Status(self.package.library.call_solve(self.pointer))
+
+    @property
+    def point(self) -> Point:
+        """The step and the multipliers of the last feedback."""
+        step = self.memory["step"]
+        return Point(step["dx"].copy(), step["du"].copy(), step["mult_u"].copy(), step["mult"][: len(self.rows)].copy())
+
+    @property
+    def certificate(self) -> Array | None:
+        """Weights of the bounds of du, then of the rows, that contradict each other; None: not given for these du."""
+        weights = self.memory["qp"]["certificate"]
+        n = self.shape.N * self.shape.nu
+        if len(weights) != n + max(1, len(self.rows)):
+            return None
+        return np.array(weights[: n + len(self.rows)]) if np.any(weights) else None
+
+    def verdict(self, qp: StageQP, status: Status) -> str:
+        """What is wrong with the last answer; empty if nothing is."""
+        if status == Status.OK:
+            return wrong_answer(qp, self.point) if qp.optimum is not None else "OK though infeasible"
+        if qp.optimum is None and status == Status.INFEASIBLE:
+            weights = self.certificate
+            return "" if weights is None else wrong_certificate(qp, weights)
+        return status.name
+
+    @property
+    def iterations(self) -> int:
+        return int(self.memory["qp"]["iterations"])

@@ -6,15 +6,19 @@ A package per dimensions and solver, 100 data sets each drawn by hypothesis, whi
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, note, settings
+from hypothesis import strategies as st
 
 from benchmarks.peers import available, silent
 from benchmarks.plugins import Plugin, point_of, stage_form, violation
 from benchmarks.torture import certificate
-from tests.oracles.stage_qp import Point, Shape, StageQP, condition, distance, natural_residual, objective_error, residuals
+from tests.oracles.stage_qp import Point, Shape, condition, distance, natural_residual, objective_error, residuals
 from tests.oracles.stage_qp_random import INFEASIBLE, KINDS, SEMIDEFINITE, condensed_rows, kinds_of, random_qp
+from tests.stage_qp import StageSolver, build_all, solvers
 
 #: One of every structure, small enough for foreign solvers.
 SMALL = (
@@ -23,6 +27,35 @@ SMALL = (
     Shape(3, 1, 10, end=3),
     Shape(3, 2, 5, free=2, states=3, pure=1),
     Shape(5, 3, 8, coupled=2, path=1, soft=(2,)),
+)
+
+#: What the solvers are built for: every structure, from the smallest to nx = 30.
+SHAPES = (
+    *SMALL,
+    Shape(1, 1, 2, states=1),
+    Shape(2, 1, 1, states=1, path=1, pure=1, end=1),
+    Shape(1, 1, 12, controls=0),  # no row, no bound
+    Shape(2, 2, 5, controls=0),
+    Shape(2, 1, 6, controls=0, states=2, path=1),  # rows only
+    Shape(4, 2, 3, controls=1),
+    Shape(4, 1, 10, end=4),  # the crane: more terminal equalities than controls of a stage
+    Shape(6, 2, 4, end=6, states=1),
+    Shape(2, 3, 4, path=3),  # rows with controls only, as many as controls
+    Shape(3, 1, 8, pure=2),
+    Shape(3, 3, 6, states=3),
+    Shape(2, 1, 20, states=1, path=1),
+    Shape(5, 2, 7, states=2, soft=(0,)),
+    Shape(3, 2, 6, states=1, path=2, end=1, soft=(0, 1, 2, 3)),  # soft rows only
+    Shape(4, 2, 5, end=3, soft=(0, 1)),
+    Shape(3, 1, 7, path=2, coupled=1, soft=(2,)),
+    Shape(3, 2, 4, coupled=3),
+    Shape(4, 2, 5, states=2, end=2, free=1),
+    Shape(3, 1, 4, path=1, soft=(0,), free=3),
+    Shape(9, 3, 9, states=1, end=2),
+    Shape(12, 4, 6, states=3, path=1),
+    Shape(21, 3, 5),
+    Shape(30, 2, 3, states=4, path=1, end=2),
+    Shape(2, 8, 4, path=2),
 )
 CONVEX = tuple(kind for kind in KINDS if kind != "reduced")
 ALL_KINDS = (*KINDS, SEMIDEFINITE)
@@ -146,3 +179,38 @@ def test_condition_of_a_known_problem() -> None:
     active = dataclasses.replace(optimum, mult=np.ones(len(rows)), mult_u=0 * optimum.mult_u)
     assert condition(dataclasses.replace(near, C=C, optimum=active)) > 1e6
 
+
+
+# The solvers ----------------------------------------------------------------------------------------------------------
+
+SOLVERS = solvers()
+
+
+@st.composite
+def recipes(draw: st.DrawFn, shape: Shape) -> dict[str, Any]:
+    """Arguments of random_qp(); shrinks to a plain problem with few active rows and short numbers."""
+    return {
+        "kind": draw(st.sampled_from(kinds_of(shape))),
+        "seed": draw(st.integers(0, 2**16)),
+        "radius": draw(st.sampled_from([0.9, 1.05])),
+        "active": draw(st.integers(0, 10)) / 10,
+        "digits": draw(st.sampled_from([1, 2, 4, None])),
+    }
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=str)
+def test_every_solver_finds_the_constructed_optimum(shape: Shape) -> None:
+    """Cold, again from its own working set, and from that of another QP; infeasible ones are recognised."""
+    build_all((shape, options) for options in SOLVERS.values())
+
+    @settings(max_examples=100, deadline=None, database=None)
+    @given(first=recipes(shape), second=recipes(shape))
+    def check(first: dict[str, Any], second: dict[str, Any]) -> None:
+        one, other = random_qp(shape, **first), random_qp(shape, **second)
+        for name, options in SOLVERS.items():
+            solver = StageSolver(shape, options)
+            for attempt, qp in (("cold", one), ("again", one), ("after another", other)):
+                note(f"{name}, {attempt}")
+                assert solver.verdict(qp, solver.solve(qp)) == ""
+
+    check()

@@ -319,10 +319,11 @@ def natural_residual(
     of a violated soft row in one formula. l1 infinite: a hard row, whose prox is the projection.
     """
     y = value + tau * mult
-    with np.errstate(invalid="ignore"):
-        over = np.maximum(np.maximum(y - upper - tau * l1, 0.0) / (1 + tau * l2), 0.0)
-        under = np.maximum(np.maximum(lower - y - tau * l1, 0.0) / (1 + tau * l2), 0.0)
-        inside = np.minimum(np.maximum(y, lower), upper)
+    hard = np.isinf(l1)
+    allowed = tau * np.where(hard, 0.0, l1)
+    over, under = (np.maximum(excess - allowed, 0.0) / (1 + tau * l2) for excess in (y - upper, lower - y))
+    over, under = np.where(hard, 0.0, over), np.where(hard, 0.0, under)
+    inside = np.minimum(np.maximum(y, lower), upper)
     return np.abs(value - (inside + over - under))
 
 

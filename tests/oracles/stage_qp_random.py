@@ -92,6 +92,8 @@ def _stages(draw: _Draw, shape: Shape, kind: str, radius: float) -> StageQP:
         _repeat(draw, shape, rows, C)
     state = rows.kind == 0
     C[state] = np.eye(nz)[rows.index[state]]
+    if kind == SEMIDEFINITE and shape.nu > 1:
+        _idle_controls(draw, shape, S, Q, C, rows)
     zero = np.zeros
     return StageQP(
         shape=shape, rows=rows, S=S, b=zero((N, nx)), Q=Q, Q_N=Q_N, g=zero((N, nz)), g_N=zero(nx), C=C, C0=C0, c=zero(len(rows)),
@@ -114,13 +116,13 @@ def _dynamics(draw: _Draw, shape: Shape, kind: str, radius: float) -> Array:
     for k in range(N):
         S[k, :, :nx] = rng.uniform(0.8, 1.0) * T[k + 1].T @ A @ T[k]
         S[k, :, nx:] = rng.normal(size=(nx, nu)) / np.sqrt(max(1, nx // 3))
-        if rng.random() < 0.1:
+        if nu > 1 and rng.random() < 0.1:
             S[k, :, nx + rng.integers(nu)] = 0.0  # a control without effect on the states
     return draw.rounded(S)
 
 
 def _hessian(draw: _Draw, shape: Shape, kind: str) -> tuple[Array, Array]:
-    """Q_k = F F' (+ I/4 on the controls unless semidefinite), of any rank."""
+    """Q_k = F F' + I/4 on the controls, of any rank; Q_N may be zero."""
     nx, nu, N, rng = shape.nx, shape.nu, shape.N, draw.rng
     nz = nx + nu
     low = kind in ("singular_weights", SEMIDEFINITE)
@@ -130,9 +132,22 @@ def _hessian(draw: _Draw, shape: Shape, kind: str) -> tuple[Array, Array]:
     if low:
         F[rng.random(N) < 0.3] = 0.0
     Q = F @ F.transpose(0, 2, 1) / max(1, rank)
+    Q[:, nx:, nx:] += 0.25 * np.eye(nu)
     if kind != SEMIDEFINITE:
-        Q[:, nx:, nx:] += 0.25 * np.eye(nu)
+        Q[0, : shape.free, : shape.free] += 0.25 * np.eye(shape.free)
     return Q, F_N @ F_N.T / F_N.shape[1]
+
+
+def _idle_controls(draw: _Draw, shape: Shape, S: Array, Q: Array, C: Array, rows: Rows) -> None:
+    """At some nodes the last control has neither effect nor cost, or the effect and cost of the first one."""
+    nx, last = shape.nx, shape.nx + shape.nu - 1
+    for k in np.flatnonzero(draw.rng.random(shape.N) < 0.3):
+        twin = draw.rng.random() < 0.5
+        here = rows.node == k
+        S[k, :, last] = S[k, :, nx] if twin else 0.0
+        C[here, last] = C[here, nx] if twin else 0.0
+        Q[k, last, :] = Q[k, nx, :] if twin else 0.0
+        Q[k, :, last] = Q[k, :, nx] if twin else 0.0
 
 
 def _indefinite(draw: _Draw, S: Array, Q: Array, Q_N: Array) -> tuple[Array, Array]:
