@@ -31,9 +31,14 @@ ARGUMENTS = {
     "condense_forward_columns": "&s.condensed, &s.node[0], 0, 1",
     "condense_terminal_columns": "&s.condensed, s.hessian.Q_N, 1",
     "condense_backward_columns": "&s.condensed, &s.node[0], s.hessian.Q[0], 0, 1",
+    "qp_factorize_hessian": "&s.qp",
     "qp_forward": "&s.qp, w, 0",
     "qp_backward": "&s.qp, w, w",
 }
+
+#: What must run before, for functions that overwrite what they read; the count of a factorisation is that of a positive
+#: definite matrix.
+BEFORE = {"qp_factorize_hessian": "condense_hessian(&s); for (int i = 0; i < LDV; i++) { s.qp.H[i][i] += 1.0; }"}
 
 #: (function, stated, counted)
 Mismatch = tuple[str, dict[str, int], dict[str, int]]
@@ -102,6 +107,7 @@ def run_counting(sources: Sources, name: str, calls: Mapping[str, str], size: in
         f"    {name}_prepare(&s);",
     ]
     for function, call in calls.items():
+        lines += [f"    {BEFORE[function]}".replace("LDV", f"{name.upper()}_LDV")] if function in BEFORE else []
         lines += [f"    for (int i = 0; i < {size}; i++) {{ w[i] = 0.5; }}", "    counted::reset();"]
         lines += [f"    {call};", f'    report("{function}");']
     lines += ["    return 0;", "}"]

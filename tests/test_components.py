@@ -27,7 +27,6 @@ every_component = pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls
 FEATURES = {
     "soft rows",
     "coupled rows",
-    "coupled rows with free initial state",
     "free initial state",
     "general cost",
     "integrated cost",

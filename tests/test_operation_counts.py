@@ -96,7 +96,7 @@ def test_sections_of_the_table_of_contents() -> None:
         "condensing": ("condense_hessian", "condense_gradient", "condense_embed", "condense_expand"),
         "hessian": ("hessian",),
         "algorithm": ("linearize",),
-        "qp": ("qp_forward", "qp_backward"),
+        "qp": ("qp_factorize_hessian", "qp_forward", "qp_backward"),
         "integrator": (),
     }
     assert set(expected) == set(REGISTRIES)

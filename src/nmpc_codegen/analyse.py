@@ -281,7 +281,6 @@ def _features(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
     used = {
         "soft rows": any(r.soft is not None for r in rows),
         "coupled rows": any(r.kind == "coupled" for r in rows),
-        "coupled rows with free initial state": bool(ocp.free) and any(r.kind == "coupled" for r in rows),
         "free initial state": bool(ocp.free),
         "general cost": bool(ocp.costs),
         "integrated cost": any(c.integrate for c in ocp.costs),

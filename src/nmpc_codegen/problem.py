@@ -120,9 +120,9 @@ class Problem:
 
     ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` are the N interval
     lengths (s). ``features`` names what the problem uses beyond the core ("soft rows", "coupled rows",
-    "coupled rows with free initial state", "free initial state", "general cost", "integrated cost", "accumulators"): a
-    component that does not list a feature refuses the problem. ``control_reference[j]`` is the position in y_path
-    whose reference is the reference of control j, or -1.
+    "free initial state", "general cost", "integrated cost", "accumulators"): a component that does not list a feature
+    refuses the problem. ``control_reference[j]`` is the position in y_path whose reference is the reference of
+    control j, or -1.
     """
 
     name: str

@@ -22,7 +22,7 @@
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c.jinja              - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c.jinja                         0 operations       40 bytes
  *   condensing: full                condensing/full.c.jinja                             108 operations      328 bytes
- *   qp: dense_active_set            qp/dense_active_set.c.jinja                          40 operations     1472 bytes
+ *   qp: dense_active_set            qp/dense_active_set.c.jinja                          81 operations     1472 bytes
  *   algorithm: real_time_iteration  algorithms/real_time_iteration.c.jinja               28 operations      560 bytes
  */
 #include "golden.h"

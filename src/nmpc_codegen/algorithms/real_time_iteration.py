@@ -44,14 +44,7 @@ class RealTimeIteration:
     template: ClassVar[str] = "algorithms/real_time_iteration.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("integrator", "hessian", "condensing")
     supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "coupled rows with free initial state",
-        }
+        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     def __post_init__(self) -> None:

@@ -46,14 +46,7 @@ class FullCondensing:
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "condensed"
     supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "coupled rows with free initial state",
-        }
+        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     def qp_shape(self, problem: Problem) -> QpShape:

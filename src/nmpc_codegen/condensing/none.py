@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from nmpc_codegen.cmodule import Struct, Table
 from nmpc_codegen.component import Counts, Dims, QpShape
-from nmpc_codegen.condensing.stages import embed_cost, stage_tables
+from nmpc_codegen.condensing.stages import embed_cost, refuse_free_coupled, stage_tables
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.sweep import Routine
@@ -32,6 +32,7 @@ class NoCondensing:
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
+        refuse_free_coupled(problem, self.name)
         return ()
 
     @property

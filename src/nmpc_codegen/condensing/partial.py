@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from nmpc_codegen.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.component import Counts, Dims, QpShape
-from nmpc_codegen.condensing.stages import embed_cost, stage_tables
+from nmpc_codegen.condensing.stages import embed_cost, refuse_free_coupled, stage_tables
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
@@ -50,6 +50,7 @@ class PartialCondensing:
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
+        refuse_free_coupled(problem, self.name)
         return ()
 
     @property

@@ -34,14 +34,7 @@ class DenseActiveSet:
     needs: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[str] = "condensed"
     supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "coupled rows with free initial state",
-        }
+        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     max_iterations: int | None = None
@@ -140,6 +133,20 @@ class DenseActiveSet:
         scale = OpCount(mul=n)
         substitution = block * panels + OpCount(add=4, mul=4) * right
         return {
+            "qp_factorize_hessian": _factorization(dims),
             "qp_forward": substitution + scale,
             "qp_backward": substitution + scale,
         }
+
+
+def _factorization(dims: Dims) -> OpCount:
+    """L D L' of a positive definite H, panel by panel."""
+    n, ld = dims.nv.value, dims.ld.value
+    total = OpCount(sqrt=ld)
+    for b in range(0, ld, 4):
+        total += OpCount(add=13, mul=20, div=4)
+        total += OpCount(add=6, mul=10) * (ld - b - 4)
+        for i in range(b + 4, n):
+            lanes = -(-(i + 1 - b - 4) // 4) * 4
+            total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4, other=4)
+    return total

@@ -1,0 +1,172 @@
+"""Soft and coupled rows in solve() and in the feedback phase, against IPOPT and the KKT residuals of NumPy."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import problems
+import pytest
+
+from nmpc_codegen import OCP, Options, RealTimeIteration, build
+from nmpc_codegen.analyse import analyse
+from nmpc_codegen.controller import Controller
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.evaluation import kkt_residuals, node_data
+from nmpc_codegen.reference import solve_reference
+from nmpc_codegen.status import Status
+
+
+def pendulum(name: str) -> OCP:
+    """A pendulum on N = 12 intervals: th'' = -sin th + u, |u| <= 0.7."""
+    ocp = OCP(name, T=2.4, N=12)
+    th, w, u = ocp.state("th", initial=0.6), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({th: w, w: -ca.sin(th) + u})
+    ocp.least_squares(ca.vertcat(th, w, u), weight=[1.0, 0.1, 0.05])
+    ocp.terminal_least_squares(ca.vertcat(th, w), weight=[2.0, 2.0])
+    ocp.subject_to(-0.7, u, 0.7)
+    return ocp
+
+
+def soft_bound(l1: float, l2: float) -> OCP:
+    """The speed stays above -0.2, softly: its multiplier at the optimum is about 0.5."""
+    ocp = pendulum("soft_bound")
+    ocp.subject_to(-0.2, ocp.x[1], np.inf, soft=(l1, l2), name="speed")
+    return ocp
+
+
+def soft_equality() -> OCP:
+    """A soft equality at the end, which the controls cannot reach, and a soft path row with the control."""
+    ocp = pendulum("soft_equality")
+    ocp.subject_to(-1.5, ocp.x[0], -1.5, at="end", soft=(0.3, 0.2), name="target")
+    ocp.subject_to(-0.4, ocp.x[0] * ocp.x[1] + ocp.u, 0.5, soft=(0.02, 0.5), name="mixed")
+    return ocp
+
+
+def coupled() -> OCP:
+    """x_0 given: th_N = 0.5 th_0 exactly, w_N + w_0 at most -0.05."""
+    ocp = pendulum("coupled")
+    start, end = ocp.at_start(ocp.x), ocp.at_end(ocp.x)
+    ocp.boundary(0, end[0] - 0.5 * start[0], 0, name="halved")
+    ocp.boundary(-np.inf, end[1] + start[1] ** 2, -0.05, name="falling")
+    return ocp
+
+
+def periodic() -> OCP:
+    """x_0 free, a period of a driven orbit."""
+    ocp = pendulum("periodic")
+    ocp.free_initial(*(ocp.x[i] for i in range(2)))
+    ocp.boundary(0, ocp.at_start(ocp.x) - ocp.at_end(ocp.x), 0, name="period")
+    ocp.subject_to(0.3, ocp.x[0], 0.3, at=[6], name="pass")
+    return ocp
+
+
+def soft_periodic() -> OCP:
+    ocp = pendulum("soft_periodic")
+    ocp.boundary(0, ocp.at_start(ocp.x) - ocp.at_end(ocp.x), 0, soft=(0.5, 0.1), name="period")
+    return ocp
+
+
+CASES: dict[str, Callable[[], OCP]] = {
+    "l1 not exact": lambda: soft_bound(0.05, 0.0),
+    "l1 exact": lambda: soft_bound(50.0, 0.0),
+    "l1 and l2": lambda: soft_bound(0.05, 2.0),
+    "l2 alone": lambda: soft_bound(0.0, 3.0),
+    "soft equality": soft_equality,
+    "coupled": coupled,
+    "periodic": periodic,
+    "soft periodic": soft_periodic,
+}
+
+FORMS: dict[str, dict[str, Any]] = {"condensed": {}}
+
+
+@functools.cache
+def controller(case: str, form: str) -> Controller:
+    return build(CASES[case](), Options(**FORMS[form]), profile="test")
+
+
+def refused(case: str, form: str) -> bool:
+    return case == "periodic" and form != "condensed"
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("case", CASES)
+def test_equal_to_ipopt(case: str, form: str) -> None:
+    if refused(case, form):
+        return
+    problem = analyse(CASES[case]())
+    ctrl = controller(case, form)
+    ctrl.reset()
+    solution = ctrl.solve(problem.x_initial, tol=1e-10, max_iterations=200)
+    assert solution.status == Status.OK
+    reference = solve_reference(problem, x0=problem.x_initial, x_guess=solution.x, u_guess=solution.u)
+    assert reference.success
+    np.testing.assert_allclose(solution.u, reference.u, atol=2e-6)
+    np.testing.assert_allclose(solution.x, reference.x, atol=2e-6)
+    np.testing.assert_allclose(solution.cost, reference.cost, rtol=1e-8)
+    np.testing.assert_allclose(solution.eta, reference.eta, atol=1e-5)
+    np.testing.assert_allclose(solution.mu_x, reference.mu_x, atol=1e-5)
+    residuals = kkt_residuals(problem, problems.point(solution), node_data(problem, x0=problem.x_initial))
+    assert residuals.worst <= 1e-9
+    assert max(solution.kkt.__dict__.values()) <= 1e-10
+
+
+def test_an_exact_penalty_is_the_hard_row() -> None:
+    hard = pendulum("hard_bound")
+    hard.subject_to(-0.2, hard.x[1], np.inf, name="speed")
+    x0 = np.array([0.6, 0.0])
+    expected = build(hard, profile="test").solve(x0, tol=1e-10)
+    ctrl = controller("l1 exact", "condensed")
+    ctrl.reset()
+    soft = ctrl.solve(x0, tol=1e-10)
+    np.testing.assert_allclose(soft.u, expected.u, atol=1e-8)
+    np.testing.assert_allclose(soft.mu_x, expected.mu_x, atol=1e-8)
+    assert ctrl.stats.relaxed_rows == 0
+
+
+def tight() -> OCP:
+    """|th| <= 0.5, infeasible for th_0' beyond it."""
+    ocp = pendulum("tight")
+    ocp.subject_to(-0.5, ocp.x[0], 0.5, name="angle")
+    return ocp
+
+
+def test_infeasible_names_the_row_and_recovers() -> None:
+    ctrl = build(tight(), profile="test")
+    good, bad = np.array([0.4, 0.0]), np.array([0.4, 2.0])
+    ctrl.step(good)
+    assert ctrl.stats.violated_row is None
+    plan = ctrl.u.copy()
+    u0 = ctrl.step(bad)
+    assert ctrl.status == Status.INFEASIBLE
+    np.testing.assert_array_equal(u0, plan[0])
+    np.testing.assert_array_equal(ctrl.u, plan)
+    assert ctrl.stats.violated_row == "angle"
+    assert ctrl.stats.violated_node in range(1, 13)
+    assert ctrl.stats.violation > 1e-3
+    with pytest.raises(ControllerError, match=r"INFEASIBLE.*row 'angle' at node \d+ is violated by"):
+        ctrl.step(bad, on_failure="raise")
+    ctrl.step(good)
+    assert ctrl.status == Status.OK
+    with pytest.raises(ControllerError, match=r"NOT_FINITE.*measured w"):
+        ctrl.step([0.1, np.nan], on_failure="raise")
+
+
+def test_relaxation_on_request() -> None:
+    ctrl = build(tight(), Options(algorithm=RealTimeIteration(relaxation=1e3)), profile="test", name="relaxed")
+    bad = np.array([0.4, 2.0])
+    u0 = ctrl.step(bad)
+    assert ctrl.status == Status.RELAXED
+    assert u0[0] == -0.7
+    assert ctrl.stats.violated_row == "angle"
+    soft = pendulum("softened")
+    soft.subject_to(-0.5, soft.x[0], 0.5, soft=(1e3, 0.0), name="angle")
+    expected = build(soft, profile="test")
+    expected.step(bad)
+    assert expected.status == Status.OK
+    np.testing.assert_allclose(ctrl.u, expected.u, atol=1e-9)
+    assert expected.stats.relaxed_rows > 0
