@@ -38,8 +38,8 @@ ORDER = (
     *(("errors",), ("tolerances",), ("status",)),
     *(("kernel",), ("cprint",), ("sweep",), ("products",), ("cmodule",)),
     *(("problem",), ("expression",), ("ocp",), ("analyse",), ("evaluation",), ("reference",)),
-    *(("component",), tuple(FOLDERS.values()), ("options",)),
-    *(("linearize",), ("lower",), ("render",)),
+    *(("component",), ("dimensions",), ("riccati",), tuple(FOLDERS.values()), ("options",)),
+    *(("choose",), ("linearize",), ("lower",), ("render",)),
     *((name,) for name in RUNTIME),
     *(("compiler",), ("cli",)),
 )

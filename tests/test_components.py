@@ -119,7 +119,7 @@ def test_sizes_structs_and_routines(cls: type) -> None:
 def test_costs_are_of_functions_in_its_own_section(cls: type) -> None:
     component, lin, dims = parts(cls)
     module = lower(lin)
-    known = {r.name: r.count for r in lin.routines} | module.products.counts
+    known = {r.name: r.count for r in lin.routines} | module.products.counts | module.products.column_counts
     cost = component.cost(dims, known)
     text = render(module)[f"{module.name}.c"]
     section = text[text.index(f"/* ==== {component.seam}: ") :].split("/* ==== ")[1]

@@ -11,7 +11,7 @@ import numpy as np
 import problems
 import pytest
 
-from nmpc_codegen import OCP, Options, RealTimeIteration, build
+from nmpc_codegen import OCP, DenseActiveSet, Options, RealTimeIteration, RiccatiInteriorPoint, build
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import ControllerError
@@ -81,7 +81,10 @@ CASES: dict[str, Callable[[], OCP]] = {
     "soft periodic": soft_periodic,
 }
 
-FORMS: dict[str, dict[str, Any]] = {"condensed": {}}
+FORMS: dict[str, dict[str, Any]] = {
+    "condensed": {"qp": DenseActiveSet()},
+    "interior point": {"qp": RiccatiInteriorPoint()},
+}
 
 
 @functools.cache

@@ -25,7 +25,7 @@ from nmpc_codegen.status import Status
 if TYPE_CHECKING:
     from nmpc_codegen.algorithms import RealTimeIteration
     from nmpc_codegen.compiler import Package, export, generate
-    from nmpc_codegen.condensing import FullCondensing
+    from nmpc_codegen.condensing import FullCondensing, NoCondensing, PartialCondensing
     from nmpc_codegen.hessians import GaussNewton
     from nmpc_codegen.integrators import (
         RK4,
@@ -39,19 +39,19 @@ if TYPE_CHECKING:
     )
     from nmpc_codegen.ocp import OCP
     from nmpc_codegen.options import Online, Options
-    from nmpc_codegen.qp import DenseActiveSet
+    from nmpc_codegen.qp import DenseActiveSet, Osqp, RiccatiInteriorPoint
 
 _HOMES = {
     "algorithms": ("RealTimeIteration",),
     "compiler": ("Package", "export", "generate"),
-    "condensing": ("FullCondensing",),
+    "condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
     "hessians": ("GaussNewton",),
     "integrators": (
         *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
     ),
     "ocp": ("OCP",),
     "options": ("Online", "Options"),
-    "qp": ("DenseActiveSet",),
+    "qp": ("DenseActiveSet", "Osqp", "RiccatiInteriorPoint"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -73,13 +73,17 @@ __all__ = [
     "Log",
     "Midpoint",
     "NmpcError",
+    "NoCondensing",
     "Online",
     "OptionError",
     "Options",
+    "Osqp",
     "Package",
+    "PartialCondensing",
     "ProblemError",
     "ProblemWarning",
     "RealTimeIteration",
+    "RiccatiInteriorPoint",
     "Status",
     "build",
     "export",

@@ -99,7 +99,7 @@ def load(
     """Compile a package (or take it from the cache) and return an initialised controller.
 
     Args:
-        files: path -> text; <name>.h, <name>.c and <name>.json are used, others ignored.
+        files: path -> text; <name>.h, <name>.c, <name>.json and foreign code in folders are used, others ignored.
         name: name and C prefix of the package.
         profile: name of a profile in PROFILES, or a Profile.
         lanes: shooting nodes evaluated at once; None or 1.
@@ -116,6 +116,7 @@ def load(
     if missing:
         raise BuildError(f"the package {name!r} lacks {', '.join(missing)}")
     sources = {path: files[path] for path in (f"{name}.h", f"{name}.c", f"{name}.json")}
+    sources |= {path: text for path, text in files.items() if "/" in path}
     extra = WARNINGS if warnings_as_errors else ()
     module = _import(name, compile_module(sources, name, (*chosen.flags, *extra)))
     return Controller(Library(name, sources, chosen, module.ffi, module.lib, load))
@@ -201,6 +202,7 @@ def _compile(
     with tempfile.TemporaryDirectory(prefix=f"{name}-", dir=target.parent) as temporary:
         folder = Path(temporary)
         for path, text in files.items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_text(text, encoding="utf-8")
         common = [*compiler, "-c", "-fPIC", "-fvisibility=hidden"]
         package = subprocess.Popen(
@@ -216,11 +218,28 @@ def _compile(
             raise BuildError(_refused(compiler, f"{name}.c", errors, folder, target))
         if second.returncode != 0:
             raise BuildError(_refused(compiler, f"the wrapper of {name}", second.stderr, folder, target))
-        link = [*compiler, *_link_flags(), "package.o", "wrapper.o", "-o", "module", "-lm"]
+        foreign = _compile_foreign(files, flags, compiler, folder, target)
+        link = [*compiler, *_link_flags(), "package.o", "wrapper.o", *foreign, "-o", "module", "-lm"]
         linked = subprocess.run(link, cwd=folder, capture_output=True, text=True, check=False)
         if linked.returncode != 0:
             raise BuildError(_refused(compiler, f"linking {name}", linked.stderr, folder, target))
         os.replace(folder / "module", target)
+
+
+def _compile_foreign(
+    files: Mapping[str, str], flags: Sequence[str], compiler: tuple[str, ...], folder: Path, target: Path
+) -> list[str]:
+    """Object files of the code in subfolders, without our warnings."""
+    includes = sorted({f"-I{Path(path).parent}" for path in files if "/" in path})
+    allowed = [flag for flag in flags if not flag.startswith(("-W", "-pedantic", "-std"))]
+    objects = []
+    for path in sorted(p for p in files if "/" in p and p.endswith(".c")):
+        objects.append(f"{path[:-2].replace('/', '_')}.o")
+        command = [*compiler, "-c", "-fPIC", "-fvisibility=hidden", *allowed, "-w", *includes, path, "-o", objects[-1]]
+        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if run.returncode != 0:
+            raise BuildError(_refused(compiler, path, run.stderr, folder, target))
+    return objects
 
 
 def _python_includes() -> list[str]:

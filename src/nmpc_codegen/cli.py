@@ -75,6 +75,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--name", help="name of the package, prefix of every C name (default: the problem's)")
     add("--hessian", metavar="WORD", help="Hessian of the QP, see --list-options")
     add("--qp", metavar="WORD", help="QP solver, see --list-options")
+    add("--allow-foreign", action="store_true", help="let OSQP's own generated code stand beside the package")
     add("--precision", choices=("double", "single"), help="working precision")
     add(
         "--set",
@@ -302,7 +303,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
         options = apply_setting(options, key.strip(), text.strip())
     name = arguments.name or ocp.name
     folder = Path(arguments.output or Path("out") / name)
-    package = export(ocp, options, str(folder), name=name)
+    package = export(ocp, options, str(folder), name=name, allow_foreign=arguments.allow_foreign)
     _print_package(console, folder, name, package.report, arguments.verbose)
     passed = True
     if arguments.check:

@@ -195,6 +195,7 @@ class CModule:
     diagonal_weight: bool
     diagonal_weight_N: bool
     metadata: Mapping[str, Any]
+    foreign: tuple[str, ...] = ()  # folders of code that another generator writes
 
     @property
     def macro(self) -> str:

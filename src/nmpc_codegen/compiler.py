@@ -51,19 +51,40 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
     problem = analyse(ocp)
     linearization = linearize(problem, options or Options())
     module = lower(linearization, name)
-    return render(module)
+    sources = render(module)
+    for component in linearization.options.components:
+        if component.name in module.foreign:
+            sizes = module.value("NV"), module.value("NG")
+            sources |= component.foreign_sources(module.name, module.precision, *sizes)  # type: ignore[attr-defined]
+    return sources
 
 
-def export(ocp: OCP, options: Options | None = None, directory: str | Path = ".", name: str | None = None) -> Package:
+def export(
+    ocp: OCP,
+    options: Options | None = None,
+    directory: str | Path = ".",
+    name: str | None = None,
+    *,
+    allow_foreign: bool = False,
+) -> Package:
     """Write the C package of the problem into a folder, which is created if needed.
 
+    ``allow_foreign``: code of another generator (OSQP) may stand in a folder of its own beside the package's files.
+
     Raises:
-        ProblemError, OptionError: see generate().
+        ProblemError, OptionError: see generate(); foreign code that is not allowed.
     """
     sources = generate(ocp, options, name)
+    foreign = sorted({path.split("/")[0] for path in sources if "/" in path})
+    if foreign and not allow_foreign:
+        raise OptionError(
+            f"qp {foreign[0]!r} brings foreign code with globals, which export() refuses; "
+            "choose another solver, or export(..., allow_foreign=True)"
+        )
     folder = Path(directory).resolve()
     folder.mkdir(parents=True, exist_ok=True)
     for path, text in sources.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_text(text, encoding="utf-8")
     prefix = name or ocp.name
     report = json.loads(sources[f"{prefix}.json"])["report"]

@@ -69,8 +69,10 @@ class QpShape:
 class Component(Protocol):
     """What lower.py asks of a component.
 
-    A condensing component has besides qp_shape(problem) -> QpShape and ``gives``, the form of QP it hands on
-    ("condensed", "stages"); a QP solver has ``takes``, the form it reads.
+    A condensing component has besides qp_shape(problem) -> QpShape, refusal(problem) -> a reason or None, and
+    ``gives``, the form of QP it hands on ("condensed", "stages"), and ``columns``: it calls the products with columns.
+    A QP solver has ``takes``, the form it reads, and ``automatic``: qp=None may choose it. One that wraps foreign code
+    has foreign_sources(prefix, precision, nv, ng) -> files below the folder of its name.
     """
 
     seam: ClassVar[str]

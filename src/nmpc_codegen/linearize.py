@@ -6,14 +6,13 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
+from nmpc_codegen.choose import choose_qp
 from nmpc_codegen.component import refuse_unsupported
-from nmpc_codegen.condensing import FullCondensing
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
-from nmpc_codegen.options import REGISTRIES, Options
+from nmpc_codegen.options import REGISTRIES, Online, Options
 from nmpc_codegen.problem import Problem, Stage
-from nmpc_codegen.qp import DenseActiveSet
+from nmpc_codegen.products import Products
 from nmpc_codegen.sweep import LoopedRoutine, Routine
 
 
@@ -34,42 +33,46 @@ class Linearization:
         """Operations of one evaluation of the routine of that name."""
         return next(r.count for r in self.routines if r.name == name)
 
+    @property
+    def products(self) -> Products:
+        """Products with the stage matrices."""
+        return Products.of(self.problem.nx, self.problem.nu, self.routines)
+
 
 def linearize(problem: Problem, options: Options) -> Linearization:
     """Problem -> Linearization. Raises OptionError for a combination that no component supports."""
-    complete, choices = _choose(problem, options)
-    online = complete.online
+    online = options.online
     path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
     problem = replace(problem, path=path, terminal=terminal)
-    refuse_unsupported(problem, complete.components, REGISTRIES)
-    routines: list[Routine] = [r for c in complete.components for r in c.routines(problem)]
+    options, choices = _choose_integrator(problem, options)
+    first = (options.integrator, options.hessian)
+    refuse_unsupported(problem, first, REGISTRIES)
+    routines: list[Routine] = [r for c in first for r in c.routines(problem)]
     routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal"), _coupled(problem)]
+    constant = _constant_hessian(problem, online, routines)
+    products = Products.of(problem.nx, problem.nu, routines)
+    known = {r.name: r.count for r in routines} | products.counts | products.column_counts
+    options, why = choose_qp(problem, options, constant, known)
+    rest = (options.condensing, options.qp, options.algorithm)
+    refuse_unsupported(problem, rest, REGISTRIES)
+    routines += [r for c in rest for r in c.routines(problem)]
+    return Linearization(problem, options, (*choices, *why), tuple(routines), constant)
+
+
+def _constant_hessian(problem: Problem, online: Online, routines: list[Routine]) -> bool:
+    """The path Hessian reads nothing that differs from node to node."""
     hessian = next(r for r in routines if r.name == "path_hessian")
     varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
     varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
-    constant = not varying & _inputs_read(hessian) and all(r.name != "path_curvature" for r in routines)
-    return Linearization(problem, complete, choices, tuple(routines), constant)
+    return not varying & _inputs_read(hessian) and all(r.name != "path_curvature" for r in routines)
 
 
-def _choose(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
-    choices = []
-    if options.integrator is None:
-        chosen = Discrete() if problem.discrete else ExplicitRungeKutta()
-        options = replace(options, integrator=chosen)
-        why = "the dynamics are a discrete map" if problem.discrete else "default for differential equations: RK4"
-        choices.append(f"integrator: {chosen.name}; {why}")
-    if options.condensing is None:
-        options = replace(options, condensing=FullCondensing())
-        choices.append("condensing: full; the only one that feeds a dense QP solver")
-    if options.qp is None:
-        options = replace(options, qp=DenseActiveSet())
-        choices.append("qp: dense_active_set; the only registered solver")
-    if options.condensing.gives != options.qp.takes:
-        raise OptionError(
-            f"condensing {options.condensing.name!r} clashes with qp {options.qp.name!r}: it gives a QP in the form "
-            f"{options.condensing.gives!r}, the solver takes {options.qp.takes!r}"
-        )
-    return options, tuple(choices)
+def _choose_integrator(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
+    if options.integrator is not None:
+        return options, ()
+    chosen = Discrete() if problem.discrete else ExplicitRungeKutta()
+    why = "the dynamics are a discrete map" if problem.discrete else "default for differential equations: RK4"
+    return replace(options, integrator=chosen), (f"integrator: {chosen.name}; {why}",)
 
 
 def _rows(stage: Stage, name: str) -> Kernel:

@@ -24,10 +24,11 @@ from nmpc_codegen.cmodule import (
     struct_layout,
 )
 from nmpc_codegen.component import Counts, Dims
+from nmpc_codegen.dimensions import dimensions
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.linearize import Linearization
 from nmpc_codegen.problem import Problem, Row, Signal, Stage, c_identifier
-from nmpc_codegen.products import PANEL, Products, pattern
+from nmpc_codegen.products import PANEL, Products
 
 # Counters stop here, and integrate() takes at most so many steps.
 MANY = 1_000_000
@@ -43,7 +44,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
     dims = _dims(lin)
     structs = _structs(lin, dims)
     layout = struct_layout(structs, lin.options.precision)
-    products = _products(lin)
+    products = lin.products
     known = _known(lin, products)
     sections = tuple(
         Section(
@@ -82,23 +83,13 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         diagonal_weight=problem.path.diagonal_weight,
         diagonal_weight_N=problem.terminal.diagonal_weight,
         metadata=_metadata(lin, name, macros, structs, products),
-    )
-
-
-def _products(lin: Linearization) -> Products:
-    routine = {r.name: r for r in lin.routines}
-    return Products(
-        lin.problem.nx,
-        lin.problem.nu,
-        pattern(routine["integrator_interval"], "S"),
-        pattern(routine["path_hessian"], "Q"),
-        pattern(routine["terminal_hessian"], "Q"),
+        foreign=tuple(c.name for c in lin.options.components if hasattr(c, "foreign_sources")),
     )
 
 
 def _known(lin: Linearization, products: Products) -> Counts:
     """Operations of the functions that components call: printed routines and stage products."""
-    return {r.name: r.count for r in lin.routines} | products.counts
+    return {r.name: r.count for r in lin.routines} | products.counts | products.column_counts
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -110,37 +101,8 @@ def _section_count(counts: dict[str, OpCount]) -> OpCount | None:
     return sum(counts.values(), OpCount()) if counts else None
 
 
-def _weight_entries(stage: Stage) -> int:
-    return stage.ny if stage.diagonal_weight else stage.ny**2
-
-
 def _dims(lin: Linearization) -> Dims:
-    p = lin.problem
-    shape = lin.options.condensing.qp_shape(p)
-    return Dims(
-        N=Size("N", p.N),
-        nx=Size("NX", p.nx),
-        nu=Size("NU", p.nu),
-        nz=Size("NZ", p.nx + p.nu),
-        np=Size("NP", p.np),
-        ny=Size("NY", p.path.ny),
-        ny_N=Size("NY_N", p.terminal.ny),
-        nw=Size("NW", _weight_entries(p.path)),
-        nw_N=Size("NW_N", _weight_entries(p.terminal)),
-        nh=Size("NH", p.path.nh),
-        nh_N=Size("NH_N", p.terminal.nh),
-        nr=Size("NR", len(p.rows)),
-        nq=Size("NQ", 1 if lin.constant_hessian else p.N),
-        nf=Size("NF", len(p.free_initial)),
-        ne=Size("NE", p.coupled_rows),
-        ns=Size("NS", shape.stages),
-        nus=Size("NUS", shape.controls),
-        nzs=Size("NZS", p.nx + shape.controls),
-        nv=Size("NV", shape.variables),
-        nsl=Size("NSL", shape.slacks),
-        ng=Size("NG", len(p.qp_rows)),
-        ld=Size("LDV", -(-shape.variables // PANEL) * PANEL),
-    )
+    return dimensions(lin.problem, lin.options.condensing.qp_shape(lin.problem), lin.constant_hessian)
 
 
 def _macros(lin: Linearization, dims: Dims) -> tuple[Macro, ...]:
@@ -443,7 +405,9 @@ def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products)
     N = lin.problem.N
     linearization = sum((lin.count(n) for n in ("integrator_interval", "path_gradient", "path_rows")), OpCount()) * N
     known = _known(lin, products)
-    counts = dict(known)
+    counts = {r.name: r.count for r in lin.routines} | products.counts
+    if lin.options.condensing.columns:
+        counts |= products.column_counts
     dims = _dims(lin)
     for component in lin.options.components:
         counts |= component.cost(dims, known)

@@ -27,4 +27,6 @@ def open_package(
     paths = [folder / f"{prefix}.{ext}" for ext in ("h", "c", "json")]
     if not paths[1].exists():
         raise BuildError(f"{folder}: {prefix}.c is missing")
-    return load({p.name: p.read_text(encoding="utf-8") for p in paths}, prefix, profile, lanes=lanes)
+    paths += sorted(p for p in folder.glob("osqp/**/*.[ch]"))
+    files = {p.relative_to(folder).as_posix(): p.read_text(encoding="utf-8") for p in paths}
+    return load(files, prefix, profile, lanes=lanes)

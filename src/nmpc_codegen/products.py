@@ -30,6 +30,18 @@ class Products:
     Q: Pattern
     Q_N: Pattern
 
+    @classmethod
+    def of(cls, nx: int, nu: int, routines: Iterable[Routine]) -> Products:
+        """The patterns that the routines store."""
+        routine = {r.name: r for r in routines}
+        return cls(
+            nx,
+            nu,
+            pattern(routine["integrator_interval"], "S"),
+            pattern(routine["path_hessian"], "Q"),
+            pattern(routine["terminal_hessian"], "Q"),
+        )
+
     @property
     def written_out(self) -> bool:
         """True: over the structural nonzeros; False: dense loops."""
@@ -41,17 +53,34 @@ class Products:
         return f"products/{'nonzeros' if self.written_out else 'loops'}.c.jinja"
 
     @property
+    def columns_template(self) -> str:
+        """The products with columns in the same spelling, for full condensing."""
+        return f"products/{'nonzeros' if self.written_out else 'loops'}_columns.c.jinja"
+
+    @property
     def counts(self) -> dict[str, OpCount]:
-        """Operations of one run of every product, by C function; those on columns: of one panel."""
+        """Operations of one run of every product with a vector, by C function."""
+        nz = self.nx + self.nu
+        if not self.written_out:
+            return {
+                "state_step": _accumulated(self.nx * nz),
+                "adjoint_step": _accumulated(self.nx * nz + nz * nz),
+                "terminal_adjoint": _accumulated(self.nx * self.nx),
+            }
+        return {
+            "state_step": _accumulated(len(self.S)),
+            "adjoint_step": _accumulated(sum(len(rows) + len(entries) for _, rows, entries in self.adjoint)),
+            "terminal_adjoint": _accumulated(sum(len(entries) for _, entries in self.terminal)),
+        }
+
+    @property
+    def column_counts(self) -> dict[str, OpCount]:
+        """Operations on one panel of columns."""
         return self._counts_of_nonzeros() if self.written_out else self._counts_of_loops()
 
     def _counts_of_nonzeros(self) -> dict[str, OpCount]:
         terminal = [len(entries) for _, entries in self.terminal]
-        adjoint = [len(rows) + len(entries) for _, rows, entries in self.adjoint]
         return {
-            "state_step": _accumulated(len(self.S)),
-            "adjoint_step": _accumulated(sum(adjoint)),
-            "terminal_adjoint": _accumulated(sum(terminal)),
             "condense_forward_columns": _summed(len(columns) for _, columns in self.A_rows) * PANEL,
             "condense_terminal_columns": _summed(terminal) * PANEL,
             "condense_backward_columns": _summed(len(rows) + len(e) for _, rows, e in self.condensed) * PANEL,
@@ -62,9 +91,6 @@ class Products:
         terminal = sum(len(entries) for _, entries in self.terminal)
         cost = sum(len(entries) for _, _, entries in self.condensed)
         return {
-            "state_step": _accumulated(nx * nz),
-            "adjoint_step": _accumulated(nx * nz + nz * nz),
-            "terminal_adjoint": _accumulated(nx * nx),
             "condense_forward_columns": _accumulated(nx * nx) * PANEL,
             "condense_terminal_columns": _accumulated(terminal) * PANEL,
             "condense_backward_columns": _accumulated(nx * nz + cost) * PANEL,

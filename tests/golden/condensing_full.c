@@ -11,6 +11,53 @@
  * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
  * lower <= row - sigma <= upper, cost l2/2 sigma^2, sigma = 0 elastic with penalty l1. */
 
+/* Products with the columns of G_k; how W is kept is theirs. */
+
+/* G_{k+1} = A_k G_k on the first `width` columns, rounded up to PANEL. */
+static void condense_forward_columns(golden_condensed_t *d, const golden_node_t *node, int k, int width)
+{
+    int c, l;
+    const golden_real s_0_0 = node->S[0][0];
+    for (c = 0; c < width; c += GOLDEN_PANEL) {
+        for (l = c; l < c + GOLDEN_PANEL; l++) {
+            const golden_real g_0 = d->G[k][0][l];
+            d->G[k + 1][0][l] = s_0_0 * g_0;
+        }
+    }
+    (void)node;
+}
+
+/* W_N = Q_N G_N on the first `width` columns, rounded up to PANEL. */
+static void condense_terminal_columns(golden_condensed_t *d, golden_real (*Q)[GOLDEN_NX], int width)
+{
+    int c, l;
+    for (c = 0; c < width; c += GOLDEN_PANEL) {
+        for (l = c; l < c + GOLDEN_PANEL; l++) {
+            d->W[0][0][l] = Q[0][0] * d->G[GOLDEN_N][0][l];
+        }
+    }
+    (void)Q;
+}
+
+/* T = B_k' W_{k+1} + S_k G_k and, in place, W_k = A_k' W_{k+1} + Q_k G_k on the first `width` columns, rounded up to PANEL. */
+static void condense_backward_columns(golden_condensed_t *d, const golden_node_t *node, golden_real (*Q)[GOLDEN_NZ], int k, int width)
+{
+    int c, l;
+    const golden_real s_0_0 = node->S[0][0];
+    const golden_real s_0_1 = node->S[0][1];
+    const golden_real q_0_0 = Q[0][0];
+    for (c = 0; c < width; c += GOLDEN_PANEL) {
+        for (l = c; l < c + GOLDEN_PANEL; l++) {
+            const golden_real w_0 = d->W[0][0][l];
+            const golden_real g_0 = d->G[k][0][l];
+            d->W[0][0][l] = s_0_0 * w_0 + q_0_0 * g_0;
+            d->T[0][l] = s_0_1 * w_0;
+        }
+    }
+    (void)node;
+    (void)Q;
+}
+
 static void qp_init(golden_qp_t *q);
 static golden_status_t qp_factorize(golden_qp_t *q);
 static golden_status_t qp_solve(golden_qp_t *q);

@@ -4,10 +4,12 @@ C contract: condense_init, condense_prepare, condense_gradient, condense_rows, c
 ``gives`` says which form of QP it hands on, "condensed" or "stages"; a QP solver of the same ``takes`` follows it.
 """
 
+from typing import Any
+
 from nmpc_codegen.condensing.full import FullCondensing
 from nmpc_codegen.condensing.none import NoCondensing
 from nmpc_codegen.condensing.partial import PartialCondensing
 
-REGISTRY: dict[str, type[FullCondensing]] = {FullCondensing.name: FullCondensing}
+REGISTRY: dict[str, Any] = {cls.name: cls for cls in (FullCondensing, NoCondensing, PartialCondensing)}
 
 __all__ = ["REGISTRY", "FullCondensing", "NoCondensing", "PartialCondensing"]

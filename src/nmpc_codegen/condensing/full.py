@@ -45,6 +45,7 @@ class FullCondensing:
     template: ClassVar[str] = "condensing/full.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "condensed"
+    columns: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -53,6 +54,10 @@ class FullCondensing:
         """One stage with all controls; variables are the controls, the free components of x_0 and the slacks."""
         controls, slacks = problem.N * problem.nu, sum(s >= 0 for s in _slacks(problem))
         return QpShape(1, controls, controls + len(problem.free_initial) + slacks, slacks)
+
+    def refusal(self, problem: Problem) -> str | None:
+        """It takes every problem of its features."""
+        return None
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         return ()

@@ -7,7 +7,8 @@ from typing import ClassVar
 
 from nmpc_codegen.cmodule import Struct, Table
 from nmpc_codegen.component import Counts, Dims, QpShape
-from nmpc_codegen.condensing.stages import embed_cost, refuse_free_coupled, stage_tables
+from nmpc_codegen.condensing.stages import embed_cost, free_coupled, stage_tables
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.sweep import Routine
@@ -22,6 +23,7 @@ class NoCondensing:
     template: ClassVar[str] = "condensing/none.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
+    columns: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -32,8 +34,14 @@ class NoCondensing:
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
-        refuse_free_coupled(problem, self.name)
+        reason = self.refusal(problem)
+        if reason:
+            raise OptionError(reason)
         return ()
+
+    def refusal(self, problem: Problem) -> str | None:
+        """Why it does not take the problem, beyond its features; None if it does."""
+        return free_coupled(problem, self.name)
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from nmpc_codegen.cmodule import Table
 from nmpc_codegen.component import Dims
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
 
 
-def refuse_free_coupled(problem: Problem, name: str) -> None:
-    """On stages a coupled row is a terminal row, which needs x_0 to be known."""
-    if problem.coupled_rows and problem.free_initial:
-        coupled = ", ".join(row.name for row in problem.rows if row.kind == "coupled")
-        raise OptionError(
-            f"{problem.name} couples x_0 and x_N ({coupled}) with free_initial components, which condensing {name!r} "
-            "does not support; choose full"
-        )
+def free_coupled(problem: Problem, name: str) -> str | None:
+    """On stages a coupled row is a terminal row, which needs x_0 to be known: why condensing ``name`` refuses."""
+    if not (problem.coupled_rows and problem.free_initial):
+        return None
+    coupled = ", ".join(row.name for row in problem.rows if row.kind == "coupled")
+    return (
+        f"{problem.name} couples x_0 and x_N ({coupled}) with free_initial components, which condensing {name!r} "
+        "does not support; choose full"
+    )
 
 
 def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:

@@ -1,7 +1,11 @@
 """QP solvers: one file per solver, found by its word on the command line."""
 
+from typing import Any
+
 from nmpc_codegen.qp.dense_active_set import DenseActiveSet
+from nmpc_codegen.qp.osqp import Osqp
+from nmpc_codegen.qp.riccati_interior_point import RiccatiInteriorPoint
 
-REGISTRY = {DenseActiveSet.name: DenseActiveSet}
+REGISTRY: dict[str, Any] = {cls.name: cls for cls in (DenseActiveSet, RiccatiInteriorPoint, Osqp)}
 
-__all__ = ["REGISTRY", "DenseActiveSet"]
+__all__ = ["REGISTRY", "DenseActiveSet", "Osqp", "RiccatiInteriorPoint"]

@@ -33,6 +33,7 @@ class DenseActiveSet:
     template: ClassVar[str] = "qp/dense_active_set.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[str] = "condensed"
+    automatic: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )

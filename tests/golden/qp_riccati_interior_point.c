@@ -1,0 +1,1599 @@
+/* ==== qp: riccati_interior_point ========================================================================== */
+
+/* ---------------------------------------------------------------------------------------------------------------------
+ * qp: Riccati interior point
+ * TODO
+ * ------------------------------------------------------------------------------------------------------------------ */
+
+/* Riccati recursion on the stage QP, shared by the Riccati solvers.
+ *
+ *     min  sum_{k<NS} 1/2 z_k'M_k z_k + g_k'z_k  +  1/2 x_NS'M_NS x_NS + g_NS'x_NS,   z = (x, u),   x_{k+1} = S_k z_k + b_k
+ *
+ *     M_k = Q_k + diag(diagonal[k]) + sum of weight[m] a_m a_m' over the rows m of stage k;   u_j given where fixed[j] != 0
+ *
+ * Cost to go 1/2 x'P_k x + p_k'x. With M_k := M_k + S_k'P_{k+1}S_k, its rows M_u of the controls and M_uu = L D L' of those that
+ * are free:   K = -M_uu^{-1} M_ux,   P_k = M_xx + M_ux'K.
+ *
+ * Contract
+ *   riccati_init       once: everything zero.
+ *   riccati_factorize  M, L, inverse, K of the stages last .. 0 and P_last .. P_0 from Q, S, diagonal, weight, fixed (last = NS:
+ *                      all of them, P_NS too). Later stages stand. 0: a pivot is not positive (stage in failed), else 1.
+ *   riccati_backward   p, feed, h of the stages last .. 0 from g, b, du (values of the fixed controls); later ones stand.
+ *   riccati_forward    x[1..NS] and u of the minimiser, from x[0]; its free components are computed.
+ *   riccati_adjoint    lam = P_k x + p_k, the multiplier of x_k
+ *   riccati_control_gradient  derivative of the cost to go with respect to u_j at stage k, 0 at the minimiser if u_j is free:
+ *                      minus the multiplier of a fixed control
+ * The caller sets diagonal, weight, fixed, then g, b, du. Symmetric matrices P_k are stored in full; their rows and columns
+ * NX .. LDX are padding. Products run in blocks of four rows and eight columns: such loops are the ones that compilers turn
+ * into vector operations without being asked to. */
+
+/* Four rows of a product: c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < 8. */
+static inline void riccati_block_8(golden_real *c, int ldc, const golden_real *a, int lda, const golden_real *b, int ldb, int n)
+{
+    golden_real s0[8] = {0}, s1[8] = {0}, s2[8] = {0}, s3[8] = {0};
+    int i, l;
+    for (l = 0; l < n; l++) {
+        const golden_real a0 = a[0], a1 = a[1], a2 = a[2], a3 = a[3];
+        for (i = 0; i < 8; i++) { s0[i] += a0 * b[i]; }
+        for (i = 0; i < 8; i++) { s1[i] += a1 * b[i]; }
+        for (i = 0; i < 8; i++) { s2[i] += a2 * b[i]; }
+        for (i = 0; i < 8; i++) { s3[i] += a3 * b[i]; }
+        a += lda;
+        b += ldb;
+    }
+    for (i = 0; i < 8; i++) { c[i] += s0[i]; }
+    for (i = 0; i < 8; i++) { c[ldc + i] += s1[i]; }
+    for (i = 0; i < 8; i++) { c[2 * ldc + i] += s2[i]; }
+    for (i = 0; i < 8; i++) { c[3 * ldc + i] += s3[i]; }
+}
+
+/* The same for j < 4. */
+static inline void riccati_block_4(golden_real *c, int ldc, const golden_real *a, int lda, const golden_real *b, int ldb, int n)
+{
+    golden_real s0[4] = {0}, s1[4] = {0}, s2[4] = {0}, s3[4] = {0};
+    int i, l;
+    for (l = 0; l < n; l++) {
+        const golden_real a0 = a[0], a1 = a[1], a2 = a[2], a3 = a[3];
+        for (i = 0; i < 4; i++) { s0[i] += a0 * b[i]; }
+        for (i = 0; i < 4; i++) { s1[i] += a1 * b[i]; }
+        for (i = 0; i < 4; i++) { s2[i] += a2 * b[i]; }
+        for (i = 0; i < 4; i++) { s3[i] += a3 * b[i]; }
+        a += lda;
+        b += ldb;
+    }
+    for (i = 0; i < 4; i++) { c[i] += s0[i]; }
+    for (i = 0; i < 4; i++) { c[ldc + i] += s1[i]; }
+    for (i = 0; i < 4; i++) { c[2 * ldc + i] += s2[i]; }
+    for (i = 0; i < 4; i++) { c[3 * ldc + i] += s3[i]; }
+}
+
+/* c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < width; width is a multiple of 4. */
+static void riccati_rows(golden_real *c, int ldc, const golden_real *a, int lda, const golden_real *b, int ldb, int n, int width)
+{
+    int j;
+    for (j = 0; j + 8 <= width; j += 8) {
+        riccati_block_8(c + j, ldc, a, lda, b + j, ldb, n);
+    }
+    if (j < width) {
+        riccati_block_4(c + j, ldc, a, lda, b + j, ldb, n);
+    }
+}
+
+/* y[j] += a x[j],  j < n; n is a multiple of 4. */
+static inline void riccati_add(golden_real *y, golden_real a, const golden_real *x, int n)
+{
+    int j, i;
+    for (j = 0; j < n; j += 4) {
+        golden_real s[4];
+        for (i = 0; i < 4; i++) { s[i] = y[j + i] + a * x[j + i]; }
+        for (i = 0; i < 4; i++) { y[j + i] = s[i]; }
+    }
+}
+
+/* y[j] += sum_{l<n} a[l] rows[l][j],  j < width. */
+static inline void riccati_combine(golden_real *y, const golden_real *a, const golden_real *rows, int ld, int n, int width)
+{
+    const int eights = width / 8 * 8, fours = width / 4 * 4;
+    int j, i, l;
+    for (j = 0; j < eights; j += 8) {
+        golden_real s[8] = {0};
+        for (l = 0; l < n; l++) {
+            const golden_real *row = rows + l * ld + j;
+            for (i = 0; i < 8; i++) { s[i] += a[l] * row[i]; }
+        }
+        for (i = 0; i < 8; i++) { y[j + i] += s[i]; }
+    }
+    for (j = eights; j < fours; j += 4) {
+        golden_real s[4] = {0};
+        for (l = 0; l < n; l++) {
+            const golden_real *row = rows + l * ld + j;
+            for (i = 0; i < 4; i++) { s[i] += a[l] * row[i]; }
+        }
+        for (i = 0; i < 4; i++) { y[j + i] += s[i]; }
+    }
+    for (j = fours; j < width; j++) {
+        golden_real sum = 0.0;
+        for (l = 0; l < n; l++) {
+            sum += a[l] * rows[l * ld + j];
+        }
+        y[j] += sum;
+    }
+}
+
+/* sum_j a[j] b[j],  j < n. */
+static inline golden_real riccati_dot(const golden_real *a, const golden_real *b, int n)
+{
+    golden_real s[8] = {0}, t[4];
+    golden_real sum = 0.0;
+    const int eights = n / 8 * 8, fours = n / 4 * 4;
+    int j, i;
+    for (j = 0; j < eights; j += 8) {
+        for (i = 0; i < 8; i++) { s[i] += a[j + i] * b[j + i]; }
+    }
+    for (i = 0; i < 4; i++) { t[i] = s[i] + s[i + 4]; }
+    for (j = eights; j < fours; j += 4) {
+        for (i = 0; i < 4; i++) { t[i] += a[j + i] * b[j + i]; }
+    }
+    for (j = fours; j < n; j++) {
+        sum += a[j] * b[j];
+    }
+    return sum + ((t[0] + t[2]) + (t[1] + t[3]));
+}
+
+/* The padding of P_k takes part in products. */
+static inline void riccati_clear_padding(golden_real (*P)[GOLDEN_LDX])
+{
+    int i, j;
+    for (i = 0; i < GOLDEN_LDX; i++) {
+        for (j = (i < GOLDEN_NX) ? GOLDEN_NX : 0; j < GOLDEN_LDX; j++) {
+            P[i][j] = 0.0;
+        }
+    }
+}
+
+/* P_k (lower triangle) and M_u before the cost to go enters: Q_k and the diagonal. */
+static void riccati_load_stage(golden_solver_t *s, int k)
+{
+    golden_riccati_t *r = &s->riccati;
+    golden_real (*Q)[GOLDEN_NZS] = stage_Q(s, k);
+    golden_real (*P)[GOLDEN_LDX] = r->P[k];
+    golden_real (*M)[GOLDEN_LDZ] = r->M[k];
+    int i, j;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        memcpy(P[i], Q[i], sizeof(Q[0][0]) * GOLDEN_NX);
+        P[i][i] += r->diagonal[k][i];
+    }
+    riccati_clear_padding(P);
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        memcpy(M[j], Q[GOLDEN_NX + j], sizeof Q[0]);
+        M[j][GOLDEN_NX + j] += r->diagonal[k][GOLDEN_NX + j];
+    }
+}
+
+static void riccati_load_terminal(golden_solver_t *s)
+{
+    golden_riccati_t *r = &s->riccati;
+    int i;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        memcpy(r->P[GOLDEN_NS][i], s->hessian.Q_N[i], sizeof s->hessian.Q_N[0]);
+        r->P[GOLDEN_NS][i][i] += r->diagonal[GOLDEN_NS][i];
+    }
+    riccati_clear_padding(r->P[GOLDEN_NS]);
+}
+
+/* Lower triangle of P += A'B for rows A, B of n entries each. */
+static inline void riccati_update_states(golden_riccati_t *r, int k, const golden_real *A, const golden_real *B, int n)
+{
+    int i;
+    for (i = 0; i < GOLDEN_LDX; i += 4) {
+        riccati_rows(r->P[k][i], GOLDEN_LDX, A + i, GOLDEN_LDW, B, GOLDEN_LDZ, n, i + 4);
+    }
+}
+
+static inline void riccati_update_controls(golden_riccati_t *r, int k, const golden_real *A, const golden_real *B, int n)
+{
+    int j;
+    for (j = 0; j < GOLDEN_NUS; j += 4) {
+        riccati_rows(r->M[k][j], GOLDEN_LDZ, A + GOLDEN_NX + j, GOLDEN_LDW, B, GOLDEN_LDZ, n, GOLDEN_LDZ);
+    }
+}
+
+/* weight a a' of the rows of stage k: state bounds on the diagonal, the others in groups of four. */
+static void riccati_add_weights(golden_solver_t *s, int k)
+{
+    golden_riccati_t *r = &s->riccati;
+    const int width = k < GOLDEN_NS ? GOLDEN_NZS : GOLDEN_NX;
+    int n = 0, m, i;
+    for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
+        const int state = stage_state[m];
+        const golden_real w = r->weight[m];
+        if (state >= 0) {
+            r->P[k][state][state] += w;
+        } else if (w != 0.0) {
+            const golden_real *a = stage_row(s, m);
+            for (i = 0; i < width; i++) {
+                r->W[n][i] = w * a[i];
+                r->T[n][i] = a[i];
+            }
+            n++;
+        }
+        if (n == 4 || (n > 0 && m + 1 == stage_first[k + 1])) {
+            riccati_update_states(r, k, r->W[0], r->T[0], n);
+            if (k < GOLDEN_NS) {
+                riccati_update_controls(r, k, r->W[0], r->T[0], n);
+            }
+            n = 0;
+        }
+    }
+}
+
+/* T = P_{k+1} S_k, S_k padded in W. */
+static void riccati_propagate(golden_solver_t *s, int k)
+{
+    golden_riccati_t *r = &s->riccati;
+    golden_real (*S)[GOLDEN_NZS] = stage_S(s, k);
+    int i;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        memcpy(r->W[i], S[i], sizeof S[0]);
+    }
+    memset(r->T, 0, sizeof r->T);
+    for (i = 0; i < GOLDEN_LDX; i += 4) {
+        riccati_rows(r->T[i], GOLDEN_LDZ, &r->P[k + 1][0][i], GOLDEN_LDX, r->W[0], GOLDEN_LDW, GOLDEN_NX, GOLDEN_LDZ);
+    }
+}
+
+/* M_uu of the free controls into L (lower triangle), their M_ux into V (T below the states); fixed ones: rows of the identity,
+ * and of zeros. */
+static inline void riccati_load_controls(golden_riccati_t *r, int k)
+{
+    const int32_t *fixed = &r->fixed[k * GOLDEN_NUS];
+    int i, j, l;
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        const golden_real *M = r->M[k][j];
+        golden_real *V = r->T[GOLDEN_NX + j];
+        for (l = 0; l < j; l++) {
+            r->L[k][j][l] = (fixed[j] || fixed[l]) ? 0.0 : M[GOLDEN_NX + l];
+        }
+        r->L[k][j][j] = fixed[j] ? 1.0 : M[GOLDEN_NX + j];
+        for (i = 0; i < GOLDEN_LDX; i++) {
+            V[i] = (fixed[j] || i >= GOLDEN_NX) ? 0.0 : M[i];
+        }
+    }
+}
+
+/* The pivot d of a matrix whose diagonal entry was `reference`. One that may be zero gets a share of that entry, if this is
+ * asked for. Returns 0 if it is not positive. */
+static inline golden_real riccati_pivot(const golden_riccati_t *r, golden_real d, golden_real reference, golden_real *added)
+{
+    const golden_real unit = sqrt(2.220446049250313e-16);
+    *added = 0.0;
+    if (isfinite(d) && d > 7.105427357601002e-15 * reference) {
+        return d;
+    }
+    if (!r->regularize || !(d >= -unit * reference) || !isfinite(reference)) {
+        return 0.0;
+    }
+    *added = 512.0 * unit * reference + r->regularize_zero;
+    return d + *added;
+}
+
+/* M_uu = L D L',  V = L^{-1} M_ux,  -D^{-1} V into W below the states. 0 if a pivot is not positive. */
+static int riccati_eliminate_controls(golden_riccati_t *r, int k)
+{
+    golden_real (*L)[GOLDEN_NUS] = r->L[k];
+    golden_real (*V)[GOLDEN_LDZ] = r->T + GOLDEN_NX;
+    int i, j, l;
+    riccati_load_controls(r, k);
+    for (l = 0; l < GOLDEN_NUS; l++) {
+        const int fixed = r->fixed[k * GOLDEN_NUS + l];
+        golden_real *reference = &r->M[k][l][GOLDEN_NX + l];
+        const golden_real pivot = riccati_pivot(r, L[l][l], fixed ? 0.0 : *reference, &r->proximal[k][l]);
+        if (!(pivot > 0.0)) {
+            return 0;
+        }
+        *reference += r->proximal[k][l];
+        r->inverse[k][l] = 1.0 / pivot;
+        for (j = l + 1; j < GOLDEN_NUS; j++) {
+            const golden_real y = L[j][l];
+            L[j][l] = y * r->inverse[k][l];
+            for (i = l + 1; i <= j; i++) {
+                L[j][i] -= y * L[i][l];
+            }
+            riccati_add(V[j], -L[j][l], V[l], GOLDEN_LDX);
+        }
+        for (i = 0; i < GOLDEN_LDX; i++) {
+            r->W[GOLDEN_NX + l][i] = -r->inverse[k][l] * V[l][i];
+        }
+    }
+    return 1;
+}
+
+/* L'K = -D^{-1} V. */
+static inline void riccati_gain(golden_riccati_t *r, int k)
+{
+    int j, l;
+    for (j = GOLDEN_NUS - 1; j >= 0; j--) {
+        memcpy(r->K[k][j], r->W[GOLDEN_NX + j], sizeof r->K[0][0]);
+        for (l = j + 1; l < GOLDEN_NUS; l++) {
+            riccati_add(r->K[k][j], -r->L[k][l][j], r->K[k][l], GOLDEN_LDX);
+        }
+    }
+}
+
+/* The upper triangle of P_k from the lower one. */
+static inline void riccati_mirror(golden_real (*P)[GOLDEN_LDX])
+{
+    int i, j;
+    for (i = 1; i < GOLDEN_NX; i++) {
+        for (j = 0; j < i; j++) {
+            P[j][i] = P[i][j];
+        }
+    }
+}
+
+/* P_k = Q_xx + A'P_{k+1}A - V'D^{-1}V: one product of (A, -D^{-1}V) with (P_{k+1}A, V). */
+static int riccati_stage(golden_solver_t *s, int k)
+{
+    golden_riccati_t *r = &s->riccati;
+    riccati_load_stage(s, k);
+    riccati_add_weights(s, k);
+    riccati_propagate(s, k);
+    riccati_update_controls(r, k, r->W[0], r->T[0], GOLDEN_NX);
+    if (!riccati_eliminate_controls(r, k)) {
+        r->failed = k;
+        return 0;
+    }
+    riccati_gain(r, k);
+    riccati_update_states(r, k, r->W[0], r->T[0], GOLDEN_NZS);
+    riccati_mirror(r->P[k]);
+    return 1;
+}
+
+/* L D L' of the block of P_0 that belongs to the free components of x_0; pivots as above. */
+static int riccati_factorize_free(golden_riccati_t *r)
+{
+    int i, j, l;
+    for (l = 0; l < GOLDEN_NF; l++) {
+        const golden_real reference = r->P[0][free_state[l]][free_state[l]];
+        golden_real d = reference;
+        for (j = 0; j < l; j++) {
+            d -= r->F[l][j] * r->F[l][j] * r->F[j][j];
+        }
+        d = riccati_pivot(r, d, reference, &r->proximal_free[l]);
+        if (!(d > 0.0)) {
+            r->failed = -1;
+            return 0;
+        }
+        r->F[l][l] = d;
+        for (i = l + 1; i < GOLDEN_NF; i++) {
+            golden_real y = r->P[0][free_state[i]][free_state[l]];
+            for (j = 0; j < l; j++) {
+                y -= r->F[i][j] * r->F[l][j] * r->F[j][j];
+            }
+            r->F[i][l] = y / d;
+        }
+    }
+    return 1;
+}
+
+/* The recursion from stage last down to 0; last = NS: P_NS too. */
+static int riccati_factorize(golden_solver_t *s, int last)
+{
+    int k = last;
+    if (k == GOLDEN_NS) {
+        riccati_load_terminal(s);
+        riccati_add_weights(s, k);
+        riccati_mirror(s->riccati.P[k]);
+        k--;
+    }
+    for (; k >= 0; k--) {
+        if (!riccati_stage(s, k)) {
+            return 0;
+        }
+    }
+    return riccati_factorize_free(&s->riccati);
+}
+
+/* Solves L D L'y = y for the free controls; entries of fixed ones are 0 and stay so. */
+static inline void riccati_solve_controls(const golden_riccati_t *r, int k, golden_real *y)
+{
+    int i, j;
+    for (j = 1; j < GOLDEN_NUS; j++) {
+        for (i = 0; i < j; i++) {
+            y[j] -= r->L[k][j][i] * y[i];
+        }
+    }
+    for (j = GOLDEN_NUS - 1; j >= 0; j--) {
+        y[j] *= r->inverse[k][j];
+        for (i = j + 1; i < GOLDEN_NUS; i++) {
+            y[j] -= r->L[k][i][j] * y[i];
+        }
+    }
+}
+
+/* w = g_k + S_k'(p_{k+1} + P_{k+1} b_k): gradient at z = 0, controls free. With f the fixed controls:
+ *     feed = -M_uu^{-1} (w_u + M_uf du_f),   p_k = w_x + M_xf du_f + K'(w_u + M_uf du_f) */
+static void riccati_backward_stage(golden_solver_t *s, int k)
+{
+    golden_riccati_t *r = &s->riccati;
+    golden_real v[GOLDEN_LDX], w[GOLDEN_NZS], y[GOLDEN_NUS];
+    int i, j;
+    memcpy(v, r->p[k + 1], sizeof v);
+    riccati_combine(v, r->b[k], r->P[k + 1][0], GOLDEN_LDX, GOLDEN_NX, GOLDEN_LDX);
+    memcpy(w, r->g[k], sizeof w);
+    riccati_combine(w, v, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
+    memcpy(r->h[k], w + GOLDEN_NX, sizeof r->h[k]);
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        if (r->fixed[k * GOLDEN_NUS + j]) {
+            const golden_real du = r->du[k * GOLDEN_NUS + j];
+            riccati_combine(w, &du, r->M[k][j], GOLDEN_LDZ, 1, GOLDEN_NX);
+            for (i = 0; i < GOLDEN_NUS; i++) {
+                w[GOLDEN_NX + i] += du * ((i < j) ? r->M[k][j][GOLDEN_NX + i] : r->M[k][i][GOLDEN_NX + j]);
+            }
+        }
+    }
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        y[j] = r->fixed[k * GOLDEN_NUS + j] ? 0.0 : w[GOLDEN_NX + j];
+    }
+    memcpy(r->p[k], w, sizeof w[0] * GOLDEN_NX);
+    riccati_combine(r->p[k], y, r->K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_LDX);
+    riccati_solve_controls(r, k, y);
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        r->feed[k][j] = r->fixed[k * GOLDEN_NUS + j] ? r->du[k * GOLDEN_NUS + j] : -y[j];
+    }
+}
+
+/* p, feed and h of the stages last .. 0; last = NS: p_NS too. */
+static void riccati_backward(golden_solver_t *s, int last)
+{
+    int k = last;
+    if (k == GOLDEN_NS) {
+        memcpy(s->riccati.p[k], s->riccati.g[k], sizeof s->riccati.g[0][0] * GOLDEN_NX);
+        k--;
+    }
+    for (; k >= 0; k--) {
+        riccati_backward_stage(s, k);
+    }
+}
+
+/* Free components of x_0: P_ff x_f = -(p_f + P_fm x_m), m the others. */
+static void riccati_solve_free(const golden_riccati_t *r, golden_real *x)
+{
+    golden_real y[GOLDEN_NX];
+    int f, i;
+    for (f = 0; f < GOLDEN_NF; f++) {
+        x[free_state[f]] = 0.0;
+    }
+    for (f = 0; f < GOLDEN_NF; f++) {
+        y[f] = -r->p[0][free_state[f]] - riccati_dot(r->P[0][free_state[f]], x, GOLDEN_NX);
+        for (i = 0; i < f; i++) {
+            y[f] -= r->F[f][i] * y[i];
+        }
+    }
+    for (f = GOLDEN_NF - 1; f >= 0; f--) {
+        y[f] /= r->F[f][f];
+        for (i = f + 1; i < GOLDEN_NF; i++) {
+            y[f] -= r->F[i][f] * y[i];
+        }
+    }
+    for (f = 0; f < GOLDEN_NF; f++) {
+        x[free_state[f]] = y[f];
+    }
+}
+
+/* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */
+static void riccati_forward(golden_solver_t *s, golden_real (*x)[GOLDEN_NX], golden_real *u)
+{
+    const golden_riccati_t *r = &s->riccati;
+    golden_real z[GOLDEN_LDZ] = {0};
+    int i, j, k;
+    riccati_solve_free(r, x[0]);
+    memcpy(z, x[0], sizeof x[0]);
+    for (k = 0; k < GOLDEN_NS; k++) {
+        golden_real (*S)[GOLDEN_NZS] = stage_S(s, k);
+        for (j = 0; j < GOLDEN_NUS; j++) {
+            z[GOLDEN_NX + j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, GOLDEN_LDX);
+            u[k * GOLDEN_NUS + j] = z[GOLDEN_NX + j];
+        }
+        for (i = 0; i < GOLDEN_NX; i++) {
+            x[k + 1][i] = r->b[k][i] + riccati_dot(S[i], z, GOLDEN_NZS);
+        }
+        memcpy(z, x[k + 1], sizeof x[0]);
+    }
+}
+
+/* lam = P_k x + p_k. */
+static void riccati_adjoint(const golden_riccati_t *r, int k, const golden_real *x, golden_real *lam)
+{
+    memcpy(lam, r->p[k], sizeof lam[0] * GOLDEN_NX);
+    riccati_combine(lam, x, r->P[k][0], GOLDEN_LDX, GOLDEN_NX, GOLDEN_NX);
+}
+
+/* h_j + M_j z at stage k, M_j the row of control j. */
+static golden_real riccati_control_gradient(const golden_riccati_t *r, int k, int j, const golden_real *x, const golden_real *u)
+{
+    golden_real sum = r->h[k][j] + riccati_dot(r->M[k][j], x, GOLDEN_NX);
+    int i;
+    for (i = 0; i < GOLDEN_NUS; i++) {
+        sum += u[i] * ((i < j) ? r->M[k][j][GOLDEN_NX + i] : r->M[k][i][GOLDEN_NX + j]);
+    }
+    return sum;
+}
+
+static void riccati_init(golden_solver_t *s)
+{
+    memset(&s->riccati, 0, sizeof s->riccati);
+}
+
+/* Primal-dual interior point method of Mehrotra (1992) on the stages of the QP, with the Riccati recursion as its linear algebra.
+ *
+ *     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + sum_soft (l1_c e_c + l2_c/2 e_c^2)   s.t.   x_{k+1} = S_k z_k + b_k,
+ *          bound_i - sign_i v_i + e_i = t_i >= 0  for every finite side i of a row,   v_c = B_c  for an equation
+ *
+ * TODO
+ */
+
+/* Contract of this part: rows of the QP (controls first, then general rows), their sides with finite bounds, directions. */
+
+/* Value of every row at (x, u). */
+static void ipm_values(golden_solver_t *s, golden_real (*x)[GOLDEN_NX], const golden_real *u, golden_real *v)
+{
+    int m;
+    memcpy(v, u, sizeof v[0] * GOLDEN_NV);
+    for (m = 0; m < GOLDEN_NG; m++) {
+        const int k = stage_of_row[m];
+        if (stage_state[m] >= 0) {
+            v[GOLDEN_NV + m] = x[k][stage_state[m]];
+        } else {
+            const golden_real *a = stage_row(s, m);
+            v[GOLDEN_NV + m] = riccati_dot(a, x[k], GOLDEN_NX);
+            if (k < GOLDEN_NS) {
+                v[GOLDEN_NV + m] += riccati_dot(a + GOLDEN_NX, u + k * GOLDEN_NUS, GOLDEN_NUS);
+            }
+        }
+    }
+}
+
+/* g += sum_c force_c a_c, stage by stage. */
+static void ipm_add_forces(golden_solver_t *s, const golden_real *force, golden_real (*g)[GOLDEN_NZS])
+{
+    int k, j, m, i;
+    for (k = 0; k < GOLDEN_NS; k++) {
+        for (j = 0; j < GOLDEN_NUS; j++) {
+            g[k][GOLDEN_NX + j] += force[k * GOLDEN_NUS + j];
+        }
+    }
+    for (m = 0; m < GOLDEN_NG; m++) {
+        const golden_real f = force[GOLDEN_NV + m];
+        golden_real *w = g[stage_of_row[m]];
+        if (stage_state[m] >= 0) {
+            w[stage_state[m]] += f;
+        } else if (f != 0.0) {
+            const golden_real *a = stage_row(s, m);
+            const int width = (stage_of_row[m] < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NX;
+            for (i = 0; i < width; i++) {
+                w[i] += f * a[i];
+            }
+        }
+    }
+}
+
+/* gradient_k = g_k + Q_k z_k at the iterate. */
+static void ipm_cost_gradient(golden_solver_t *s)
+{
+    int k, i;
+    for (k = 0; k <= GOLDEN_NS; k++) {
+        const int n = (k < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NX;
+        golden_real z[GOLDEN_NZS] = {0};
+        golden_real *w = s->ipm.gradient[k];
+        memcpy(z, s->qp.x[k], sizeof s->qp.x[k]);
+        if (k < GOLDEN_NS) {
+            memcpy(z + GOLDEN_NX, s->qp.z + k * GOLDEN_NUS, sizeof z[0] * GOLDEN_NUS);
+        }
+        memcpy(w, stage_g(s, k), sizeof w[0] * (size_t)n);
+        for (i = 0; i < n; i++) {
+            const golden_real *row = (k < GOLDEN_NS) ? stage_Q(s, k)[i] : s->hessian.Q_N[i];
+            riccati_combine(w, &z[i], row, 0, 1, i);
+            w[i] += riccati_dot(row, z, i + 1);
+        }
+    }
+}
+
+/* What row c is: 0 inequality or free, 1 equation, 2 fixed control. Soft rows are never equations. */
+static inline int ipm_row_kind(const golden_solver_t *s, int c)
+{
+    if (c >= GOLDEN_NV && s->qp.penalty[c - GOLDEN_NV] < (golden_real)INFINITY) {
+        return 0;
+    }
+    return (s->qp.lower[c] >= s->qp.upper[c]) ? ((c < GOLDEN_NV) ? 2 : 1) : 0;
+}
+
+/* 1 if the kind of a row is not what the factorisation was made for; the kinds are taken. */
+static int ipm_take_kinds(golden_solver_t *s)
+{
+    int c, changed = 0;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        const int kind = ipm_row_kind(s, c);
+        changed |= kind != s->ipm.kind[c];
+        s->ipm.kind[c] = kind;
+        if (c < GOLDEN_NV) {
+            s->riccati.fixed[c] = kind == 2;
+        }
+    }
+    return changed;
+}
+
+/* Bounds and penalties: NUMERICAL_FAILURE if one is invalid, INFEASIBLE if bounds cross, else OK. */
+static golden_status_t ipm_check_bounds(const golden_solver_t *s)
+{
+    int valid = 1, ordered = 1, c, m;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        valid &= s->qp.lower[c] < (golden_real)INFINITY && s->qp.upper[c] > -(golden_real)INFINITY;
+        ordered &= s->qp.lower[c] <= s->qp.upper[c];
+    }
+    for (m = 0; m < GOLDEN_NG; m++) {
+        valid &= s->qp.penalty[m] >= 0.0 && s->qp.curvature[m] >= 0.0 && isfinite(s->qp.curvature[m]);
+    }
+    return !valid ? GOLDEN_NUMERICAL_FAILURE : ordered ? GOLDEN_OK : GOLDEN_INFEASIBLE;
+}
+
+/* The side of row c enters the list if its bound is finite and its violation costs anything. */
+static void ipm_add_side(golden_solver_t *s, int c, int upper)
+{
+    golden_ipm_t *q = &s->ipm;
+    const golden_real bound = upper ? s->qp.upper[c] : s->qp.lower[c];
+    const int m = c - GOLDEN_NV, soft = m >= 0 && s->qp.penalty[m] < (golden_real)INFINITY;
+    const int costless = soft && !(s->qp.penalty[m] + s->qp.curvature[m] > 0.0);
+    if (isfinite(bound) && !costless) {
+        q->row[q->sides] = c;
+        q->sign[q->sides] = upper ? 1.0 : -1.0;
+        q->bound[q->sides] = bound;
+        q->sides++;
+    }
+}
+
+/* Sides of all inequalities, hard ones first. A row that the controls do not move is left to ipm_constant_rows. */
+static void ipm_list_sides(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int pass, c;
+    q->sides = q->hard = 0;
+    for (pass = 0; pass < 2; pass++) {
+        for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+            const int soft = c >= GOLDEN_NV && s->qp.penalty[c - GOLDEN_NV] < (golden_real)INFINITY;
+            if (soft == pass && q->kind[c] == 0 && q->curvature[c] < (golden_real)INFINITY) {
+                ipm_add_side(s, c, 0);
+                ipm_add_side(s, c, 1);
+            }
+        }
+        q->hard = (pass == 0) ? q->sides : q->hard;
+    }
+}
+
+/* Hands the weights of the rows to the recursion. */
+static void ipm_set_weights(golden_solver_t *s)
+{
+    int k, j;
+    for (k = 0; k < GOLDEN_NS; k++) {
+        for (j = 0; j < GOLDEN_NUS; j++) {
+            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j];
+        }
+    }
+    memcpy(s->riccati.weight, s->ipm.weight + GOLDEN_NV, sizeof s->ipm.weight[0] * GOLDEN_NG);
+}
+
+/* omega = 1 / (t / lam + regularization + 1 / (l2 + kappa / e)); weights of the rows. */
+static void ipm_weigh(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int i, c;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        q->weight[c] = (q->kind[c] == 1) ? q->stiffness[c] : 0.0;
+    }
+    for (i = 0; i < q->hard; i++) {
+        q->omega[i] = 1.0 / (q->t[i] / q->lam[i] + 7.275957614183426e-12 / q->curvature[q->row[i]]);
+    }
+    for (i = q->hard; i < q->sides; i++) {
+        const int j = i - q->hard;
+        q->compliance[j] = 1.0 / (s->qp.curvature[q->row[i] - GOLDEN_NV] + q->kappa[j] / q->e[j]);
+        q->omega[i] = 1.0 / (q->t[i] / q->lam[i] + q->compliance[j] +
+                                      7.275957614183426e-12 / q->curvature[q->row[i]]);
+    }
+    for (i = 0; i < q->sides; i++) {
+        q->weight[q->row[i]] += q->omega[i];
+    }
+    ipm_set_weights(s);
+}
+
+/* With c_1 = -t lam + lam extra_i, c_2 = -kappa e + e extra_e the linearised conditions of a side
+ *     dt = r - sign dv + de + regularization dlam,   lam dt + t dlam = c_1,
+ *     l2 de - dlam - dkappa = -r_e,   kappa de + e dkappa = c_2
+ * give dlam = omega (sign dv + rho),  rho = extra_i - t - r - (extra_e - kappa - r_e) compliance.
+ * force: what the multipliers become where dv = 0. */
+static void ipm_forces(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int i, c;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        q->force[c] = (q->kind[c] == 1) ? q->y[c] + q->stiffness[c] * (q->v[c] - s->qp.lower[c]) : 0.0;
+    }
+    for (i = 0; i < q->sides; i++) {
+        q->rho[i] = q->extra[i] - q->t[i] - q->r[i];
+    }
+    for (i = q->hard; i < q->sides; i++) {
+        const int j = i - q->hard;
+        q->rho[i] -= (q->extra_e[j] - q->kappa[j] - q->r_e[j]) * q->compliance[j];
+    }
+    for (i = 0; i < q->sides; i++) {
+        q->force[q->row[i]] += q->sign[i] * (q->lam[i] + q->omega[i] * q->rho[i]);
+    }
+}
+
+/* The direction of all unknowns for the present extra, extra_e: one substitution. */
+static void ipm_direction(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int i;
+    ipm_forces(s);
+    memcpy(s->riccati.g, q->gradient, sizeof s->riccati.g);
+    ipm_add_forces(s, q->force, s->riccati.g);
+    riccati_backward(s, GOLDEN_NS);
+    memset(q->dx[0], 0, sizeof q->dx[0]);
+    riccati_forward(s, q->dx, q->du);
+    ipm_values(s, q->dx, q->du, q->dv);
+    for (i = 0; i < q->sides; i++) {
+        q->dlam[i] = q->omega[i] * (q->sign[i] * q->dv[q->row[i]] + q->rho[i]);
+        q->dt[i] = q->extra[i] - q->t[i] - q->t[i] / q->lam[i] * q->dlam[i];
+    }
+    for (i = q->hard; i < q->sides; i++) {
+        const int j = i - q->hard;
+        q->de[j] = (q->dlam[i] + q->extra_e[j] - q->kappa[j] - q->r_e[j]) * q->compliance[j];
+        q->dkappa[j] = q->extra_e[j] - q->kappa[j] - q->kappa[j] / q->e[j] * q->de[j];
+    }
+}
+
+/* Contract of this part: units of the rows and the first iterate, from the minimiser that knows equations only. */
+
+/* noise = L^{-T} D^{-1/2} of stage k, columns of fixed controls 0: noise noise' = M_uu^{-1}. */
+static inline void ipm_noise(golden_solver_t *s, int k, golden_real (*noise)[GOLDEN_NUS])
+{
+    const golden_riccati_t *r = &s->riccati;
+    int i, j, l;
+    for (l = 0; l < GOLDEN_NUS; l++) {
+        const int fixed = r->fixed[k * GOLDEN_NUS + l];
+        for (j = GOLDEN_NUS - 1; j >= 0; j--) {
+            noise[j][l] = (j == l && !fixed) ? sqrt(r->inverse[k][l]) : 0.0;
+            for (i = j + 1; i <= l; i++) {
+                noise[j][l] -= r->L[k][i][j] * noise[i][l];
+            }
+        }
+    }
+}
+
+/* Variances of the controls and of the next state under u = K x + noise, x_i independent with variance var_i. */
+static void ipm_propagate_variance(golden_solver_t *s, int k, golden_real *var, golden_real *next)
+{
+    const golden_riccati_t *r = &s->riccati;
+    golden_real (*S)[GOLDEN_NZS] = stage_S(s, k);
+    golden_real noise[GOLDEN_NUS][GOLDEN_NUS], row[GOLDEN_LDX];
+    int i, j, l;
+    ipm_noise(s, k, noise);
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        golden_real sum = 0.0;
+        for (i = 0; i < GOLDEN_NX; i++) {
+            sum += r->K[k][j][i] * r->K[k][j][i] * var[i];
+        }
+        var[GOLDEN_NX + j] = sum + riccati_dot(noise[j], noise[j], GOLDEN_NUS);
+    }
+    for (i = 0; i < GOLDEN_NX; i++) {
+        golden_real sum = 0.0;
+        memset(row, 0, sizeof row);
+        memcpy(row, S[i], sizeof S[0][0] * GOLDEN_NX);
+        riccati_combine(row, S[i] + GOLDEN_NX, r->K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_LDX);
+        for (j = 0; j < GOLDEN_NX; j++) {
+            sum += row[j] * row[j] * var[j];
+        }
+        for (l = 0; l < GOLDEN_NUS; l++) {
+            golden_real gain = 0.0;
+            for (j = 0; j < GOLDEN_NUS; j++) {
+                gain += S[i][GOLDEN_NX + j] * noise[j][l];
+            }
+            sum += gain * gain;
+        }
+        next[i] = sum;
+    }
+}
+
+/* curvature_c = 1 / (a_c'H^{-1}a_c), roughly: the cost of moving row c is half of it times the square of the way. H is that
+ * of the factorisation, on the null space of the dynamics; correlations between states are left out. */
+static void ipm_curvatures(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_real (*var)[GOLDEN_NZS] = q->gradient;
+    int k, j, m, i, f;
+    memset(var, 0, sizeof q->gradient);
+    for (f = 0; f < GOLDEN_NF; f++) {
+        var[0][free_state[f]] = 1.0 / s->riccati.F[f][f];
+    }
+    for (k = 0; k < GOLDEN_NS; k++) {
+        ipm_propagate_variance(s, k, var[k], var[k + 1]);
+        for (j = 0; j < GOLDEN_NUS; j++) {
+            q->curvature[k * GOLDEN_NUS + j] = 1.0 / var[k][GOLDEN_NX + j];
+        }
+    }
+    for (m = 0; m < GOLDEN_NG; m++) {
+        const golden_real *v = var[stage_of_row[m]];
+        golden_real sum = 0.0;
+        if (stage_state[m] >= 0) {
+            sum = v[stage_state[m]];
+        } else {
+            const golden_real *a = stage_row(s, m);
+            const int width = (stage_of_row[m] < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NX;
+            for (i = 0; i < width; i++) {
+                sum += a[i] * a[i] * v[i];
+            }
+        }
+        q->curvature[GOLDEN_NV + m] = 1.0 / sum;
+    }
+}
+
+/* Recursion with the present weights; where a pivot may be zero, with a small addition to it. */
+static int ipm_factorize(golden_solver_t *s)
+{
+    s->riccati.regularize = 0;
+    if (riccati_factorize(s, GOLDEN_NS)) {
+        return 1;
+    }
+    s->riccati.regularize = 1;
+    s->riccati.regularize_zero = s->ipm.least_pivot;
+    return riccati_factorize(s, GOLDEN_NS);
+}
+
+/* A cost for the bounded rows of a QP whose Hessian is singular without them: the largest of Q_jj d^2 and |g_j| d over the
+ * controls with two finite bounds, d apart. */
+static golden_real ipm_damping_cost(golden_solver_t *s)
+{
+    golden_real most = 0.0;
+    int k, j;
+    for (k = 0; k < GOLDEN_NS; k++) {
+        for (j = 0; j < GOLDEN_NUS; j++) {
+            const golden_real d = s->qp.upper[k * GOLDEN_NUS + j] - s->qp.lower[k * GOLDEN_NUS + j];
+            const golden_real square = stage_Q(s, k)[GOLDEN_NX + j][GOLDEN_NX + j] * d * d;
+            const golden_real linear = fabs(stage_g(s, k)[GOLDEN_NX + j]) * d;
+            most = (isfinite(square) && square > most) ? square : most;
+            most = (isfinite(linear) && linear > most) ? linear : most;
+        }
+    }
+    return (most > 0.0) ? most : 1.0;
+}
+
+/* What is added to a pivot that is zero and has no scale of its own. */
+static golden_real ipm_least_pivot(golden_solver_t *s)
+{
+    golden_real most = 0.0;
+    int k, i;
+    for (k = 0; k <= GOLDEN_NS; k++) {
+        for (i = 0; i < ((k < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NX); i++) {
+            const golden_real d = (k < GOLDEN_NS) ? stage_Q(s, k)[i][i] : s->hessian.Q_N[i][i];
+            most = (d > most) ? d : most;
+        }
+    }
+    return sqrt(2.220446049250313e-16) * ((most > 0.0 && isfinite(most)) ? most : 1.0);
+}
+
+/* Weights for the first factorisation: equations, and if the Hessian needs it a damping of the rows with two bounds. */
+static void ipm_first_weights(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int c;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        const golden_real d = s->qp.upper[c] - s->qp.lower[c];
+        q->weight[c] = (q->kind[c] == 1) ? q->stiffness[c] : 0.0;
+        if (q->damping > 0.0 && q->kind[c] == 0 && d > 0.0 && isfinite(d)) {
+            q->weight[c] = q->damping / (d * d);
+        }
+    }
+    ipm_set_weights(s);
+}
+
+/* The weight of an equation by which it is met to that share of its curvature in one step. Returns 1 if there is one. */
+static int ipm_set_stiffness(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int c, any = 0;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        const int equation = q->kind[c] == 1 && q->curvature[c] < (golden_real)INFINITY;
+        q->stiffness[c] = equation ? q->curvature[c] / 9.313225746154785e-10 : 0.0;
+        any |= equation;
+    }
+    return any;
+}
+
+/* Factorisation of the problem with equations only, and units of the rows. */
+static int ipm_factorize_cold(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    memset(q->stiffness, 0, sizeof q->stiffness);
+    q->damping = 0.0;
+    q->least_pivot = ipm_least_pivot(s);
+    ipm_first_weights(s);
+    s->riccati.regularize = 0;
+    if (!riccati_factorize(s, GOLDEN_NS)) {
+        q->damping = ipm_damping_cost(s);
+        ipm_first_weights(s);
+        if (!ipm_factorize(s)) {
+            return 0;
+        }
+    }
+    ipm_curvatures(s);
+    if (ipm_set_stiffness(s)) {
+        ipm_first_weights(s);
+        return ipm_factorize(s);
+    }
+    return 1;
+}
+
+/* Multipliers that the rows would have at v = 0 for the first factorisation. Returns 1 if they are not those of `force`. */
+static int ipm_first_forces(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int c, changed = 0;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        const golden_real middle = 0.5 * (s->qp.lower[c] + s->qp.upper[c]);
+        const golden_real f = (q->weight[c] > 0.0) ? -q->weight[c] * middle : 0.0;
+        const golden_real u = (q->kind[c] == 2) ? s->qp.lower[c] : 0.0;
+        changed |= !(f >= q->force[c] && f <= q->force[c]);
+        q->force[c] = f;
+        if (c < GOLDEN_NV) {
+            changed |= !(u >= s->riccati.du[c] && u <= s->riccati.du[c]);
+            s->riccati.du[c] = u;
+        }
+    }
+    return changed;
+}
+
+/* The backward substitution that does not need dx_0. */
+static void ipm_first_backward(golden_solver_t *s)
+{
+    int k;
+    for (k = 0; k < GOLDEN_NS; k++) {
+        memcpy(s->riccati.g[k], stage_g(s, k), sizeof s->riccati.g[k]);
+        memcpy(s->riccati.b[k], stage_b(s, k), sizeof s->riccati.b[k]);
+    }
+    memcpy(s->riccati.g[k], stage_g(s, k), sizeof s->riccati.g[0][0] * GOLDEN_NX);
+    ipm_add_forces(s, s->ipm.force, s->riccati.g);
+    riccati_backward(s, GOLDEN_NS);
+}
+
+/* (x, u) = minimiser with equations only. Returns 0 if it is not finite. From here on steps are computed: no gaps, no dx_0. */
+static int ipm_first_point(golden_solver_t *s)
+{
+    golden_real probe = 0.0;
+    int k, i;
+    memcpy(s->qp.x[0], s->step.dx[0], sizeof s->qp.x[0]);
+    riccati_forward(s, s->qp.x, s->qp.z);
+    memset(s->riccati.b, 0, sizeof s->riccati.b);
+    memset(s->riccati.du, 0, sizeof s->riccati.du);
+    for (k = 0; k <= GOLDEN_NS; k++) {
+        for (i = 0; i < GOLDEN_NX; i++) {
+            probe += 0.0 * s->qp.x[k][i];
+        }
+    }
+    ipm_values(s, s->qp.x, s->qp.z, s->ipm.v);
+    for (i = 0; i < GOLDEN_NV + GOLDEN_NG; i++) {
+        probe += 0.0 * s->ipm.v[i];
+        s->ipm.y[i] = (s->ipm.kind[i] == 1) ? s->ipm.stiffness[i] * (s->ipm.v[i] - s->qp.lower[i]) : 0.0;
+    }
+    return isfinite(probe) != 0;
+}
+
+/* How much row c, which has no multiplier yet, violates its bounds beyond rounding. */
+static golden_real ipm_violation(const golden_solver_t *s, int c)
+{
+    const golden_real v = s->ipm.v[c], over = v - s->qp.upper[c], under = s->qp.lower[c] - v;
+    const golden_real amount = (over > under) ? over : under;
+    const golden_real bound = fabs((over > under) ? s->qp.upper[c] : s->qp.lower[c]);
+    return (amount > 3.552713678800501e-15 * (bound + fabs(v))) ? amount : 0.0;
+}
+
+/* Cost of the violations, sum of curvature violation^2, and their number. */
+static golden_real ipm_violation_cost(const golden_solver_t *s, int *count)
+{
+    golden_real sum = 0.0;
+    int c;
+    *count = 0;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        if (s->ipm.kind[c] == 0 && s->ipm.curvature[c] < (golden_real)INFINITY) {
+            const golden_real d = ipm_violation(s, c);
+            sum += s->ipm.curvature[c] * d * d;
+            *count += d > 0.0;
+        }
+    }
+    return sum;
+}
+
+/* Slack and multiplier of a soft side start where the violation costs no more than its penalty. */
+static void ipm_start_soft_side(golden_solver_t *s, int i, golden_real mu)
+{
+    golden_ipm_t *q = &s->ipm;
+    const int j = i - q->hard, m = q->row[i] - GOLDEN_NV;
+    const golden_real l1 = s->qp.penalty[m], l2 = s->qp.curvature[m];
+    if (l1 > 0.0) {
+        q->lam[i] = (q->lam[i] < 0.5 * l1) ? q->lam[i] : 0.5 * l1;
+        q->kappa[j] = l1 - q->lam[i];
+        q->e[j] = mu / q->kappa[j];
+    } else {
+        q->kappa[j] = 0.0;
+        q->e[j] = q->lam[i] / l2;
+    }
+}
+
+/* t lam = mu on every side: t is the distance of the present value, or more. */
+static void ipm_start_sides(golden_solver_t *s, golden_real mu)
+{
+    golden_ipm_t *q = &s->ipm;
+    int i;
+    for (i = 0; i < q->sides; i++) {
+        const int c = q->row[i];
+        const golden_real distance = q->sign[i] * (q->bound[i] - q->v[c]);
+        const golden_real half = 0.5 * (s->qp.upper[c] - s->qp.lower[c]);
+        golden_real least = sqrt(mu / q->curvature[c]);
+        least = (half < least && half > 0.0) ? half : least;
+        q->t[i] = (distance > least) ? distance : least;
+        q->lam[i] = mu / q->t[i];
+        if (i >= q->hard) {
+            ipm_start_soft_side(s, i, mu);
+        }
+    }
+}
+
+/* Contract of this part: the multipliers against the dynamics, as stationarity or as a proof that there is no feasible point. */
+
+/* w = S_k'lam + g_k, lam the adjoint of x_{k+1}. */
+static inline void ipm_adjoint_step(golden_solver_t *s, int k, const golden_real *lam, golden_real *w)
+{
+    memcpy(w, s->riccati.g[k], sizeof s->riccati.g[k]);
+    riccati_combine(w, lam, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
+}
+
+/* Gradient of the Lagrangian with respect to the free controls and components of x_0 relative to the largest of the terms it is
+ * a sum of, each times the way that one unit of cost allows. Fixed controls get their multipliers. */
+static golden_real ipm_stationarity(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_real lam[GOLDEN_NX], w[GOLDEN_NZS], worst = 0.0, most = 0.0;
+    int k, j;
+    memcpy(s->riccati.g, q->gradient, sizeof s->riccati.g);
+    ipm_add_forces(s, s->qp.mult, s->riccati.g);
+    memcpy(lam, s->riccati.g[GOLDEN_NS], sizeof lam);
+    for (k = GOLDEN_NS - 1; k >= 0; k--) {
+        ipm_adjoint_step(s, k, lam, w);
+        for (j = 0; j < GOLDEN_NUS; j++) {
+            const int c = k * GOLDEN_NUS + j;
+            const golden_real g = s->riccati.g[k][GOLDEN_NX + j], rest = w[GOLDEN_NX + j];
+            const golden_real unit = 1.0 / sqrt(q->curvature[c]);
+            const golden_real terms = (fabs(g) + fabs(rest - g) + fabs(s->qp.mult[c])) * unit;
+            if (q->kind[c] == 2) {
+                s->qp.mult[c] -= rest;
+            } else {
+                worst = (fabs(rest) * unit > worst) ? fabs(rest) * unit : worst;
+                most = (terms > most) ? terms : most;
+            }
+        }
+        memcpy(lam, w, sizeof lam);
+    }
+    for (j = 0; j < GOLDEN_NF; j++) {
+        const golden_real unit = 1.0 / sqrt(s->riccati.F[j][j]), g = s->riccati.g[0][free_state[j]];
+        const golden_real rest = lam[free_state[j]], terms = (fabs(g) + fabs(rest - g)) * unit;
+        worst = (fabs(rest) * unit > worst) ? fabs(rest) * unit : worst;
+        most = (terms > most) ? terms : most;
+    }
+    return (worst > 0.0) ? worst / most : 0.0;
+}
+
+/* f B of a row with weight f: B its upper bound for f > 0, its lower one for f < 0. */
+static inline golden_real ipm_support(const golden_solver_t *s, int c, golden_real f)
+{
+    return (f > 0.0) ? f * s->qp.upper[c] : (f < 0.0) ? f * s->qp.lower[c] : 0.0;
+}
+
+/* certificate = f: multipliers of the hard rows, each with the sign of a finite bound. Returns the largest. */
+static golden_real ipm_ray(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_real most = 0.0;
+    int c;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        const int soft = c >= GOLDEN_NV && s->qp.penalty[c - GOLDEN_NV] < (golden_real)INFINITY;
+        const golden_real f = (soft || c < GOLDEN_NV) ? 0.0 : s->qp.mult[c];
+        q->ray[c] = isfinite(ipm_support(s, c, f)) ? f : 0.0;
+        most = (fabs(q->ray[c]) > most) ? fabs(q->ray[c]) : most;
+    }
+    return most;
+}
+
+/* 1 if component j of w = S_k'nu + g_k, at stage k, is the rounding of the terms it is a sum of. */
+static int ipm_vanishes(golden_solver_t *s, int k, int j, const golden_real *nu, golden_real w)
+{
+    golden_real size = fabs(s->riccati.g[k][j]);
+    int i;
+    for (i = 0; i < GOLDEN_NX; i++) {
+        size += fabs(stage_S(s, k)[i][j] * nu[i]);
+    }
+    return fabs(w) <= 9.313225746154785e-10 * size;
+}
+
+/* The weights f of the rows leave sum_c f_c a_c = w for the controls and free states of stage k. The bound of a control takes
+ * -w_j if there is one on that side; else w_j must be rounding. Returns 0 if it is not. */
+static int ipm_balance(golden_solver_t *s, int k, const golden_real *nu, const golden_real *w)
+{
+    int j;
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        const golden_real f = -w[GOLDEN_NX + j];
+        const int finite = isfinite(ipm_support(s, k * GOLDEN_NUS + j, f)) != 0;
+        s->ipm.ray[k * GOLDEN_NUS + j] = finite ? f : 0.0;
+        if (!finite && !ipm_vanishes(s, k, GOLDEN_NX + j, nu, -f)) {
+            return 0;
+        }
+    }
+    for (j = 0; k == 0 && j < GOLDEN_NF; j++) {
+        if (!ipm_vanishes(s, 0, free_state[j], nu, w[free_state[j]])) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* 1 if the rows contradict each other: with the adjoint nu of the weights f, sum_c f_c v_c = nu_0'dx_0 + sum_k nu_{k+1}'b_k for
+ * all points of the dynamics, and f_c v_c <= f_c B_c. */
+static int ipm_contradiction(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_real nu[GOLDEN_NX], w[GOLDEN_NZS], gap = 0.0, size = 0.0;
+    int k, i, c;
+    memset(s->riccati.g, 0, sizeof s->riccati.g);
+    ipm_add_forces(s, q->ray, s->riccati.g);
+    memcpy(nu, s->riccati.g[GOLDEN_NS], sizeof nu);
+    for (k = GOLDEN_NS - 1; k >= 0; k--) {
+        ipm_adjoint_step(s, k, nu, w);
+        if (!ipm_balance(s, k, nu, w)) {
+            return 0;
+        }
+        for (i = 0; i < GOLDEN_NX; i++) {
+            gap -= nu[i] * stage_b(s, k)[i];
+            size += fabs(nu[i] * stage_b(s, k)[i]);
+        }
+        memcpy(nu, w, sizeof nu);
+    }
+    for (i = 0; i < GOLDEN_NX; i++) {
+        const golden_real term = (is_measured[i] || is_accumulator[i]) ? nu[i] * s->step.dx[0][i] : 0.0;
+        gap -= term;
+        size += fabs(term);
+    }
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        const golden_real term = ipm_support(s, c, q->ray[c]);
+        gap += term;
+        size += fabs(term);
+    }
+    return gap < -1.4551915228366852e-11 * size;
+}
+
+/* Writes the certificate, its largest entry 1. */
+static void ipm_write_certificate(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_real most = 0.0;
+    int c;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        most = (fabs(q->ray[c]) > most) ? fabs(q->ray[c]) : most;
+    }
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        s->qp.certificate[c] = q->ray[c] / most;
+    }
+}
+
+/* 1, with the certificate, if the present multipliers prove that there is no feasible point. */
+static int ipm_infeasible(golden_solver_t *s)
+{
+    const golden_real most = ipm_ray(s);
+    if (most > 0.0 && isfinite(most) && ipm_contradiction(s)) {
+        ipm_write_certificate(s);
+        return 1;
+    }
+    return 0;
+}
+
+/* Rows that no control moves are met or not, whatever is done. 1, with the certificate, if one is not. */
+static int ipm_constant_rows(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int c;
+    for (c = GOLDEN_NV; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        const int constant = !(q->curvature[c] < (golden_real)INFINITY);
+        const int hard = !(s->qp.penalty[c - GOLDEN_NV] < (golden_real)INFINITY);
+        if (constant && hard && ipm_violation(s, c) > 0.0) {
+            memset(q->ray, 0, sizeof q->ray);
+            q->ray[c] = (q->v[c] > s->qp.upper[c]) ? 1.0 : -1.0;
+            if (ipm_contradiction(s)) {
+                ipm_write_certificate(s);
+                return 1;
+            }
+        }
+    }
+    return 0;
+}
+
+/* Contract of this part: predictor-corrector iterations from started sides to the solution. */
+
+/* Multipliers of the rows, without those of fixed controls. */
+static void ipm_net_multipliers(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int i;
+    for (i = 0; i < GOLDEN_NV + GOLDEN_NG; i++) {
+        s->qp.mult[i] = (q->kind[i] == 1) ? q->y[i] : 0.0;
+    }
+    for (i = 0; i < q->sides; i++) {
+        s->qp.mult[q->row[i]] += q->sign[i] * q->lam[i];
+    }
+}
+
+/* The largest cost that a single row accounts for, mult^2 / curvature: the unit of the complementarity. */
+static golden_real ipm_cost_unit(const golden_solver_t *s)
+{
+    golden_real most = 0.0;
+    int c;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        const golden_real cost = s->qp.mult[c] * s->qp.mult[c] / s->ipm.curvature[c];
+        most = (cost > most) ? cost : most;
+    }
+    return most;
+}
+
+/* Residuals of the sides, r = distance + e - t and r_e = l1 + l2 e - lam - kappa, and the mean of t lam and e kappa. */
+static void ipm_side_residuals(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_real sum = 0.0;
+    int i, pairs = q->sides;
+    for (i = 0; i < q->sides; i++) {
+        q->r[i] = q->sign[i] * (q->bound[i] - q->v[q->row[i]]) - q->t[i];
+        sum += q->t[i] * q->lam[i];
+    }
+    for (i = q->hard; i < q->sides; i++) {
+        const int j = i - q->hard, m = q->row[i] - GOLDEN_NV;
+        q->r[i] += q->e[j];
+        q->r_e[j] = s->qp.penalty[m] + s->qp.curvature[m] * q->e[j] - q->lam[i] - q->kappa[j];
+        sum += q->e[j] * q->kappa[j];
+        pairs += q->kappa[j] > 0.0;
+    }
+    q->mu = (pairs > 0) ? sum / (golden_real)pairs : 0.0;
+}
+
+/* Residuals at the iterate; those of the rows relative to |bound| + |value| and to the way that the unit of cost allows. */
+static void ipm_measure(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int i, c;
+    ipm_values(s, s->qp.x, s->qp.z, q->v);
+    ipm_net_multipliers(s);
+    ipm_side_residuals(s);
+    q->unit = ipm_cost_unit(s);
+    q->unit = (q->unit > q->mu) ? q->unit : q->mu;
+    q->primal = 0.0;
+    for (i = 0; i < q->sides; i++) {
+        c = q->row[i];
+        const golden_real size = fabs(q->bound[i]) + fabs(q->v[c]) + sqrt(q->unit / q->curvature[c]);
+        const golden_real relative = fabs(q->r[i]) / size;
+        q->primal = (relative > q->primal) ? relative : q->primal;
+    }
+    for (c = GOLDEN_NV; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        if (q->stiffness[c] > 0.0) {
+            const golden_real bound = s->qp.lower[c], gap = fabs(q->v[c] - bound);
+            const golden_real size = fabs(bound) + fabs(q->v[c]) + sqrt(q->unit / q->curvature[c]);
+            q->primal = (gap > q->primal * size) ? gap / size : q->primal;
+        }
+    }
+}
+
+/* 1 / (the longest step that keeps t, lam, e and kappa positive). */
+static golden_real ipm_inverse_step(const golden_solver_t *s)
+{
+    const golden_ipm_t *q = &s->ipm;
+    golden_real most = 0.0;
+    int i;
+    for (i = 0; i < q->sides; i++) {
+        const golden_real a = -q->dt[i] / q->t[i], b = -q->dlam[i] / q->lam[i];
+        most = (a > most) ? a : most;
+        most = (b > most) ? b : most;
+    }
+    for (i = 0; i < q->sides - q->hard; i++) {
+        if (q->kappa[i] > 0.0) {
+            const golden_real a = -q->de[i] / q->e[i], b = -q->dkappa[i] / q->kappa[i];
+            most = (a > most) ? a : most;
+            most = (b > most) ? b : most;
+        }
+    }
+    return most;
+}
+
+/* Mean of t lam and e kappa after a step of the given length, relative to the present one. */
+static golden_real ipm_reduction(const golden_solver_t *s, golden_real step)
+{
+    const golden_ipm_t *q = &s->ipm;
+    golden_real now = 0.0, then = 0.0;
+    int i;
+    for (i = 0; i < q->sides; i++) {
+        now += q->t[i] * q->lam[i];
+        then += (q->t[i] + step * q->dt[i]) * (q->lam[i] + step * q->dlam[i]);
+    }
+    for (i = 0; i < q->sides - q->hard; i++) {
+        now += q->e[i] * q->kappa[i];
+        then += (q->e[i] + step * q->de[i]) * (q->kappa[i] + step * q->dkappa[i]);
+    }
+    return then / now;
+}
+
+/* Second-order correction and centring for the products t lam and e kappa: extra = (target - dt dlam) / lam, and alike for e. */
+static void ipm_correct(golden_solver_t *s, golden_real target)
+{
+    golden_ipm_t *q = &s->ipm;
+    int i;
+    for (i = 0; i < q->sides; i++) {
+        q->extra[i] = (target - q->dt[i] * q->dlam[i]) / q->lam[i];
+    }
+    for (i = 0; i < q->sides - q->hard; i++) {
+        q->extra_e[i] = (q->kappa[i] > 0.0) ? (target - q->de[i] * q->dkappa[i]) / q->e[i] : 0.0;
+    }
+}
+
+/* All unknowns move. */
+static void ipm_move(golden_solver_t *s, golden_real step)
+{
+    golden_ipm_t *q = &s->ipm;
+    int k, i, c;
+    for (k = 0; k <= GOLDEN_NS; k++) {
+        for (i = 0; i < GOLDEN_NX; i++) {
+            s->qp.x[k][i] += step * q->dx[k][i];
+        }
+    }
+    for (c = 0; c < GOLDEN_NV; c++) {
+        s->qp.z[c] += step * q->du[c];
+    }
+    for (c = GOLDEN_NV; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        if (q->kind[c] == 1) {
+            q->y[c] += step * q->stiffness[c] * ((q->v[c] - s->qp.lower[c]) + q->dv[c]);
+        }
+    }
+    for (i = 0; i < q->sides; i++) {
+        q->t[i] += step * q->dt[i];
+        q->lam[i] += step * q->dlam[i];
+    }
+    for (i = 0; i < q->sides - q->hard; i++) {
+        q->e[i] += step * q->de[i];
+        q->kappa[i] += step * q->dkappa[i];
+    }
+}
+
+/* One iteration of Mehrotra (1992): affine direction, centring as its success allows, corrected direction. */
+static void ipm_step(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    const golden_real least = 0.0009765625 * 9.094947017729282e-13 * q->unit;
+    golden_real inverse, share, target, back;
+    memset(q->extra, 0, sizeof q->extra);
+    memset(q->extra_e, 0, sizeof q->extra_e);
+    ipm_direction(s);
+    if (q->sides == 0) {
+        ipm_move(s, 1.0);
+        return;
+    }
+    inverse = ipm_inverse_step(s);
+    share = ipm_reduction(s, (inverse > 1.0) ? 1.0 / inverse : 1.0);
+    share = (share > 0.0) ? ((share < 1.0) ? share : 1.0) : 0.0;
+    target = share * share * share * q->mu;
+    ipm_correct(s, (target > least) ? target : least);
+    ipm_direction(s);
+    inverse = ipm_inverse_step(s);
+    back = 10.0 * q->mu / q->unit;
+    back = (back < 0.005) ? back : 0.005;
+    back = (back > 1e-06) ? back : 1e-06;
+    q->step = (1.0 - back < inverse) ? (1.0 - back) / inverse : 1.0;
+    ipm_move(s, q->step);
+}
+
+/* 1 if all residuals are at their tolerance, or small and no longer falling. */
+static int ipm_converged(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    const golden_real before = q->merit;
+    golden_real part = q->mu / (9.094947017729282e-13 * q->unit);
+    q->merit = q->primal / 9.094947017729282e-13;
+    q->merit = (part > q->merit) ? part : q->merit;
+    if (!(q->merit <= 1024.0)) {
+        return 0;
+    }
+    part = ipm_stationarity(s) / 3.637978807091713e-12;
+    q->merit = (part > q->merit) ? part : q->merit;
+    return q->merit <= 1.0 || (q->merit <= 1024.0 && q->merit > 0.5 * before);
+}
+
+/* OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
+static golden_status_t ipm_iterate(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    q->merit = (golden_real)INFINITY;
+    q->step = 1.0;
+    for (;;) {
+        ipm_measure(s);
+        ipm_cost_gradient(s);
+        if (!isfinite(q->mu) || !isfinite(q->primal)) {
+            return GOLDEN_NUMERICAL_FAILURE;
+        }
+        if (ipm_converged(s)) {
+            return GOLDEN_OK;
+        }
+        if (q->step < 0.5 && q->primal > 9.094947017729282e-13 && ipm_infeasible(s)) {
+            return GOLDEN_INFEASIBLE;
+        }
+        if (s->qp.iterations >= GOLDEN_IPM_MAX_ITERATIONS) {
+            return ipm_infeasible(s) ? GOLDEN_INFEASIBLE : GOLDEN_ITERATION_LIMIT;
+        }
+        s->qp.iterations++;
+        if (q->sides > 0) {
+            ipm_weigh(s);
+            if (!ipm_factorize(s)) {
+                return GOLDEN_NUMERICAL_FAILURE;
+            }
+        }
+        ipm_step(s);
+    }
+}
+
+static void ipm_init(golden_solver_t *s)
+{
+    memset(&s->ipm, 0, sizeof s->ipm);
+}
+
+/* Results that say nothing. */
+static void ipm_clear(golden_solver_t *s)
+{
+    memset(s->qp.x, 0, sizeof s->qp.x);
+    memset(s->qp.z, 0, sizeof s->qp.z);
+    memset(s->qp.mult, 0, sizeof s->qp.mult);
+    memset(s->qp.side, 0, sizeof s->qp.side);
+    memset(s->qp.certificate, 0, sizeof s->qp.certificate);
+    s->qp.relaxed = 0;
+}
+
+/* side: rows whose multiplier is larger than what their distance to the bound would cost; +-2: soft ones that are violated. */
+static void ipm_write_sides(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int i, c;
+    s->qp.relaxed = 0;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        s->qp.side[c] = (q->kind[c] == 0) ? 0 : (s->qp.mult[c] < 0.0) ? -1 : 1;
+    }
+    for (i = 0; i < q->sides; i++) {
+        c = q->row[i];
+        if (q->lam[i] > q->curvature[c] * q->t[i]) {
+            const int violated = i >= q->hard && q->e[i - q->hard] * q->curvature[c] > q->kappa[i - q->hard];
+            s->qp.side[c] = (q->sign[i] > 0.0 ? 1 : -1) * (violated ? 2 : 1);
+            s->qp.relaxed += violated;
+        }
+    }
+}
+
+/* Everything that does not depend on dx_0. */
+static golden_status_t ipm_prepare(golden_solver_t *s)
+{
+    s->ipm.ready = 0;
+    (void)ipm_take_kinds(s);
+    if (!ipm_factorize_cold(s)) {
+        return GOLDEN_NUMERICAL_FAILURE;
+    }
+    (void)ipm_first_forces(s);
+    ipm_first_backward(s);
+    s->ipm.ready = 1;
+    return GOLDEN_OK;
+}
+
+/* The solution for dx_0 and the present bounds. */
+static golden_status_t ipm_run(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_status_t status = GOLDEN_OK;
+    golden_real cost;
+    int count;
+    if (!ipm_first_point(s)) {
+        return GOLDEN_NUMERICAL_FAILURE;
+    }
+    if (ipm_constant_rows(s)) {
+        return GOLDEN_INFEASIBLE;
+    }
+    q->sides = q->hard = 0;
+    cost = ipm_violation_cost(s, &count);
+    if (count == 0 && !(q->damping > 0.0)) {
+        status = ipm_iterate(s);
+        cost = ipm_violation_cost(s, &count);
+        if (status != GOLDEN_OK || count == 0) {
+            return status;
+        }
+    }
+    ipm_list_sides(s);
+    cost = (q->damping > cost) ? q->damping : cost;
+    ipm_start_sides(s, 3.0 * cost / (golden_real)(count > 0 ? count : 1));
+    return ipm_iterate(s);
+}
+
+static golden_status_t ipm_solve(golden_solver_t *s)
+{
+    golden_status_t status = ipm_check_bounds(s);
+    s->qp.iterations = 0;
+    if (status != GOLDEN_OK) {
+        ipm_clear(s);
+        return status;
+    }
+    if (ipm_take_kinds(s) || !s->ipm.ready) {
+        status = ipm_prepare(s);
+    } else if (ipm_first_forces(s)) {
+        ipm_first_backward(s);
+    }
+    s->ipm.ready = 0;
+    if (status == GOLDEN_OK) {
+        status = ipm_run(s);
+    }
+    if (status == GOLDEN_NUMERICAL_FAILURE) {
+        ipm_clear(s);
+    } else {
+        ipm_write_sides(s);
+    }
+    return status;
+}
+
+static void qp_init(golden_solver_t *s)
+{
+    int c;
+    memset(&s->qp, 0, sizeof s->qp);
+    riccati_init(s);
+    ipm_init(s);
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        s->qp.lower[c] = -(golden_real)INFINITY;
+        s->qp.upper[c] = (golden_real)INFINITY;
+    }
+    for (c = 0; c < GOLDEN_NG; c++) {
+        s->qp.penalty[c] = (golden_real)INFINITY;
+    }
+}
+
+static golden_status_t qp_factorize(golden_solver_t *s)
+{
+    return ipm_prepare(s);
+}
+
+static void qp_gradient(golden_solver_t *s)
+{
+    if (s->ipm.ready) {
+        ipm_first_backward(s);
+    }
+}
+
+static golden_status_t qp_solve(golden_solver_t *s)
+{
+    return ipm_solve(s);
+}
+
+static void qp_shift_working_set(golden_solver_t *s, int n, const int *source)
+{
+    int i;
+    for (i = 0; i + n < GOLDEN_NV; i++) {
+        s->qp.mult[i] = s->qp.mult[i + n];
+        s->qp.side[i] = s->qp.side[i + n];
+    }
+    for (i = 0; i < GOLDEN_NG; i++) {
+        const int from = GOLDEN_NV + source[i];
+        s->qp.mult[GOLDEN_NV + i] = (source[i] < 0) ? 0.0 : s->qp.mult[from];
+        s->qp.side[GOLDEN_NV + i] = (source[i] < 0) ? 0 : s->qp.side[from];
+    }
+}
