@@ -26,7 +26,15 @@ if TYPE_CHECKING:
     from nmpc_codegen.algorithms import RealTimeIteration
     from nmpc_codegen.compiler import Package, export, generate
     from nmpc_codegen.condensing import FullCondensing, NoCondensing, PartialCondensing
-    from nmpc_codegen.hessians import GaussNewton
+    from nmpc_codegen.hessians import (
+        ExactHessian,
+        ForwardOverAdjoint,
+        GaussNewton,
+        IdentityHessian,
+        Mirror,
+        Project,
+        Symmetric,
+    )
     from nmpc_codegen.integrators import (
         RK4,
         SSPRK3,
@@ -45,7 +53,9 @@ _HOMES = {
     "algorithms": ("RealTimeIteration",),
     "compiler": ("Package", "export", "generate"),
     "condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
-    "hessians": ("GaussNewton",),
+    "hessians": (
+        *("ExactHessian", "ForwardOverAdjoint", "GaussNewton", "IdentityHessian", "Mirror", "Project", "Symmetric"),
+    ),
     "integrators": (
         *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
     ),
@@ -66,12 +76,16 @@ __all__ = [
     "DenseActiveSet",
     "Discrete",
     "Euler",
+    "ExactHessian",
     "ExplicitRungeKutta",
+    "ForwardOverAdjoint",
     "FullCondensing",
     "GaussNewton",
     "Heun",
+    "IdentityHessian",
     "Log",
     "Midpoint",
+    "Mirror",
     "NmpcError",
     "NoCondensing",
     "Online",
@@ -82,9 +96,11 @@ __all__ = [
     "PartialCondensing",
     "ProblemError",
     "ProblemWarning",
+    "Project",
     "RealTimeIteration",
     "RiccatiInteriorPoint",
     "Status",
+    "Symmetric",
     "build",
     "export",
     "generate",

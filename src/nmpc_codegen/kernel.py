@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import casadi as ca
@@ -111,6 +111,12 @@ OPERATIONS: dict[int, Operation] = {
     ca.OP_IF_ELSE_ZERO: Operation("({0} != {zero}) ? {1} : {zero}", "other"),
 }
 
+# Operations of one argument that are zero at zero.
+_ZERO_AT_ZERO = (
+    *(ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_SQRT, ca.OP_SIN, ca.OP_TAN, ca.OP_ASIN, ca.OP_ATAN),
+    *(ca.OP_SINH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ATANH, ca.OP_EXPM1, ca.OP_LOG1P, ca.OP_FABS, ca.OP_ERF),
+)
+
 _UNARY_ARITY = {op for op, o in OPERATIONS.items() if "{1}" not in o.c}
 _OPCODE_NAMES = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
 
@@ -173,6 +179,35 @@ class Kernel:
         """The straight-line functions that it consists of."""
         return (self,)
 
+    def nonzero_values(self, inputs: Sequence[Sequence[bool]]) -> list[bool]:
+        """Which values are not structurally zero, given which input elements are not."""
+        marks: list[bool] = []
+        for ins in self.instructions:
+            if ins.opcode == ca.OP_INPUT:
+                marks.append(inputs[ins.args[0]][ins.args[1]])
+            elif ins.opcode == ca.OP_CONST:
+                marks.append(ins.constant != 0)
+            elif ins.opcode == ca.OP_MUL:
+                marks.append(all(marks[a] for a in ins.args))
+            elif ins.opcode in (ca.OP_DIV, *_ZERO_AT_ZERO):
+                marks.append(marks[ins.args[0]])
+            else:
+                marks.append(ins.opcode not in (ca.OP_ADD, ca.OP_SUB) or any(marks[a] for a in ins.args))
+        return marks
+
+    def with_zeros(self, port: str, entries: Sequence[tuple[int, int]]) -> Kernel:
+        """The same kernel, storing zeros in those of the (row, column) entries of an output that it does not write."""
+        output = next(i for i, p in enumerate(self.outputs) if p.name == port)
+        written = {e for o, e, _ in self.stores if o == output}
+        missing = [r * self.outputs[output].cols + c for r, c in entries]
+        missing = [e for e in missing if e not in written]
+        if not missing:
+            return self
+        zero = len(self.instructions)
+        instructions = (*self.instructions, Instruction(ca.OP_CONST, ()))
+        stores = (*self.stores, *((output, e, zero) for e in missing))
+        return replace(self, instructions=instructions, stores=stores)
+
 
 class _ValueNumbering:
     """Gives equal expressions one number; commutative operands are sorted first."""
@@ -219,7 +254,8 @@ def lift(function: Any, name: str, doc: str, inputs: Sequence[Port], outputs: Se
             work[o[0]] = numbering.number(Instruction(opcode, tuple(work[a] for a in args)))
         else:
             raise ProblemError(f"{name}: {opcode_name(opcode)} has no C code; use elementary operations only")
-    return Kernel(name, doc, tuple(inputs), tuple(outputs), *_live(numbering.instructions, stores))
+    live, live_stores = _live(numbering.instructions, stores)
+    return Kernel(name, doc, tuple(inputs), tuple(outputs), *_live(*_reciprocals(live, live_stores)))
 
 
 def _row_major(sparsity: Any, port: Port) -> list[int]:
@@ -230,8 +266,37 @@ def _row_major(sparsity: Any, port: Port) -> list[int]:
     return [r * shape[1] + c for r, c in zip(rows, cols, strict=True)]
 
 
+def _reciprocals(
+    instructions: Sequence[Instruction], stores: Sequence[tuple[int, int, int]]
+) -> tuple[list[Instruction], list[tuple[int, int, int]]]:
+    """Divisions by a constant, and by a value that is divided by more than once, become products with its reciprocal.
+
+    A division takes as long as ten products; derivatives of a quotient have several by one denominator.
+    """
+    divisors: dict[int, int] = {}
+    for ins in instructions:
+        if ins.opcode in (ca.OP_DIV, ca.OP_INV):
+            divisors[ins.args[-1]] = divisors.get(ins.args[-1], 0) + 1
+    numbering = _ValueNumbering()
+    new: list[int] = []
+    for ins in instructions:
+        args = tuple(new[a] for a in ins.args) if ins.opcode in OPERATIONS else ins.args
+        if ins.opcode == ca.OP_DIV:
+            divisor = numbering.instructions[args[1]]
+            inverse = None
+            if divisor.opcode == ca.OP_CONST and divisor.constant and math.isfinite(1 / divisor.constant):
+                inverse = numbering.number(Instruction(ca.OP_CONST, (), 1 / divisor.constant))
+            elif divisors[ins.args[1]] > 1:
+                inverse = numbering.number(Instruction(ca.OP_INV, (args[1],)))
+            if inverse is not None:
+                new.append(numbering.number(Instruction(ca.OP_MUL, (args[0], inverse))))
+                continue
+        new.append(numbering.number(Instruction(ins.opcode, args, ins.constant)))
+    return numbering.instructions, [(o, e, new[v]) for o, e, v in stores]
+
+
 def _live(
-    instructions: list[Instruction], stores: list[tuple[int, int, int]]
+    instructions: Sequence[Instruction], stores: Sequence[tuple[int, int, int]]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
     """Drop values that no output needs and number the rest anew."""
     live = [False] * len(instructions)

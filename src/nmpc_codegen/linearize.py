@@ -36,7 +36,7 @@ class Linearization:
     @property
     def products(self) -> Products:
         """Products with the stage matrices."""
-        return Products.of(self.problem.nx, self.problem.nu, self.routines)
+        return Products.of(self.problem, self.options.hessian, self.routines)
 
 
 def linearize(problem: Problem, options: Options) -> Linearization:
@@ -48,9 +48,10 @@ def linearize(problem: Problem, options: Options) -> Linearization:
     first = (options.integrator, options.hessian)
     refuse_unsupported(problem, first, REGISTRIES)
     routines: list[Routine] = [r for c in first for r in c.routines(problem)]
+    routines += options.hessian.joint_routines(problem, options.integrator)
     routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal"), _coupled(problem)]
     constant = _constant_hessian(problem, online, routines)
-    products = Products.of(problem.nx, problem.nu, routines)
+    products = Products.of(problem, options.hessian, routines)
     known = {r.name: r.count for r in routines} | products.counts | products.column_counts
     options, why = choose_qp(problem, options, constant, known)
     rest = (options.condensing, options.qp, options.algorithm)
@@ -61,10 +62,11 @@ def linearize(problem: Problem, options: Options) -> Linearization:
 
 def _constant_hessian(problem: Problem, online: Online, routines: list[Routine]) -> bool:
     """The path Hessian reads nothing that differs from node to node."""
-    hessian = next(r for r in routines if r.name == "path_hessian")
+    named = {r.name: r for r in routines}
+    block = named.get("path_hessian")  # a routine of its own: it depends on nothing but what it reads
     varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
     varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
-    return not varying & _inputs_read(hessian) and all(r.name != "path_curvature" for r in routines)
+    return block is not None and "path_curvature" not in named and not varying & _inputs_read(block)
 
 
 def _choose_integrator(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:

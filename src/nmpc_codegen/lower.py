@@ -402,8 +402,6 @@ def _metadata(
 def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products) -> dict[str, Any]:
     """Memory, exact operation counts, and what was chosen and why."""
     layout = struct_layout(structs, lin.options.precision)
-    N = lin.problem.N
-    linearization = sum((lin.count(n) for n in ("integrator_interval", "path_gradient", "path_rows")), OpCount()) * N
     known = _known(lin, products)
     counts = {r.name: r.count for r in lin.routines} | products.counts
     if lin.options.condensing.columns:
@@ -415,7 +413,7 @@ def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products)
         "ram_bytes": layout["solver"][0],
         "ram_bytes_by_struct": {s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
         "operations": {name: count.as_dict() for name, count in counts.items()},
-        "linearization_operations": linearization.total,
+        "linearization_operations": counts["linearize"].total,
         "choices": list(lin.choices),
         "looped": [r.name for r in lin.routines if len(r.kernels) > 1],
     }

@@ -7,9 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any
 
 from nmpc_codegen.kernel import OpCount
-from nmpc_codegen.sweep import Routine
+from nmpc_codegen.sweep import LoopedRoutine, Routine, nonzeros
+
+if TYPE_CHECKING:
+    from nmpc_codegen.problem import Problem
 
 # Columns of a dense matrix that are processed together; leading dimensions are rounded up to it.
 PANEL = 4
@@ -31,16 +36,11 @@ class Products:
     Q_N: Pattern
 
     @classmethod
-    def of(cls, nx: int, nu: int, routines: Iterable[Routine]) -> Products:
-        """The patterns that the routines store."""
-        routine = {r.name: r for r in routines}
-        return cls(
-            nx,
-            nu,
-            pattern(routine["integrator_interval"], "S"),
-            pattern(routine["path_hessian"], "Q"),
-            pattern(routine["terminal_hessian"], "Q"),
-        )
+    def of(cls, problem: Problem, hessian: Any, routines: Iterable[Routine]) -> Products:
+        """The patterns that the routines store; those of Q are the Hessian component's."""
+        named = {r.name: r for r in routines}
+        S = pattern(named["integrator_interval"], "S")
+        return cls(problem.nx, problem.nu, S, *hessian.patterns(named))
 
     @property
     def written_out(self) -> bool:
@@ -159,8 +159,39 @@ class Products:
         """Nonzeros of Q_N in the order of the tables."""
         return sorted(self.Q_N)
 
+    @property
+    def Q_blocks(self) -> list[list[int]]:
+        """Rows of the irreducible diagonal blocks of Q."""
+        return irreducible_blocks(self.Q, self.nx + self.nu)
+
+    @property
+    def Q_N_blocks(self) -> list[list[int]]:
+        """Rows of the irreducible diagonal blocks of Q_N."""
+        return irreducible_blocks(self.Q_N, self.nx)
+
+    @property
+    def Q_block_ends(self) -> list[int]:
+        """Rows up to the end of every block of Q."""
+        return list(accumulate(len(block) for block in self.Q_blocks))
+
+    @property
+    def Q_N_block_ends(self) -> list[int]:
+        """Rows up to the end of every block of Q_N."""
+        return list(accumulate(len(block) for block in self.Q_N_blocks))
+
     def _column(self, i: int) -> list[int]:
         return sorted(r for r, c in self.S if c == i)
+
+
+def irreducible_blocks(lower: Pattern, n: int) -> list[list[int]]:
+    """Rows of the irreducible diagonal blocks of a symmetric matrix, each sorted."""
+    found: list[set[int]] = [{i} for i in range(n)]
+    for r, c in lower:
+        first, second = (next(s for s in found if i in s) for i in (r, c))
+        if first is not second:
+            first |= second
+            found.remove(second)
+    return sorted(sorted(s) for s in found)
 
 
 def _accumulated(n: int) -> OpCount:
@@ -180,10 +211,11 @@ def _entries(lower: Pattern, i: int) -> list[tuple[int, int, int]]:
 
 
 def pattern(routine: Routine, port: str) -> Pattern:
-    """Structural nonzeros of an output matrix; all of it for a looped routine."""
+    """Structural nonzeros of an output matrix; all of it if a looped routine has many."""
     index = next(i for i, p in enumerate(routine.outputs) if p.name == port)
     rows, cols = routine.outputs[index].rows, routine.outputs[index].cols
-    stores = getattr(routine, "stores", None)
-    if stores is None:
-        return frozenset((r, c) for r in range(rows) for c in range(cols))
-    return frozenset(divmod(element, cols) for o, element, _ in stores if o == index)
+    if isinstance(routine, LoopedRoutine):
+        if rows * cols > 2 * WRITTEN_OUT:
+            return frozenset((r, c) for r in range(rows) for c in range(cols))
+        return frozenset(divmod(e, cols) for e in nonzeros(routine)[port])
+    return frozenset(divmod(element, cols) for o, element, _ in routine.stores if o == index)

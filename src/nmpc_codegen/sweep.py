@@ -57,11 +57,12 @@ class Call:
     leaf: Any
     ins: tuple[Slice, ...]
     outs: tuple[Slice, ...]
+    inline: bool = False  # print it in its place, whatever its slices are
 
     @property
     def written_out(self) -> bool:
         """True if the leaf is printed inside its loop instead of being called: its slices are columns of matrices."""
-        return any(s.stride != 1 and s.size > 1 for s in (*self.ins, *self.outs))
+        return self.inline or any(s.stride != 1 and s.size > 1 for s in (*self.ins, *self.outs))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +168,32 @@ class LoopedRoutine:
 
 
 Routine = Kernel | LoopedRoutine
+
+
+def nonzeros(routine: LoopedRoutine) -> dict[str, list[int]]:
+    """Elements of every output that are not structurally zero, by running the loops on zero and nonzero alone."""
+    sweep = routine.sweep
+    buffers = {p.name: [True] * p.size for p in sweep.inputs}
+    buffers |= {p.name: [False] * p.size for p in sweep.outputs}
+    buffers |= {name: [False] * size for name, size in sweep.locals}
+    _mark(sweep.body, routine.leaves, buffers, {})
+    return {p.name: [e for e, marked in enumerate(buffers[p.name]) if marked] for p in sweep.outputs}
+
+
+def _mark(
+    nodes: tuple[Node, ...], leaves: Mapping[str, Kernel], buffers: dict[str, list[bool]], indices: dict[str, int]
+) -> None:
+    for node in nodes:
+        if isinstance(node, For):
+            for value in node.range:
+                _mark(node.body, leaves, buffers, {**indices, node.index: value})
+            continue
+        ins = [[buffers[s.buffer][e] for e in s.elements(indices)] for s in node.ins]
+        outs = [s.elements(indices) for s in node.outs]
+        kernel = leaves[node.leaf.name()]
+        marks = kernel.nonzero_values(ins)
+        for o, element, value in kernel.stores:
+            buffers[node.outs[o].buffer][outs[o][element]] = marks[value]
 
 
 def looped(sweep: Sweep) -> LoopedRoutine:

@@ -23,6 +23,8 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "unit": (1.0, "the machine epsilon; its square root separates a zero pivot from a positive one"),
     "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),
     "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),
+    "eigen_offdiagonal": (1.0, "element off the diagonal that Jacobi rotations leave, relative to the largest entry"),
+    "eigen_tiny": (2.0**-40, "entries below it, relative to the largest, do not count in a decomposition"),
     "step_count": (2.0**12, "part of an integration step that is taken as rounding of dt / h"),
 }
 

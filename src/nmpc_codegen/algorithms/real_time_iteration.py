@@ -44,7 +44,7 @@ class RealTimeIteration:
     template: ClassVar[str] = "algorithms/real_time_iteration.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("integrator", "hessian", "condensing")
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     def __post_init__(self) -> None:
@@ -164,8 +164,8 @@ class RealTimeIteration:
 
     def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
         """The linearisation of all nodes; a gap is one subtraction per state."""
-        node = known["integrator_interval"] + known["path_gradient"] + known["path_rows"]
-        node += OpCount(add=dims.nx.value)
+        derivatives = known.get("path_exact") or known["integrator_interval"] + known["path_gradient"]
+        node = derivatives + known["path_rows"] + OpCount(add=dims.nx.value)
         return {"linearize": node * dims.N.value + known["terminal_gradient"] + known["terminal_rows"]}
 
 

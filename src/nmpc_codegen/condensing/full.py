@@ -47,7 +47,7 @@ class FullCondensing:
     gives: ClassVar[str] = "condensed"
     columns: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     def qp_shape(self, problem: Problem) -> QpShape:

@@ -25,7 +25,7 @@ class NoCondensing:
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     def qp_shape(self, problem: Problem) -> QpShape:

@@ -33,7 +33,7 @@ class PartialCondensing:
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     def __post_init__(self) -> None:

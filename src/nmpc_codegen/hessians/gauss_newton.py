@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -16,8 +17,10 @@ import casadi as ca
 from nmpc_codegen.cmodule import Field, Struct, Table
 from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.hessians.stage_cost import weight_matrix
 from nmpc_codegen.kernel import Kernel, OpCount, Port, lift
 from nmpc_codegen.problem import Problem, Stage
+from nmpc_codegen.products import Pattern, pattern
 from nmpc_codegen.sweep import Routine
 
 
@@ -52,7 +55,7 @@ class GaussNewton:
     def _stage(self, stage: Stage, name: str) -> tuple[Kernel, ...]:
         z = ca.vertcat(stage.x, stage.u)
         nz, ny = int(z.numel()), stage.ny
-        yref, W, weight, nw = ca.SX.sym("yref", ny), *_weight(stage)
+        yref, W, weight, nw = ca.SX.sym("yref", ny), *weight_matrix(stage)
         residual = stage.y - yref
         J = ca.jacobian(stage.y, z) if ny else ca.SX(0, nz)
         weighted = weight @ residual
@@ -87,10 +90,19 @@ class GaussNewton:
         curved = [*ports[: 2 if terminal else 3], Port("mu", stage.nh)]
         return (*kernels, lift(function, f"{name}_curvature", doc, curved, [Port("M", nz, nz)]))
 
+    def joint_routines(self, problem: Problem, integrator: Any) -> tuple[Routine, ...]:
+        """None: least squares live at the nodes."""
+        return ()
+
+    def patterns(self, routines: Mapping[str, Routine]) -> tuple[Pattern, Pattern]:
+        """Nonzeros of Q and Q_N, lower triangles."""
+        return pattern(routines["path_hessian"], "Q"), pattern(routines["terminal_hessian"], "Q")
+
     @property
     def parts(self) -> tuple[str, ...]:
         """What becomes of the curvature of the rows."""
-        return ("hessians/convex_rows.c.jinja",) if self.convex_rows else ("hessians/flat_rows.c.jinja",)
+        rows = "hessians/convex_rows.c.jinja" if self.convex_rows else "hessians/flat_rows.c.jinja"
+        return ("hessians/first_order.c.jinja", rows, "hessians/regularize_nothing.c.jinja")
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""
@@ -119,20 +131,3 @@ class GaussNewton:
         if self.convex_rows:
             return {}
         return {"hessian": known["path_hessian"] * dims.nq.value + known["terminal_hessian"]}
-
-
-def _weight(stage: Stage) -> tuple[Any, Any, int]:
-    """(symbol, matrix, length): a diagonal weight is carried as its diagonal, others row-major; rows scaled by dt."""
-    ny = stage.ny
-    if stage.diagonal_weight:
-        symbol = ca.SX.sym("W", ny)
-        matrix = ca.diag(symbol) if ny else ca.SX(0, 0)
-    else:
-        symbol = ca.SX.sym("W", ny * ny)
-        matrix = ca.reshape(symbol, ny, ny)
-        matrix = ca.tril(matrix.T) + ca.tril(matrix.T, False).T
-    scales = [stage.dt if scaled else ca.SX(1) for scaled in stage.scale_with_dt]
-    for i, a in enumerate(scales):
-        for j, b in enumerate(scales):
-            matrix[i, j] = matrix[i, j] * (a if a is b else ca.sqrt(a * b))
-    return symbol, matrix, int(symbol.numel())

@@ -12,7 +12,7 @@ from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount, Port, lift
 from nmpc_codegen.problem import Problem
-from nmpc_codegen.sweep import Routine
+from nmpc_codegen.sweep import Call, Routine
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,26 @@ class Discrete:
                 (out, Port("S", problem.nx, problem.nx + problem.nu)),
             ),
             lift(step, "integrator_step", "x_next = Phi(x, u, p)", (*ports, Port("h", 1)), (out,)),
+        )
+
+    def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` fills g and Q from all inputs but lam, and
+        d2 (lam' Phi) / d(x, u)^2 is added, lower triangle. A map has no steps, so every ``scheme`` is the same.
+        """
+        x, u, p, lam, dt = problem.path.x, problem.path.u, problem.path.p, ca.SX.sym("lam", problem.nx), ca.SX.sym("dt")
+        z, nz = ca.vertcat(x, u), problem.nx + problem.nu
+        phi = ca.densify(problem.dynamics(x, u, p))
+        known = {"x": x, "u": u, "p": p, "dt": dt} | {port.name: ca.SX.sym(port.name, port.size) for port in more}
+        g, Q = start.leaf.call([known[s.buffer] for s in start.ins])
+        H = ca.tril(ca.reshape(Q, nz, nz).T) + ca.tril(ca.hessian(ca.dot(lam, phi), z)[0])
+        values = [phi, ca.sparsify(ca.jacobian(phi, z)), ca.densify(g), ca.sparsify(H)]
+        ports = (Port("x", problem.nx), Port("u", problem.nu), Port("p", problem.np), Port("dt", 1))
+        return lift(
+            ca.Function(name, [*known.values(), lam], values),
+            name,
+            "x_next = Phi(x, u, p), S = d x_next / d(x, u); g, Q = gradient, Hessian of cost + lam' Phi + mu' h",
+            (*ports, *more, Port("lam", problem.nx)),
+            (Port("x_next", problem.nx), Port("S", problem.nx, nz), Port("g", nz), Port("Q", nz, nz)),
         )
 
     @property

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, ClassVar, Literal, get_args
@@ -18,8 +18,12 @@ import casadi as ca
 from nmpc_codegen.cmodule import Table
 from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau
-from nmpc_codegen.kernel import OpCount, Port
+from nmpc_codegen.integrators.forward_over_adjoint import AdjointSweep
+from nmpc_codegen.integrators.quadrature import Quadrature
+from nmpc_codegen.integrators.second_order import fuse_steps, straight_lower
+from nmpc_codegen.integrators.symmetric import ThreeSweeps
+from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau, combine
+from nmpc_codegen.kernel import Kernel, OpCount, Port
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Affine, Call, For, Node, Routine, Slice, Sweep, looped, straight, unroll
@@ -30,6 +34,11 @@ Unroll = Literal["auto", "all", "step", "none"]
 AUTO_INSTRUCTIONS = 2500
 
 START = Affine()
+
+SCHEMES: dict[str, type[ThreeSweeps] | type[AdjointSweep]] = {
+    "symmetric": ThreeSweeps,
+    "forward_over_adjoint": AdjointSweep,
+}
 
 
 @dataclass(frozen=True)
@@ -49,7 +58,7 @@ class ExplicitRungeKutta:
     template: ClassVar[str] = "integrators/explicit_runge_kutta.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"soft rows", "coupled rows", "free initial state", "general cost", "accumulators"}
+        {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
 
     def __post_init__(self) -> None:
@@ -67,6 +76,48 @@ class ExplicitRungeKutta:
         if problem.discrete:
             raise OptionError(f"integrator: {problem.name} is a discrete map; expected Discrete()")
         return self._interval(problem), straight(step_sweep(problem, self.tableau))
+
+    def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` fills g and Q from all inputs but lam, the interval
+        adds its part d(integrated cost) / dz and d2 (lam' Phi + integrated cost) / dz^2, z = (x, u), lower triangle.
+
+        scheme: "symmetric" (three sweeps) or "forward_over_adjoint".
+        """
+        b = SCHEMES[scheme](problem, self.tableau, self.steps)
+        nx, nz = problem.nx, problem.nx + problem.nu
+        sweep = Sweep(
+            name,
+            f"x_next = Phi(x, u, p): {self.steps} {self.tableau.name} step(s) over dt, S = d x_next / d(x, u);"
+            f" g, Q = gradient, Hessian of cost + lam' Phi + mu' h ({scheme.replace('_', ' ')})",
+            (Port("x", nx), Port("u", problem.nu), Port("p", problem.np), Port("dt", 1), *more, Port("lam", nx)),
+            (Port("x_next", nx), Port("S", nx, nz), Port("g", nz), Port("Q", nz, nz)),
+            b.buffers(),
+            (start, *b.body()),
+        )
+        return self._spelled(sweep, straight_lower)
+
+    def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more) -> l: what ``start`` leaves in l, plus the integral of the cost rate."""
+        doc = "l = cost of the node + integral of the cost rate over dt"
+        return self._spelled(Quadrature(problem, self.tableau, self.steps).value(name, doc, start, more))
+
+    def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more) -> g: what ``start`` leaves in g, plus the gradient of the integral, by its adjoint."""
+        doc = "g = d (cost of the node + integral of the cost rate over dt) / d(x, u)"
+        return self._spelled(Quadrature(problem, self.tableau, self.steps).gradient(name, doc, start, more))
+
+    def _spelled(self, sweep: Sweep, straighten: Callable[[Sweep], Kernel] = straight) -> Routine:
+        """Straight-line or looped, as ``unroll`` says."""
+        if self.unroll == "all":
+            return straighten(sweep)
+        if self.unroll == "step":
+            return looped(fuse_steps(sweep))
+        rolled = looped(sweep)
+        if self.unroll == "auto" and rolled.count.total <= 10 * AUTO_INSTRUCTIONS:
+            program = straighten(sweep)
+            if len(program.instructions) <= AUTO_INSTRUCTIONS:
+                return program
+        return rolled
 
     def _interval(self, problem: Problem) -> Routine:
         if self.unroll == "all":
@@ -144,7 +195,7 @@ class _Builder:
         forcing = ca.SX(self.nx, 1)
         for position, row in enumerate(self.fu_rows):
             forcing[row] = fu[position]
-        value = jacobian @ _combine(column, h, slopes, coefficients) + forcing
+        value = jacobian @ combine(column, h, slopes, coefficients) + forcing
         names = ["fx", "s", "h", "Fu", *(f"K{j}" for j in range(len(slopes)))]
         return ca.Function(f"slope_{stage}", [nonzeros, column, h, fu, *slopes], [value], names, ["Ks"])
 
@@ -152,7 +203,7 @@ class _Builder:
         """y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
         x, h = ca.SX.sym("x", self.nx), ca.SX.sym("h")
         slopes = [ca.SX.sym(f"K{j}", self.nx) for j, c in enumerate(coefficients) if c]
-        y = _combine(x, h, slopes, coefficients)
+        y = combine(x, h, slopes, coefficients)
         return ca.Function(name, [x, h, *slopes], [y], ["x", "h", *(f"K{j}" for j in range(len(slopes)))], ["y"])
 
     def slopes(
@@ -164,18 +215,6 @@ class _Builder:
             for j, c in enumerate(coefficients)
             if c
         ]
-
-
-def _combine(x: Any, h: Any, slopes: Sequence[Any], coefficients: Sequence[Fraction]) -> Any:
-    """x + h sum_j c_j K_j over the nonzero c_j."""
-    values = [c for c in coefficients if c]
-    for c in dict.fromkeys(values):
-        same = [k for k, v in zip(slopes, values, strict=True) if v == c]
-        total = same[0]
-        for k in same[1:]:
-            total = total + k
-        x = x + (h if c == 1 else h * float(c)) * total
-    return x
 
 
 def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 from nmpc_codegen.errors import OptionError
 
@@ -64,6 +66,18 @@ class ButcherTableau:
             (4, weighted(second) - F(1, 12)),
             (4, weighted(nested) - F(1, 24)),
         ]
+
+
+def combine(x: Any, h: Any, slopes: Sequence[Any], coefficients: Sequence[Fraction]) -> Any:
+    """x + h sum_j c_j K_j over the nonzero c_j; ``slopes`` are the K_j of these, equal coefficients share a product."""
+    values = [c for c in coefficients if c]
+    for c in dict.fromkeys(values):
+        same = [k for k, v in zip(slopes, values, strict=True) if v == c]
+        total = same[0]
+        for k in same[1:]:
+            total = total + k
+        x = x + (h if c == 1 else h * float(c)) * total
+    return x
 
 
 def _rows(*rows: tuple[Fraction | int, ...]) -> tuple[tuple[Fraction, ...], ...]:

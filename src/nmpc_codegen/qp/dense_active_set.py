@@ -35,7 +35,7 @@ class DenseActiveSet:
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     max_iterations: int | None = None

@@ -41,7 +41,7 @@ class Osqp:
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "coupled rows"}
     )
 
     def __post_init__(self) -> None:
@@ -85,6 +85,7 @@ class Osqp:
                 (
                     Field("H", (ld, ld), "Hessian (lower triangle)", "scratch"),
                     Field("A", (ng, ld), "general rows", "scratch"),
+                    Field("Q", (ld, ld), "workspace of the regularisation", "scratch"),
                     Field("g", (nv,), "gradient", "scratch"),
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
                     Field("upper", (rows,), "upper bounds", "scratch"),

@@ -42,6 +42,8 @@ def interior_point_struct(dims: Dims) -> Struct:
     sides = Size(f"2 * ( {nv.text} + {ng.text} )", 2 * rows.value)
     soft = Size(f"2 * {ng.text}", 2 * ng.value)
     nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+    sizes = {name: Size(name, value) for name, value, _ in riccati_sizes(dims)}
+    ldx, ldu = sizes["LDX"], sizes["LDU"]
     return Struct(
         "ipm",
         "interior point iterate of the stage QP",
@@ -58,6 +60,11 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("weight", (rows,), "weights of the rows", "scratch"),
             Field("force", (rows,), "multipliers after a step that leaves v as it is", "scratch"),
             Field("ray", (rows,), "weights of a contradiction", "scratch"),
+            Field("covariance", (ldx, ldx), "of the states of a stage under unit noise", "scratch"),
+            Field("product", (ldx, ldx), "covariance times (A + B K)'", "scratch"),
+            Field("closed", (ldx, ldx), "(A + B K)'", "scratch"),
+            Field("push", (ldu, ldx), "(B G)'", "scratch"),
+            Field("noise", (ldu, dims.nus), "G', G G' = M_uu^{-1}", "scratch"),
             Field("bound", (sides,), "bound of a side", "scratch"),
             Field("sign", (sides,), "1: upper, -1: lower", "scratch"),
             Field("t", (sides,), "distance to the bound", "scratch"),
@@ -110,7 +117,7 @@ class RiccatiInteriorPoint:
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
     def __post_init__(self) -> None:

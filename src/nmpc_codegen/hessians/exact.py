@@ -1,0 +1,204 @@
+"""Exact Hessian of the Lagrangian, stage by stage, with the multipliers of the last QP.
+
+    Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k) / d(x_k, u_k)^2,   Q_N = d2 (l_N + mu_N' h_N) / dx_N^2
+
+l_k holds least squares, general costs and the integral of cost rates. x_next, [A_k B_k], the gradient and Q_k come from
+one sweep ([Q14] section IV). The first time an adjoint pass gives lam.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from nmpc_codegen.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.component import Counts, Dims
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.hessians.regularization import Mirror, Project, Regularization
+from nmpc_codegen.hessians.stage_cost import StageCost, integrated_kernels, slices, stage_cost
+from nmpc_codegen.kernel import Kernel, OpCount, Port
+from nmpc_codegen.problem import Problem
+from nmpc_codegen.products import Pattern, irreducible_blocks, pattern
+from nmpc_codegen.sweep import Call, Routine, Slice
+
+# Sweeps of Jacobi rotations, and QL iterations per eigenvalue, before a decomposition is taken as it is.
+MAX_SWEEPS = 12
+MAX_QL = 30
+
+# Blocks decomposed at once: for a small one, as many as fill vector registers.
+LANES = ((8, 8), (16, 4))
+
+
+@dataclass(frozen=True)
+class Symmetric:
+    """Three sweeps: forward, adjoint, forward with a symmetric recursion of the Hessian ([Q14] algorithm 2)."""
+
+    scheme: ClassVar[str] = "symmetric"
+
+
+@dataclass(frozen=True)
+class ForwardOverAdjoint:
+    """Forward mode over the adjoint, the stages' sensitivities stored ([Q14] algorithm 1)."""
+
+    scheme: ClassVar[str] = "forward_over_adjoint"
+
+
+_REGULARIZATIONS: dict[str, Regularization | None] = {"project": Project(), "mirror": Mirror(), "none": None}
+_SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {cls.scheme: cls() for cls in (Symmetric, ForwardOverAdjoint)}
+
+
+@dataclass(frozen=True)
+class ExactHessian:
+    """Exact second derivatives; ``levenberg_marquardt`` >= 0 is added to the diagonal of every block.
+
+    regularization: Project(floor, level), Mirror(floor, level) or None: what is done if the QP would not be convex.
+    sweep: Symmetric() or ForwardOverAdjoint(), how second derivatives of the dynamics are propagated.
+    """
+
+    regularization: Regularization | None = Project()
+    sweep: Symmetric | ForwardOverAdjoint = Symmetric()
+    levenberg_marquardt: float = 0.0
+
+    seam: ClassVar[str] = "hessian"
+    name: ClassVar[str] = "exact"
+    template: ClassVar[str] = "hessians/exact.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ("integrator",)
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"soft rows", "free initial state", "general cost", "integrated cost", "accumulators"}
+    )
+
+    def __post_init__(self) -> None:
+        if isinstance(self.regularization, str) and self.regularization in _REGULARIZATIONS:
+            object.__setattr__(self, "regularization", _REGULARIZATIONS[self.regularization])
+        if isinstance(self.sweep, str) and self.sweep in _SWEEPS:
+            object.__setattr__(self, "sweep", _SWEEPS[self.sweep])
+        if not isinstance(self.regularization, Project | Mirror | None):
+            raise OptionError(
+                f"regularization: {self.regularization!r}; expected Project(...), Mirror(...), None or one of "
+                f"{', '.join(_REGULARIZATIONS)}"
+            )
+        if not isinstance(self.sweep, Symmetric | ForwardOverAdjoint):
+            raise OptionError(
+                f"sweep: {self.sweep!r}; expected Symmetric(), ForwardOverAdjoint() or one of {', '.join(_SWEEPS)}"
+            )
+        lm = self.levenberg_marquardt
+        if isinstance(lm, bool) or not isinstance(lm, int | float) or not (math.isfinite(lm) and lm >= 0):
+            raise OptionError(f"levenberg_marquardt: {lm!r}; expected a finite number >= 0")
+
+    @property
+    def level(self) -> str:
+        """Where it regularises: "stage", "reduced" or "nowhere"."""
+        return "nowhere" if self.regularization is None else self.regularization.level
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """Cost and gradient of both stages, Hessian of the terminal one; those that integrate are joint ones."""
+        path, terminal = stage_cost(problem.path, "path"), stage_cost(problem.terminal, "terminal")
+        kernels: list[Routine] = []
+        if problem.path.cost_rate is None:
+            kernels += [path.cost_kernel(), path.gradient_kernel()]
+        Q = ca.sparsify(terminal.hessian + self._damping(problem.nx))
+        doc = "Q = d2 (l + mu' h) / dx^2, lower triangle"
+        last = terminal.kernel("hessian", doc, Q, Port("Q", problem.nx, problem.nx), mu=True)
+        return (*kernels, terminal.cost_kernel(), terminal.gradient_kernel(), self._completed(last))
+
+    def joint_routines(self, problem: Problem, integrator: Any) -> tuple[Routine, ...]:
+        """path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q), and path_cost, path_gradient if they integrate."""
+        cost = stage_cost(problem.path, "path")
+        more = (*cost.data_ports, cost.mu_port)
+        exact = integrator.curved(problem, self.sweep.scheme, "path_exact", self._start(cost), more)
+        return (*integrated_kernels(problem, integrator), self._completed(exact))
+
+    def _start(self, cost: StageCost) -> Call:
+        """g and Q of the node's own cost and rows."""
+        Q = ca.densify(cost.hessian + self._damping(cost.nz))
+        symbols = [*cost.inputs, cost.yref, cost.W, cost.mu]
+        leaf = ca.Function("node", symbols, [ca.densify(cost.gradient), ca.vec(Q.T)])
+        outs = (Slice("g", cost.nz), Slice("Q", cost.nz**2))
+        return Call(leaf, slices(*cost.ports, *cost.data_ports, cost.mu_port), outs)
+
+    def _damping(self, n: int) -> Any:
+        """The Levenberg-Marquardt term, unless it follows after a regularisation of the block."""
+        if self.level == "stage" or not self.levenberg_marquardt:
+            return ca.DM(n, n)
+        return self.levenberg_marquardt * ca.DM.eye(n)
+
+    def _completed(self, routine: Routine) -> Routine:
+        """With zeros stored in all entries that a regularisation of the block may fill."""
+        if self.level != "stage" or not isinstance(routine, Kernel):
+            return routine
+        return routine.with_zeros("Q", sorted(filled(pattern(routine, "Q"), routine.outputs[-1].rows)))
+
+    def patterns(self, routines: Mapping[str, Routine]) -> tuple[Pattern, Pattern]:
+        """Nonzeros of Q and Q_N, lower triangles."""
+        found = []
+        for name in ("path_exact", "terminal_hessian"):
+            routine = routines[name]
+            lower = frozenset((r, c) for r, c in pattern(routine, "Q") if r >= c)
+            found.append(filled(lower, routine.outputs[-1].rows) if self.level == "stage" else lower)
+        return found[0], found[1]
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What becomes of an indefinite Hessian."""
+        if self.level == "stage":
+            return "hessians/jacobi.c.jinja", "hessians/regularize_stage.c.jinja"
+        if self.level == "reduced":
+            return "hessians/eigen.c.jinja", "hessians/regularize_reduced.c.jinja"
+        return ("hessians/regularize_nothing.c.jinja",)
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""
+        if self.regularization is None:
+            return ()
+        values = (float(self.regularization.floor), float(self.levenberg_marquardt))
+        return (Table("regularization", "real", values, "smallest eigenvalue, relative; what is added to all of them"),)
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        if self.regularization is None:
+            return ()
+        mirror = (
+            "MIRROR",
+            int(self.regularization.mirrors),
+            "1: negative eigenvalues change sign, 0: become the floor",
+        )
+        if self.level == "stage":
+            return (
+                mirror,
+                ("LANES", _lanes(dims.nz.value), "blocks that are decomposed at once"),
+                ("MAX_SWEEPS", MAX_SWEEPS, "sweeps of Jacobi rotations"),
+            )
+        return (mirror, ("MAX_QL", MAX_QL, "QL iterations per eigenvalue"))
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """Hessian blocks, lower triangles in the order z = (x, u), and the scratch of their decomposition."""
+        blocks = (
+            Field("Q", (dims.nq, dims.nz, dims.nz), "path blocks", "data"),
+            Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
+        )
+        scratch: tuple[Field, ...] = (Field("adjoint", (), "1: lam comes from an adjoint pass", "scratch", "int32"),)
+        if self.level == "stage":
+            nodes, lanes = Size("N + 1", dims.N.value + 1), Size("LANES", _lanes(dims.nz.value))
+            square = Size("NZ * NZ", dims.nz.value**2)
+            scratch += (
+                Field("scale", (nodes,), "largest absolute eigenvalue of the block", "scratch"),
+                Field("A", (square, lanes), "blocks of one size, one per lane; then diagonal", "scratch"),
+                Field("V", (square, lanes), "their eigenvectors", "scratch"),
+            )
+        return (Struct("hessian", "Hessian blocks, lower triangles, z = (x, u)", (*blocks, *scratch)),)
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """The terminal block; the work of a regularisation depends on the data."""
+        return {} if self.level == "stage" else {"hessian": known["terminal_hessian"]}
+
+
+def _lanes(nz: int) -> int:
+    return next((lanes for size, lanes in LANES if nz <= size), 1)
+
+
+def filled(lower: Pattern, n: int) -> Pattern:
+    """Lower triangles of the irreducible blocks, full, the diagonal everywhere."""
+    return frozenset((r, c) for block in irreducible_blocks(lower, n) for r in block for c in block if r >= c)

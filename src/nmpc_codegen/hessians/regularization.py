@@ -1,0 +1,49 @@
+"""What is done about an indefinite Hessian: mirror or project its eigenvalues, of every stage block or of the reduced one.
+
+    V max(|Lambda|, floor) V'   (mirror, [Q14] equation 4)      V max(Lambda, floor) V'   (project)
+
+floor = ``floor`` times the largest |Lambda| of the block; a zero block takes the scale of the largest block.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+from nmpc_codegen.errors import OptionError
+
+LEVELS = ("reduced", "stage")
+
+
+@dataclass(frozen=True)
+class Regularization:
+    """``floor``: smallest eigenvalue, relative to the largest absolute one; ``level``: "reduced" changes nothing unless
+    the condensed Hessian is not positive definite, "stage" treats the block of every node."""
+
+    floor: float = 1e-8
+    level: str = "reduced"
+
+    mirrors: ClassVar[bool]
+
+    def __post_init__(self) -> None:
+        name, floor = type(self).__name__, self.floor
+        number = isinstance(floor, int | float) and not isinstance(floor, bool)
+        if not number or not (math.isfinite(floor) and 0 < floor < 1):
+            raise OptionError(f"{name}.floor: {floor!r}; expected a number between 0 and 1")
+        if self.level not in LEVELS:
+            raise OptionError(f"{name}.level: {self.level!r}; expected one of {', '.join(LEVELS)}")
+
+
+@dataclass(frozen=True)
+class Project(Regularization):
+    """Eigenvalues below the floor become the floor."""
+
+    mirrors: ClassVar[bool] = False
+
+
+@dataclass(frozen=True)
+class Mirror(Regularization):
+    """Negative eigenvalues change their sign, small ones become the floor."""
+
+    mirrors: ClassVar[bool] = True
