@@ -22,7 +22,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "fatrop": {"structure_detection": "manual", "fatrop": {"print_level": 0, "tol": 1e-8}},
     "osqp": {"osqp": {"verbose": False, "eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 20000, "polish": True}},
     "daqp": {"daqp": {}},
-    "qpoases": {"printLevel": "none", "sparse": False, "hessian_type": "posdef", "initialStatusBounds": "inactive"},
+    "qpoases": {"printLevel": "none", "sparse": False, "initialStatusBounds": "inactive"},
     "highs": {"highs": {"output_flag": False}},
     "proxqp": {"proxqp": {"eps_abs": 1e-9, "verbose": False}},
 }

@@ -12,6 +12,7 @@ import itertools
 import os
 import subprocess
 import tempfile
+import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -96,6 +97,9 @@ def stage_ocp(shape: Shape) -> OCP:
     return ocp
 
 
+#: Packages are generated one at a time, and compiled side by side.
+GENERATING = threading.Lock()
+
 GIVEN_UP = (Status.ITERATION_LIMIT, Status.STALLED, Status.NUMERICAL_FAILURE)
 
 # Limits of wrong_answer(): relative residuals of stage QPs in double precision, and of the minimiser (docs: 1e-7).
@@ -165,8 +169,7 @@ def _sources(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any]]:
     return render(module), memory_layout(module)
 
 
-def _compile(sources: Any, flags: Sequence[str]) -> Path:
-    folder = Path(tempfile.mkdtemp(dir=build_directory().name))
+def _compile(sources: Any, flags: Sequence[str], folder: Path) -> Path:
     for name in ("stage.h", "stage.c"):
         (folder / name).write_text(sources[name], encoding="utf-8")
     (folder / "main.c").write_text(MAIN, encoding="utf-8")
@@ -179,8 +182,10 @@ def _compile(sources: Any, flags: Sequence[str]) -> Path:
 @functools.cache
 def built(shape: Shape, options: Options, flags: tuple[str, ...] = FLAGS) -> Built:
     """The package of a shape with these options (condensing and qp), compiled once."""
-    sources, layout = _sources(shape, options)
-    library = ctypes.CDLL(str(_compile(sources, flags)))
+    with GENERATING:
+        sources, layout = _sources(shape, options)
+        folder = Path(tempfile.mkdtemp(dir=build_directory().name))
+    library = ctypes.CDLL(str(_compile(sources, flags, folder)))
     assert library.call_size() == layout.itemsize
     return Built(library, layout)
 
