@@ -14,7 +14,7 @@ int size_of_timed(void);
 void init_timed(API(_solver_t) * s);
 int run_timed_qp(API(_solver_t) * s, const API(_real) * dx0);
 double time_qp(API(_solver_t) * s, const API(_solver_t) * before, const API(_real) * dx0, int repeats, int cold);
-double time_prepare(API(_solver_t) * s, const API(_solver_t) * before, int repeats);
+double time_condensing(API(_solver_t) * s, int repeats);
 
 static double microseconds(void)
 {
@@ -63,18 +63,19 @@ double time_qp(API(_solver_t) * s, const API(_solver_t) * before, const API(_rea
     return least;
 }
 
-/* The same of the preparation phase alone. */
-double time_prepare(API(_solver_t) * s, const API(_solver_t) * before, int repeats)
+#ifdef FULL_CONDENSING
+/* Least time (us) of full condensing: Hessian, gradient, rows. */
+double time_condensing(API(_solver_t) * s, int repeats)
 {
     double least = 1e30;
     int i;
     for (i = 0; i < repeats; i++) {
-        double start, end;
-        *s = *before;
-        start = microseconds();
-        (void)condense_prepare(s);
+        double start = microseconds(), end;
+        condense_hessian(s);
+        condense_rows(s);
         end = microseconds();
         least = (end - start < least) ? end - start : least;
     }
     return least;
 }
+#endif

@@ -34,8 +34,9 @@ from tests.stage_qp import write_qp
 
 DRIVER = Path(__file__).with_name("qp_times.c")
 BY_NAME = {example.name: example for example in EXAMPLES}
-AGREEMENT = 1e-5  # of the steps, relative: what counts as the same answer
+SAME, NEAR = 1e-7, 1e-3  # distance of the steps, relative: what counts as an answer of ours, and of a plugin
 REPEATS = 20
+SLOW = 5e5  # us: a plugin that takes longer is asked once, and not for larger examples
 PLUGINS = ("hpipm", "qpoases", "daqp", "osqp", "fatrop")
 DENSE = ("qpoases", "daqp")  # get the condensed QP as well
 
@@ -117,16 +118,19 @@ class Timed:
     """A package with its timing functions, in profile "fast"."""
 
     def __init__(self, name: str, N: int, options: Options) -> None:
-        module = lower(linearize(analyse(stretched(BY_NAME[name], N)), options))
+        linearization = linearize(analyse(stretched(BY_NAME[name], N)), options)
+        self.options = linearization.options
+        module = lower(linearization)
         sources = render(module)
         self.folder = tempfile.TemporaryDirectory(prefix="qp_times_")
         for file in (f"{name}.h", f"{name}.c"):
             Path(self.folder.name, file).write_text(sources[file], encoding="utf-8")
         command = [*find_compiler(), *PROFILES["fast"].flags, "-std=c99", f"-DNAME={name}", f'-DPACKAGE="{name}.c"']
+        command += ["-DFULL_CONDENSING"] if self.options.condensing.gives == "condensed" else []
         command += ["-I.", str(DRIVER), "-w", "-shared", "-fPIC", "-o", "library.so", "-lm"]
         subprocess.run(command, cwd=self.folder.name, check=True)
         self.library = ctypes.CDLL(str(Path(self.folder.name, "library.so")))
-        self.library.time_qp.restype = self.library.time_prepare.restype = ctypes.c_double
+        self.library.time_qp.restype = ctypes.c_double
         layout = memory_layout(module)
         assert self.library.size_of_timed() == layout.itemsize
         self.memory, self.before = np.zeros((), layout), np.zeros((), layout)
@@ -145,7 +149,7 @@ class Timed:
     def agrees(self, qp: StageQP) -> bool:
         """The last solution is that of the recording."""
         step = self.memory["step"]
-        return distance(qp, Point(step["dx"], step["du"], step["mult_u"], step["mult"])) < AGREEMENT
+        return distance(qp, Point(step["dx"], step["du"], step["mult_u"], step["mult"])) < SAME
 
     def time(self, qp: StageQP, *, cold: bool, repeats: int = REPEATS) -> float:
         """Least time (us) of both phases, from none or from the last working set; NaN: not solved, or otherwise."""
@@ -155,11 +159,11 @@ class Timed:
         least = float(self.library.time_qp(*pointers, repeats, int(cold)))
         return least if least > 0 and self.agrees(qp) else np.nan
 
-    def time_prepare(self, qp: StageQP, repeats: int = REPEATS) -> float:
-        """Least time (us) of the preparation phase from the last working set."""
+    def time_condensing(self, qp: StageQP) -> float:
+        """Least time (us) of full condensing alone."""
         write_qp(self.memory, qp)
-        self.before[...] = self.memory
-        return float(self.library.time_prepare(self._pointer(self.memory), self._pointer(self.before), repeats))
+        self.library.time_condensing.restype = ctypes.c_double
+        return float(self.library.time_condensing(self._pointer(self.memory), REPEATS))
 
 
 def our_times(timed: Timed, recorded: Recorded, *, cold: bool) -> Array:
@@ -207,27 +211,30 @@ def contenders(condensing: float) -> list[Contender]:
     return [Contender(p, "stages") for p in PLUGINS] + [Contender(p, "condensed", condensing) for p in DENSE]
 
 
-def plugin_times(one: Contender, recorded: Recorded, *, cold: bool, budget: float = 2e6) -> Array:
-    """Times (us) by CasADi's clock, least of the repeats that fit into the budget; NaN: failed, or another answer.
+def plugin_times(one: Contender, recorded: Recorded, *, cold: bool, budget: float = 1e6) -> Array:
+    """Times (us) by CasADi's clock, least of the repeats; as many QPs as fit into the budget (us), one at least.
 
-    Cold: a new solver for every solve, for some keep their working set. Empty: the plugin does not even start.
+    Cold: a new solver for every solve, for some keep their working set. NaN: failed, or another answer.
     """
     chosen = recorded.cold if cold else recorded.warm
-    forms = {i: one.formulate(recorded.qps[i]) for j in chosen for i in ((j,) if cold else (j - 1, j))}
-    every = list(forms.values())
-    solver, spent, times = Plugin(one.plugin, every, dense=one.dense), 0.0, []
+    spent, times = 0.0, []
     for i in chosen:
-        best = np.nan
-        for _ in range(REPEATS):
-            if cold:
-                solver = Plugin(one.plugin, every, dense=one.dense)
-            else:
-                solver.solve(forms[i - 1], warm=True)
-            ok, w = solver.solve(forms[i], warm=not cold)
+        if times and spent > budget * len(times) / len(chosen):
+            break
+        before, form = one.formulate(recorded.qps[i - 1]), one.formulate(recorded.qps[i])
+        solver, best = Plugin(one.plugin, [before, form], dense=one.dense), np.nan
+        for repeat in range(REPEATS):
+            if cold and repeat:
+                solver = Plugin(one.plugin, [before, form], dense=one.dense)
+            if not cold:
+                solver.solve(before, warm=repeat > 0)
+                spent += solver.time
+            ok, w = solver.solve(form, warm=not cold)
             spent += solver.time
-            if ok and distance(recorded.qps[i], one.point(recorded.qps[i], w)) < AGREEMENT:
-                best = min(solver.time, best) if np.isfinite(best) else solver.time
-            if spent > budget / len(chosen) * (1 + len(times)):
+            if ok and distance(recorded.qps[i], one.point(recorded.qps[i], w)) < NEAR:
+                best = np.fmin(best, solver.time)
+            late = spent > budget * (len(times) + 1) / len(chosen)
+            if not ok or solver.time > SLOW or (late and repeat >= 2):
                 break
         times.append(best + one.extra)
     return np.array(times)

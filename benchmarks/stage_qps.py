@@ -64,14 +64,18 @@ def draw(seed: int) -> Drawn:
 
 
 def options_of(drawn: Drawn) -> dict[str, Options]:
-    """The solvers that take part, by name; blocks of the drawn length."""
-    found = {}
+    """The solvers that take part, by name; behind partial condensing one of them in turn, with the drawn block."""
+    found, partial = {}, []
     for name, options in solvers().items():
-        if isinstance(options.condensing, condensing.FullCondensing):
-            if drawn.radius > MILD or drawn.shape.N * drawn.shape.nu > CONDENSED:
-                continue
-        elif isinstance(options.condensing, condensing.PartialCondensing):
-            options = solver_options(condensing.PartialCondensing(drawn.block), options.qp)
+        if isinstance(options.condensing, condensing.PartialCondensing):
+            partial.append((name, solver_options(condensing.PartialCondensing(drawn.block), options.qp)))
+        elif isinstance(options.condensing, condensing.FullCondensing):
+            if drawn.radius <= MILD and drawn.shape.N * drawn.shape.nu <= CONDENSED:
+                found[name] = options
+        else:
+            found[name] = options
+    if partial:
+        name, options = partial[drawn.block % len(partial)]
         found[name] = options
     return found
 

@@ -13,7 +13,7 @@ import os
 import subprocess
 import tempfile
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -169,23 +169,23 @@ def _sources(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any]]:
     return render(module), memory_layout(module)
 
 
-def _compile(sources: Any, flags: Sequence[str], folder: Path) -> Path:
+def _compile(sources: Any, folder: Path) -> Path:
     for name in ("stage.h", "stage.c"):
         (folder / name).write_text(sources[name], encoding="utf-8")
     (folder / "main.c").write_text(MAIN, encoding="utf-8")
-    command = [*find_compiler(), *flags, "-shared", "-fPIC", "main.c", "-o", "library.so", "-lm"]
+    command = [*find_compiler(), *FLAGS, "-shared", "-fPIC", "main.c", "-o", "library.so", "-lm"]
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     return folder / "library.so"
 
 
 @functools.cache
-def built(shape: Shape, options: Options, flags: tuple[str, ...] = FLAGS) -> Built:
+def built(shape: Shape, options: Options) -> Built:
     """The package of a shape with these options (condensing and qp), compiled once."""
     with GENERATING:
         sources, layout = _sources(shape, options)
         folder = Path(tempfile.mkdtemp(dir=build_directory().name))
-    library = ctypes.CDLL(str(_compile(sources, flags, folder)))
+    library = ctypes.CDLL(str(_compile(sources, folder)))
     assert library.call_size() == layout.itemsize
     return Built(library, layout)
 
@@ -216,8 +216,8 @@ def write_qp(memory: Any, qp: StageQP) -> None:
 class StageSolver:
     """One solver struct; solve() writes a stage QP into it and runs both phases."""
 
-    def __init__(self, shape: Shape, options: Options, flags: tuple[str, ...] = FLAGS) -> None:
-        self.shape, self.package = shape, built(shape, options, flags)
+    def __init__(self, shape: Shape, options: Options) -> None:
+        self.shape, self.package = shape, built(shape, options)
         self.memory = np.zeros((), self.package.layout)
         self.rows = rows_of(shape)
         self.reset()
