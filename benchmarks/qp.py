@@ -83,9 +83,7 @@ def random(report: Report, tuples: int = 300) -> None:
 def _variants(name: str) -> dict[str, Options]:
     """Options of the example with every pair of condensing and QP solver, and with those that are chosen."""
     base = BY_NAME[name].options
-    pairs = {
-        key: Options(base.integrator, condensing=o.condensing, qp=o.qp) for key, o in solvers().items()
-    }
+    pairs = {key: Options(base.integrator, condensing=o.condensing, qp=o.qp) for key, o in solvers().items()}
     return {"chosen": base, **pairs}
 
 
@@ -229,7 +227,9 @@ def _report_curve(
 ) -> None:
     riccati = "riccati" in key and key.startswith("none")
     label = f"{name}, {key}, {kind}"
-    report.add("riccati_exponent_N" if riccati else "other_exponent_N", exponent, case=label, limit=1.1 if riccati else None)
+    report.add(
+        "riccati_exponent_N" if riccati else "other_exponent_N", exponent, case=label, limit=1.1 if riccati else None
+    )
     for N, value in zip(horizons, values, strict=True):
         if np.isfinite(value):
             report.add(f"qp_N{N}_us", value, "us", case=label, profile="fast" if "+" in key else "casadi")

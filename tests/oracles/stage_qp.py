@@ -310,9 +310,7 @@ def _rows_and_bounds(qp: StageQP, p: Point, gradient: float) -> tuple[float, flo
     return float(np.max(violation, initial=0.0)), float(np.max(rows, initial=0.0))
 
 
-def natural_residual(
-    value: Array, mult: Array, lower: Array, upper: Array, l1: Array, l2: Array, tau: Array
-) -> Array:
+def natural_residual(value: Array, mult: Array, lower: Array, upper: Array, l1: Array, l2: Array, tau: Array) -> Array:
     """|value - prox(value + tau mult)|, prox that of tau times the penalty l1 v + l2/2 v^2 of the violation v.
 
     It vanishes if and only if mult is a subgradient of the penalty at value: sign, complementarity, and mult = l1 + l2 v
