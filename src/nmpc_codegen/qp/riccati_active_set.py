@@ -117,6 +117,8 @@ class RiccatiActiveSet:
                     Field("base", (ng,), "curvature of the cost along a row", "scratch"),
                     Field("weight", (ng,), "weight of a row as a member", "scratch"),
                     Field("scale", (dims.nzs,), "largest entry of every component of (x, u)", "scratch"),
+                    Field("size", (dims.nzs,), "largest terms of the components of the gradient", "scratch"),
+                    Field("residual", (), "what is left on the working set, relative", "scratch"),
                     Field("largest", (), "largest multiplier of a row", "scratch"),
                     Field(
                         "side", (rows,), "+-1: member at upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"
@@ -124,12 +126,14 @@ class RiccatiActiveSet:
                     Field("raised", (ng,), "how often the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
                     Field("scaled", (), "1: base is known", "keep", "int32"),
+                    Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
                     Field("stale_vectors", (), "last stage whose vectors are out of date, or -1", "scratch", "int32"),
                     Field("factorized", (), "qp_factorize has succeeded", "scratch", "int32"),
                     Field("iterations", (), "changes of the working set in the last qp_solve", "result", "int32"),
                     Field("changes", (), "rows that entered or left it", "result", "int32"),
                     Field("refinements", (), "corrections in the last qp_solve", "result", "int32"),
+                    Field("polished", (), "polished", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "soft rows that are violated", "result", "int32"),
                 ),
