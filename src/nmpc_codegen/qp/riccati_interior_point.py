@@ -98,7 +98,7 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("hard", (), "hard ones among them, which come first", "scratch", "int32"),
             Field("warm", (), "the first factorisation is that of a warm start", "scratch", "int32"),
             Field("known", (), "the last QP was solved: reach, energy and multipliers are good", "keep", "int32"),
-            Field("closed_gaps", (), "the gaps of the dynamics have been closed", "scratch", "int32"),
+            Field("closed_gaps", (), "how often the gaps of the dynamics have been closed", "scratch", "int32"),
             Field("ready", (), "the first factorisation stands", "scratch", "int32"),
         ),
     )
