@@ -17,7 +17,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.qp.riccati_interior_point import CORE, interior_point_struct
 from nmpc_codegen.qp.riccati_interior_point import MAX_ITERATIONS as INTERIOR_POINT_ITERATIONS
-from nmpc_codegen.riccati import TEMPLATES, riccati_sizes, riccati_struct
+from nmpc_codegen.riccati import TEMPLATES, riccati_cost, riccati_sizes, riccati_struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.component import Counts, Dims
@@ -145,4 +145,5 @@ class RiccatiActiveSet:
         )
 
     def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
-        return {}
+        """The recursion and its substitutions: a warm-started sample takes one of each."""
+        return riccati_cost(dims)
