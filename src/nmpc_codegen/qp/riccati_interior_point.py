@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 from nmpc_codegen.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
-from nmpc_codegen.riccati import TEMPLATES as RECURSION
-from nmpc_codegen.riccati import riccati_sizes, riccati_struct
+from nmpc_codegen.riccati import RECURSION, riccati_sizes, riccati_struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.component import Counts, Dims
