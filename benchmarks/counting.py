@@ -33,12 +33,20 @@ ARGUMENTS = {
     "condense_backward_columns": "&s.condensed, &s.node[0], s.hessian.Q[0], 0, 1",
     "qp_factorize_hessian": "&s.qp",
     "qp_forward": "&s.qp, w, 0",
+    "riccati_factorize": "&s, PREFIX_NS",
+    "riccati_backward": "&s, PREFIX_NS",
+    "riccati_forward": "&s, s.qp.x, s.qp.z",
     "qp_backward": "&s.qp, w, w",
 }
 
 #: What must run before, for functions that overwrite what they read; the count of a factorisation is that of a positive
 #: definite matrix.
-BEFORE = {"qp_factorize_hessian": "condense_hessian(&s); for (int i = 0; i < LDV; i++) { s.qp.H[i][i] += 1.0; }"}
+BEFORE = {
+    "qp_factorize_hessian": "condense_hessian(&s); for (int i = 0; i < PREFIX_LDV; i++) { s.qp.H[i][i] += 1.0; }",
+    "riccati_factorize": "riccati_init(&s); for (int k = 0; k < PREFIX_NS; k++) for (int j = 0; j < PREFIX_NUS; j++) "
+    "{ s.riccati.diagonal[k][PREFIX_NX + j] = 1.0; }",
+    "riccati_backward": "for (int k = 0; k < PREFIX_NS; k++) { s.riccati.b[k][0] = 1.0; }",
+}
 
 #: (function, stated, counted)
 Mismatch = tuple[str, dict[str, int], dict[str, int]]
@@ -107,10 +115,11 @@ def run_counting(sources: Sources, name: str, calls: Mapping[str, str], size: in
         f"    {name}_prepare(&s);",
     ]
     for function, call in calls.items():
-        lines += [f"    {BEFORE[function]}".replace("LDV", f"{name.upper()}_LDV")] if function in BEFORE else []
+        lines += [f"    {BEFORE[function]}"] if function in BEFORE else []
         lines += [f"    for (int i = 0; i < {size}; i++) {{ w[i] = 0.5; }}", "    counted::reset();"]
         lines += [f"    {call};", f'    report("{function}");']
     lines += ["    return 0;", "}"]
+    lines = [line.replace("PREFIX_", f"{name.upper()}_") for line in lines]
     with tempfile.TemporaryDirectory(prefix="counting-") as temporary:
         folder = Path(temporary)
         (folder / HEADER.name).write_text(HEADER.read_text(encoding="utf-8"), encoding="utf-8")

@@ -11,7 +11,16 @@ import numpy as np
 import problems
 import pytest
 
-from nmpc_codegen import OCP, DenseActiveSet, Options, RealTimeIteration, RiccatiInteriorPoint, build
+from nmpc_codegen import (
+    OCP,
+    DenseActiveSet,
+    Options,
+    PartialCondensing,
+    RealTimeIteration,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+    build,
+)
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import ControllerError
@@ -83,7 +92,9 @@ CASES: dict[str, Callable[[], OCP]] = {
 
 FORMS: dict[str, dict[str, Any]] = {
     "condensed": {"qp": DenseActiveSet()},
+    "active set": {"qp": RiccatiActiveSet()},
     "interior point": {"qp": RiccatiInteriorPoint()},
+    "partial": {"condensing": PartialCondensing(5), "qp": RiccatiActiveSet()},
 }
 
 

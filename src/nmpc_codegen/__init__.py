@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     )
     from nmpc_codegen.ocp import OCP
     from nmpc_codegen.options import Online, Options
-    from nmpc_codegen.qp import DenseActiveSet, Osqp, RiccatiInteriorPoint
+    from nmpc_codegen.qp import DenseActiveSet, Osqp, RiccatiActiveSet, RiccatiInteriorPoint
 
 _HOMES = {
     "algorithms": ("RealTimeIteration",),
@@ -61,7 +61,7 @@ _HOMES = {
     ),
     "ocp": ("OCP",),
     "options": ("Online", "Options"),
-    "qp": ("DenseActiveSet", "Osqp", "RiccatiInteriorPoint"),
+    "qp": ("DenseActiveSet", "Osqp", "RiccatiActiveSet", "RiccatiInteriorPoint"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -98,6 +98,7 @@ __all__ = [
     "ProblemWarning",
     "Project",
     "RealTimeIteration",
+    "RiccatiActiveSet",
     "RiccatiInteriorPoint",
     "Status",
     "Symmetric",

@@ -61,16 +61,18 @@ class Products:
     def counts(self) -> dict[str, OpCount]:
         """Operations of one run of every product with a vector, by C function."""
         nz = self.nx + self.nu
+        terminal = _accumulated(sum(len(entries) for _, entries in self.terminal))
         if not self.written_out:
+            cost = sum(len(entries) for _, _, entries in self.adjoint)
             return {
                 "state_step": _accumulated(self.nx * nz),
-                "adjoint_step": _accumulated(self.nx * nz + nz * nz),
-                "terminal_adjoint": _accumulated(self.nx * self.nx),
+                "adjoint_step": _accumulated(self.nx * nz + cost),
+                "terminal_adjoint": terminal,
             }
         return {
             "state_step": _accumulated(len(self.S)),
             "adjoint_step": _accumulated(sum(len(rows) + len(entries) for _, rows, entries in self.adjoint)),
-            "terminal_adjoint": _accumulated(sum(len(entries) for _, entries in self.terminal)),
+            "terminal_adjoint": terminal,
         }
 
     @property

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from nmpc_codegen.cmodule import Field, Size, Struct
+from nmpc_codegen.kernel import OpCount
 
 if TYPE_CHECKING:
     from nmpc_codegen.component import Dims
@@ -15,12 +16,15 @@ if TYPE_CHECKING:
 #: Rows of a product that are computed together.
 BLOCK = 4
 
-TEMPLATES = (
-    "riccati/kernel.c.jinja",
+RECURSION = (
+    "riccati/recursion.c.jinja",
     "riccati/products.c.jinja",
     "riccati/factorize.c.jinja",
     "riccati/substitute.c.jinja",
 )
+
+#: The recursion and what an active-set solver needs besides it.
+TEMPLATES = ("riccati/kernel.c.jinja", *RECURSION, "riccati/adjoint.c.jinja")
 
 
 def _padded(n: int) -> int:
@@ -71,3 +75,57 @@ def riccati_struct(dims: Dims) -> Struct:
             Field("failed", (), "stage whose pivot was not positive; -1: x_0", "scratch", "int32"),
         ),
     )
+
+
+def riccati_cost(dims: Dims) -> dict[str, OpCount]:
+    """Operations of one recursion, one backward and one forward substitution over all stages.
+
+    No row has a weight, no control is fixed, no pivot is regularised, and the dynamics have gaps.
+    """
+    ns, nx, nus, nf = (size.value for size in (dims.ns, dims.nx, dims.nus, dims.nf))
+    ldx, nz = _padded(nx), nx + nus
+    backward = _combined(ldx, nx) + _combined(nz, nx) + _combined(ldx, nus)
+    backward += OpCount(add=1, mul=1) * (nus * (nus - 1)) + OpCount(mul=nus)
+    forward = (_dot(ldx) + OpCount(add=1)) * nus + (_dot(nz) + OpCount(add=1)) * nx
+    pairs = nf * (nf - 1) // 2
+    free = OpCount(add=nf, div=nf) + _dot(nx) * nf + OpCount(add=1, mul=1) * (2 * pairs)
+    return {
+        "riccati_factorize": _stage_recursion(nx, nus) * ns + OpCount(add=nx) + _free_factor(nf),
+        "riccati_backward": backward * ns,
+        "riccati_forward": forward * ns + free,
+    }
+
+
+def _stage_recursion(nx: int, nus: int) -> OpCount:
+    ldx, ldz = _padded(nx), _padded(nx + nus)
+    total = OpCount(add=nx + nus)
+    total += _block(ldz, nx) * (ldx // BLOCK + -(-nus // BLOCK))
+    for i in range(0, ldx, BLOCK):
+        total += _block(i + BLOCK, nx + nus)
+    for column in range(nus):
+        total += OpCount(add=1, mul=1 + ldx, div=1)
+        for row in range(column + 1, nus):
+            total += OpCount(mul=1) + OpCount(add=1, mul=1) * (row - column + 2 * ldx)
+    return total
+
+
+def _free_factor(nf: int) -> OpCount:
+    total = OpCount(mul=nf, div=nf * (nf - 1) // 2)
+    for column in range(nf):
+        total += OpCount(add=1, mul=2) * (column * (nf - column))
+    return total
+
+
+def _block(width: int, n: int) -> OpCount:
+    """Four rows of a product of n terms each."""
+    return OpCount(add=BLOCK * width * (n + 1), mul=BLOCK * width * n)
+
+
+def _combined(width: int, n: int) -> OpCount:
+    """A row plus a combination of n rows."""
+    return OpCount(add=width * (n + 1), mul=width * n)
+
+
+def _dot(n: int) -> OpCount:
+    """A scalar product in partial sums."""
+    return OpCount(add=n + 8, mul=n)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.cmodule import Field, Struct, Table
 from nmpc_codegen.component import Counts, Dims, QpShape
 from nmpc_codegen.condensing.stages import embed_cost, free_coupled, stage_tables
 from nmpc_codegen.errors import OptionError
@@ -76,7 +76,6 @@ class PartialCondensing:
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The stages of the QP, and the states inside a block as functions of its variables."""
         nx, nzs = dims.nx, dims.nzs
-        block = self._block(dims.N.value)
         return (
             Struct(
                 "block",
@@ -93,7 +92,7 @@ class PartialCondensing:
                 "blocks",
                 "states inside a block, and the rows",
                 (
-                    Field("G", (Size("BLOCK + 1", block + 1), nx, nzs), "dx_{kB+j} = G_j (dx_kB, du) + c_j", "scratch"),
+                    Field("G", (dims.N, nx, nzs), "dx_{kB+j} = G_j (dx_kB, du) + c_j of every node", "scratch"),
                     Field("c", (dims.N, nx), "c_j of every node", "scratch"),
                     Field("Z", (dims.nz, nzs), "[G_j; selection of du]", "scratch"),
                     Field("J", (dims.ng, nzs), "gradients of the rows", "data"),
@@ -115,8 +114,7 @@ class PartialCondensing:
             products = nz * nz * width + nz * width * (width + 1) // 2
             hessian += OpCount(add=products, mul=products)
         return {
-            "condense_forward": forward,
-            "condense_hessian": hessian,
+            "condense_matrices": forward + hessian,
             "condense_embed": embed_cost(dims),
             "condense_expand": known["state_step"] * N,
         }

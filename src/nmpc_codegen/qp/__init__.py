@@ -4,8 +4,9 @@ from typing import Any
 
 from nmpc_codegen.qp.dense_active_set import DenseActiveSet
 from nmpc_codegen.qp.osqp import Osqp
+from nmpc_codegen.qp.riccati_active_set import RiccatiActiveSet
 from nmpc_codegen.qp.riccati_interior_point import RiccatiInteriorPoint
 
-REGISTRY: dict[str, Any] = {cls.name: cls for cls in (DenseActiveSet, RiccatiInteriorPoint, Osqp)}
+REGISTRY: dict[str, Any] = {cls.name: cls for cls in (DenseActiveSet, RiccatiActiveSet, RiccatiInteriorPoint, Osqp)}
 
-__all__ = ["REGISTRY", "DenseActiveSet", "Osqp", "RiccatiInteriorPoint"]
+__all__ = ["REGISTRY", "DenseActiveSet", "Osqp", "RiccatiActiveSet", "RiccatiInteriorPoint"]

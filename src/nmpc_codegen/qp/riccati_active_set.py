@@ -17,7 +17,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.qp.riccati_interior_point import CORE, interior_point_struct
 from nmpc_codegen.qp.riccati_interior_point import MAX_ITERATIONS as INTERIOR_POINT_ITERATIONS
-from nmpc_codegen.riccati import TEMPLATES, riccati_sizes, riccati_struct
+from nmpc_codegen.riccati import TEMPLATES, riccati_cost, riccati_sizes, riccati_struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.component import Counts, Dims
@@ -121,6 +121,8 @@ class RiccatiActiveSet:
                     Field("base", (ng,), "curvature of the cost along a row", "scratch"),
                     Field("weight", (ng,), "weight of a row as a member", "scratch"),
                     Field("scale", (dims.nzs,), "largest entry of every component of (x, u)", "scratch"),
+                    Field("size", (dims.nzs,), "largest terms of the components of the gradient", "scratch"),
+                    Field("residual", (), "what is left on the working set, relative", "scratch"),
                     Field("largest", (), "largest multiplier of a row", "scratch"),
                     Field(
                         "side",
@@ -132,12 +134,14 @@ class RiccatiActiveSet:
                     Field("raised", (ng,), "how often the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
                     Field("scaled", (), "1: base is known", "keep", "int32"),
+                    Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
                     Field("stale_vectors", (), "last stage whose vectors are out of date, or -1", "scratch", "int32"),
                     Field("factorized", (), "qp_factorize has succeeded", "scratch", "int32"),
                     Field("iterations", (), "changes of the working set in the last qp_solve", "result", "int32"),
                     Field("changes", (), "rows that entered or left it", "result", "int32"),
                     Field("refinements", (), "corrections in the last qp_solve", "result", "int32"),
+                    Field("polished", (), "polished", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "soft rows that are violated", "result", "int32"),
                 ),
@@ -145,4 +149,5 @@ class RiccatiActiveSet:
         )
 
     def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
-        return {}
+        """The recursion and its substitutions: a warm-started sample takes one of each."""
+        return riccati_cost(dims)

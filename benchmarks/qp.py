@@ -1,0 +1,323 @@
+"""The QP solvers: random QPs, time against N and against CasADi's plugins, whole iterations, torture.
+
+    python -m benchmarks.qp [--json FILE] [--only random,plugins,...] [--picture FILE]
+
+All parts together take about a quarter of an hour on two cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks import qp_times, stage_qps
+from benchmarks.closed_loop import closed_loop
+from benchmarks.peers import available, pinned, silent
+from benchmarks.qp_times import (
+    BY_NAME,
+    SLOW,
+    Contender,
+    Recorded,
+    Timed,
+    contenders,
+    median,
+    our_times,
+    plugin_times,
+    record,
+)
+from benchmarks.report import Report
+from benchmarks.torture import Outcome, Torture, trials
+from nmpc_codegen import FullCondensing, Options, generate
+from nmpc_codegen.qp import DenseActiveSet
+from tests.stage_qp import solvers
+
+EXAMPLES = ("chain3", "quadrotor", "chain5", "chain7")  # in the order of size
+N_PLUGINS = 40
+HORIZONS = (20, 40, 80, 160)
+SCALED = ("chain5", "quadrotor")
+STEPS = 100_000  # of the torture, all trials together
+
+#: Whole iterations and feedback phases: (example, N or None for its own, limits in us).
+LOOPS: dict[str, tuple[str, int | None, float | None, float | None]] = {
+    "chain3": ("chain3", None, 80.0, None),
+    "chain5": ("chain5", None, 200.0, 15.0),
+    "chain7": ("chain7", None, 420.0, None),
+    "chain5_N160": ("chain5", 160, 900.0, None),
+    "quadrotor": ("quadrotor", None, 30.0, 4.0),
+}
+
+
+# Random QPs -----------------------------------------------------------------------------------------------------------
+
+
+def random(report: Report, tuples: int = 300) -> None:
+    """Drawn tuples of dimensions through all solvers."""
+    tally = stage_qps.run(tuples)
+    n = tally.problems
+    report.add("qp_disagreements", sum(tally.wrong.values()), limit=0, n=n, profile="test")
+    report.add("qp_tuples", tally.tuples, limit=300, at_least=True, profile="test")
+    report.add("qp_distance", tally.distance, case="well-conditioned, from the optimum", n=n, profile="test")
+    report.add("qp_osqp_error", tally.osqp_error, limit=1e-5, n=tally.osqp_compared, profile="casadi")
+    for name, count in tally.solved.items():
+        report.add("qp_wrong", tally.wrong[name], case=name, n=count, profile="test")
+        report.add("qp_semidefinite_unsolved", tally.given_up[name], case=name, n=count, profile="test")
+        mean = tally.iterations[name] / count
+        report.add("qp_iterations_mean", mean, case=name, n=count, profile="test")
+        report.add("qp_iterations_max", tally.most[name], case=name, n=count, profile="test")
+    for line in tally.examples[:20]:
+        print(line)
+
+
+# Plugins --------------------------------------------------------------------------------------------------------------
+
+
+def _variants(name: str) -> dict[str, Options]:
+    """Options of the example with every pair of condensing and QP solver, and with those that are chosen."""
+    base = BY_NAME[name].options
+    pairs = {key: Options(base.integrator, condensing=o.condensing, qp=o.qp) for key, o in solvers().items()}
+    return {"chosen": base, **pairs}
+
+
+def condensing_time(recorded: Recorded) -> float:
+    """Time (us) in which our C condenses a QP of the recording fully."""
+    base = BY_NAME[recorded.name].options
+    timed = Timed(recorded.name, recorded.N, Options(base.integrator, condensing=FullCondensing(), qp=DenseActiveSet()))
+    with pinned():
+        return timed.time_condensing(recorded.qps[0])
+
+
+def plugins(report: Report) -> None:
+    """Whole QP solves against the fastest plugin on the same QPs, N = 40, cold and with the active set unchanged.
+
+    The plugins get the QP as it is, by stages. A dense solver behind our condensing, whose time is added, is another
+    peer: it is reported by keys of its own.
+    """
+    slow: set[str] = set()
+    for name in EXAMPLES:
+        recorded = record(name, N_PLUGINS)
+        ours = _our_medians(report, recorded)
+        extra = condensing_time(recorded)
+        report.add("condensing_us", extra, "us", case=name)
+        theirs: dict[tuple[str, bool], dict[str, float]] = {}
+        for one in contenders(extra):
+            if not available(one.plugin) or str(one) in slow:
+                continue
+            for cold in (True, False):
+                value = _plugin_median(report, one, recorded, cold)
+                theirs.setdefault((one.form, cold), {})[str(one)] = value
+                if value > SLOW:
+                    slow.add(str(one))
+                    break
+        _ratios(report, name, ours, theirs)
+
+
+def _our_medians(report: Report, recorded: Recorded) -> dict[tuple[str, bool], float]:
+    found = {}
+    for key, options in _variants(recorded.name).items():
+        timed = Timed(recorded.name, recorded.N, options)
+        for cold in (True, False):
+            with pinned():
+                times = our_times(timed, recorded, cold=cold)
+            value = median(times)
+            found[key, cold] = value
+            label = f"{recorded.name}, {key}" + ("" if key != "chosen" else f" ({_words(timed.options)})")
+            report.add(f"qp_{'cold' if cold else 'warm'}_us", value, "us", case=label, n=len(times))
+    return found
+
+
+def _words(options: Options) -> str:
+    return f"{options.condensing.name}+{options.qp.name}"
+
+
+def _plugin_median(report: Report, one: Contender, recorded: Recorded, cold: bool) -> float:
+    kind = "cold" if cold else "warm"
+    with pinned(), silent():
+        times = plugin_times(one, recorded, cold=cold)
+    value = median(times)
+    key = f"{one.plugin}{'_condensed' if one.dense else ''}_{kind}"
+    if np.isnan(value):
+        report.add(f"{key}_failed", int(np.isnan(times).sum()), case=recorded.name, n=len(times), profile="casadi")
+    else:
+        report.add(f"{key}_us", value, "us", case=recorded.name, n=len(times), profile="casadi")
+    return value
+
+
+def _ratios(
+    report: Report, name: str, ours: dict[tuple[str, bool], float], theirs: dict[tuple[str, bool], dict[str, float]]
+) -> None:
+    for cold, kind, limit in ((True, "cold", 0.5), (False, "warm", 0.2)):
+        for form, key in (("stages", f"{kind}_ratio_best_plugin"), ("condensed", f"{kind}_ratio_condensed_plugin")):
+            times = {plugin: t for plugin, t in theirs.get((form, cold), {}).items() if np.isfinite(t)}
+            if not times:
+                report.add(key, np.nan, case=f"{name}: no plugin answered", limit=limit)
+                continue
+            best = min(times, key=lambda plugin: times[plugin])
+            asked = limit if form == "stages" else None
+            report.add(key, ours["chosen", cold] / times[best], case=f"{name}, {best}", limit=asked)
+
+
+# Time against N -------------------------------------------------------------------------------------------------------
+
+
+def scaling(report: Report, picture: str = "out/qp_scaling.png", horizons: tuple[int, ...] = HORIZONS) -> None:
+    """Chain 5 and quadrotor over N = 20 .. 160, all solvers and the plugins that are fast enough; fitted exponents."""
+    figure = Figure(figsize=(11, 8.5), layout="constrained")
+    axes = figure.subplots(2, len(SCALED), sharex=True, sharey="row", squeeze=False)
+    for column, name in enumerate(SCALED):
+        curves = _curves(name, horizons)
+        for row, cold in enumerate((True, False)):
+            kind = "cold" if cold else "warm"
+            axis = axes[row, column]
+            for (key, is_cold), values in curves.items():
+                if is_cold != cold or np.sum(np.isfinite(values)) < 2:
+                    continue
+                exponent = fitted_exponent(horizons, values)
+                _report_curve(report, name, key, kind, horizons, values, exponent)
+                ours = "+" in key
+                axis.loglog(horizons, values, "o-" if ours else "s:", label=f"{key}  N^{exponent:.2f}", linewidth=1.6)
+            axis.set_title(f"{name}, {kind}")
+            axis.grid(alpha=0.3, which="both")
+            axis.legend(fontsize=7)
+            axis.set_xticks(horizons, [str(n) for n in horizons], minor=False)
+            axis.minorticks_off()
+        axes[1, column].set_xlabel("intervals N")
+    for axis in axes[:, 0]:
+        axis.set_ylabel("whole QP [us]")
+    Path(picture).parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(picture, dpi=110)
+    print(f"picture: {picture}")
+
+
+def _curves(name: str, horizons: tuple[int, ...]) -> dict[tuple[str, bool], list[float]]:
+    """(solver, cold) -> time for every horizon; NaN where it was not asked or failed."""
+    curves: dict[tuple[str, bool], list[float]] = {}
+    peers = [c for c in contenders(0.0) if available(c.plugin)]
+    for place, N in enumerate(horizons):
+        recorded = record(name, N, disturbances=4)
+        for key, options in _variants(name).items():
+            timed = Timed(name, N, options) if key != "chosen" else None
+            for cold in (True, False) if timed else ():
+                with pinned():
+                    curves.setdefault((key, cold), [np.nan] * len(horizons))[place] = median(
+                        our_times(timed, recorded, cold=cold)
+                    )
+        extra = condensing_time(recorded)
+        for one in peers:
+            one = Contender(one.plugin, one.form, extra if one.dense else 0.0)
+            for cold in (True, False):
+                values = curves.setdefault((str(one), cold), [np.nan] * len(horizons))
+                if place and not values[place - 1] < SLOW / 10:
+                    continue
+                with pinned(), silent():
+                    values[place] = median(plugin_times(one, recorded, cold=cold, budget=3e5))
+    return curves
+
+
+def _report_curve(
+    report: Report, name: str, key: str, kind: str, horizons: tuple[int, ...], values: list[float], exponent: float
+) -> None:
+    riccati = "riccati" in key and key.startswith("none")
+    label = f"{name}, {key}, {kind}"
+    report.add(
+        "riccati_exponent_N" if riccati else "other_exponent_N", exponent, case=label, limit=1.1 if riccati else None
+    )
+    for N, value in zip(horizons, values, strict=True):
+        if np.isfinite(value):
+            report.add(f"qp_N{N}_us", value, "us", case=label, profile="fast" if "+" in key else "casadi")
+
+
+def fitted_exponent(horizons: tuple[int, ...], values: list[float]) -> float:
+    """Slope of log time over log N by least squares."""
+    known = np.isfinite(values)
+    return float(np.polyfit(np.log(np.array(horizons)[known]), np.log(np.array(values)[known]), 1)[0])
+
+
+# Whole iterations -----------------------------------------------------------------------------------------------------
+
+
+def loops(report: Report, runs: int = 15) -> None:
+    """Closed loops in C with default options: prepare + feedback, and feedback."""
+    for key, (name, N, total, feedback) in LOOPS.items():
+        example = BY_NAME[name]
+        ocp = example.make() if N is None else qp_times.stretched(example, N)
+        steps = example.steps if N is None else example.steps // 2
+        sources = generate(ocp, example.options)
+        t = closed_loop(sources, name, example.scenario(), runs=runs, steps=steps)
+        report.add(f"{key}_total_us", t.total, "us", limit=total, n=t.samples)
+        report.add(f"{key}_feedback_us", t.feedback, "us", limit=feedback, n=t.samples)
+        report.add(f"{key}_total_median_us", t.total_median, "us", n=t.samples)
+        report.add(f"{key}_worst_us", t.worst, "us", n=t.samples)
+        report.add(f"{key}_failed_steps", t.failed, limit=0, n=t.samples)
+        report.add(f"{key}_qp_iterations", t.qp_iterations, "per step", n=t.samples)
+
+
+# Torture --------------------------------------------------------------------------------------------------------------
+
+
+def _tortured(job: tuple[int, int]) -> Outcome:
+    warnings.simplefilter("ignore")  # numbers overflow on purpose
+    number, steps = job
+    return Torture(trials()[number]).run(steps)
+
+
+def torture(report: Report, steps: int = STEPS) -> None:
+    """Closed loops with infeasible QPs, NaN and moving bounds."""
+    every = trials()
+    unit = steps / sum(t.share for t in every)
+    with ProcessPoolExecutor(2) as pool:
+        outcomes = list(pool.map(_tortured, [(i, int(np.ceil(unit * t.share))) for i, t in enumerate(every)]))
+    report.add("torture_steps", sum(o.samples for o in outcomes), limit=steps, at_least=True)
+    for trial, out in zip(every, outcomes, strict=True):
+        n, failed = out.samples, sum(out.status.values()) - out.status["OK"]
+        report.add("torture_recovery_samples", out.recovery, case=trial.name, limit=2, n=n)
+        report.add("torture_longest_failure", out.longest, case=trial.name, n=n)
+        report.add("torture_rescues", out.rescues, case=trial.name, n=n)
+        report.add("torture_failed_samples", failed, case=trial.name, n=n)
+        report.add("torture_certified", sum(out.certified.values()), case=trial.name, n=n)
+        for what, count in out.violations.items():
+            report.add("torture_violation", count, case=f"{trial.name}: {what}; {out.first[what]}", n=n)
+    count = sum(sum(o.violations.values()) for o in outcomes)
+    report.add("torture_violations", count, limit=0, n=sum(o.samples for o in outcomes))
+    infeasible = sum(o.certified["infeasible, INFEASIBLE"] for o in outcomes)
+    report.add("torture_infeasible_qps", infeasible, limit=1, at_least=True)
+
+
+PARTS: dict[str, Callable[..., None]] = {
+    "loops": loops,
+    "plugins": plugins,
+    "scaling": scaling,
+    "torture": torture,
+    "random": random,
+}
+
+
+def main() -> None:
+    """All parts, or some."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", metavar="FILE", help="write one record per key")
+    parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
+    parser.add_argument("--picture", metavar="FILE", default="out/qp_scaling.png", help="times against N")
+    options = parser.parse_args()
+    report, start = Report("qp"), time.perf_counter()
+    for name in options.only.split(",") if options.only else PARTS:
+        begin = time.perf_counter()
+        more: dict[str, Any] = {"picture": options.picture} if name == "scaling" else {}
+        PARTS[name](report, **more)
+        report.add("benchmark_seconds", time.perf_counter() - begin, "s", case=name, profile="")
+    report.print()
+    print(f"{time.perf_counter() - start:.0f} s; CasADi {ca.__version__}, NumPy {np.__version__}")
+    if options.json:
+        report.write(options.json)
+
+
+if __name__ == "__main__":
+    main()
