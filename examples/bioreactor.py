@@ -1,10 +1,10 @@
 """Bioreactor: the most productive periodic feed of a fermentation, found and held by economic NMPC with exact Hessians.
 
 What it shows: a cost that is a product and not a distance, integrated with the dynamics; averages as states that start
-anew at every sample; a free initial state and coupled rows that close the orbit; a closed loop that recovers from jumps.
+anew at every sample; a free initial state and coupled rows that close the orbit; a closed loop after jumps.
 
 The averages of feed and biomass over the horizon of 48 h are limited. The classical problem fixes the average feed,
-Sf_avg(T) = 32.9; as printed in the paper it is only bounded above, and then every orbit with X_avg = 5.8 is optimal, and
+Sf_avg(T) = 32.9; as printed in the paper it is only bounded above: then every orbit with X_avg = 5.8 is optimal, and
 its productivity is (2.2 D + 0.2) X_avg = 3.074 g/(L h), as averaging the balances over a period shows.
 
 Quirynen, Houska, Vallerio, Telen, Logist, Van Impe and Diehl, "Symmetric algorithmic differentiation based exact
@@ -162,6 +162,7 @@ def draw(best: Solution, loops: dict[str, Log], picture: str) -> None:
         axis.grid(alpha=0.25)
         axis.margins(x=0)
         axis.axvline(t[-1] / 2, color="0.6", linewidth=0.8)
+    axes[0].set_ylim(top=8.0)
     axes[0].legend(frameon=False, ncols=3, loc="upper left")
     axes[3].set_xlabel("time [h]")
     figure.suptitle("Bioreactor: economic NMPC finds its orbit again after a jump of the state at 144 h", fontsize=11)
