@@ -1,6 +1,7 @@
 """CasADi's conic plugins on stage QPs: the same QP in the form that each of them likes.
 
-Stage form, variables [x_0 u_0 x_1 ... x_N], rows [gap_0 rows_0 gap_1 ...], is what HPIPM, FATROP and OSQP take; daqp and
+Stage form, variables [x_0 u_0 x_1 ... x_N], rows [gap_0 rows_0 gap_1 ...], is what HPIPM, FATROP and OSQP take; daqp
+and
 qpOASES, dense solvers, get the condensed QP as well: their time is then that of the solver alone, without condensing.
 """
 

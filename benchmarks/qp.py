@@ -46,6 +46,9 @@ HORIZONS = (20, 40, 80, 160)
 SCALED = ("chain5", "quadrotor")
 STEPS = 100_000  # of the torture, all trials together
 
+#: Curves of the picture, in the order of their colours.
+CURVES = (*solvers(), "hpipm", "osqp", "daqp", "qpoases (condensed)", "daqp (condensed)")
+
 #: Whole iterations and feedback phases: (example, N or None for its own, limits in us).
 LOOPS: dict[str, tuple[str, int | None, float | None, float | None]] = {
     "chain3": ("chain3", None, 80.0, None),
@@ -170,31 +173,39 @@ def _ratios(
 
 def scaling(report: Report, picture: str = "out/qp_scaling.png", horizons: tuple[int, ...] = HORIZONS) -> None:
     """Chain 5 and quadrotor over N = 20 .. 160, all solvers and the plugins that are fast enough; fitted exponents."""
-    figure = Figure(figsize=(11, 8.5), layout="constrained")
+    figure = Figure(figsize=(12, 9), layout="constrained")
     axes = figure.subplots(2, len(SCALED), sharex=True, sharey="row", squeeze=False)
     for column, name in enumerate(SCALED):
         curves = _curves(name, horizons)
         for row, cold in enumerate((True, False)):
             kind = "cold" if cold else "warm"
-            axis = axes[row, column]
             for (key, is_cold), values in curves.items():
-                if is_cold != cold or np.sum(np.isfinite(values)) < 2:
-                    continue
-                exponent = fitted_exponent(horizons, values)
-                _report_curve(report, name, key, kind, horizons, values, exponent)
-                ours = "+" in key
-                axis.loglog(horizons, values, "o-" if ours else "s:", label=f"{key}  N^{exponent:.2f}", linewidth=1.6)
-            axis.set_title(f"{name}, {kind}")
-            axis.grid(alpha=0.3, which="both")
-            axis.legend(fontsize=7)
-            axis.set_xticks(horizons, [str(n) for n in horizons], minor=False)
-            axis.minorticks_off()
-        axes[1, column].set_xlabel("intervals N")
+                if is_cold == cold:
+                    _report_curve(report, name, key, kind, horizons, values)
+                    _draw_curve(axes[row, column], key, horizons, values)
+            axes[row, column].set_title(f"{name}, {'no guess' if cold else 'active set unchanged'}")
+            axes[row, column].grid(alpha=0.3)
+            axes[row, column].set_xticks(horizons, [str(n) for n in horizons])
+            axes[row, column].minorticks_off()
+        axes[1, column].set(xlabel="intervals N", xlim=(horizons[0] / 1.1, horizons[-1] * 1.6))
     for axis in axes[:, 0]:
         axis.set_ylabel("whole QP [us]")
+    shown = {label: line for axis in axes.flat for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=5, fontsize=8)
     Path(picture).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=110)
     print(f"picture: {picture}")
+
+
+def _draw_curve(axis: Any, key: str, horizons: tuple[int, ...], values: list[float]) -> None:
+    """Measured points, with the fitted exponent at the last of them; ours solid, CasADi's plugins dotted."""
+    known = np.flatnonzero(np.isfinite(values))
+    if len(known) < 2:
+        return
+    colour = f"C{CURVES.index(key)}" if key in CURVES else "0.5"
+    axis.loglog(horizons, values, "o-" if "+" in key else "s:", color=colour, label=key, linewidth=1.6, markersize=5)
+    text = f" {fitted_exponent(horizons, values):.2f}"
+    axis.text(horizons[known[-1]], values[known[-1]], text, color=colour, fontsize=8, va="center")
 
 
 def _curves(name: str, horizons: tuple[int, ...]) -> dict[tuple[str, bool], list[float]]:
@@ -202,7 +213,7 @@ def _curves(name: str, horizons: tuple[int, ...]) -> dict[tuple[str, bool], list
     curves: dict[tuple[str, bool], list[float]] = {}
     peers = [c for c in contenders(0.0) if available(c.plugin)]
     for place, N in enumerate(horizons):
-        recorded = record(name, N, disturbances=4)
+        recorded = record(name, N, disturbances=3, samples=12)
         for key, options in _variants(name).items():
             timed = Timed(name, N, options) if key != "chosen" else None
             for cold in (True, False) if timed else ():
@@ -218,21 +229,32 @@ def _curves(name: str, horizons: tuple[int, ...]) -> dict[tuple[str, bool], list
                 if place and not values[place - 1] < SLOW / 10:
                     continue
                 with pinned(), silent():
-                    values[place] = median(plugin_times(one, recorded, cold=cold, budget=3e5))
+                    values[place] = median(plugin_times(one, recorded, cold=cold, budget=2e5))
     return curves
 
 
 def _report_curve(
-    report: Report, name: str, key: str, kind: str, horizons: tuple[int, ...], values: list[float], exponent: float
+    report: Report, name: str, key: str, kind: str, horizons: tuple[int, ...], values: list[float]
 ) -> None:
-    riccati = "riccati" in key and key.startswith("none")
-    label = f"{name}, {key}, {kind}"
-    report.add(
-        "riccati_exponent_N" if riccati else "other_exponent_N", exponent, case=label, limit=1.1 if riccati else None
-    )
+    """Times, their exponent, and how often a solver of ours did not find the solution."""
+    ours, label = "+" in key, f"{name}, {key}, {kind}"
+    known = np.isfinite(values)
+    profile = "fast" if ours else "casadi"
+    if ours:
+        report.add("scaling_unsolved", int(np.sum(~known)), case=label, n=len(values))
+    if np.sum(known) >= 2:
+        riccati = key.startswith("none+riccati")
+        report.add(
+            "riccati_exponent_N" if riccati else "other_exponent_N",
+            fitted_exponent(horizons, values),
+            case=label,
+            limit=1.1 if riccati else None,
+            profile=profile,
+            n=int(np.sum(known)),
+        )
     for N, value in zip(horizons, values, strict=True):
         if np.isfinite(value):
-            report.add(f"qp_N{N}_us", value, "us", case=label, profile="fast" if "+" in key else "casadi")
+            report.add(f"qp_N{N}_us", value, "us", case=label, profile=profile)
 
 
 def fitted_exponent(horizons: tuple[int, ...], values: list[float]) -> float:

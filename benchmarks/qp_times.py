@@ -24,8 +24,10 @@ from benchmarks.scenarios import EXAMPLES, Example
 from nmpc_codegen import OCP, Options, build
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.build import PROFILES, find_compiler
+from nmpc_codegen.condensing import NoCondensing
 from nmpc_codegen.linearize import linearize
 from nmpc_codegen.lower import lower
+from nmpc_codegen.qp import RiccatiActiveSet
 from nmpc_codegen.render import render
 from nmpc_codegen.status import Status
 from tests.c_harness import memory_layout
@@ -76,10 +78,12 @@ def stretched(example: Example, N: int) -> OCP:
 
 @functools.cache
 def record(name: str, N: int, disturbances: int = 6, samples: int = 20) -> Recorded:
-    """Closed loop with the default controller: ``samples`` after each disturbance, the others in between are run only."""
+    """Closed loop, ``samples`` after each disturbance; by the one solver that long horizons do not bring out of
+    step."""
     example = BY_NAME[name]
     ocp = stretched(example, N)
-    problem, c = analyse(ocp), build(ocp, example.options)
+    exact = Options(example.options.integrator, condensing=NoCondensing(), qp=RiccatiActiveSet())
+    problem, c = analyse(ocp), build(ocp, exact)
     scenario, struct = example.scenario(), c._struct
     rng, x = np.random.default_rng(1), np.array(example.scenario().x0, dtype=float)
     qps, disturbed = [], []
@@ -92,7 +96,7 @@ def record(name: str, N: int, disturbances: int = 6, samples: int = 20) -> Recor
             u = c.feedback(x, on_failure="raise")
             step = struct["step"]
             point = Point(c.x - plan[0], step["du"].copy(), c.mu_u.copy(), np.zeros(0))
-            qp = dataclasses.replace(qp, optimum=point)
+            qp = dataclasses.replace(qp, optimum=point, growth=np.inf)
             assert residuals(qp, point).worst < 1e-8
             qps.append(qp)
             disturbed.append(n == 0)

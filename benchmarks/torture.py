@@ -3,7 +3,8 @@
     python -m benchmarks.torture [--steps N]
 
 After every sample: the control is finite and inside its bounds; the status says what happened; a sample without a
-solution returns the control of the plan that prepare() left, shifted if the options say so, and keeps that plan. Whether
+solution returns the control of the plan that prepare() left, shifted if the options say so, and keeps that plan.
+Whether
 a QP has a feasible point is decided by HiGHS on the condensed rows of that very QP.
 """
 
@@ -56,7 +57,8 @@ class Trial:
 
 
 def trials() -> tuple[Trial, ...]:
-    """Crane with x_N = 0, reactor with state bounds, quadrotor with limits of tilt and speed, with and without shift."""
+    """Crane with x_N = 0, reactor with state bounds, quadrotor with limits of tilt and speed, with and without
+    shift."""
     one_step = ExplicitRungeKutta(RK4, steps=1)
     hovering = wrapped(lambda: quadrotor.build_ocp((0.0, 0.0, 0.0)), QUADROTOR.row)
     reactor = {
