@@ -83,13 +83,13 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("extra_e", (soft,), "correction of the products e kappa", "scratch"),
             Field("de", (soft,), "direction of e", "scratch"),
             Field("dkappa", (soft,), "direction of kappa", "scratch"),
-            *_progress(),
+            *_progress(sides, rows),
         ),
     )
 
 
-def _progress() -> tuple[Field, ...]:
-    """Scalars of the struct ``ipm``."""
+def _progress(sides: Size, rows: Size) -> tuple[Field, ...]:
+    """What the struct ``ipm`` has besides vectors of numbers."""
     return (
         Field("mu", (), "mean of t lam and e kappa", "scratch"),
         Field("unit", (), "largest cost of a single row", "scratch"),
