@@ -86,9 +86,7 @@ def random(report: Report, tuples: int = 300) -> None:
 def _variants(name: str) -> dict[str, Options]:
     """Options of the example with every pair of condensing and QP solver, and with those that are chosen."""
     base = BY_NAME[name].options
-    pairs = {
-        key: Options(base.integrator, condensing=o.condensing, qp=o.qp) for key, o in solvers().items()
-    }
+    pairs = {key: Options(base.integrator, condensing=o.condensing, qp=o.qp) for key, o in solvers().items()}
     return {"chosen": base, **pairs}
 
 

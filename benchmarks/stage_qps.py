@@ -184,7 +184,9 @@ def main() -> None:
     options = parser.parse_args()
     start = time.perf_counter()
     tally = run(options.tuples, options.first)
-    print(f"{tally.problems} problems of {tally.tuples} tuples, {time.perf_counter() - start:.0f} s; {sorted(qp.REGISTRY)}")
+    print(
+        f"{tally.problems} problems of {tally.tuples} tuples, {time.perf_counter() - start:.0f} s; {sorted(qp.REGISTRY)}"
+    )
     for name in tally.solved:
         mean = tally.iterations[name] / tally.solved[name]
         print(

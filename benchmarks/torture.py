@@ -125,7 +125,7 @@ def least_violation(qp: StageQP) -> float:
 
 
 def certificate(qp: StageQP) -> str:
-    """"feasible", "infeasible", "undecided", or "not finite": the plan cannot be linearised."""
+    """ "feasible", "infeasible", "undecided", or "not finite": the plan cannot be linearised."""
     if not all(np.all(np.isfinite(a)) for a in (qp.S, qp.b, qp.Q, qp.g, qp.C, qp.c)):
         return "not finite"
     t = least_violation(qp)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from examples import crane
-from nmpc_codegen import OCP, products
+from nmpc_codegen import OCP, DenseActiveSet, Options, products
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.problem import Problem
 from tests.c_harness import Package, module_of
@@ -94,7 +94,7 @@ PROBLEMS["crane"] = crane.build_ocp
 def package(name: str, spelling: str) -> Package:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(products, "WRITTEN_OUT", SPELLINGS[spelling])
-        module = module_of(PROBLEMS[name]())
+        module = module_of(PROBLEMS[name](), Options(qp=DenseActiveSet()))
         assert module.products.template == f"products/{spelling}.c.jinja"
         return Package(module, FUNCTIONS)
 

@@ -136,6 +136,27 @@ def rows() -> tuple[Kernel, Kernel]:
     return path.kernel(), end.kernel()
 
 
+def exact() -> tuple[Kernel, ...]:
+    """x_next, S, g and Q of the node at once; the coupled rows, of which there are none, add nothing."""
+    data = (X, U, P, DT, YREF, W, Port("mu", 1), Port("lam", 1))
+    k = Program("path_exact", "Q = W + d2 (mu' h)", data, (NEXT, S, Port("g", 2), Port("Q", 2, 2)))
+    x, u, p, dt = k.load("x"), k.load("u"), k.load("p"), k.load("dt")
+    rate = k.op(ca.OP_SUB, u, k.op(ca.OP_MUL, p, x))
+    k.store("x_next", 0, k.op(ca.OP_ADD, x, k.op(ca.OP_MUL, dt, rate)))
+    k.store("S", 0, k.op(ca.OP_SUB, k.constant(1.0), k.op(ca.OP_MUL, dt, p)))
+    k.store("S", 1, dt)
+    for i, z in enumerate((x, u)):
+        weight = k.load("W", i)
+        k.store("g", i, k.op(ca.OP_MUL, weight, k.op(ca.OP_SUB, z, k.load("yref", i))))
+        k.store("Q", 3 * i, weight)
+    k.store("Q", 2, k.load("mu"))
+    first = Program("initial_hessian", "", (Port("x_0", 1), X, Port("eta", 0), Port("Q_0", 4)), (Port("Q", 2, 2),))
+    ends = (X, P, YREF_N, W_N, Port("mu", 1), Port("x_0", 1), Port("eta", 0))
+    last = Program("terminal_hessian", "Q = W + 2 mu", ends, (Port("Q", 1, 1),))
+    last.store("Q", 0, last.op(ca.OP_ADD, last.load("W"), last.op(ca.OP_TWICE, last.load("mu"))))
+    return k.kernel(), first.kernel(), last.kernel()
+
+
 def handwritten(cls: type) -> Linearization:
     """The whole Linearization of stated(), with the component in its seam and defaults elsewhere."""
     discrete = cls is Discrete
@@ -144,7 +165,10 @@ def handwritten(cls: type) -> Linearization:
     defaults = {seam: next(iter(REGISTRIES[seam].values()))() for seam in SEAMS}
     options = Options(**{**defaults, **given})
     routines = (*dynamics(), *cost("path"), *cost("terminal"), *rows())
-    return Linearization(stated(discrete), options, ("written by hand",), routines, True)
+    curved = options.hessian.name == "exact"
+    if curved:
+        routines = (*(r for r in routines if not r.name.endswith("_hessian")), *exact())
+    return Linearization(stated(discrete), options, ("written by hand",), routines, not curved)
 
 
 @functools.cache

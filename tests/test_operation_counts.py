@@ -13,7 +13,7 @@ from collections.abc import Callable
 import pytest
 
 from benchmarks.counting import CLASSES, count_mismatches, counting_header, mismatches
-from nmpc_codegen import OCP, ExplicitRungeKutta, GaussNewton, Options, RealTimeIteration, products
+from nmpc_codegen import OCP, DenseActiveSet, ExplicitRungeKutta, GaussNewton, Options, RealTimeIteration, products
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.integrators import TABLEAUS
 from nmpc_codegen.kernel import OpCount
@@ -58,13 +58,13 @@ def test_stated_counts_are_counted(case: str) -> None:
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_both_spellings_of_the_products(name: str, spelling: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(products, "WRITTEN_OUT", SPELLINGS[spelling])
-    module = module_of(PROBLEMS[name]())
+    module = module_of(PROBLEMS[name](), Options(qp=DenseActiveSet()))
     assert spelling in module.products.template
     assert mismatches(module, render(module)) == []
 
 
 def test_what_is_stated_covers_routines_products_and_components() -> None:
-    module = module_of(PROBLEMS["general"]())
+    module = module_of(PROBLEMS["general"](), Options(qp=DenseActiveSet()))
     stated = set(module.metadata["report"]["operations"])
     assert {r.name for r in module.routines} <= stated
     assert set(module.products.counts) <= stated

@@ -180,7 +180,6 @@ def test_condition_of_a_known_problem() -> None:
     assert condition(dataclasses.replace(near, C=C, optimum=active)) > 1e6
 
 
-
 # The solvers ----------------------------------------------------------------------------------------------------------
 
 SOLVERS = solvers()

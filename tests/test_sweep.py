@@ -217,5 +217,6 @@ def test_affine_offsets(offset: Affine, text: str) -> None:
 
 def test_slices_and_loops() -> None:
     assert Slice("b", 3, Affine(1, (("k", 2),)), 4).elements({"k": 5}) == [11, 15, 19]
-    assert list(For("k", 2, 3, ()).range) == [2, 3, 4]
-    assert list(For("k", 2, 3, (), down=True).range) == [4, 3, 2]
+    assert list(For("k", 2, 3, ()).values({})) == [2, 3, 4]
+    assert list(For("k", 2, Affine(1, (("i", 2),)), ()).values({"i": 1})) == [2, 3, 4]
+    assert list(For("k", 2, 3, (), down=True).values({})) == [4, 3, 2]

@@ -36,7 +36,7 @@ class Linearization:
     @property
     def products(self) -> Products:
         """Products with the stage matrices."""
-        return Products.of(self.problem, self.options.hessian, self.routines)
+        return Products.of(self.problem.nx, self.problem.nu, self.options.hessian, self.routines)
 
 
 def linearize(problem: Problem, options: Options) -> Linearization:
@@ -51,7 +51,7 @@ def linearize(problem: Problem, options: Options) -> Linearization:
     routines += options.hessian.joint_routines(problem, options.integrator)
     routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal"), _coupled(problem)]
     constant = _constant_hessian(problem, online, routines)
-    products = Products.of(problem, options.hessian, routines)
+    products = Products.of(problem.nx, problem.nu, options.hessian, routines)
     known = {r.name: r.count for r in routines} | products.counts | products.column_counts
     options, why = choose_qp(problem, options, constant, known)
     rest = (options.condensing, options.qp, options.algorithm)

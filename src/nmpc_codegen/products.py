@@ -8,13 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.sweep import LoopedRoutine, Routine, nonzeros
-
-if TYPE_CHECKING:
-    from nmpc_codegen.problem import Problem
 
 # Columns of a dense matrix that are processed together; leading dimensions are rounded up to it.
 PANEL = 4
@@ -36,11 +33,10 @@ class Products:
     Q_N: Pattern
 
     @classmethod
-    def of(cls, problem: Problem, hessian: Any, routines: Iterable[Routine]) -> Products:
+    def of(cls, nx: int, nu: int, hessian: Any, routines: Iterable[Routine]) -> Products:
         """The patterns that the routines store; those of Q are the Hessian component's."""
         named = {r.name: r for r in routines}
-        S = pattern(named["integrator_interval"], "S")
-        return cls(problem.nx, problem.nu, S, *hessian.patterns(named))
+        return cls(nx, nu, pattern(named["integrator_interval"], "S"), *hessian.patterns(named))
 
     @property
     def written_out(self) -> bool:

@@ -258,13 +258,21 @@ def print_routine(routine: Routine, style: CStyle) -> str:
     lines = [comment(sweep.doc, sweep.inputs, sweep.outputs, written)]
     lines += [signature(sweep.name, sweep.inputs, sweep.outputs, style), "{"]
     indices = dict.fromkeys(_indices(sweep.body))
-    used = {s.buffer for call in _calls(sweep.body) for s in (*call.ins, *call.outs)}
+    used = {buffer for call in _calls(sweep.body) for buffer in _touched(call, routine.leaves[call.leaf.name()])}
     lines += [f"    {style.real} {name}[{max(1, size)}];" for name, size in sweep.locals if name in used]
     if indices:
         lines.append(f"    int {', '.join(indices)};")
     lines += _print_nodes(sweep.body, routine, style, "    ")
     lines += [f"    (void){p.name};" for p in (*sweep.inputs, *sweep.outputs) if p.name not in used]
     return "\n\n".join([*texts, "\n".join([*lines, "}"])])
+
+
+def _touched(call: Call, leaf: Kernel) -> Iterator[str]:
+    """Buffers that the text of a call names: of a leaf that is written out those that it loads or stores."""
+    loaded = {ins.args[0] for ins in leaf.instructions if ins.opcode == ca.OP_INPUT}
+    stored = {o for o, _, _ in leaf.stores}
+    for slices, touched in ((call.ins, loaded), (call.outs, stored)):
+        yield from (s.buffer for i, s in enumerate(slices) if not call.written_out or i in touched)
 
 
 def _indices(nodes: tuple[Node, ...]) -> Iterator[str]:

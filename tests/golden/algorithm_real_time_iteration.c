@@ -59,17 +59,23 @@ static void algorithm_reset(golden_solver_t *s)
     start_at(s, s->xhat);
 }
 
-/* Node k: S = [A_k B_k], gap b_k = Phi(x_k, u_k) - x_{k+1}, gradient, general rows. */
-static void linearize_node(const golden_solver_t *s, int k, golden_node_t *node)
+/* Gap b_k = Phi(x_k, u_k) - x_{k+1} and general rows of node k. */
+static void complete_node(const golden_solver_t *s, int k, const golden_real *x_next, golden_node_t *node)
 {
-    golden_real x_next[GOLDEN_NX];
     int i;
-    integrator_interval(s->x[k], s->u[k], s->p[k], &interval_length[k], x_next, &node->S[0][0]);
     for (i = 0; i < GOLDEN_NX; i++) {
         node->b[i] = x_next[i] - s->x[k + 1][i];
     }
-    path_gradient(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W[0], node->g);
     path_rows(s->x[k], s->u[k], s->p[k], node->h, &node->J[0][0]);
+}
+
+/* First derivatives of node k alone: S = [A_k B_k], gradient, gap, general rows. */
+static void linearize_node(const golden_solver_t *s, int k, golden_node_t *node)
+{
+    golden_real x_next[GOLDEN_NX];
+    integrator_interval(s->x[k], s->u[k], s->p[k], &interval_length[k], x_next, &node->S[0][0]);
+    path_gradient(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W[0], node->g);
+    complete_node(s, k, x_next, node);
 }
 
 static void linearize_terminal(const golden_solver_t *s, golden_terminal_t *terminal)
@@ -83,14 +89,17 @@ static void linearize_coupled(const golden_solver_t *s, golden_coupled_t *couple
     coupled_rows(s->x[0], s->x[GOLDEN_N], coupled->r, &coupled->J_0[0][0], &coupled->J_N[0][0]);
 }
 
+/* All nodes, from the last to the first, with what the Hessian takes from the same evaluation. */
 static void linearize(golden_solver_t *s)
 {
+    golden_real x_next[GOLDEN_NX];
     int k;
-    for (k = 0; k < GOLDEN_N; k++) {
-        linearize_node(s, k, &s->node[k]);
-    }
     linearize_terminal(s, &s->terminal);
     linearize_coupled(s, &s->coupled);
+    for (k = GOLDEN_N - 1; k >= 0; k--) {
+        expand_node(s, k, x_next);
+        complete_node(s, k, x_next, &s->node[k]);
+    }
 }
 
 /* References entered after prepare: gradients anew, everything else stands. */
@@ -121,7 +130,7 @@ static golden_status_t finish(golden_solver_t *s, golden_status_t status)
     return status;
 }
 
-/* Linearise, Hessian, condense, factorise at the predicted working set. */
+/* Linearise, Hessian, condense, factorise. */
 static golden_status_t prepare_here(golden_solver_t *s)
 {
     linearize(s);

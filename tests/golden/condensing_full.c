@@ -276,13 +276,20 @@ static void condense_rows(golden_solver_t *s)
     }
 }
 
+/* A condensed Hessian that is not positive definite is formed again and regularised. */
 static golden_status_t condense_prepare(golden_solver_t *s)
 {
+    golden_status_t status;
     condense_hessian(s);
     condense_rows(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
-    return qp_factorize(&s->qp);
+    status = qp_factorize(&s->qp);
+    if (status != GOLDEN_NUMERICAL_FAILURE) {
+        return status;
+    }
+    condense_hessian(s);
+    return regularize_reduced(&s->qp.H[0][0], GOLDEN_NV - GOLDEN_NSL, GOLDEN_LDV, &s->qp.Q[0][0]) ? qp_factorize(&s->qp) : status;
 }
 
 /* du and multipliers from the QP;  dx_{k+1} = A_k dx_k + B_k du_k + b_k. */

@@ -58,8 +58,10 @@ static void condense_init(golden_solver_t *s)
     for (k = GOLDEN_N * GOLDEN_NU; k < GOLDEN_NV; k++) {
         s->block[GOLDEN_NS - 1].Q[GOLDEN_NX + k - (GOLDEN_NS - 1) * GOLDEN_NUS][GOLDEN_NX + k - (GOLDEN_NS - 1) * GOLDEN_NUS] = 1.0;
     }
-    for (j = 0; j < GOLDEN_NX; j++) {
-        s->blocks.G[0][j][j] = 1.0;
+    for (k = 0; k < GOLDEN_N; k += GOLDEN_BLOCK) {
+        for (j = 0; j < GOLDEN_NX; j++) {
+            s->blocks.G[k][j][j] = 1.0;
+        }
     }
     qp_init(s);
     for (k = GOLDEN_N * GOLDEN_NU; k < GOLDEN_NV; k++) {
@@ -91,11 +93,9 @@ static void condense_embed(golden_solver_t *s)
 }
 
 /* G_{j+1} = A G_j, B at du_j; the columns of later controls stay 0. */
-static void condense_forward(golden_solver_t *s, const golden_node_t *node, int j)
+static void condense_forward(const golden_node_t *node, golden_real (*G)[GOLDEN_NZS], golden_real (*next)[GOLDEN_NZS], int j)
 {
     const int width = GOLDEN_NX + j * GOLDEN_NU;
-    golden_real (*G)[GOLDEN_NZS] = s->blocks.G[j];
-    golden_real (*next)[GOLDEN_NZS] = s->blocks.G[j + 1];
     int i, l, c;
     for (i = 0; i < GOLDEN_NX; i++) {
         for (c = 0; c < width; c++) {
@@ -117,13 +117,13 @@ static void condense_forward(golden_solver_t *s, const golden_node_t *node, int 
 }
 
 /* Q += Z_j' Q_k Z_j, lower triangle; T = Q_k Z_j on the columns that are not 0. */
-static void condense_hessian(golden_solver_t *s, golden_block_t *block, golden_real (*Q)[GOLDEN_NZ], int j)
+static void condense_hessian(golden_solver_t *s, golden_block_t *block, golden_real (*Q)[GOLDEN_NZ], int node, int j)
 {
     const int width = GOLDEN_NX + (j + 1) * GOLDEN_NU;
     golden_real (*Z)[GOLDEN_NZS] = s->blocks.Z;
     golden_real T[GOLDEN_NZS];
     int i, l, c, r;
-    memcpy(Z, s->blocks.G[j], sizeof s->blocks.G[j]);
+    memcpy(Z, s->blocks.G[node], sizeof s->blocks.G[node]);
     memset(Z[GOLDEN_NX], 0, sizeof Z[0] * GOLDEN_NU);
     for (i = 0; i < GOLDEN_NU; i++) {
         Z[GOLDEN_NX + i][GOLDEN_NX + j * GOLDEN_NU + i] = 1.0;
@@ -147,8 +147,9 @@ static void condense_hessian(golden_solver_t *s, golden_block_t *block, golden_r
 
 /* Gradients of the rows of a node in the variables of its block: J_x G_j, and J_u at du_j; a bound of the first state of a
  * block, or of the last one of the horizon, needs none. */
-static void condense_block_rows(golden_solver_t *s, int node, int j)
+static void condense_block_rows(golden_solver_t *s, int node)
 {
+    const int j = node % GOLDEN_BLOCK;
     int m, i, c;
     for (m = row_first[node]; m < row_first[node + 1]; m++) {
         golden_real J[GOLDEN_NZ];
@@ -161,7 +162,7 @@ static void condense_block_rows(golden_solver_t *s, int node, int j)
         }
         for (i = 0; i < GOLDEN_NX; i++) {
             for (c = 0; c < GOLDEN_NX + j * GOLDEN_NU; c++) {
-                row[c] += J[i] * s->blocks.G[j][i][c];
+                row[c] += J[i] * s->blocks.G[node][i][c];
             }
         }
         for (i = 0; i < GOLDEN_NU; i++) {
@@ -196,13 +197,10 @@ static void condense_matrices(golden_solver_t *s)
         }
         for (j = 0; j < n; j++) {
             const int node = k * GOLDEN_BLOCK + j;
-            condense_hessian(s, block, s->hessian.Q[GOLDEN_NQ == 1 ? 0 : node], j);
-            condense_forward(s, &s->node[node], j);
-            condense_block_rows(s, node, j);
+            condense_hessian(s, block, s->hessian.Q[GOLDEN_NQ == 1 ? 0 : node], node, j);
+            condense_forward(&s->node[node], s->blocks.G[node], (j + 1 < n) ? s->blocks.G[node + 1] : block->S, j);
         }
-        memcpy(block->S, s->blocks.G[n], sizeof block->S);
     }
-    condense_block_rows(s, GOLDEN_N, 0);
 }
 
 /* Gaps and gradients: c_0 = 0, c_{j+1} = A c_j + b;  w = q of the end;  g of du_j = r + B' w, w <- q + Q (c_j, 0) + A' w. */
@@ -233,7 +231,11 @@ static void condense_vectors(golden_solver_t *s)
 
 static golden_status_t condense_prepare(golden_solver_t *s)
 {
+    int k;
     condense_matrices(s);
+    for (k = 0; k <= GOLDEN_N; k++) {
+        condense_block_rows(s, k);
+    }
     condense_vectors(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);

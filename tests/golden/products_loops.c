@@ -6,6 +6,12 @@
  *   terminal_adjoint  w = g_N + Q_N dx */
 /* Here: dense loops. */
 
+/* Structural nonzeros (row, column) of the lower triangles Q and Q_N. */
+static const int Q_row[2] = { 0, 1 };
+static const int Q_column[2] = { 0, 1 };
+static const int Q_N_row[1] = { 0 };
+static const int Q_N_column[1] = { 0 };
+
 static void state_step(const golden_node_t *node, const golden_real *dx, const golden_real *du, golden_real *y)
 {
     int i, j;
@@ -35,24 +41,27 @@ static void adjoint_step(const golden_node_t *node, golden_real (*Q)[GOLDEN_NZ],
             r[i] += node->S[j][i] * w[j];
         }
     }
-    for (j = 0; j < GOLDEN_NZ; j++) {
-        for (i = 0; i < j; i++) {
-            r[i] += Q[j][i] * z[j];
-            r[j] += Q[j][i] * z[i];
+    for (i = 0; i < 2; i++) {
+        const int a = Q_row[i], b = Q_column[i];
+        r[a] += Q[a][b] * z[b];
+        if (a != b) {
+            r[b] += Q[a][b] * z[a];
         }
-        r[j] += Q[j][j] * z[j];
     }
     memcpy(w, r, sizeof r);
 }
 
 static void terminal_adjoint(const golden_terminal_t *terminal, golden_real (*Q)[GOLDEN_NX], const golden_real *dx, golden_real *w)
 {
-    int i, j;
+    int i;
     for (i = 0; i < GOLDEN_NX; i++) {
-        golden_real sum = terminal->g[i];
-        for (j = 0; j < GOLDEN_NX; j++) {
-            sum += ((j <= i) ? Q[i][j] : Q[j][i]) * dx[j];
+        w[i] = terminal->g[i];
+    }
+    for (i = 0; i < 1; i++) {
+        const int a = Q_N_row[i], b = Q_N_column[i];
+        w[a] += Q[a][b] * dx[b];
+        if (a != b) {
+            w[b] += Q[a][b] * dx[a];
         }
-        w[i] = sum;
     }
 }

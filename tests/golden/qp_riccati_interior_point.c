@@ -20,9 +20,6 @@
  *                      all of them, P_NS too). Later stages stand. 0: a pivot is not positive (stage in failed), else 1.
  *   riccati_backward   p, feed, h of the stages last .. 0 from g, b, du (values of the fixed controls); later ones stand.
  *   riccati_forward    x[1..NS] and u of the minimiser, from x[0]; its free components are computed.
- *   riccati_adjoint    lam = P_k x + p_k, the multiplier of x_k
- *   riccati_control_gradient  derivative of the cost to go with respect to u_j at stage k, 0 at the minimiser if u_j is free:
- *                      minus the multiplier of a fixed control
  * The caller sets diagonal, weight, fixed, then g, b, du. Symmetric matrices P_k are stored in full; their rows and columns
  * NX .. LDX are padding. Products run in blocks of four rows and eight columns: such loops are the ones that compilers turn
  * into vector operations without being asked to. */
@@ -207,7 +204,7 @@ static void riccati_add_weights(golden_solver_t *s, int k)
     for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
         const int state = stage_state[m];
         const golden_real w = r->weight[m];
-        if (state >= 0) {
+        if (w != 0.0 && state >= 0) {
             r->P[k][state][state] += w;
         } else if (w != 0.0) {
             const golden_real *a = stage_row(s, m);
@@ -270,7 +267,7 @@ static inline golden_real riccati_pivot(const golden_riccati_t *r, golden_real d
     if (isfinite(d) && d > 7.105427357601002e-15 * reference) {
         return d;
     }
-    if (!r->regularize || !(d >= -unit * reference) || !isfinite(reference)) {
+    if (!r->regularize || !(d >= -unit * fabs(reference) - r->regularize_zero) || !isfinite(reference)) {
         return 0.0;
     }
     *added = 512.0 * unit * reference + r->regularize_zero;
@@ -417,9 +414,14 @@ static void riccati_backward_stage(golden_solver_t *s, int k)
 {
     golden_riccati_t *r = &s->riccati;
     golden_real v[GOLDEN_LDX], w[GOLDEN_NZS], y[GOLDEN_NUS];
-    int i, j;
+    int i, j, gaps = 0;
     memcpy(v, r->p[k + 1], sizeof v);
-    riccati_combine(v, r->b[k], r->P[k + 1][0], GOLDEN_LDX, GOLDEN_NX, GOLDEN_LDX);
+    for (i = 0; i < GOLDEN_NX; i++) {
+        gaps |= r->b[k][i] < 0.0 || !(r->b[k][i] <= 0.0);
+    }
+    if (gaps) {
+        riccati_combine(v, r->b[k], r->P[k + 1][0], GOLDEN_LDX, GOLDEN_NX, GOLDEN_LDX);
+    }
     memcpy(w, r->g[k], sizeof w);
     riccati_combine(w, v, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
     memcpy(r->h[k], w + GOLDEN_NX, sizeof r->h[k]);
@@ -502,24 +504,6 @@ static void riccati_forward(golden_solver_t *s, golden_real (*x)[GOLDEN_NX], gol
     }
 }
 
-/* lam = P_k x + p_k. */
-static void riccati_adjoint(const golden_riccati_t *r, int k, const golden_real *x, golden_real *lam)
-{
-    memcpy(lam, r->p[k], sizeof lam[0] * GOLDEN_NX);
-    riccati_combine(lam, x, r->P[k][0], GOLDEN_LDX, GOLDEN_NX, GOLDEN_NX);
-}
-
-/* h_j + M_j z at stage k, M_j the row of control j. */
-static golden_real riccati_control_gradient(const golden_riccati_t *r, int k, int j, const golden_real *x, const golden_real *u)
-{
-    golden_real sum = r->h[k][j] + riccati_dot(r->M[k][j], x, GOLDEN_NX);
-    int i;
-    for (i = 0; i < GOLDEN_NUS; i++) {
-        sum += u[i] * ((i < j) ? r->M[k][j][GOLDEN_NX + i] : r->M[k][i][GOLDEN_NX + j]);
-    }
-    return sum;
-}
-
 static void riccati_init(golden_solver_t *s)
 {
     memset(&s->riccati, 0, sizeof s->riccati);
@@ -578,25 +562,38 @@ static void ipm_add_forces(golden_solver_t *s, const golden_real *force, golden_
     }
 }
 
+/* w += Q z, Q symmetric of n rows (lower triangle), in blocks of four rows. */
+static void ipm_add_symmetric(const golden_real *Q, int ld, const golden_real *z, golden_real *w, int n)
+{
+    int i, r, c;
+    for (i = 0; i < n; i += 4) {
+        const int rows = (n - i < 4) ? n - i : 4;
+        riccati_combine(w, z + i, Q + i * ld, ld, rows, i);
+        for (r = i; r < i + rows; r++) {
+            const golden_real *row = Q + r * ld;
+            w[r] += riccati_dot(row, z, i) + row[r] * z[r];
+            for (c = i; c < r; c++) {
+                w[r] += row[c] * z[c];
+                w[c] += row[c] * z[r];
+            }
+        }
+    }
+}
+
 /* gradient_k = g_k + Q_k z_k at the iterate. */
 static void ipm_cost_gradient(golden_solver_t *s)
 {
-    int k, i;
-    for (k = 0; k <= GOLDEN_NS; k++) {
-        const int n = (k < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NX;
-        golden_real z[GOLDEN_NZS] = {0};
-        golden_real *w = s->ipm.gradient[k];
+    golden_ipm_t *q = &s->ipm;
+    golden_real z[GOLDEN_NZS];
+    int k;
+    for (k = 0; k < GOLDEN_NS; k++) {
         memcpy(z, s->qp.x[k], sizeof s->qp.x[k]);
-        if (k < GOLDEN_NS) {
-            memcpy(z + GOLDEN_NX, s->qp.z + k * GOLDEN_NUS, sizeof z[0] * GOLDEN_NUS);
-        }
-        memcpy(w, stage_g(s, k), sizeof w[0] * (size_t)n);
-        for (i = 0; i < n; i++) {
-            const golden_real *row = (k < GOLDEN_NS) ? stage_Q(s, k)[i] : s->hessian.Q_N[i];
-            riccati_combine(w, &z[i], row, 0, 1, i);
-            w[i] += riccati_dot(row, z, i + 1);
-        }
+        memcpy(z + GOLDEN_NX, s->qp.z + k * GOLDEN_NUS, sizeof z[0] * GOLDEN_NUS);
+        memcpy(q->gradient[k], stage_g(s, k), sizeof q->gradient[k]);
+        ipm_add_symmetric(stage_Q(s, k)[0], GOLDEN_NZS, z, q->gradient[k], GOLDEN_NZS);
     }
+    memcpy(q->gradient[k], stage_g(s, k), sizeof q->gradient[0][0] * GOLDEN_NX);
+    ipm_add_symmetric(s->hessian.Q_N[0], GOLDEN_NX, s->qp.x[k], q->gradient[k], GOLDEN_NX);
 }
 
 /* What row c is: 0 inequality or free, 1 equation, 2 fixed control. Soft rows are never equations. */
@@ -661,7 +658,7 @@ static void ipm_list_sides(golden_solver_t *s)
     for (pass = 0; pass < 2; pass++) {
         for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
             const int soft = c >= GOLDEN_NV && s->qp.penalty[c - GOLDEN_NV] < (golden_real)INFINITY;
-            if (soft == pass && q->kind[c] == 0 && q->curvature[c] < (golden_real)INFINITY) {
+            if (soft == pass && q->kind[c] == 0 && q->reach[c] > 0.0) {
                 ipm_add_side(s, c, 0);
                 ipm_add_side(s, c, 1);
             }
@@ -682,24 +679,47 @@ static void ipm_set_weights(golden_solver_t *s)
     memcpy(s->riccati.weight, s->ipm.weight + GOLDEN_NV, sizeof s->ipm.weight[0] * GOLDEN_NG);
 }
 
+/* Residuals of the sides, r = distance + e - t and r_e = l1 + l2 e - lam - kappa, and the mean of t lam and e kappa. */
+static void ipm_side_residuals(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_real sum = 0.0;
+    int i, pairs = q->sides;
+    for (i = 0; i < q->sides; i++) {
+        q->r[i] = q->sign[i] * (q->bound[i] - q->v[q->row[i]]) - q->t[i];
+        sum += q->t[i] * q->lam[i];
+    }
+    for (i = q->hard; i < q->sides; i++) {
+        const int j = i - q->hard, m = q->row[i] - GOLDEN_NV;
+        q->r[i] += q->e[j];
+        q->r_e[j] = s->qp.penalty[m] + s->qp.curvature[m] * q->e[j] - q->lam[i] - q->kappa[j];
+        sum += q->e[j] * q->kappa[j];
+        pairs += q->kappa[j] > 0.0;
+    }
+    q->mu = (pairs > 0) ? sum / (golden_real)pairs : 0.0;
+}
+
 /* omega = 1 / (t / lam + regularization + 1 / (l2 + kappa / e)); weights of the rows. */
 static void ipm_weigh(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
+    const golden_real regularization = 9.313225746154785e-10 / q->stiffening;
     int i, c;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        q->weight[c] = (q->kind[c] == 1) ? q->stiffness[c] : 0.0;
+        q->weight[c] = q->stiffness[c] * q->stiffening;
     }
-    for (i = 0; i < q->hard; i++) {
-        q->omega[i] = 1.0 / (q->t[i] / q->lam[i] + 7.275957614183426e-12 / q->curvature[q->row[i]]);
+    for (i = 0; i < q->sides; i++) {
+        const golden_real reach = q->reach[q->row[i]];
+        q->ratio[i] = q->t[i] / q->lam[i];
+        q->omega[i] = q->ratio[i] + regularization * reach * reach;
     }
     for (i = q->hard; i < q->sides; i++) {
         const int j = i - q->hard;
         q->compliance[j] = 1.0 / (s->qp.curvature[q->row[i] - GOLDEN_NV] + q->kappa[j] / q->e[j]);
-        q->omega[i] = 1.0 / (q->t[i] / q->lam[i] + q->compliance[j] +
-                                      7.275957614183426e-12 / q->curvature[q->row[i]]);
+        q->omega[i] += q->compliance[j];
     }
     for (i = 0; i < q->sides; i++) {
+        q->omega[i] = 1.0 / q->omega[i];
         q->weight[q->row[i]] += q->omega[i];
     }
     ipm_set_weights(s);
@@ -715,7 +735,7 @@ static void ipm_forces(golden_solver_t *s)
     golden_ipm_t *q = &s->ipm;
     int i, c;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        q->force[c] = (q->kind[c] == 1) ? q->y[c] + q->stiffness[c] * (q->v[c] - s->qp.lower[c]) : 0.0;
+        q->force[c] = (q->kind[c] == 1) ? q->y[c] + q->weight[c] * (q->v[c] - s->qp.lower[c]) : 0.0;
     }
     for (i = 0; i < q->sides; i++) {
         q->rho[i] = q->extra[i] - q->t[i] - q->r[i];
@@ -743,7 +763,7 @@ static void ipm_direction(golden_solver_t *s)
     ipm_values(s, q->dx, q->du, q->dv);
     for (i = 0; i < q->sides; i++) {
         q->dlam[i] = q->omega[i] * (q->sign[i] * q->dv[q->row[i]] + q->rho[i]);
-        q->dt[i] = q->extra[i] - q->t[i] - q->t[i] / q->lam[i] * q->dlam[i];
+        q->dt[i] = q->extra[i] - q->t[i] - q->ratio[i] * q->dlam[i];
     }
     for (i = q->hard; i < q->sides; i++) {
         const int j = i - q->hard;
@@ -754,99 +774,145 @@ static void ipm_direction(golden_solver_t *s)
 
 /* Contract of this part: units of the rows and the first iterate, from the minimiser that knows equations only. */
 
-/* noise = L^{-T} D^{-1/2} of stage k, columns of fixed controls 0: noise noise' = M_uu^{-1}. */
-static inline void ipm_noise(golden_solver_t *s, int k, golden_real (*noise)[GOLDEN_NUS])
+/* Stage k under u = K x + G xi, unit covariance of xi: G' (columns of fixed controls 0, G G' = M_uu^{-1}) into `noise`,
+ * (A + B K)' into `closed`, (B G)' into `push`. */
+static void ipm_closed_loop(golden_solver_t *s, int k)
 {
     const golden_riccati_t *r = &s->riccati;
+    golden_ipm_t *q = &s->ipm;
+    golden_real (*S)[GOLDEN_NZS] = stage_S(s, k);
+    golden_real column[GOLDEN_LDX] = {0};
     int i, j, l;
     for (l = 0; l < GOLDEN_NUS; l++) {
         const int fixed = r->fixed[k * GOLDEN_NUS + l];
         for (j = GOLDEN_NUS - 1; j >= 0; j--) {
-            noise[j][l] = (j == l && !fixed) ? sqrt(r->inverse[k][l]) : 0.0;
+            q->noise[l][j] = (j == l && !fixed) ? sqrt(r->inverse[k][l]) : 0.0;
             for (i = j + 1; i <= l; i++) {
-                noise[j][l] -= r->L[k][i][j] * noise[i][l];
+                q->noise[l][j] -= r->L[k][i][j] * q->noise[l][i];
             }
         }
     }
-}
-
-/* Variances of the controls and of the next state under u = K x + noise, x_i independent with variance var_i. */
-static void ipm_propagate_variance(golden_solver_t *s, int k, golden_real *var, golden_real *next)
-{
-    const golden_riccati_t *r = &s->riccati;
-    golden_real (*S)[GOLDEN_NZS] = stage_S(s, k);
-    golden_real noise[GOLDEN_NUS][GOLDEN_NUS], row[GOLDEN_LDX];
-    int i, j, l;
-    ipm_noise(s, k, noise);
-    for (j = 0; j < GOLDEN_NUS; j++) {
-        golden_real sum = 0.0;
+    for (l = 0; l < GOLDEN_NX; l++) {
         for (i = 0; i < GOLDEN_NX; i++) {
-            sum += r->K[k][j][i] * r->K[k][j][i] * var[i];
+            q->closed[l][i] = S[i][l];
         }
-        var[GOLDEN_NX + j] = sum + riccati_dot(noise[j], noise[j], GOLDEN_NUS);
     }
-    for (i = 0; i < GOLDEN_NX; i++) {
-        golden_real sum = 0.0;
-        memset(row, 0, sizeof row);
-        memcpy(row, S[i], sizeof S[0][0] * GOLDEN_NX);
-        riccati_combine(row, S[i] + GOLDEN_NX, r->K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_LDX);
-        for (j = 0; j < GOLDEN_NX; j++) {
-            sum += row[j] * row[j] * var[j];
+    memset(q->push, 0, sizeof q->push);
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        for (i = 0; i < GOLDEN_NX; i++) {
+            column[i] = S[i][GOLDEN_NX + j];
+        }
+        for (l = 0; l < GOLDEN_NX; l++) {
+            riccati_add(q->closed[l], r->K[k][j][l], column, GOLDEN_LDX);
         }
         for (l = 0; l < GOLDEN_NUS; l++) {
-            golden_real gain = 0.0;
-            for (j = 0; j < GOLDEN_NUS; j++) {
-                gain += S[i][GOLDEN_NX + j] * noise[j][l];
-            }
-            sum += gain * gain;
+            riccati_add(q->push[l], q->noise[l][j], column, GOLDEN_LDX);
         }
-        next[i] = sum;
     }
 }
 
-/* curvature_c = 1 / (a_c'H^{-1}a_c), roughly: the cost of moving row c is half of it times the square of the way. H is that
- * of the factorisation, on the null space of the dynamics; correlations between states are left out. */
-static void ipm_curvatures(golden_solver_t *s)
+/* Covariance of x_{k+1}:  closed' C closed + push' push. */
+static void ipm_propagate_covariance(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    golden_real (*var)[GOLDEN_NZS] = q->gradient;
-    int k, j, m, i, f;
-    memset(var, 0, sizeof q->gradient);
-    for (f = 0; f < GOLDEN_NF; f++) {
-        var[0][free_state[f]] = 1.0 / s->riccati.F[f][f];
+    golden_real *C = q->covariance[0], *U = q->product[0], *F = q->closed[0];
+    int i, j;
+    memset(q->product, 0, sizeof q->product);
+    for (i = 0; i < GOLDEN_LDX; i += 4) {
+        riccati_rows(U + i * GOLDEN_LDX, GOLDEN_LDX, C + i, GOLDEN_LDX, F, GOLDEN_LDX, GOLDEN_NX, GOLDEN_LDX);
     }
-    for (k = 0; k < GOLDEN_NS; k++) {
-        ipm_propagate_variance(s, k, var[k], var[k + 1]);
-        for (j = 0; j < GOLDEN_NUS; j++) {
-            q->curvature[k * GOLDEN_NUS + j] = 1.0 / var[k][GOLDEN_NX + j];
-        }
+    memset(q->covariance, 0, sizeof q->covariance);
+    for (i = 0; i < GOLDEN_LDX; i += 4) {
+        riccati_rows(C + i * GOLDEN_LDX, GOLDEN_LDX, F + i, GOLDEN_LDX, U, GOLDEN_LDX, GOLDEN_NX, i + 4);
+        riccati_rows(C + i * GOLDEN_LDX, GOLDEN_LDX, q->push[0] + i, GOLDEN_LDX, q->push[0], GOLDEN_LDX, GOLDEN_NUS, i + 4);
     }
-    for (m = 0; m < GOLDEN_NG; m++) {
-        const golden_real *v = var[stage_of_row[m]];
-        golden_real sum = 0.0;
-        if (stage_state[m] >= 0) {
-            sum = v[stage_state[m]];
-        } else {
-            const golden_real *a = stage_row(s, m);
-            const int width = (stage_of_row[m] < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NX;
-            for (i = 0; i < width; i++) {
-                sum += a[i] * a[i] * v[i];
-            }
+    for (i = 0; i < GOLDEN_LDX; i++) {
+        for (j = i + 1; j < GOLDEN_LDX; j++) {
+            q->covariance[i][j] = q->covariance[j][i];
         }
-        q->curvature[GOLDEN_NV + m] = 1.0 / sum;
     }
 }
 
-/* Recursion with the present weights; where a pivot may be zero, with a small addition to it. */
+/* (a' Cov(x, u) a)^{1/2} at stage k:  c = a_x + K'a_u,  c' C c + |G'a_u|^2. */
+static golden_real ipm_reach(golden_solver_t *s, int k, const golden_real *a_x, const golden_real *a_u)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_real c[GOLDEN_LDX] = {0}, w[GOLDEN_LDX] = {0}, sum = 0.0;
+    int l;
+    memcpy(c, a_x, sizeof c[0] * GOLDEN_NX);
+    for (l = 0; k < GOLDEN_NS && l < GOLDEN_NUS; l++) {
+        const golden_real part = riccati_dot(q->noise[l], a_u, GOLDEN_NUS);
+        riccati_add(c, a_u[l], s->riccati.K[k][l], GOLDEN_LDX);
+        sum += part * part;
+    }
+    riccati_combine(w, c, q->covariance[0], GOLDEN_LDX, GOLDEN_NX, GOLDEN_LDX);
+    sum += riccati_dot(w, c, GOLDEN_LDX);
+    return (sum > 0.0) ? sqrt(sum) : 0.0;
+}
+
+/* Controls and rows of stage k. */
+static void ipm_stage_reach(golden_solver_t *s, int k)
+{
+    golden_ipm_t *q = &s->ipm;
+    golden_real zero[GOLDEN_NZS] = {0};
+    int j, m;
+    for (j = 0; k < GOLDEN_NS && j < GOLDEN_NUS; j++) {
+        zero[GOLDEN_NX + j] = 1.0;
+        q->reach[k * GOLDEN_NUS + j] = ipm_reach(s, k, zero, zero + GOLDEN_NX);
+        zero[GOLDEN_NX + j] = 0.0;
+    }
+    for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
+        const int i = stage_state[m];
+        if (i >= 0) {
+            const golden_real variance = q->covariance[i][i];
+            q->reach[GOLDEN_NV + m] = (variance > 0.0) ? sqrt(variance) : 0.0;
+        } else {
+            const golden_real *a = stage_row(s, m);
+            q->reach[GOLDEN_NV + m] = ipm_reach(s, k, a, (k < GOLDEN_NS) ? a + GOLDEN_NX : zero);
+        }
+    }
+}
+
+/* reach_c = (a_c'H^{-1}a_c)^{1/2}: how far one half unit of cost moves row c, H that of the factorisation on the null space of
+ * the dynamics. Covariances of a linear system driven by unit noise: those of the variables have the inverse H^{-1}. 0: no control
+ * moves the row. */
+static void ipm_set_reach(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int k, f;
+    memset(q->covariance, 0, sizeof q->covariance);
+    for (f = 0; f < GOLDEN_NF; f++) {
+        memset(s->riccati.p[0], 0, sizeof s->riccati.p[0]);
+        s->riccati.p[0][free_state[f]] = -1.0;
+        riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
+    }
+    for (k = 0; k < GOLDEN_NS; k++) {
+        ipm_closed_loop(s, k);
+        ipm_stage_reach(s, k);
+        ipm_propagate_covariance(s);
+    }
+    ipm_stage_reach(s, GOLDEN_NS);
+}
+
+/* Recursion with the present weights; where a pivot may be zero, with an addition to it that grows until it is enough. */
 static int ipm_factorize(golden_solver_t *s)
 {
-    s->riccati.regularize = 0;
+    golden_riccati_t *r = &s->riccati;
+    int attempt;
+    r->regularize = 0;
+    r->regularize_zero = 0.0;
     if (riccati_factorize(s, GOLDEN_NS)) {
         return 1;
     }
-    s->riccati.regularize = 1;
-    s->riccati.regularize_zero = s->ipm.least_pivot;
-    return riccati_factorize(s, GOLDEN_NS);
+    r->regularize = 1;
+    r->regularize_zero = s->ipm.least_pivot;
+    for (attempt = 0; attempt < 5; attempt++) {
+        if (riccati_factorize(s, GOLDEN_NS)) {
+            return 1;
+        }
+        r->regularize_zero *= 1024.0;
+    }
+    return 0;
 }
 
 /* A cost for the bounded rows of a QP whose Hessian is singular without them: the largest of Q_jj d^2 and |g_j| d over the
@@ -896,25 +962,31 @@ static void ipm_first_weights(golden_solver_t *s)
     ipm_set_weights(s);
 }
 
-/* The weight of an equation by which it is met to that share of its curvature in one step. Returns 1 if there is one. */
+/* An equation is met in one step but for a small share of its reach^2 times the multiplier. Returns 1 if there is one. */
 static int ipm_set_stiffness(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     int c, any = 0;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        const int equation = q->kind[c] == 1 && q->curvature[c] < (golden_real)INFINITY;
-        q->stiffness[c] = equation ? q->curvature[c] / 9.313225746154785e-10 : 0.0;
+        const int equation = q->kind[c] == 1 && q->reach[c] > 0.0;
+        q->stiffness[c] = 0.0;
+        if (equation) {
+            q->stiffness[c] = 1.0 / (9.313225746154785e-10 * q->reach[c] * q->reach[c]);
+        }
         any |= equation;
     }
     return any;
 }
 
-/* Factorisation of the problem with equations only, and units of the rows. */
+/* Factorisation of the problem with equations only, and units of the rows if they are not known. */
 static int ipm_factorize_cold(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     memset(q->stiffness, 0, sizeof q->stiffness);
+    memset(q->y, 0, sizeof q->y);
+    q->warm = q->sides = q->hard = 0;
     q->damping = 0.0;
+    q->stiffening = 1.0;
     q->least_pivot = ipm_least_pivot(s);
     ipm_first_weights(s);
     s->riccati.regularize = 0;
@@ -925,7 +997,7 @@ static int ipm_factorize_cold(golden_solver_t *s)
             return 0;
         }
     }
-    ipm_curvatures(s);
+    ipm_set_reach(s);
     if (ipm_set_stiffness(s)) {
         ipm_first_weights(s);
         return ipm_factorize(s);
@@ -933,17 +1005,27 @@ static int ipm_factorize_cold(golden_solver_t *s)
     return 1;
 }
 
-/* Multipliers that the rows would have at v = 0 for the first factorisation. Returns 1 if they are not those of `force`. */
+/* Multipliers that the rows would have at v = 0, where the first point is computed from; values of the fixed controls. Returns 1
+ * if something has changed. */
 static int ipm_first_forces(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     int c, changed = 0;
+    memcpy(q->dv, q->force, sizeof q->force);
+    memset(q->v, 0, sizeof q->v);
+    if (q->warm) {
+        ipm_list_sides(s);
+        ipm_side_residuals(s);
+        memcpy(q->extra, q->t, sizeof q->t);
+        memcpy(q->extra_e, q->kappa, sizeof q->kappa);
+    }
+    ipm_forces(s);
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        const golden_real middle = 0.5 * (s->qp.lower[c] + s->qp.upper[c]);
-        const golden_real f = (q->weight[c] > 0.0) ? -q->weight[c] * middle : 0.0;
         const golden_real u = (q->kind[c] == 2) ? s->qp.lower[c] : 0.0;
-        changed |= !(f >= q->force[c] && f <= q->force[c]);
-        q->force[c] = f;
+        if (q->damping > 0.0 && q->kind[c] == 0 && q->weight[c] > 0.0) {
+            q->force[c] -= q->weight[c] * 0.5 * (s->qp.lower[c] + s->qp.upper[c]);
+        }
+        changed |= !(q->dv[c] >= q->force[c] && q->dv[c] <= q->force[c]);
         if (c < GOLDEN_NV) {
             changed |= !(u >= s->riccati.du[c] && u <= s->riccati.du[c]);
             s->riccati.du[c] = u;
@@ -965,9 +1047,11 @@ static void ipm_first_backward(golden_solver_t *s)
     riccati_backward(s, GOLDEN_NS);
 }
 
-/* (x, u) = minimiser with equations only. Returns 0 if it is not finite. From here on steps are computed: no gaps, no dx_0. */
+/* (x, u) = minimiser with equations only, or with the sides of a warm start. Returns 0 if it is not finite. From here on steps are
+ * computed: no gaps, no dx_0. */
 static int ipm_first_point(golden_solver_t *s)
 {
+    golden_ipm_t *q = &s->ipm;
     golden_real probe = 0.0;
     int k, i;
     memcpy(s->qp.x[0], s->step.dx[0], sizeof s->qp.x[0]);
@@ -979,10 +1063,13 @@ static int ipm_first_point(golden_solver_t *s)
             probe += 0.0 * s->qp.x[k][i];
         }
     }
-    ipm_values(s, s->qp.x, s->qp.z, s->ipm.v);
+    ipm_values(s, s->qp.x, s->qp.z, q->v);
+    memcpy(q->origin, q->v, sizeof q->v);
     for (i = 0; i < GOLDEN_NV + GOLDEN_NG; i++) {
-        probe += 0.0 * s->ipm.v[i];
-        s->ipm.y[i] = (s->ipm.kind[i] == 1) ? s->ipm.stiffness[i] * (s->ipm.v[i] - s->qp.lower[i]) : 0.0;
+        probe += 0.0 * q->v[i];
+        if (q->kind[i] == 1) {
+            q->y[i] += q->weight[i] * (q->v[i] - s->qp.lower[i]);
+        }
     }
     return isfinite(probe) != 0;
 }
@@ -996,55 +1083,97 @@ static golden_real ipm_violation(const golden_solver_t *s, int c)
     return (amount > 3.552713678800501e-15 * (bound + fabs(v))) ? amount : 0.0;
 }
 
-/* Cost of the violations, sum of curvature violation^2, and their number. */
+/* Cost of the violations, sum of (violation / reach)^2, and their number. */
 static golden_real ipm_violation_cost(const golden_solver_t *s, int *count)
 {
     golden_real sum = 0.0;
     int c;
     *count = 0;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        if (s->ipm.kind[c] == 0 && s->ipm.curvature[c] < (golden_real)INFINITY) {
-            const golden_real d = ipm_violation(s, c);
-            sum += s->ipm.curvature[c] * d * d;
+        if (s->ipm.kind[c] == 0 && s->ipm.reach[c] > 0.0) {
+            const golden_real d = ipm_violation(s, c) / s->ipm.reach[c];
+            sum += d * d;
             *count += d > 0.0;
         }
     }
     return sum;
 }
 
-/* Slack and multiplier of a soft side start where the violation costs no more than its penalty. */
-static void ipm_start_soft_side(golden_solver_t *s, int i, golden_real mu)
+/* Slack and multiplier of a soft side. It starts where its violation costs no more than its penalty, unless it was violated in
+ * the QP before. */
+static void ipm_start_soft_side(golden_solver_t *s, int i, golden_real mu, golden_real distance)
 {
     golden_ipm_t *q = &s->ipm;
-    const int j = i - q->hard, m = q->row[i] - GOLDEN_NV;
-    const golden_real l1 = s->qp.penalty[m], l2 = s->qp.curvature[m];
-    if (l1 > 0.0) {
-        q->lam[i] = (q->lam[i] < 0.5 * l1) ? q->lam[i] : 0.5 * l1;
-        q->kappa[j] = l1 - q->lam[i];
-        q->e[j] = mu / q->kappa[j];
-    } else {
+    const int c = q->row[i], j = i - q->hard;
+    const golden_real l1 = s->qp.penalty[c - GOLDEN_NV], l2 = s->qp.curvature[c - GOLDEN_NV];
+    const golden_real least = sqrt(mu) * q->reach[c];
+    if (!(l1 > 0.0)) {
         q->kappa[j] = 0.0;
         q->e[j] = q->lam[i] / l2;
+    } else if (q->warm && s->qp.side[c] == ((q->sign[i] > 0.0) ? 2 : -2)) {
+        q->e[j] = (-distance > least) ? -distance : least;
+        q->lam[i] = l1 + l2 * q->e[j];
+        q->kappa[j] = (mu / q->e[j] < 0.5 * q->lam[i]) ? mu / q->e[j] : 0.5 * q->lam[i];
+        q->lam[i] -= q->kappa[j];
+        q->t[i] = mu / q->lam[i];
+    } else {
+        q->lam[i] = (q->lam[i] < 0.5 * l1) ? q->lam[i] : 0.5 * l1;
+        q->t[i] = mu / q->lam[i];
+        q->kappa[j] = l1 - q->lam[i];
+        q->e[j] = mu / q->kappa[j];
     }
 }
 
-/* t lam = mu on every side: t is the distance of the present value, or more. */
+/* t lam = mu on every side, t - reach^2 lam = distance - reach^2 |multiplier so far| but for violated bounds, where the distance
+ * counts as 0. Without multipliers t is at most the middle between the bounds, unless the value is farther away. */
 static void ipm_start_sides(golden_solver_t *s, golden_real mu)
 {
     golden_ipm_t *q = &s->ipm;
     int i;
     for (i = 0; i < q->sides; i++) {
         const int c = q->row[i];
+        const golden_real square = q->reach[c] * q->reach[c], pull = q->sign[i] * s->qp.mult[c] * square;
         const golden_real distance = q->sign[i] * (q->bound[i] - q->v[c]);
         const golden_real half = 0.5 * (s->qp.upper[c] - s->qp.lower[c]);
-        golden_real least = sqrt(mu / q->curvature[c]);
-        least = (half < least && half > 0.0) ? half : least;
-        q->t[i] = (distance > least) ? distance : least;
-        q->lam[i] = mu / q->t[i];
+        golden_real t = sqrt(mu * square);
+        t = (half < t && half > 0.0) ? half : t;
+        t = (distance > t) ? distance : t;
+        if (pull > 0.0) {
+            const golden_real excess = pull - ((distance > 0.0) ? distance : 0.0);
+            const golden_real root = sqrt(excess * excess + 4.0 * mu * square);
+            t = (excess > 0.0) ? 2.0 * mu * square / (root + excess) : 0.5 * (root - excess);
+        }
+        q->t[i] = t;
+        q->lam[i] = mu / t;
         if (i >= q->hard) {
-            ipm_start_soft_side(s, i, mu);
+            ipm_start_soft_side(s, i, mu, distance);
         }
     }
+}
+
+/* Factorisation near the multipliers of the QP before, at the present plan; the rows keep their units. Returns 0 if no row
+ * was active there, or if it fails. */
+static int ipm_factorize_warm(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int c, active = 0;
+    q->warm = 0;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        active |= q->kind[c] == 0 && s->qp.side[c] != 0;
+    }
+    if (!GOLDEN_IPM_WARM_START || !q->known || !active) {
+        return 0;
+    }
+    (void)ipm_set_stiffness(s);
+    q->warm = 1;
+    q->stiffening = 1.0;
+    q->damping = 0.0;
+    memcpy(q->y, s->qp.mult, sizeof q->y);
+    memset(q->v, 0, sizeof q->v);
+    ipm_list_sides(s);
+    ipm_start_sides(s, 0.001 * q->energy);
+    ipm_weigh(s);
+    return ipm_factorize(s);
 }
 
 /* Contract of this part: the multipliers against the dynamics, as stationarity or as a proof that there is no feasible point. */
@@ -1071,7 +1200,7 @@ static golden_real ipm_stationarity(golden_solver_t *s)
         for (j = 0; j < GOLDEN_NUS; j++) {
             const int c = k * GOLDEN_NUS + j;
             const golden_real g = s->riccati.g[k][GOLDEN_NX + j], rest = w[GOLDEN_NX + j];
-            const golden_real unit = 1.0 / sqrt(q->curvature[c]);
+            const golden_real unit = q->reach[c];
             const golden_real terms = (fabs(g) + fabs(rest - g) + fabs(s->qp.mult[c])) * unit;
             if (q->kind[c] == 2) {
                 s->qp.mult[c] -= rest;
@@ -1209,7 +1338,7 @@ static int ipm_constant_rows(golden_solver_t *s)
     golden_ipm_t *q = &s->ipm;
     int c;
     for (c = GOLDEN_NV; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        const int constant = !(q->curvature[c] < (golden_real)INFINITY);
+        const int constant = !(q->reach[c] > 0.0);
         const int hard = !(s->qp.penalty[c - GOLDEN_NV] < (golden_real)INFINITY);
         if (constant && hard && ipm_violation(s, c) > 0.0) {
             memset(q->ray, 0, sizeof q->ray);
@@ -1225,75 +1354,99 @@ static int ipm_constant_rows(golden_solver_t *s)
 
 /* Contract of this part: predictor-corrector iterations from started sides to the solution. */
 
+/* Multiplier of a soft row that no control moves, 0 of any other row. */
+static golden_real ipm_constant_multiplier(const golden_solver_t *s, int c)
+{
+    const golden_ipm_t *q = &s->ipm;
+    const int m = c - GOLDEN_NV;
+    golden_real violation;
+    if (q->reach[c] > 0.0 || !(s->qp.penalty[m] < (golden_real)INFINITY)) {
+        return 0.0;
+    }
+    violation = ipm_violation(s, c);
+    if (!(violation > 0.0)) {
+        return 0.0;
+    }
+    violation = s->qp.penalty[m] + s->qp.curvature[m] * violation;
+    return (q->v[c] > s->qp.upper[c]) ? violation : -violation;
+}
+
 /* Multipliers of the rows, without those of fixed controls. */
 static void ipm_net_multipliers(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     int i;
-    for (i = 0; i < GOLDEN_NV + GOLDEN_NG; i++) {
-        s->qp.mult[i] = (q->kind[i] == 1) ? q->y[i] : 0.0;
+    for (i = 0; i < GOLDEN_NV; i++) {
+        s->qp.mult[i] = 0.0;
+    }
+    for (i = GOLDEN_NV; i < GOLDEN_NV + GOLDEN_NG; i++) {
+        s->qp.mult[i] = (q->kind[i] == 1) ? q->y[i] : ipm_constant_multiplier(s, i);
     }
     for (i = 0; i < q->sides; i++) {
         s->qp.mult[q->row[i]] += q->sign[i] * q->lam[i];
     }
 }
 
-/* The largest cost that a single row accounts for, mult^2 / curvature: the unit of the complementarity. */
+/* The unit of the complementarity: what the inequalities cost, 1/2 sum_c mult_c (v_c at the first point - v_c), but no more than
+ * the largest (mult reach)^2 of a row. After a warm start the first point says little; the QP before says more. */
 static golden_real ipm_cost_unit(const golden_solver_t *s)
 {
-    golden_real most = 0.0;
+    const golden_ipm_t *q = &s->ipm;
+    golden_real most = 0.0, sum = 0.0;
     int c;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        const golden_real cost = s->qp.mult[c] * s->qp.mult[c] / s->ipm.curvature[c];
-        most = (cost > most) ? cost : most;
+        const golden_real force = fabs(s->qp.mult[c]) * q->reach[c];
+        most = (force > most) ? force : most;
+        sum += s->qp.mult[c] * (q->origin[c] - q->v[c]);
     }
-    return most;
+    sum = 0.5 * fabs(sum);
+    sum = (q->warm && q->energy > sum) ? q->energy : sum;
+    most = (sum < most * most) ? sum : most * most;
+    return (q->warm && 0.001 * q->energy > most) ? 0.001 * q->energy : most;
 }
 
-/* Residuals of the sides, r = distance + e - t and r_e = l1 + l2 e - lam - kappa, and the mean of t lam and e kappa. */
-static void ipm_side_residuals(golden_solver_t *s)
+/* |residual| of row c relative to |bound| + |value| and the way that the unit of cost allows, if larger than the one before. */
+static inline void ipm_take_residual(golden_ipm_t *q, int c, golden_real bound, golden_real residual, golden_real root)
 {
-    golden_ipm_t *q = &s->ipm;
-    golden_real sum = 0.0;
-    int i, pairs = q->sides;
-    for (i = 0; i < q->sides; i++) {
-        q->r[i] = q->sign[i] * (q->bound[i] - q->v[q->row[i]]) - q->t[i];
-        sum += q->t[i] * q->lam[i];
+    const golden_real size = fabs(bound) + fabs(q->v[c]) + root * q->reach[c];
+    if (fabs(residual) > q->primal * size) {
+        q->primal = fabs(residual) / size;
     }
-    for (i = q->hard; i < q->sides; i++) {
-        const int j = i - q->hard, m = q->row[i] - GOLDEN_NV;
-        q->r[i] += q->e[j];
-        q->r_e[j] = s->qp.penalty[m] + s->qp.curvature[m] * q->e[j] - q->lam[i] - q->kappa[j];
-        sum += q->e[j] * q->kappa[j];
-        pairs += q->kappa[j] > 0.0;
-    }
-    q->mu = (pairs > 0) ? sum / (golden_real)pairs : 0.0;
 }
 
-/* Residuals at the iterate; those of the rows relative to |bound| + |value| and to the way that the unit of cost allows. */
+/* Residuals at the iterate. */
 static void ipm_measure(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
+    golden_real root;
     int i, c;
     ipm_values(s, s->qp.x, s->qp.z, q->v);
     ipm_net_multipliers(s);
     ipm_side_residuals(s);
     q->unit = ipm_cost_unit(s);
     q->unit = (q->unit > q->mu) ? q->unit : q->mu;
+    root = sqrt(q->unit);
     q->primal = 0.0;
     for (i = 0; i < q->sides; i++) {
-        c = q->row[i];
-        const golden_real size = fabs(q->bound[i]) + fabs(q->v[c]) + sqrt(q->unit / q->curvature[c]);
-        const golden_real relative = fabs(q->r[i]) / size;
-        q->primal = (relative > q->primal) ? relative : q->primal;
+        ipm_take_residual(q, q->row[i], q->bound[i], q->r[i], root);
     }
     for (c = GOLDEN_NV; c < GOLDEN_NV + GOLDEN_NG; c++) {
         if (q->stiffness[c] > 0.0) {
-            const golden_real bound = s->qp.lower[c], gap = fabs(q->v[c] - bound);
-            const golden_real size = fabs(bound) + fabs(q->v[c]) + sqrt(q->unit / q->curvature[c]);
-            q->primal = (gap > q->primal * size) ? gap / size : q->primal;
+            ipm_take_residual(q, c, s->qp.lower[c], q->v[c] - s->qp.lower[c], root);
         }
     }
+}
+
+/* Regularisation keeps a full step from meeting the rows exactly. What it leaves to rows to which others leave little room may not
+ * fall fast enough: then there is less of it. Returns 1 if so. */
+static int ipm_stiffen(golden_ipm_t *q, golden_real before)
+{
+    if (q->step > 0.9 && q->primal > 9.094947017729282e-13 && q->primal > 0.125 * before &&
+        q->stiffening < 4096.0) {
+        q->stiffening *= 16.0;
+        return 1;
+    }
+    return 0;
 }
 
 /* 1 / (the longest step that keeps t, lam, e and kappa positive). */
@@ -1334,16 +1487,17 @@ static golden_real ipm_reduction(const golden_solver_t *s, golden_real step)
     return then / now;
 }
 
-/* Second-order correction and centring for the products t lam and e kappa: extra = (target - dt dlam) / lam, and alike for e. */
-static void ipm_correct(golden_solver_t *s, golden_real target)
+/* Second-order correction and centring for the products t lam and e kappa: extra = (target - share dt dlam) / lam, and alike for
+ * e. The correction of a direction of which only a short step is possible would do harm: share < 1. */
+static void ipm_correct(golden_solver_t *s, golden_real target, golden_real share)
 {
     golden_ipm_t *q = &s->ipm;
     int i;
     for (i = 0; i < q->sides; i++) {
-        q->extra[i] = (target - q->dt[i] * q->dlam[i]) / q->lam[i];
+        q->extra[i] = (target - share * q->dt[i] * q->dlam[i]) / q->lam[i];
     }
     for (i = 0; i < q->sides - q->hard; i++) {
-        q->extra_e[i] = (q->kappa[i] > 0.0) ? (target - q->de[i] * q->dkappa[i]) / q->e[i] : 0.0;
+        q->extra_e[i] = (q->kappa[i] > 0.0) ? (target - share * q->de[i] * q->dkappa[i]) / q->e[i] : 0.0;
     }
 }
 
@@ -1356,13 +1510,16 @@ static void ipm_move(golden_solver_t *s, golden_real step)
         for (i = 0; i < GOLDEN_NX; i++) {
             s->qp.x[k][i] += step * q->dx[k][i];
         }
+        for (i = 0; k < GOLDEN_NS && i < GOLDEN_NX; i++) {
+            s->riccati.b[k][i] *= 1.0 - step;
+        }
     }
     for (c = 0; c < GOLDEN_NV; c++) {
         s->qp.z[c] += step * q->du[c];
     }
     for (c = GOLDEN_NV; c < GOLDEN_NV + GOLDEN_NG; c++) {
         if (q->kind[c] == 1) {
-            q->y[c] += step * q->stiffness[c] * ((q->v[c] - s->qp.lower[c]) + q->dv[c]);
+            q->y[c] += step * q->weight[c] * ((q->v[c] - s->qp.lower[c]) + q->dv[c]);
         }
     }
     for (i = 0; i < q->sides; i++) {
@@ -1375,12 +1532,23 @@ static void ipm_move(golden_solver_t *s, golden_real step)
     }
 }
 
+/* The share of the way to the boundary that is not gone: little, and less near the solution. An iteration that takes long without
+ * being near it is going round in circles, close to the boundary; a larger distance from there breaks them. */
+static golden_real ipm_setback(const golden_solver_t *s)
+{
+    const golden_real gap = s->ipm.mu / s->ipm.unit;
+    if (s->qp.iterations > 15 && gap > sqrt(2.220446049250313e-16)) {
+        return 0.1;
+    }
+    return (gap > 0.0005) ? 0.005 : (gap < 1e-07) ? 1e-06 : 10.0 * gap;
+}
+
 /* One iteration of Mehrotra (1992): affine direction, centring as its success allows, corrected direction. */
 static void ipm_step(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real least = 0.0009765625 * 9.094947017729282e-13 * q->unit;
-    golden_real inverse, share, target, back;
+    const golden_real least = 0.0009765625 * 8.673617379884035e-19 * q->unit;
+    golden_real inverse, share, target, way;
     memset(q->extra, 0, sizeof q->extra);
     memset(q->extra_e, 0, sizeof q->extra_e);
     ipm_direction(s);
@@ -1392,22 +1560,46 @@ static void ipm_step(golden_solver_t *s)
     share = ipm_reduction(s, (inverse > 1.0) ? 1.0 / inverse : 1.0);
     share = (share > 0.0) ? ((share < 1.0) ? share : 1.0) : 0.0;
     target = share * share * share * q->mu;
-    ipm_correct(s, (target > least) ? target : least);
+    ipm_correct(s, (target > least) ? target : least, (inverse > 4.0) ? 4.0 / inverse : 1.0);
     ipm_direction(s);
     inverse = ipm_inverse_step(s);
-    back = 10.0 * q->mu / q->unit;
-    back = (back < 0.005) ? back : 0.005;
-    back = (back > 1e-06) ? back : 1e-06;
-    q->step = (1.0 - back < inverse) ? (1.0 - back) / inverse : 1.0;
+    way = 1.0 - ipm_setback(s);
+    q->step = (way < inverse) ? way / inverse : 1.0;
     ipm_move(s, q->step);
 }
 
-/* 1 if all residuals are at their tolerance, or small and no longer falling. */
+/* b = S z + b - x of the next stage at the iterate, whose rounding adds up over the iterations; the largest relative to the
+ * largest value of that state. */
+static golden_real ipm_gaps(golden_solver_t *s)
+{
+    golden_real most = 0.0, size[GOLDEN_NX] = {0}, z[GOLDEN_NZS];
+    int k, i;
+    for (k = 0; k <= GOLDEN_NS; k++) {
+        for (i = 0; i < GOLDEN_NX; i++) {
+            const golden_real x = fabs(s->qp.x[k][i]);
+            size[i] = (x > size[i]) ? x : size[i];
+        }
+    }
+    for (k = 0; k < GOLDEN_NS; k++) {
+        golden_real (*S)[GOLDEN_NZS] = stage_S(s, k);
+        memcpy(z, s->qp.x[k], sizeof s->qp.x[k]);
+        memcpy(z + GOLDEN_NX, s->qp.z + k * GOLDEN_NUS, sizeof z[0] * GOLDEN_NUS);
+        for (i = 0; i < GOLDEN_NX; i++) {
+            const golden_real gap = riccati_dot(S[i], z, GOLDEN_NZS) + stage_b(s, k)[i] - s->qp.x[k + 1][i];
+            s->riccati.b[k][i] = gap;
+            most = (fabs(gap) > most * size[i]) ? fabs(gap) / size[i] : most;
+        }
+    }
+    return most;
+}
+
+/* 1 if all residuals are at their tolerance, or small and no longer falling. Gaps of the dynamics are
+ * closed then. */
 static int ipm_converged(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     const golden_real before = q->merit;
-    golden_real part = q->mu / (9.094947017729282e-13 * q->unit);
+    golden_real part = (q->mu > 0.0) ? q->mu / (8.673617379884035e-19 * q->unit) : 0.0;
     q->merit = q->primal / 9.094947017729282e-13;
     q->merit = (part > q->merit) ? part : q->merit;
     if (!(q->merit <= 1024.0)) {
@@ -1415,17 +1607,29 @@ static int ipm_converged(golden_solver_t *s)
     }
     part = ipm_stationarity(s) / 3.637978807091713e-12;
     q->merit = (part > q->merit) ? part : q->merit;
-    return q->merit <= 1.0 || (q->merit <= 1024.0 && q->merit > 0.5 * before);
+    if (q->merit > 1.0 && !(q->merit <= 1024.0 && q->merit > 0.5 * before)) {
+        return 0;
+    }
+    if (q->closed_gaps < 2 && ipm_gaps(s) > 5.684341886080802e-14) {
+        q->closed_gaps++;
+        return 0;
+    }
+    return 1;
 }
 
 /* OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
 static golden_status_t ipm_iterate(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
+    q->closed_gaps = 0;
     q->merit = (golden_real)INFINITY;
     q->step = 1.0;
+    q->primal = (golden_real)INFINITY;
     for (;;) {
+        const golden_real before = q->primal;
+        int changed;
         ipm_measure(s);
+        changed = ipm_stiffen(q, before);
         ipm_cost_gradient(s);
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return GOLDEN_NUMERICAL_FAILURE;
@@ -1440,7 +1644,7 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
             return ipm_infeasible(s) ? GOLDEN_INFEASIBLE : GOLDEN_ITERATION_LIMIT;
         }
         s->qp.iterations++;
-        if (q->sides > 0) {
+        if (q->sides > 0 || changed) {
             ipm_weigh(s);
             if (!ipm_factorize(s)) {
                 return GOLDEN_NUMERICAL_FAILURE;
@@ -1450,7 +1654,7 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
     }
 }
 
-static void ipm_init(golden_solver_t *s)
+static inline void ipm_init(golden_solver_t *s)
 {
     memset(&s->ipm, 0, sizeof s->ipm);
 }
@@ -1466,21 +1670,32 @@ static void ipm_clear(golden_solver_t *s)
     s->qp.relaxed = 0;
 }
 
-/* side: rows whose multiplier is larger than what their distance to the bound would cost; +-2: soft ones that are violated. */
+/* side: rows whose multiplier is larger than what their distance to the bound would cost; +-2: soft ones that are violated.
+ * Multipliers of the others that are only rounding become 0. */
 static void ipm_write_sides(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
+    const golden_real least = 2.220446049250313e-16 * sqrt(q->unit);
     int i, c;
     s->qp.relaxed = 0;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
         s->qp.side[c] = (q->kind[c] == 0) ? 0 : (s->qp.mult[c] < 0.0) ? -1 : 1;
     }
     for (i = 0; i < q->sides; i++) {
-        c = q->row[i];
-        if (q->lam[i] > q->curvature[c] * q->t[i]) {
-            const int violated = i >= q->hard && q->e[i - q->hard] * q->curvature[c] > q->kappa[i - q->hard];
-            s->qp.side[c] = (q->sign[i] > 0.0 ? 1 : -1) * (violated ? 2 : 1);
+        const golden_real square = q->reach[q->row[i]] * q->reach[q->row[i]];
+        if (q->lam[i] * square > q->t[i]) {
+            const int violated = i >= q->hard && q->e[i - q->hard] > q->kappa[i - q->hard] * square;
+            s->qp.side[q->row[i]] = (q->sign[i] > 0.0 ? 1 : -1) * (violated ? 2 : 1);
             s->qp.relaxed += violated;
+        }
+    }
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        if (c >= GOLDEN_NV && !(q->reach[c] > 0.0)) {
+            const golden_real mult = ipm_constant_multiplier(s, c);
+            s->qp.side[c] = (mult > 0.0) ? 2 : (mult < 0.0) ? -2 : s->qp.side[c];
+            s->qp.relaxed += s->qp.side[c] == 2 || s->qp.side[c] == -2;
+        } else if (s->qp.side[c] == 0 && fabs(s->qp.mult[c]) * q->reach[c] <= least) {
+            s->qp.mult[c] = 0.0;
         }
     }
 }
@@ -1490,7 +1705,7 @@ static golden_status_t ipm_prepare(golden_solver_t *s)
 {
     s->ipm.ready = 0;
     (void)ipm_take_kinds(s);
-    if (!ipm_factorize_cold(s)) {
+    if (!ipm_factorize_warm(s) && !ipm_factorize_cold(s)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
     (void)ipm_first_forces(s);
@@ -1499,55 +1714,81 @@ static golden_status_t ipm_prepare(golden_solver_t *s)
     return GOLDEN_OK;
 }
 
-/* The solution for dx_0 and the present bounds. */
+/* 1 if a control is fixed or a row an equation. */
+static int ipm_any_given(const golden_ipm_t *q)
+{
+    int c, any = 0;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        any |= q->kind[c] != 0;
+    }
+    return any;
+}
+
+/* Without a warm start the first point is the solution if it meets all rows, once equations are exact and fixed controls have
+ * their multipliers. Returns 1 if it is, or if something is wrong with the equations. */
+static int ipm_run_without_sides(golden_solver_t *s, golden_status_t *status)
+{
+    golden_ipm_t *q = &s->ipm;
+    int count;
+    q->sides = q->hard = 0;
+    q->unit = 0.0;
+    (void)ipm_violation_cost(s, &count);
+    if (q->warm || q->damping > 0.0 || count > 0) {
+        return 0;
+    }
+    if (!ipm_any_given(q)) {
+        ipm_net_multipliers(s);
+        return 1;
+    }
+    *status = ipm_iterate(s);
+    (void)ipm_violation_cost(s, &count);
+    return *status != GOLDEN_OK || count == 0;
+}
+
+/* The first point is known. */
 static golden_status_t ipm_run(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     golden_status_t status = GOLDEN_OK;
-    golden_real cost;
+    golden_real mu = q->warm ? 0.001 * q->energy : q->damping, cost;
     int count;
-    if (!ipm_first_point(s)) {
-        return GOLDEN_NUMERICAL_FAILURE;
+    if (ipm_run_without_sides(s, &status)) {
+        return status;
     }
-    if (ipm_constant_rows(s)) {
-        return GOLDEN_INFEASIBLE;
-    }
-    q->sides = q->hard = 0;
-    cost = ipm_violation_cost(s, &count);
-    if (count == 0 && !(q->damping > 0.0)) {
-        status = ipm_iterate(s);
-        cost = ipm_violation_cost(s, &count);
-        if (status != GOLDEN_OK || count == 0) {
-            return status;
-        }
+    cost = ipm_violation_cost(s, &count) / (golden_real)((count > 0) ? count : 1);
+    if (!q->warm) {
+        memset(s->qp.mult, 0, sizeof s->qp.mult);
+        cost *= 2.0;
     }
     ipm_list_sides(s);
-    cost = (q->damping > cost) ? q->damping : cost;
-    ipm_start_sides(s, 3.0 * cost / (golden_real)(count > 0 ? count : 1));
+    ipm_start_sides(s, (cost > mu) ? cost : mu);
     return ipm_iterate(s);
 }
 
+/* The solution for dx_0 and the present bounds. */
 static golden_status_t ipm_solve(golden_solver_t *s)
 {
+    golden_ipm_t *q = &s->ipm;
     golden_status_t status = ipm_check_bounds(s);
     s->qp.iterations = 0;
-    if (status != GOLDEN_OK) {
-        ipm_clear(s);
-        return status;
-    }
-    if (ipm_take_kinds(s) || !s->ipm.ready) {
-        status = ipm_prepare(s);
-    } else if (ipm_first_forces(s)) {
-        ipm_first_backward(s);
-    }
-    s->ipm.ready = 0;
     if (status == GOLDEN_OK) {
-        status = ipm_run(s);
+        if (ipm_take_kinds(s) || !q->ready) {
+            status = ipm_prepare(s);
+        } else if (ipm_first_forces(s)) {
+            ipm_first_backward(s);
+        }
+    }
+    q->ready = q->known = 0;
+    if (status == GOLDEN_OK) {
+        status = !ipm_first_point(s) ? GOLDEN_NUMERICAL_FAILURE : ipm_constant_rows(s) ? GOLDEN_INFEASIBLE : ipm_run(s);
+        ipm_write_sides(s);
+        q->known = status == GOLDEN_OK;
+        q->energy = q->unit;
+    } else {
+        ipm_clear(s);
     }
     if (status == GOLDEN_NUMERICAL_FAILURE) {
         ipm_clear(s);
-    } else {
-        ipm_write_sides(s);
     }
     return status;
 }

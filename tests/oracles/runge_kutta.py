@@ -71,7 +71,7 @@ def _crane_f(x: Array, u: Array, p: Array) -> Array:
 
 
 def _crane_fx(x: Array, u: Array, p: Array) -> Array:
-    J = np.zeros((4, 4))
+    J = np.zeros((4, 4), np.result_type(x, u))
     J[0, 1] = J[2, 3] = 1
     J[3, 2] = -9.81 * np.cos(x[2]) + u[0] * np.sin(x[2])
     J[3, 3] = -0.2

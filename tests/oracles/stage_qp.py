@@ -22,6 +22,7 @@ Array = np.ndarray
 #: (l1, l2) of the soft row at position i, in turn.
 SOFT = ((2.0, 0.0), (1.0, 0.5), (0.0, 3.0), (0.3, 10.0))
 TINY = np.finfo(float).tiny
+REDUNDANT = 1e-13  # in place of the zero block of K
 
 
 @dataclass(frozen=True, order=True)
@@ -310,9 +311,7 @@ def _rows_and_bounds(qp: StageQP, p: Point, gradient: float) -> tuple[float, flo
     return float(np.max(violation, initial=0.0)), float(np.max(rows, initial=0.0))
 
 
-def natural_residual(
-    value: Array, mult: Array, lower: Array, upper: Array, l1: Array, l2: Array, tau: Array
-) -> Array:
+def natural_residual(value: Array, mult: Array, lower: Array, upper: Array, l1: Array, l2: Array, tau: Array) -> Array:
     """|value - prox(value + tau mult)|, prox that of tau times the penalty l1 v + l2/2 v^2 of the violation v.
 
     It vanishes if and only if mult is a subgradient of the penalty at value: sign, complementarity, and mult = l1 + l2 v
@@ -381,7 +380,8 @@ def sparse_form(qp: StageQP) -> tuple[sp.csc_matrix, Array, sp.csr_matrix, sp.cs
 def condition(qp: StageQP) -> float:
     """|K|_1 |P K^-1|_1 of the KKT matrix K at the optimum in units of the variables, P = primal part (an estimate).
 
-    The larger of two: with all active rows, and with those that carry a multiplier.
+    The larger of two: with all active rows, and with those that carry a multiplier. Rows that are redundant on purpose are
+    blurred by REDUNDANT, for their matrix has no condition.
     """
     assert qp.optimum is not None
     s, p = qp.shape, qp.optimum
@@ -405,13 +405,14 @@ def condition(qp: StageQP) -> float:
         A = sp.vstack([D, R[np.flatnonzero(rows & ~saturated)]]) @ scale
         A = sp.vstack([A, identity])
         A = sp.diags(1 / np.maximum(abs(A).max(axis=1).toarray().ravel(), TINY)) @ A
-        found.append(_primal_condition(H, A))
+        found.append(_primal_condition(H, A, REDUNDANT if qp.kind == "redundant" else 0.0))
     return max(found)
 
 
-def _primal_condition(H: sp.spmatrix, A: sp.spmatrix) -> float:
+def _primal_condition(H: sp.spmatrix, A: sp.spmatrix, delta: float) -> float:
+    """The same for K = [H A'; A -delta I]."""
     n, m = H.shape[0], A.shape[0]
-    K = sp.bmat([[H, A.T], [A, -1e-13 * sp.eye(m)]], format="csc")
+    K = sp.bmat([[H, A.T], [A, -delta * sp.eye(m)]], format="csc")
     try:
         factor = splu(K)
     except RuntimeError:

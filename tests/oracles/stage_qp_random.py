@@ -270,9 +270,13 @@ def _bounds(
     margin[rng.random((2, *shape)) < 0.2] = np.inf
     margin[:, violated & (rng.random(shape) < 0.2)] = 0.0  # a soft equality
     met = (state == UPPER) | (state == EQUAL)
-    upper = np.select([met, state == OVER, state == UNDER], [value, value - v, value + v + margin[0]], value + margin[0])
+    upper = np.select(
+        [met, state == OVER, state == UNDER], [value, value - v, value + v + margin[0]], value + margin[0]
+    )
     met = (state == LOWER) | (state == EQUAL)
-    lower = np.select([met, state == UNDER, state == OVER], [value, value + v, value - v - margin[1]], value - margin[1])
+    lower = np.select(
+        [met, state == UNDER, state == OVER], [value, value + v, value - v - margin[1]], value - margin[1]
+    )
     return lower, upper, mult
 
 

@@ -173,6 +173,11 @@ class ExactHessian:
         return self._block(path | first, nz), self._block(last, nx)
 
     @property
+    def convex(self) -> bool:
+        """Every block is made positive definite."""
+        return self.level == "stage"
+
+    @property
     def parts(self) -> tuple[str, ...]:
         """What becomes of an indefinite Hessian."""
         if self.level == "stage":

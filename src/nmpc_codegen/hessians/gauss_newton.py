@@ -99,6 +99,11 @@ class GaussNewton:
         return pattern(routines["path_hessian"], "Q"), pattern(routines["terminal_hessian"], "Q")
 
     @property
+    def convex(self) -> bool:
+        """Every block is positive semidefinite."""
+        return True
+
+    @property
     def parts(self) -> tuple[str, ...]:
         """What becomes of the curvature of the rows."""
         rows = "hessians/convex_rows.c.jinja" if self.convex_rows else "hessians/flat_rows.c.jinja"

@@ -49,6 +49,11 @@ class IdentityHessian:
         return pattern(routines["path_hessian"], "Q"), pattern(routines["terminal_hessian"], "Q")
 
     @property
+    def convex(self) -> bool:
+        """Every block is positive definite."""
+        return True
+
+    @property
     def parts(self) -> tuple[str, ...]:
         return ("hessians/first_order.c.jinja", "hessians/regularize_nothing.c.jinja")
 

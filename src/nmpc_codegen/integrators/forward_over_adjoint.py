@@ -36,14 +36,14 @@ class AdjointSweep(Builder):
         return nodes + self._results()
 
     def _stored(self, stage: int) -> Slice:
-        """Column c of the rows of Z that F depends on, kept for every stage of every step."""
-        size = len(self.d.needed) * self.ld
+        """Column c of the curved rows of Z, kept for every stage of every step."""
+        size = len(self.d.curved_states) * self.ld
         terms = (("step", self.stages * size), ("c", 1))
-        return Slice("Zs", len(self.d.needed), Affine(stage * size, terms), self.ld)
+        return Slice("Zs", len(self.d.curved_states), Affine(stage * size, terms), self.ld)
 
     def _slope(self, stage: int) -> list[Node]:
         """The columns of K_i' in the first sweep."""
-        return [*self.again(stage, self.d.slopes), self.slope(stage, self.d.needed, self._stored(stage))]
+        return [*self.again(stage, self.d.slopes), self.slope(stage, self.d.curved_states, self._stored(stage))]
 
     def _second(self, stage: int) -> list[Node]:
         """kappa_i, H_i, and the columns of Xbar_i' and ubar'."""
@@ -59,15 +59,13 @@ class AdjointSweep(Builder):
         d, sym = self.d, ca.SX.sym
         needed = d.needed
         tape, h, H = sym("t", d.slopes), sym("h"), sym("H", d.values)
-        Z, units = sym("Z", len(needed)), sym("E", len(self.controls))
+        Z, units = sym("Z", len(d.curved_states)), sym("E", len(self.controls))
         adj, ubar = sym("adj", len(needed)), sym("ubar", len(self.controls))
         bars = {j: sym(f"bar{j}", len(needed)) for j in self.later(stage)}
         K = ca.SX(self.nF, 1)
         K[needed] = self.adjoint_of_slope(stage, adj, h, bars)
-        full = ca.SX(self.nx, 1)
-        full[needed] = Z
         curved = ca.SX(self.nz, 1)
-        curved[self.rows] = self.full_hessian(H)[self.rows, : self.nx] @ full + self.curvature_forcing(H, units)
+        curved[self.rows] = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
         bar = ca.densify(d.Fz(tape).T @ K + curved)
         names = ["t", "h", "H", "Z", "E", "adj", "ubar", *(f"bar{j}" for j in bars)]
         arguments = [tape, h, H, Z, units, adj, ubar, *bars.values()]
@@ -98,6 +96,9 @@ class AdjointSweep(Builder):
         needed = len(self.d.needed) * self.ld
         return (
             *self.locals(),
-            *(("kappa", self.stages * len(self.d.curved)), ("Zs", self.steps * self.stages * needed)),
+            *(
+                ("kappa", self.stages * len(self.d.curved)),
+                ("Zs", self.steps * self.stages * len(self.d.curved_states) * self.ld),
+            ),
             *(("adjS", needed), ("XbarS", self.stages * needed), ("ubarS", len(self.controls) * self.ld)),
         )

@@ -131,6 +131,11 @@ class Builder:
         names = ["adj", "h", "t", *(f"Xbar{j}" for j in bars)]
         return ca.Function(f"backward_{stage}", [adj, h, tape, *bars.values()], [wanted, bar], names, ["kappa", "Xbar"])
 
+    @property
+    def forcing_varies(self) -> bool:
+        """F_u depends on the stage point."""
+        return any(j >= self.nx and not c for (_, j), c in zip(self.d.jacobian, self.d.constants, strict=True))
+
     def linear_forcing(self) -> Any:
         """Constant entries of [0 F_u], rows ``forced`` and packed columns."""
         rows = ca.SX.zeros(len(self.forced), self.ld)
@@ -189,10 +194,11 @@ class Builder:
             Call(copy("copy_x", self.nx), (Slice("x", self.nx),), (Slice("X", self.nx),)),
             Call(constant("identity", identity), (), (Slice("Sx", self.nF * self.ld),)),
         ]
-        units = ca.SX.zeros(len(self.controls) * self.ld)
-        for n in range(len(self.controls)):
-            units[n * self.ld + self.state_columns + n] = 1
-        nodes.append(Call(constant("units", units), (), (Slice("E", units.numel()),)))
+        if self.d.curved_controls or self.forcing_varies:
+            units = ca.SX.zeros(len(self.controls) * self.ld)
+            for n in range(len(self.controls)):
+                units[n * self.ld + self.state_columns + n] = 1
+            nodes.append(Call(constant("units", units), (), (Slice("E", units.numel()),)))
         value = self.linear_forcing()
         nodes.append(Call(constant("forcing", value), (), (Slice("Fu", value.numel()),)))
         return nodes

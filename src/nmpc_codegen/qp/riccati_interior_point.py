@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 from nmpc_codegen.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
-from nmpc_codegen.riccati import TEMPLATES as RECURSION
-from nmpc_codegen.riccati import riccati_sizes, riccati_struct
+from nmpc_codegen.riccati import RECURSION, riccati_sizes, riccati_struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.component import Counts, Dims
@@ -98,6 +97,7 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("hard", (), "hard ones among them, which come first", "scratch", "int32"),
             Field("warm", (), "the first factorisation is that of a warm start", "scratch", "int32"),
             Field("known", (), "the last QP was solved: reach, energy and multipliers are good", "keep", "int32"),
+            Field("closed_gaps", (), "how often the gaps of the dynamics have been closed", "scratch", "int32"),
             Field("ready", (), "the first factorisation stands", "scratch", "int32"),
         ),
     )
