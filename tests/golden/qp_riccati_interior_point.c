@@ -1,8 +1,15 @@
 /* ==== qp: riccati_interior_point ========================================================================== */
 
 /* ---------------------------------------------------------------------------------------------------------------------
- * qp: Riccati interior point
- * TODO
+ * qp: Riccati interior point method
+ *
+ * Contract of the seam
+ *   qp_init       once: no bounds, nothing known.
+ *   qp_factorize  preparation: matrices are known, lower and upper hold a prediction. OK or NUMERICAL_FAILURE.
+ *   qp_gradient   gradients or gaps have changed, no matrix.
+ *   qp_solve      feedback: dx_0 in step.dx[0], bounds and penalties as they are now. Writes x, z, mult, side, iterations,
+ *                 relaxed. OK; ITERATION_LIMIT; INFEASIBLE: certificate[] holds a contradiction; NUMERICAL_FAILURE.
+ *   qp_shift_working_set  the warm start moves n controls towards the front, and rows as told.
  * ------------------------------------------------------------------------------------------------------------------ */
 
 /* Riccati recursion on the stage QP, shared by the Riccati solvers.
@@ -514,7 +521,8 @@ static void riccati_init(golden_solver_t *s)
  *     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + sum_soft (l1_c e_c + l2_c/2 e_c^2)   s.t.   x_{k+1} = S_k z_k + b_k,
  *          bound_i - sign_i v_i + e_i = t_i >= 0  for every finite side i of a row,   v_c = B_c  for an equation
  *
- * TODO
+ * A step solves for the directions of t, lam (and of e, kappa of a soft side) row by row, so that only the weights of the rows
+ * enter the recursion; equations have the weight of a small compliance and are met by corrections of their multipliers.
  */
 
 /* Contract of this part: rows of the QP (controls first, then general rows), their sides with finite bounds, directions. */
@@ -978,13 +986,11 @@ static int ipm_set_stiffness(golden_solver_t *s)
     return any;
 }
 
-/* Factorisation of the problem with equations only, and units of the rows if they are not known. */
-static int ipm_factorize_cold(golden_solver_t *s)
+/* Factorisation of the problem with equations only, and units of the rows. */
+static int ipm_first_factorization(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     memset(q->stiffness, 0, sizeof q->stiffness);
-    memset(q->y, 0, sizeof q->y);
-    q->warm = q->sides = q->hard = 0;
     q->damping = 0.0;
     q->stiffening = 1.0;
     q->least_pivot = ipm_least_pivot(s);
@@ -1011,21 +1017,12 @@ static int ipm_first_forces(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     int c, changed = 0;
-    memcpy(q->dv, q->force, sizeof q->force);
-    memset(q->v, 0, sizeof q->v);
-    if (q->warm) {
-        ipm_list_sides(s);
-        ipm_side_residuals(s);
-        memcpy(q->extra, q->t, sizeof q->t);
-        memcpy(q->extra_e, q->kappa, sizeof q->kappa);
-    }
-    ipm_forces(s);
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        const golden_real middle = 0.5 * (s->qp.lower[c] + s->qp.upper[c]);
+        const golden_real f = (q->weight[c] > 0.0) ? -q->weight[c] * middle : 0.0;
         const golden_real u = (q->kind[c] == 2) ? s->qp.lower[c] : 0.0;
-        if (q->damping > 0.0 && q->kind[c] == 0 && q->weight[c] > 0.0) {
-            q->force[c] -= q->weight[c] * 0.5 * (s->qp.lower[c] + s->qp.upper[c]);
-        }
-        changed |= !(q->dv[c] >= q->force[c] && q->dv[c] <= q->force[c]);
+        changed |= !(f >= q->force[c] && f <= q->force[c]);
+        q->force[c] = f;
         if (c < GOLDEN_NV) {
             changed |= !(u >= s->riccati.du[c] && u <= s->riccati.du[c]);
             s->riccati.du[c] = u;
@@ -1047,8 +1044,7 @@ static void ipm_first_backward(golden_solver_t *s)
     riccati_backward(s, GOLDEN_NS);
 }
 
-/* (x, u) = minimiser with equations only, or with the sides of a warm start. Returns 0 if it is not finite. From here on steps are
- * computed: no gaps, no dx_0. */
+/* (x, u) = minimiser with equations only. Returns 0 if it is not finite. From here on steps are computed: no gaps, no dx_0. */
 static int ipm_first_point(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
@@ -1067,9 +1063,7 @@ static int ipm_first_point(golden_solver_t *s)
     memcpy(q->origin, q->v, sizeof q->v);
     for (i = 0; i < GOLDEN_NV + GOLDEN_NG; i++) {
         probe += 0.0 * q->v[i];
-        if (q->kind[i] == 1) {
-            q->y[i] += q->weight[i] * (q->v[i] - s->qp.lower[i]);
-        }
+        q->y[i] = (q->kind[i] == 1) ? q->weight[i] * (q->v[i] - s->qp.lower[i]) : 0.0;
     }
     return isfinite(probe) != 0;
 }
@@ -1124,24 +1118,26 @@ static void ipm_start_soft_side(golden_solver_t *s, int i, golden_real mu, golde
     }
 }
 
-/* t lam = mu on every side, t - reach^2 lam = distance - reach^2 |multiplier so far| but for violated bounds, where the distance
- * counts as 0. Without multipliers t is at most the middle between the bounds, unless the value is farther away. */
-static void ipm_start_sides(golden_solver_t *s, golden_real mu)
+/* t lam = mu on every side, t - reach^2 lam = distance - reach^2 |multiplier before| but for violated bounds, where the distance
+ * counts as 0. Multipliers that the present cost of the violations cannot explain are cut. Without a multiplier t is at most the
+ * middle between the bounds, unless the value is farther away. */
+static void ipm_start_sides(golden_solver_t *s, golden_real mu, golden_real cost)
 {
     golden_ipm_t *q = &s->ipm;
+    const golden_real root_mu = sqrt(mu), most = 4.0 * sqrt(cost);
     int i;
     for (i = 0; i < q->sides; i++) {
         const int c = q->row[i];
-        const golden_real square = q->reach[c] * q->reach[c], pull = q->sign[i] * s->qp.mult[c] * square;
-        const golden_real distance = q->sign[i] * (q->bound[i] - q->v[c]);
+        const golden_real reach = q->reach[c], distance = q->sign[i] * (q->bound[i] - q->v[c]);
         const golden_real half = 0.5 * (s->qp.upper[c] - s->qp.lower[c]);
-        golden_real t = sqrt(mu * square);
+        golden_real force = q->warm ? q->sign[i] * q->before[c] * reach : 0.0, t = root_mu * reach;
         t = (half < t && half > 0.0) ? half : t;
         t = (distance > t) ? distance : t;
-        if (pull > 0.0) {
-            const golden_real excess = pull - ((distance > 0.0) ? distance : 0.0);
-            const golden_real root = sqrt(excess * excess + 4.0 * mu * square);
-            t = (excess > 0.0) ? 2.0 * mu * square / (root + excess) : 0.5 * (root - excess);
+        if (force > 0.0) {
+            force = (force < most) ? force : most;
+            force -= (distance > 0.0) ? distance / reach : 0.0;
+            t = sqrt(force * force + 4.0 * mu);
+            t = (force > 0.0) ? 2.0 * mu * reach / (t + force) : 0.5 * (t - force) * reach;
         }
         q->t[i] = t;
         q->lam[i] = mu / t;
@@ -1149,31 +1145,6 @@ static void ipm_start_sides(golden_solver_t *s, golden_real mu)
             ipm_start_soft_side(s, i, mu, distance);
         }
     }
-}
-
-/* Factorisation near the multipliers of the QP before, at the present plan; the rows keep their units. Returns 0 if no row
- * was active there, or if it fails. */
-static int ipm_factorize_warm(golden_solver_t *s)
-{
-    golden_ipm_t *q = &s->ipm;
-    int c, active = 0;
-    q->warm = 0;
-    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        active |= q->kind[c] == 0 && s->qp.side[c] != 0;
-    }
-    if (!GOLDEN_IPM_WARM_START || !q->known || !active) {
-        return 0;
-    }
-    (void)ipm_set_stiffness(s);
-    q->warm = 1;
-    q->stiffening = 1.0;
-    q->damping = 0.0;
-    memcpy(q->y, s->qp.mult, sizeof q->y);
-    memset(q->v, 0, sizeof q->v);
-    ipm_list_sides(s);
-    ipm_start_sides(s, 0.001 * q->energy);
-    ipm_weigh(s);
-    return ipm_factorize(s);
 }
 
 /* Contract of this part: the multipliers against the dynamics, as stationarity or as a proof that there is no feasible point. */
@@ -1388,7 +1359,7 @@ static void ipm_net_multipliers(golden_solver_t *s)
 }
 
 /* The unit of the complementarity: what the inequalities cost, 1/2 sum_c mult_c (v_c at the first point - v_c), but no more than
- * the largest (mult reach)^2 of a row. After a warm start the first point says little; the QP before says more. */
+ * the largest (mult reach)^2 of a row. */
 static golden_real ipm_cost_unit(const golden_solver_t *s)
 {
     const golden_ipm_t *q = &s->ipm;
@@ -1400,9 +1371,7 @@ static golden_real ipm_cost_unit(const golden_solver_t *s)
         sum += s->qp.mult[c] * (q->origin[c] - q->v[c]);
     }
     sum = 0.5 * fabs(sum);
-    sum = (q->warm && q->energy > sum) ? q->energy : sum;
-    most = (sum < most * most) ? sum : most * most;
-    return (q->warm && 0.001 * q->energy > most) ? 0.001 * q->energy : most;
+    return (sum < most * most) ? sum : most * most;
 }
 
 /* |residual| of row c relative to |bound| + |value| and the way that the unit of cost allows, if larger than the one before. */
@@ -1705,7 +1674,7 @@ static golden_status_t ipm_prepare(golden_solver_t *s)
 {
     s->ipm.ready = 0;
     (void)ipm_take_kinds(s);
-    if (!ipm_factorize_warm(s) && !ipm_factorize_cold(s)) {
+    if (!ipm_first_factorization(s)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
     (void)ipm_first_forces(s);
@@ -1724,8 +1693,8 @@ static int ipm_any_given(const golden_ipm_t *q)
     return any;
 }
 
-/* Without a warm start the first point is the solution if it meets all rows, once equations are exact and fixed controls have
- * their multipliers. Returns 1 if it is, or if something is wrong with the equations. */
+/* The first point is the solution if it meets all rows, once equations are exact and fixed controls have their multipliers.
+ * Returns 1 if it is, or if something is wrong with the equations. */
 static int ipm_run_without_sides(golden_solver_t *s, golden_status_t *status)
 {
     golden_ipm_t *q = &s->ipm;
@@ -1733,7 +1702,7 @@ static int ipm_run_without_sides(golden_solver_t *s, golden_status_t *status)
     q->sides = q->hard = 0;
     q->unit = 0.0;
     (void)ipm_violation_cost(s, &count);
-    if (q->warm || q->damping > 0.0 || count > 0) {
+    if (q->damping > 0.0 || count > 0) {
         return 0;
     }
     if (!ipm_any_given(q)) {
@@ -1745,23 +1714,22 @@ static int ipm_run_without_sides(golden_solver_t *s, golden_status_t *status)
     return *status != GOLDEN_OK || count == 0;
 }
 
-/* The first point is known. */
+/* The first point is known. Products t lam start at twice the mean cost of the violations, with the multipliers of the QP before
+ * at a tenth of it. */
 static golden_status_t ipm_run(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     golden_status_t status = GOLDEN_OK;
-    golden_real mu = q->warm ? 0.001 * q->energy : q->damping, cost;
+    golden_real cost, mu;
     int count;
     if (ipm_run_without_sides(s, &status)) {
         return status;
     }
-    cost = ipm_violation_cost(s, &count) / (golden_real)((count > 0) ? count : 1);
-    if (!q->warm) {
-        memset(s->qp.mult, 0, sizeof s->qp.mult);
-        cost *= 2.0;
-    }
+    cost = ipm_violation_cost(s, &count);
+    mu = 2.0 * cost / (golden_real)((count > 0) ? count : 1);
+    mu = (q->damping > mu) ? q->damping : mu;
     ipm_list_sides(s);
-    ipm_start_sides(s, (cost > mu) ? cost : mu);
+    ipm_start_sides(s, q->warm ? 0.1 * mu : mu, cost);
     return ipm_iterate(s);
 }
 
@@ -1770,7 +1738,9 @@ static golden_status_t ipm_solve(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     golden_status_t status = ipm_check_bounds(s);
-    s->qp.iterations = 0;
+    q->warm = GOLDEN_IPM_WARM_START && q->solved;
+    memcpy(q->before, s->qp.mult, sizeof q->before);
+    s->qp.iterations = q->solved = 0;
     if (status == GOLDEN_OK) {
         if (ipm_take_kinds(s) || !q->ready) {
             status = ipm_prepare(s);
@@ -1778,12 +1748,11 @@ static golden_status_t ipm_solve(golden_solver_t *s)
             ipm_first_backward(s);
         }
     }
-    q->ready = q->known = 0;
+    q->ready = 0;
     if (status == GOLDEN_OK) {
         status = !ipm_first_point(s) ? GOLDEN_NUMERICAL_FAILURE : ipm_constant_rows(s) ? GOLDEN_INFEASIBLE : ipm_run(s);
+        q->solved = status == GOLDEN_OK;
         ipm_write_sides(s);
-        q->known = status == GOLDEN_OK;
-        q->energy = q->unit;
     } else {
         ipm_clear(s);
     }

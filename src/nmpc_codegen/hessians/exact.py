@@ -111,7 +111,7 @@ class ExactHessian:
         r = ca.dot(eta, problem.coupled(x_0, x_N)) if ne else ca.SX(0)
         first, last = (ca.sparsify(ca.tril(ca.hessian(r, x)[0])) for x in (x_0, x_N))
         Q = ca.sparsify(cost.hessian + last + self._damping(nx))
-        ports = [Port("x_0", nx), Port("eta", ne, doc="multipliers of the coupled rows")]
+        ports = [Port("first", nx, doc="x_0"), Port("eta", ne, doc="multipliers of the coupled rows")]
         terminal = lift(
             ca.Function("hessian", [*cost.inputs, cost.yref, cost.W, cost.mu, x_0, eta], [Q]),
             "terminal_hessian",
@@ -126,7 +126,7 @@ class ExactHessian:
             ca.Function("initial", [x_0, x_N, eta, Q_0], [total]),
             "initial_hessian",
             "Q = Q_0 + d2 (eta' r) / dx_0^2, entries that change",
-            [Port("x_0", nx), Port("x_N", nx), ports[1], Port("Q_0", nz * nz)],
+            [ports[0], Port("last", nx, doc="x_N"), ports[1], Port("block", nz * nz, doc="Q_0")],
             [Port("Q", nz, nz)],
         )
         return self._completed(terminal), initial
@@ -220,7 +220,7 @@ class ExactHessian:
             nodes, lanes = Size("N + 1", dims.N.value + 1), Size("LANES", _lanes(dims.nz.value))
             square = Size("NZ * NZ", dims.nz.value**2)
             scratch += (
-                Field("scale", (nodes,), "largest absolute eigenvalue of the block", "scratch"),
+                Field("scale", (nodes,), "largest absolute entry of the block", "scratch"),
                 Field("A", (square, lanes), "blocks of one size, one per lane; then diagonal", "scratch"),
                 Field("V", (square, lanes), "their eigenvectors", "scratch"),
             )

@@ -2,7 +2,8 @@
 
     V max(|Lambda|, floor) V'   (mirror, [Q14] equation 4)      V max(Lambda, floor) V'   (project)
 
-floor = ``floor`` times the largest |Lambda| of the block; a zero block takes the scale of the largest block.
+floor = ``floor`` times the largest |Lambda| of the block; a zero block takes the largest entry of all blocks
+for it.
 """
 
 from __future__ import annotations

@@ -53,6 +53,7 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("v", (rows,), "values of the rows", "scratch"),
             Field("origin", (rows,), "values of the rows at the first point", "scratch"),
             Field("dv", (rows,), "their direction", "scratch"),
+            Field("before", (rows,), "multipliers of the QP before", "scratch"),
             Field("y", (rows,), "multipliers of equations", "scratch"),
             Field("reach", (rows,), "how far one half unit of cost moves a row", "keep"),
             Field("stiffness", (rows,), "weights of equations", "scratch"),
@@ -82,24 +83,30 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("extra_e", (soft,), "correction of the products e kappa", "scratch"),
             Field("de", (soft,), "direction of e", "scratch"),
             Field("dkappa", (soft,), "direction of kappa", "scratch"),
-            Field("mu", (), "mean of t lam and e kappa", "scratch"),
-            Field("unit", (), "largest cost of a single row", "scratch"),
-            Field("primal", (), "largest relative residual of the rows", "scratch"),
-            Field("merit", (), "largest residual relative to its tolerance", "scratch"),
-            Field("energy", (), "unit of the last QP", "keep"),
-            Field("step", (), "length of the last step", "scratch"),
-            Field("stiffening", (), "by how much the regularisation of the rows is divided", "scratch"),
-            Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
-            Field("least_pivot", (), "added to pivots that are zero", "scratch"),
-            Field("row", (sides,), "row of a side", "scratch", "int32"),
-            Field("kind", (rows,), "0: inequality, 1: equation, 2: fixed control", "scratch", "int32"),
-            Field("sides", (), "finite bounds of inequalities", "scratch", "int32"),
-            Field("hard", (), "hard ones among them, which come first", "scratch", "int32"),
-            Field("warm", (), "the first factorisation is that of a warm start", "scratch", "int32"),
-            Field("known", (), "the last QP was solved: reach, energy and multipliers are good", "keep", "int32"),
-            Field("closed_gaps", (), "how often the gaps of the dynamics have been closed", "scratch", "int32"),
-            Field("ready", (), "the first factorisation stands", "scratch", "int32"),
+            *_progress(sides, rows),
         ),
+    )
+
+
+def _progress(sides: Size, rows: Size) -> tuple[Field, ...]:
+    """What the struct ``ipm`` has besides vectors of numbers."""
+    return (
+        Field("mu", (), "mean of t lam and e kappa", "scratch"),
+        Field("unit", (), "largest cost of a single row", "scratch"),
+        Field("primal", (), "largest relative residual of the rows", "scratch"),
+        Field("merit", (), "largest residual relative to its tolerance", "scratch"),
+        Field("step", (), "length of the last step", "scratch"),
+        Field("stiffening", (), "by how much the regularisation of the rows is divided", "scratch"),
+        Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
+        Field("least_pivot", (), "added to pivots that are zero", "scratch"),
+        Field("row", (sides,), "row of a side", "scratch", "int32"),
+        Field("kind", (rows,), "0: inequality, 1: equation, 2: fixed control", "scratch", "int32"),
+        Field("sides", (), "finite bounds of inequalities", "scratch", "int32"),
+        Field("hard", (), "hard ones among them, which come first", "scratch", "int32"),
+        Field("warm", (), "the multipliers of the QP before are used", "scratch", "int32"),
+        Field("solved", (), "the last QP was solved", "keep", "int32"),
+        Field("closed_gaps", (), "how often the gaps of the dynamics have been closed", "scratch", "int32"),
+        Field("ready", (), "the first factorisation stands", "scratch", "int32"),
     )
 
 

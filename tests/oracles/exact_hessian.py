@@ -1,0 +1,52 @@
+"""Regularised matrices by numpy.linalg.eigh, and Hessian blocks of the Lagrangian by CasADi, node by node."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.evaluation import (
+    CLASSICAL,
+    Data,
+    Point,
+    Tableau,
+    interval_map,
+    node_cost,
+    node_rows,
+    scaled_weight,
+)
+from nmpc_codegen.problem import Problem
+
+Array = np.ndarray
+
+
+def regularized(H: Array, mirror: bool, floor: float, scale: float | None = None) -> Array:
+    """V max(|Lambda|, eps) V' or V max(Lambda, eps) V', eps = floor max|Lambda|; ``scale`` replaces a zero maximum."""
+    values, V = np.linalg.eigh(H)
+    largest = np.abs(values).max() or scale or 0.0
+    changed = np.maximum(np.abs(values) if mirror else values, floor * largest)
+    return np.asarray(V * changed @ V.T)
+
+
+def blocks(problem: Problem, point: Point, data: Data, integrator: Tableau = CLASSICAL) -> tuple[list[Array], Array]:
+    """Q_k = d2 (l_k + q_k + lam_{k+1}' Phi_k + mu_k' h_k) / dz^2 with eta' r in the first, and Q_N."""
+    N, nx, nu = problem.N, problem.nx, problem.nu
+    x, u = ca.SX.sym("x", nx), ca.SX.sym("u", nu)
+    z = ca.vertcat(x, u)
+    Phi, cost, rows = interval_map(problem, integrator), node_cost(problem.path), node_rows(problem.path)
+
+    def r(first: ca.SX, last: ca.SX) -> ca.SX:
+        return ca.SX(0) if problem.coupled is None else ca.dot(point.eta, problem.coupled(first, last))
+
+    found = []
+    for k in range(N):
+        p = data.p[k]
+        end, q = Phi(x, u, p, problem.dt[k])
+        W = scaled_weight(problem, data.W[k], k)
+        L = q + cost(x, u, p, problem.dt[k], data.yref[k], W) + ca.dot(point.lam[k + 1], end)
+        L += ca.dot(point.mu[k], rows(x, u, p)) + (r(x, point.x[N]) if k == 0 else 0)
+        H = ca.Function("H", [x, u], [ca.hessian(L, z)[0]])
+        found.append(np.array(H(point.x[k], point.u[k])))
+    L = node_cost(problem.terminal)(x, ca.SX(0, 1), data.p[N], 0, data.yref_N, data.W_N)
+    L += ca.dot(point.mu_N, node_rows(problem.terminal)(x, ca.SX(0, 1), data.p[N])) + r(point.x[0], x)
+    return found, np.array(ca.Function("H", [x], [ca.hessian(L, x)[0]])(point.x[N]))

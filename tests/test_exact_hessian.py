@@ -1,0 +1,322 @@
+"""Exact Hessian: blocks against CasADi, regularisation against numpy's eigenvalues, solutions against IPOPT."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from examples import cstr
+from nmpc_codegen import (
+    OCP,
+    Controller,
+    ExactHessian,
+    ExplicitRungeKutta,
+    ForwardOverAdjoint,
+    FullCondensing,
+    IdentityHessian,
+    Mirror,
+    OptionError,
+    Options,
+    Project,
+    Status,
+    Symmetric,
+    build,
+)
+from nmpc_codegen.analyse import analyse
+from nmpc_codegen.evaluation import Point, node_data
+from nmpc_codegen.problem import Problem
+from nmpc_codegen.reference import solve_reference
+from tests.oracles.exact_hessian import blocks, regularized
+
+Array = np.ndarray
+MIRROR, PROJECT = Mirror(1e-8, "stage"), Project(1e-8, "stage")
+
+
+def everything(free: bool = True) -> OCP:
+    """Least squares, general, integrated and terminal costs, path, terminal, coupled rows, a parameter: all curved."""
+    ocp = OCP("everything", intervals=[0.1, 0.3, 0.2])
+    q, w, u = ocp.state("q", initial=0.7), ocp.state("w", initial=-0.2), ocp.control("u")
+    m = ocp.parameter("m", value=1.3)
+    ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w * ca.sqrt(1 + w**2) + u / m})
+    ocp.least_squares(ca.vertcat(q * w, u), weight=[2.0, 0.3], reference=[0.4, 0.1])
+    ocp.stage_cost(ca.exp(q) * w**2 + m * u * q, integrate=True)
+    ocp.stage_cost(ca.cos(w) * u)
+    ocp.terminal_least_squares(q * w, weight=[3.0])
+    ocp.terminal_cost(q**4 + m * w**2)
+    ocp.subject_to(-2, q * u, 2, name="power")
+    ocp.subject_to(-9, q**3 + w, 9, at="end", name="gate")
+    if free:
+        ocp.free_initial(w)
+    ocp.boundary(-5, ocp.at_start(ocp.x[1]) ** 3 + ocp.at_end(ocp.x[0]) ** 2, 5, name="loop")
+    return ocp
+
+
+@functools.cache
+def _built(scheme: Any, regularization: Any, unroll: str, free: bool = True) -> Controller:
+    hessian = ExactHessian(regularization, scheme)
+    return build(
+        everything(free), Options(ExplicitRungeKutta(unroll=unroll), hessian, condensing=FullCondensing()), "test"
+    )
+
+
+def drawn(controller: Controller, seed: int = 3) -> None:
+    """A random plan with random multipliers."""
+    random = np.random.default_rng(seed)
+    for name in ("x", "u", "lam", "mu", "mu_N", "eta"):
+        view = getattr(controller, name)
+        view[...] = random.uniform(-1, 1, view.shape)
+
+
+def point(c: Controller) -> Point:
+    return Point(**{name: np.array(getattr(c, name)) for name in Point.__dataclass_fields__})
+
+
+def mirrored(L: Array) -> Array:
+    """A symmetric matrix from its lower triangle."""
+    return np.tril(L) + np.tril(L, -1).T
+
+
+@pytest.mark.parametrize("unroll", ["all", "step", "none", "auto"])
+@pytest.mark.parametrize("scheme", [Symmetric(), ForwardOverAdjoint()], ids=lambda s: s.scheme)
+def test_blocks(scheme: Any, unroll: str) -> None:
+    """Every term of the Lagrangian, non-uniform grid, parameters per node."""
+    problem = analyse(everything())
+    c = _built(scheme, None, unroll).copy()
+    p = np.linspace(0.8, 1.6, 4)
+    for k in range(4):
+        c.set_parameter("m", p[k], node=k)
+    drawn(c)
+    data = node_data(problem, p=p[:, None])
+    path, last = blocks(problem, point(c), data)
+    c.prepare()
+    for got, exact in zip((*c.view("hessian.Q"), c.view("hessian.Q_N")), (*path, last), strict=True):
+        np.testing.assert_allclose(mirrored(np.array(got)), exact, rtol=1e-12, atol=1e-13)
+
+
+def test_adjoint_pass_after_reset() -> None:
+    """lam_N = q_N, lam_k = q_k + A_k' lam_{k+1} while all multipliers are zero, and 0 for the free component of x_0."""
+    c = _built(Symmetric(), None, "auto").copy()
+    c.reset()
+    c.x[...] = np.random.default_rng(1).uniform(-1, 1, c.x.shape)
+    c.prepare()
+    lam = np.array(c.view("terminal.g"))
+    np.testing.assert_allclose(c.lam[3], lam, rtol=1e-15)
+    for k in (2, 1, 0):
+        lam = np.array(c.view("node.g"))[k, :2] + np.array(c.view("node.S"))[k, :, :2].T @ lam
+        np.testing.assert_allclose(c.lam[k], lam * [1, 0] if k == 0 else lam, rtol=1e-13)
+    given = c.copy()
+    given.lam[2] = 1.0
+    kept = given.lam.copy()
+    given.prepare()
+    np.testing.assert_array_equal(given.lam, kept)
+
+
+@pytest.mark.parametrize("regularization", [MIRROR, PROJECT, Mirror(0.05, "stage"), Project(0.3, "stage")], ids=repr)
+def test_stage_level(regularization: Any) -> None:
+    """Blocks of random plans; those that are positive definite keep their values."""
+    problem = analyse(everything())
+    c = _built(Symmetric(), regularization, "auto").copy()
+    changed = 0
+    for seed in range(20):
+        drawn(c, seed)
+        path, last = blocks(problem, point(c), node_data(problem))
+        c.prepare()
+        for got, H in zip((*c.view("hessian.Q"), c.view("hessian.Q_N")), (*path, last), strict=True):
+            expected = regularized(H, regularization.mirrors, regularization.floor)
+            scale = np.abs(H).max()
+            np.testing.assert_allclose(mirrored(np.array(got)), expected, atol=1e-13 * scale, rtol=0)
+            changed += np.abs(expected - H).max() > 1e-9 * scale
+    assert 20 < changed < 80
+
+
+# Regularisation of given matrices ------------------------------------------------------------------------------------
+
+
+def quadratic(n: int, N: int = 1) -> OCP:
+    """N unconstrained minimisations of c'u + 1/2 u'H u in n controls; H and c are parameters of every node."""
+    ocp = OCP(f"quadratic{n}", N=N)
+    x, u = ocp.state("x"), ocp.control("u", size=n)
+    H, c = ocp.parameter("H", size=n * n, value=np.eye(n).ravel()), ocp.parameter("c", size=n)
+    ocp.dynamics({x: x}, discrete=True)
+    M = ca.reshape(H, n, n)
+    ocp.stage_cost(ca.dot(c, u) + ca.dot(u, M @ u) / 2)
+    return ocp
+
+
+@functools.cache
+def _quadratic(n: int, N: int, regularization: Any, damping: float = 0.0) -> Controller:
+    hessian = ExactHessian(regularization, levenberg_marquardt=damping)
+    return build(quadratic(n, N), Options(hessian=hessian, condensing=FullCondensing()), "test")
+
+
+def spectrum(random: np.random.Generator, n: int, kind: int) -> Array:
+    """A symmetric matrix: random, of low rank, with equal and with tiny eigenvalues, diagonal, positive, zero."""
+    V = np.linalg.qr(random.standard_normal((n, n)))[0]
+    scale = 10.0 ** random.integers(-6, 7)
+    if kind == 6:
+        return np.zeros((n, n))
+    values = {
+        0: random.standard_normal(n),
+        1: random.standard_normal(n) * (np.arange(n) < (n + 1) // 2),
+        2: random.choice([-1.0, 1.0], n),
+        3: random.standard_normal(n) * 10.0 ** random.integers(-12, 1, n),
+        4: np.sort(random.standard_normal(n)),
+        5: random.uniform(0.1, 1, n),
+    }[kind]
+    H = np.diag(values) if kind == 4 else V * values @ V.T
+    return np.asarray(scale * (H + H.T) / 2)
+
+
+@pytest.mark.parametrize("mirror", [True, False])
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 8, 13])
+def test_given_blocks(n: int, mirror: bool) -> None:
+    """Eleven nodes, more than fit into the lanes at once; the blocks of x and of node N are zero."""
+    floor, N = 1e-6, 11
+    c = _quadratic(n, N, (Mirror if mirror else Project)(floor, "stage")).copy()
+    random = np.random.default_rng(n)
+    for _ in range(5):
+        H = [spectrum(random, n, kind) for kind in random.permutation([0, 1, 2, 3, 4, 5, 6, 0, 3, 5, 1])]
+        for k in range(N):
+            c.set_parameter("H", H[k].ravel(), node=k)
+        c.prepare()
+        Q, largest = np.array(c.view("hessian.Q")), max(np.abs(h).max() for h in H)
+        for k in range(N):
+            expected = regularized(H[k], mirror, floor, largest)
+            got = mirrored(Q[k])[1:, 1:]
+            np.testing.assert_allclose(
+                got, expected, rtol=0, atol=4e-14 * max(np.abs(H[k]).max(), np.abs(expected).max())
+            )
+            assert np.linalg.eigvalsh(got).min() > 0
+            assert Q[k, 0, 0] > 0
+
+
+def test_levenberg_marquardt_comes_after_the_regularisation() -> None:
+    H = np.array([[1.0, 2.0], [2.0, -3.0]])
+    for regularization in (MIRROR, PROJECT, None):
+        c = _quadratic(2, 1, regularization, 0.25).copy()
+        c.set_parameter("H", H.ravel())
+        c.prepare()
+        base = H if regularization is None else regularized(H, regularization.mirrors, 1e-8)
+        got = mirrored(np.array(c.view("hessian.Q"))[0])[1:, 1:]
+        np.testing.assert_allclose(got, base + 0.25 * np.eye(2), rtol=1e-14)
+
+
+@pytest.mark.parametrize("mirror", [True, False])
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 16, 25])
+def test_reduced_level(n: int, mirror: bool) -> None:
+    """The condensed Hessian is H: the step is -f(H)^{-1} c, f = identity where H is positive definite."""
+    floor = 1e-3
+    c = _quadratic(n, 1, (Mirror if mirror else Project)(floor)).copy()
+    random = np.random.default_rng(n)
+    for kind in (0, 2, 3, 4, 5, 0, 5):
+        H, g = spectrum(random, n, kind), random.standard_normal(n)
+        c.set_parameter("H", H.ravel())
+        c.set_parameter("c", g)
+        c.reset()
+        values = np.linalg.eigvalsh(H)
+        if abs(values).min() < 1e-10 * abs(values).max():
+            continue  # zero to rounding: the solver's own matter
+        c.step([0.0])
+        assert c.status == Status.OK
+        M = regularized(H, mirror, floor) if values[0] < 0 else H
+        expected = -np.linalg.solve(M, g)
+        np.testing.assert_allclose(c.u[0], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_without_regularisation_an_indefinite_qp_is_refused() -> None:
+    c = _quadratic(2, 1, None).copy()
+    c.set_parameter("H", [1.0, 2.0, 2.0, 1.0])
+    c.step([0.0])
+    assert c.status == Status.NUMERICAL_FAILURE
+    c.set_parameter("H", [2.0, 1.0, 1.0, 1.0])
+    c.set_parameter("c", [1.0, 1.0])
+    c.step([0.0])
+    assert c.status == Status.OK
+    np.testing.assert_allclose(c.u[0], [0.0, -1.0], atol=1e-14)
+
+
+# Solutions -----------------------------------------------------------------------------------------------------------
+
+
+def assert_optimal(problem: Problem, controller: Controller, x0: Any, **solver: Any) -> int:
+    """solve() and IPOPT agree; returns the iterations."""
+    ours = controller.solve(x0, tol=1e-9, **solver)
+    assert ours.status == Status.OK
+    ref = solve_reference(problem, x0=x0)
+    if abs(ours.cost - ref.cost) > 1e-8 * max(1, abs(ref.cost)):
+        ref = solve_reference(problem, x0=x0, x_guess=ours.x, u_guess=ours.u)
+    assert ref.success
+    scale = np.maximum(1, np.abs(ref.u).max(axis=0))
+    assert np.max(np.abs(ours.u - ref.u) / scale) <= 1e-6
+    assert abs(ours.cost - ref.cost) <= 1e-8 * max(1, abs(ref.cost))
+    return int(ours.iterations)
+
+
+@pytest.mark.parametrize(
+    "regularization", [Project(), Mirror(), Project(level="stage"), Mirror(level="stage")], ids=repr
+)
+@pytest.mark.parametrize("free", [True, False])
+def test_solutions_equal_those_of_ipopt(free: bool, regularization: Any) -> None:
+    """All kinds of costs and rows at once."""
+    controller = _built(Symmetric(), regularization, "auto", free).copy()
+    assert_optimal(analyse(everything(free)), controller, [0.7, -0.2])
+
+
+def test_quadratic_convergence() -> None:
+    """CSTR from the plain start: 8 iterations to 1e-10, the last residuals squared; Gauss-Newton takes 13."""
+    controller = build(cstr.build_ocp(), Options(hessian=ExactHessian()))
+    controller.x[...] = cstr.START
+    residuals = []
+    for n in range(1, 9):
+        c = controller.copy()
+        sol = c.solve(cstr.START, tol=1e-12, max_iterations=n)
+        residuals.append(max(sol.kkt.stationarity, sol.kkt.equality))
+    assert residuals[7] <= 1e-10
+    order = np.log(residuals[6] / residuals[5]) / np.log(residuals[5] / residuals[4])
+    assert order > 1.6
+
+
+def test_the_identity_is_steepest_descent() -> None:
+    """Blocks are the identity, and the unconstrained step is minus the condensed gradient of the condensed identity."""
+    c = build(quadratic(3), Options(hessian=IdentityHessian(), condensing=FullCondensing()), "test").copy()
+    c.set_parameter("c", [1.0, -2.0, 3.0])
+    c.step([0.0])
+    np.testing.assert_allclose(c.u[0], [-1.0, 2.0, -3.0], rtol=1e-15)
+    np.testing.assert_array_equal(c.view("hessian.Q")[0], np.eye(4))
+
+
+def test_identity_with_all_costs() -> None:
+    """The gradient of an integrated cost comes by its adjoint: equal to that of the exact Hessian's sweep."""
+    options = Options(hessian=IdentityHessian(), condensing=FullCondensing())
+    identity, exact = build(everything(), options, "test").copy(), _built(Symmetric(), None, "auto").copy()
+    for c in (identity, exact):
+        drawn(c)
+        c.prepare()
+    for name in ("node.g", "node.S", "node.b", "terminal.g"):
+        np.testing.assert_allclose(identity.view(name), exact.view(name), rtol=1e-13, atol=1e-14)
+    assert identity.cost == pytest.approx(exact.cost, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ExactHessian("flip"), "regularization: 'flip'; expected Project"),
+        (lambda: ExactHessian(sweep="two"), "sweep: 'two'; expected Symmetric"),
+        (lambda: ExactHessian(levenberg_marquardt=-1.0), "levenberg_marquardt: -1.0"),
+        (lambda: Project(0.0), r"Project.floor: 0.0; expected a number between 0 and 1"),
+        (lambda: Mirror(floor=True), "Mirror.floor: True"),
+        (lambda: Mirror(level="node"), "Mirror.level: 'node'; expected one of reduced, stage"),
+    ],
+)
+def test_bad_options(make: Any, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
+        make()
+
+
+def test_words_of_the_command_line() -> None:
+    assert ExactHessian("mirror", "forward_over_adjoint") == ExactHessian(Mirror(), ForwardOverAdjoint())  # type: ignore[arg-type]
+    assert ExactHessian("none").regularization is None  # type: ignore[arg-type]
