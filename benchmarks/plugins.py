@@ -1,8 +1,7 @@
 """CasADi's conic plugins on stage QPs: the same QP in the form that each of them likes.
 
 Stage form, variables [x_0 u_0 x_1 ... x_N], rows [gap_0 rows_0 gap_1 ...], is what HPIPM, FATROP and OSQP take; daqp
-and
-qpOASES, dense solvers, get the condensed QP as well: their time is then that of the solver alone, without condensing.
+and qpOASES, dense solvers, can have the condensed QP as well: then condensing is left to whoever calls.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "fatrop": {"structure_detection": "manual", "fatrop": {"print_level": 0, "tol": 1e-8}},
     "osqp": {"osqp": {"verbose": False, "eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 20000, "polish": True}},
     "daqp": {"daqp": {}},
-    "qpoases": {"printLevel": "none", "sparse": False, "initialStatusBounds": "inactive"},
+    "qpoases": {"printLevel": "none", "sparse": False},
     "highs": {"highs": {"output_flag": False}},
     "proxqp": {"proxqp": {"eps_abs": 1e-9, "verbose": False}},
 }

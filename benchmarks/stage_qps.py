@@ -185,8 +185,8 @@ def main() -> None:
     start = time.perf_counter()
     tally = run(options.tuples, options.first)
     print(
-        f"{tally.problems} problems of {tally.tuples} tuples, {time.perf_counter() - start:.0f} s; "
-        f"{sorted(qp.REGISTRY)}"
+        f"{tally.problems} problems of {tally.tuples} tuples, {time.perf_counter() - start:.0f} s;",
+        ", ".join(sorted(qp.REGISTRY)),
     )
     for name in tally.solved:
         mean = tally.iterations[name] / tally.solved[name]

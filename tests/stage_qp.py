@@ -109,7 +109,7 @@ STATIONARITY, DYNAMICS, FEASIBILITY, ROWS, OBJECTIVE, MINIMISER = 1e-8, 1e-9, 1e
 def wrong_answer(qp: StageQP, p: Point) -> str:
     """What is wrong with a point that should be the optimum, with its figure; empty if nothing is.
 
-    Residuals always; the minimiser to 1e-7 max(1, 1e-8 condition) where it is unique, the objective where it is not.
+    Residuals and objective always; the minimiser to 1e-7 max(1, 1e-8 condition) where it is unique.
     """
     r = residuals(qp, p)
     for name, limit in (("stationarity", STATIONARITY), ("dynamics", DYNAMICS), ("feasibility", FEASIBILITY)):
@@ -117,10 +117,10 @@ def wrong_answer(qp: StageQP, p: Point) -> str:
             return f"{name} {getattr(r, name):.1e}"
     if not r.rows <= ROWS:
         return f"complementarity {r.rows:.1e}"
-    if not qp.unique:
-        error = objective_error(qp, p)
-        return "" if error <= OBJECTIVE else f"objective {error:.1e}"
-    error = distance(qp, p)
+    error = objective_error(qp, p)
+    if not error <= OBJECTIVE:
+        return f"objective {error:.1e}"
+    error = distance(qp, p) if qp.unique else 0.0
     if error <= MINIMISER or error <= MINIMISER * 1e-8 * condition(qp):
         return ""
     return f"minimiser {error:.1e}, condition {condition(qp):.1e}"

@@ -4,8 +4,7 @@
     s.t.  dx_0 = xhat - x_0 (except its free components),   dx_{k+1} = S_k z_k + b_k,   z_k = (dx_k, du_k)
           lower <= c_m + C_m z_{k(m)} + C0_m dx_0 <= upper,   lower_u <= u + du <= upper_u
 
-A soft row costs l1 v + l2/2 v^2 where its value lies outside its bounds by v. Multipliers are positive at an upper
-bound.
+A soft row costs l1 v + l2/2 v^2 where its value lies outside its bounds by v. Multipliers are > 0 at an upper bound.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ Array = np.ndarray
 #: (l1, l2) of the soft row at position i, in turn.
 SOFT = ((2.0, 0.0), (1.0, 0.5), (0.0, 3.0), (0.3, 10.0))
 TINY = np.finfo(float).tiny
+REDUNDANT = 1e-13  # in place of the zero block of K
 
 
 @dataclass(frozen=True, order=True)
@@ -30,12 +30,10 @@ class Shape:
     """Dimensions of a stage QP: what a package is built for.
 
     ``controls``: the first so many controls are bounded (None: all); ``states``: the first so many states are bounded
-    at
-    nodes 1 .. N; ``path``: general rows on (x, u) at nodes 0 .. N-1; ``pure``: general rows on x at nodes 1 .. N;
-    ``end``: general rows at node N; ``coupled``: rows on (x_0, x_N); ``soft``: positions in the list (states, path,
-    pure,
-    end, coupled) of the soft ones; ``free``: the first so many components of x_0 are free, with which state bounds of
-    theirs and pure rows hold at node 0 too.
+    at nodes 1 .. N; ``path``: general rows on (x, u) at nodes 0 .. N-1; ``pure``: general rows on x at nodes 1 .. N;
+    ``end``: general rows at node N; ``coupled``: rows on (x_0, x_N); ``soft``: positions of the soft ones in the list
+    (states, path, pure, end, coupled); ``free``: the first so many components of x_0 are free, with which state bounds
+    of theirs and pure rows hold at node 0 too.
     """
 
     nx: int
@@ -133,9 +131,9 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class StageQP:
-    """A stage QP; of its shape only nx, nu, N, free are looked at. Q (N, nz, nz) and Q_N are symmetric; rows C (ng,
-    nz) (x part only at node N), C0 (ng, nx), c (ng,).
+    """A stage QP; of its shape only nx, nu, N, free are looked at.
 
+    Q (N, nz, nz) and Q_N are symmetric; rows C (ng, nz) (x part only at node N), C0 (ng, nx), c (ng,).
     ``optimum``: what it was built around; None: infeasible, and ``proof`` = (weights of du bounds, of rows) combines
     bounds to a contradiction. ``unique``: the minimiser is. ``growth``: bound of |A_k ... A_0|'s growth per interval.
     ``unit_x``, ``unit_u``: size of the variables. ``kind``, ``seed``: where it comes from.
@@ -317,9 +315,8 @@ def _rows_and_bounds(qp: StageQP, p: Point, gradient: float) -> tuple[float, flo
 def natural_residual(value: Array, mult: Array, lower: Array, upper: Array, l1: Array, l2: Array, tau: Array) -> Array:
     """|value - prox(value + tau mult)|, prox that of tau times the penalty l1 v + l2/2 v^2 of the violation v.
 
-    It vanishes if and only if mult is a subgradient of the penalty at value: sign, complementarity, and mult = l1 +
-    l2 v
-    of a violated soft row in one formula. l1 infinite: a hard row, whose prox is the projection.
+    It vanishes if and only if mult is a subgradient of the penalty at value: sign, complementarity, and of a violated
+    soft row mult = l1 + l2 v in one formula. l1 infinite: a hard row, whose prox is the projection.
     """
     y = value + tau * mult
     hard = np.isinf(l1)
@@ -384,7 +381,8 @@ def sparse_form(qp: StageQP) -> tuple[sp.csc_matrix, Array, sp.csr_matrix, sp.cs
 def condition(qp: StageQP) -> float:
     """|K|_1 |P K^-1|_1 of the KKT matrix K at the optimum in units of the variables, P = primal part (an estimate).
 
-    The larger of two: with all active rows, and with those that carry a multiplier.
+    The larger of two: with all active rows, and with those that carry a multiplier. Where rows are redundant on purpose
+    K is blurred by REDUNDANT.
     """
     assert qp.optimum is not None
     s, p = qp.shape, qp.optimum
@@ -408,13 +406,14 @@ def condition(qp: StageQP) -> float:
         A = sp.vstack([D, R[np.flatnonzero(rows & ~saturated)]]) @ scale
         A = sp.vstack([A, identity])
         A = sp.diags(1 / np.maximum(abs(A).max(axis=1).toarray().ravel(), TINY)) @ A
-        found.append(_primal_condition(H, A))
+        found.append(_primal_condition(H, A, REDUNDANT if qp.kind == "redundant" else 0.0))
     return max(found)
 
 
-def _primal_condition(H: sp.spmatrix, A: sp.spmatrix) -> float:
+def _primal_condition(H: sp.spmatrix, A: sp.spmatrix, delta: float) -> float:
+    """The same for K = [H A'; A -delta I]."""
     n, m = H.shape[0], A.shape[0]
-    K = sp.bmat([[H, A.T], [A, -1e-13 * sp.eye(m)]], format="csc")
+    K = sp.bmat([[H, A.T], [A, -delta * sp.eye(m)]], format="csc")
     try:
         factor = splu(K)
     except RuntimeError:

@@ -1,7 +1,6 @@
 """Random stage QPs built backwards: first the KKT point, then data that make it one.
 
-    b_k = dx_{k+1} - S_k z_k,   g_k = -(Q_k z_k + S_k' lam_{k+1} - (lam_k, 0) + rows' mult),   bounds by the state of
-    each row
+    b_k = dx_{k+1} - S_k z_k,   g_k = -(Q_k z_k + S_k' lam_{k+1} - (lam_k, 0) + rows' mult),   bounds around the values
 
 Every kind of a shape is drawn from a seed; infeasible ones come with the combination of bounds that proves it.
 """
@@ -31,8 +30,8 @@ def random_qp(
 
     Args:
         shape: dimensions.
-        kind: what is special about it, a word of KINDS or INFEASIBLE.
-        seed: of the random numbers; the kind enters too.
+        kind: one of kinds_of(shape).
+        seed: any number >= 0.
         radius: spectral radius of A up to which it is drawn.
         active: share of bounds and rows that are tried as active ones.
         digits: decimals of the numbers drawn (None: all), for readable counterexamples.
@@ -102,8 +101,7 @@ def _stages(draw: _Draw, shape: Shape, kind: str, radius: float) -> StageQP:
     zero = np.zeros
     return StageQP(
         shape=shape, rows=rows, S=S, b=zero((N, nx)), Q=Q, Q_N=Q_N, g=zero((N, nz)), g_N=zero(nx), C=C, C0=C0,
-        c=zero(len(rows)),
-        lower=zero(len(rows)), upper=zero(len(rows)), lower_u=zero((N, nu)), upper_u=zero((N, nu)),
+        c=zero(len(rows)), lower=zero(len(rows)), upper=zero(len(rows)), lower_u=zero((N, nu)), upper_u=zero((N, nu)),
         x=zero((N + 1, nx)), u=zero((N, nu)), dx0=zero(nx), optimum=None, proof=None,
         unit_x=np.ones(nx), unit_u=np.ones(nu), unique=kind != SEMIDEFINITE, growth=radius,
     )  # fmt: skip
@@ -222,8 +220,7 @@ def _states(draw: _Draw, qp: StageQP, kind: str, share: float) -> tuple[Array, A
     """What every control bound and every row is at the optimum.
 
     Unless the kind is "redundant", the hard active rows up to any node are no more than the free controls up to it:
-    more
-    would depend on each other.
+    more would depend on each other.
     """
     s, rng, rows = qp.shape, draw.rng, qp.rows
     count = s.N * s.bounded + len(rows)
@@ -311,8 +308,7 @@ def _in_units(draw: _Draw, qp: StageQP) -> StageQP:
     scaled = dataclasses.replace(
         qp, S=qp.S * x[:, None] / z, b=qp.b * x, Q=cost * qp.Q / np.outer(z, z), Q_N=cost * qp.Q_N / np.outer(x, x),
         g=cost * qp.g / z, g_N=cost * qp.g_N / x, C=C, C0=C0, c=qp.c * row, x=qp.x * x, u=qp.u * u,
-        dx0=point.dx[0].copy(),
-        unit_x=x, unit_u=u, optimum=point,
+        dx0=point.dx[0].copy(), unit_x=x, unit_u=u, optimum=point,
     )  # fmt: skip
     return _meet(scaled, qp, row)
 
@@ -358,8 +354,7 @@ def condensed_rows(qp: StageQP) -> tuple[Array, Array]:
 def _contradiction(draw: _Draw, qp: StageQP) -> StageQP:
     """One hard row is asked for more than bounded controls and up to two other rows allow.
 
-    a_m du = sum_j c_j a_j du + rest' du <= sum_j max(c_j lower_j, c_j upper_j) + sum_i max(rest_i lower_i, rest_i
-    upper_i)
+    a_m du = sum_j c_j a_j du + rest' du <= sum_j max(c_j lower_j, c_j upper_j) + sum_i max(rest_i du_i over its bounds)
     """
     s, rng, rows = qp.shape, draw.rng, qp.rows
     A, value = condensed_rows(qp)
