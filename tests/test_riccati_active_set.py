@@ -219,9 +219,7 @@ def test_unstable_dynamics(seed: int, radius: float) -> None:
     shape = Shape(60, 3, 2)
     problem = random_problem(rng, 60, 3, 2, radius=radius)
     w = solver(shape)
-    qp = StageQP(
-        problem, np.zeros((0, 5)), (), np.full(120, -30.0), np.full(120, 30.0), np.zeros(0), np.zeros(0)
-    )
+    qp = StageQP(problem, np.zeros((0, 5)), (), np.full(120, -30.0), np.full(120, 30.0), np.zeros(0), np.zeros(0))
     status = w.run(qp)
     if status == "OK" and np.abs(w.u).max() < 30.0:
         gaps = [w.x[k + 1] - problem.S[k] @ np.append(w.x[k], w.u[k]) - problem.b[k] for k in range(60)]
@@ -413,7 +411,9 @@ def test_soft_rows_give_way(seed: int) -> None:
     assert np.sum(violation > 1e-6) <= s["relaxed"] <= np.sum(violation > -1e-9)
     best = qp.objective(s.x, s.u)
     for _ in range(20):
-        u = np.clip(s.u + 1e-3 * rng.normal(size=s.u.shape), *(b[: s.u.size].reshape(s.u.shape) for b in (qp.lower, qp.upper)))
+        u = np.clip(
+            s.u + 1e-3 * rng.normal(size=s.u.shape), *(b[: s.u.size].reshape(s.u.shape) for b in (qp.lower, qp.upper))
+        )
         x = s.x.copy()
         for k in range(shape.ns):
             x[k + 1] = qp.problem.S[k] @ np.append(x[k], u[k]) + qp.problem.b[k]

@@ -634,7 +634,16 @@ static void qp_set_control(golden_solver_t *s, int c, int side)
     }
 }
 
-/* What enters has no multiplier yet. */
+/* The multiplier that row m starts from: that of the last solve, none for what enters, that of the cost where it is violated. */
+static inline void qp_set_center(golden_qp_t *q, int m, golden_real mult)
+{
+    const int side = q->side[GOLDEN_NV + m];
+    q->center[m] = mult;
+    if (side == 2 || side == -2) {
+        q->center[m] = side > 0 ? q->penalty[m] : -q->penalty[m];
+    }
+}
+
 static void qp_set_row(golden_solver_t *s, int m, int side)
 {
     golden_qp_t *q = &s->qp;
@@ -642,7 +651,7 @@ static void qp_set_row(golden_solver_t *s, int m, int side)
     if (side != q->side[c]) {
         q->side[c] = side;
         q->changes++;
-        q->mult[c] = 0.0;
+        qp_set_center(q, m, 0.0);
         s->riccati.weight[m] = qp_weight(q, m, side);
         qp_outdate(q, stage_of_row[m]);
     }
@@ -700,11 +709,8 @@ static void qp_load(golden_solver_t *s)
             q->target[c] = r->du[c];
         }
         for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
-            const int side = q->side[GOLDEN_NV + m];
-            if (side != 0) {
-                const golden_real l1 = side > 0 ? q->penalty[m] : -q->penalty[m];
+            if (q->side[GOLDEN_NV + m] != 0) {
                 q->target[GOLDEN_NV + m] = qp_target(q, GOLDEN_NV + m);
-                q->center[m] = (side == 1 || side == -1) ? q->mult[GOLDEN_NV + m] : l1;
                 qp_add_row(s, m, q->center[m] - r->weight[m] * q->target[GOLDEN_NV + m], r->g[k]);
             }
         }
@@ -976,10 +982,17 @@ static golden_status_t qp_refine(golden_solver_t *s)
 
 /* Contract of this part: from a working set to the next, all changes at once (primal-dual active set). */
 
-/* The side that bounds say: v is the value, slack a violation that is rounding. */
+/* What is taken as rounding: as long as the minimiser is not refined, errors of the root of the precision too. */
+static inline golden_real qp_tolerance(const golden_qp_t *q, golden_real exact)
+{
+    const golden_real rough = 16.0 * sqrt(2.220446049250313e-16);
+    return q->rough ? rough : exact;
+}
+
+/* The side that bounds say: v is the value of what is no member. */
 static inline int qp_side_of_value(const golden_qp_t *q, int c, golden_real v, golden_real size)
 {
-    const golden_real tolerance = 2.2737367544323206e-13;
+    const golden_real tolerance = qp_tolerance(q, 2.2737367544323206e-13);
     if (v - q->upper[c] > tolerance * (size + fabs(q->upper[c]))) {
         return 1;
     }
@@ -1014,13 +1027,13 @@ static int qp_side_of_row(const golden_solver_t *s, int m)
     const golden_qp_t *q = &s->qp;
     const int c = GOLDEN_NV + m, side = q->side[c], sign = side > 0 ? 1 : -1;
     const golden_real size = qp_row_size(s, m), mult = side > 0 ? q->mult[c] : -q->mult[c];
-    const golden_real rounding = 5.684341886080802e-14 * (q->base[m] * size + q->largest);
+    const golden_real rounding = qp_tolerance(q, 5.684341886080802e-14) * (q->base[m] * size + q->largest);
     if (side == 0) {
         return qp_side_of_value(q, c, q->value[m], size);
     }
     if (side != sign) {
         const golden_real violation = side > 0 ? q->value[m] - q->upper[c] : q->lower[c] - q->value[m];
-        return violation >= -2.2737367544323206e-13 * (size + fabs(q->target[c])) ? side : sign;
+        return violation >= -qp_tolerance(q, 2.2737367544323206e-13) * (size + fabs(q->target[c])) ? side : sign;
     }
     if (mult > q->penalty[m] + rounding) {
         return 2 * sign;
@@ -1141,9 +1154,11 @@ static golden_status_t qp_minimize(golden_solver_t *s, int *changed)
     }
     qp_take_multipliers(s);
     q->refined = 0;
+    q->rough = qp_is_approximate(s);
     *changed = qp_revise(s);
-    if (*changed == 0 && qp_is_approximate(s)) {
+    if (*changed == 0 && q->rough) {
         status = qp_refine(s);
+        q->rough = 0;
         if (status == GOLDEN_OK || status == GOLDEN_STALLED) {
             *changed = qp_revise(s);
         }
@@ -1748,7 +1763,7 @@ static golden_real ipm_violation(const golden_solver_t *s, int c)
     const golden_real v = s->ipm.v[c], over = v - s->qp.upper[c], under = s->qp.lower[c] - v;
     const golden_real amount = (over > under) ? over : under;
     const golden_real bound = fabs((over > under) ? s->qp.upper[c] : s->qp.lower[c]);
-    return (amount > 3.552713678800501e-15 * (bound + fabs(v))) ? amount : 0.0;
+    return (amount > 5.684341886080802e-14 * (bound + fabs(v))) ? amount : 0.0;
 }
 
 /* Cost of the violations, sum of (violation / reach)^2, and their number. */
@@ -1830,8 +1845,22 @@ static inline void ipm_adjoint_step(golden_solver_t *s, int k, const golden_real
     riccati_combine(w, lam, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
 }
 
-/* Gradient of the Lagrangian with respect to the free controls and components of x_0 relative to the largest of the terms it is
- * a sum of, each times the way that one unit of cost allows. Fixed controls get their multipliers. */
+/* The component i of the gradient of the Lagrangian at stage k, times the way that one unit of cost allows, and the terms it is
+ * a sum of: cost, rows, the next state. */
+static void ipm_take_gradient(golden_solver_t *s, int k, int i, golden_real rest, golden_real unit, golden_real *worst, golden_real *most)
+{
+    const golden_real z = (i < GOLDEN_NX) ? s->qp.x[k][i] : s->qp.z[k * GOLDEN_NUS + i - GOLDEN_NX], g = s->riccati.g[k][i];
+    golden_real terms = fabs(stage_g(s, k)[i]) + fabs(stage_Q(s, k)[i][i] * z);
+    terms += fabs(g) + fabs(rest - g);
+    if (i >= GOLDEN_NX) {
+        terms += fabs(s->qp.mult[k * GOLDEN_NUS + i - GOLDEN_NX]);
+    }
+    *worst = (fabs(rest) * unit > *worst) ? fabs(rest) * unit : *worst;
+    *most = (terms * unit > *most) ? terms * unit : *most;
+}
+
+/* Gradient of the Lagrangian with respect to the free controls and components of x_0, relative to its terms, under the feedback
+ * u = K x + v: so rounding does not grow along an unstable horizon. Fixed controls get their multipliers. */
 static golden_real ipm_stationarity(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
@@ -1844,23 +1873,18 @@ static golden_real ipm_stationarity(golden_solver_t *s)
         ipm_adjoint_step(s, k, lam, w);
         for (j = 0; j < GOLDEN_NUS; j++) {
             const int c = k * GOLDEN_NUS + j;
-            const golden_real g = s->riccati.g[k][GOLDEN_NX + j], rest = w[GOLDEN_NX + j];
-            const golden_real unit = q->reach[c];
-            const golden_real terms = (fabs(g) + fabs(rest - g) + fabs(s->qp.mult[c])) * unit;
             if (q->kind[c] == 2) {
-                s->qp.mult[c] -= rest;
+                s->qp.mult[c] -= w[GOLDEN_NX + j];
             } else {
-                worst = (fabs(rest) * unit > worst) ? fabs(rest) * unit : worst;
-                most = (terms > most) ? terms : most;
+                ipm_take_gradient(s, k, GOLDEN_NX + j, w[GOLDEN_NX + j], q->reach[c], &worst, &most);
             }
         }
+        riccati_combine(w, w + GOLDEN_NX, s->riccati.K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_NX);
         memcpy(lam, w, sizeof lam);
     }
     for (j = 0; j < GOLDEN_NF; j++) {
-        const golden_real unit = 1.0 / sqrt(s->riccati.F[j][j]), g = s->riccati.g[0][free_state[j]];
-        const golden_real rest = lam[free_state[j]], terms = (fabs(g) + fabs(rest - g)) * unit;
-        worst = (fabs(rest) * unit > worst) ? fabs(rest) * unit : worst;
-        most = (terms > most) ? terms : most;
+        const golden_real unit = 1.0 / sqrt(s->riccati.F[j][j]);
+        ipm_take_gradient(s, 0, free_state[j], lam[free_state[j]], unit, &worst, &most);
     }
     return (worst > 0.0) ? worst / most : 0.0;
 }
@@ -2084,8 +2108,8 @@ static void ipm_measure(golden_solver_t *s)
  * fall fast enough: then there is less of it. Returns 1 if so. */
 static int ipm_stiffen(golden_ipm_t *q, golden_real before)
 {
-    if (q->step > 0.9 && q->primal > 9.094947017729282e-13 && q->primal > 0.125 * before &&
-        q->stiffening < 4096.0) {
+    if (q->step > 0.9 && q->primal > 1.4210854715202004e-14 && q->primal > 0.125 * before &&
+        q->stiffening < 65536.0) {
         q->stiffening *= 16.0;
         return 1;
     }
@@ -2190,7 +2214,7 @@ static golden_real ipm_setback(const golden_solver_t *s)
 static void ipm_step(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real least = 0.0009765625 * 8.673617379884035e-19 * q->unit;
+    const golden_real least = 0.0009765625 * 5.421010862427522e-20 * q->unit;
     golden_real inverse, share, target, way;
     memset(q->extra, 0, sizeof q->extra);
     memset(q->extra_e, 0, sizeof q->extra_e);
@@ -2236,21 +2260,23 @@ static golden_real ipm_gaps(golden_solver_t *s)
     return most;
 }
 
-/* 1 if all residuals are at their tolerance, or small and no longer falling. Gaps of the dynamics are
- * closed then. */
+/* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
+ * Gaps of the dynamics are closed then. */
 static int ipm_converged(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real before = q->merit;
-    golden_real part = (q->mu > 0.0) ? q->mu / (8.673617379884035e-19 * q->unit) : 0.0;
-    q->merit = q->primal / 9.094947017729282e-13;
-    q->merit = (part > q->merit) ? part : q->merit;
+    const golden_real rows_before = q->merit, gradient_before = q->slope;
+    q->merit = q->primal / 1.4210854715202004e-14;
+    if (q->mu > q->merit * 5.421010862427522e-20 * q->unit) {
+        q->merit = q->mu / (5.421010862427522e-20 * q->unit);
+    }
+    q->slope = (golden_real)INFINITY;
     if (!(q->merit <= 1024.0)) {
         return 0;
     }
-    part = ipm_stationarity(s) / 3.637978807091713e-12;
-    q->merit = (part > q->merit) ? part : q->merit;
-    if (q->merit > 1.0 && !(q->merit <= 1024.0 && q->merit > 0.5 * before)) {
+    q->slope = ipm_stationarity(s) / 5.684341886080802e-14;
+    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || q->slope > 65536.0 ||
+        (q->slope > 1.0 && q->slope <= 0.5 * gradient_before)) {
         return 0;
     }
     if (q->closed_gaps < 2 && ipm_gaps(s) > 5.684341886080802e-14) {
@@ -2265,7 +2291,7 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     q->closed_gaps = 0;
-    q->merit = (golden_real)INFINITY;
+    q->merit = q->slope = (golden_real)INFINITY;
     q->step = 1.0;
     q->primal = (golden_real)INFINITY;
     for (;;) {
@@ -2280,7 +2306,8 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         if (ipm_converged(s)) {
             return GOLDEN_OK;
         }
-        if (q->step < 0.5 && q->primal > 9.094947017729282e-13 && ipm_infeasible(s)) {
+        if (q->primal > 1.4210854715202004e-14 && (q->step < 0.5 || q->primal > 0.5 * before) &&
+            ipm_infeasible(s)) {
             return GOLDEN_INFEASIBLE;
         }
         if (s->qp.iterations >= GOLDEN_IPM_MAX_ITERATIONS) {
@@ -2357,12 +2384,12 @@ static golden_status_t ipm_prepare(golden_solver_t *s)
     return GOLDEN_OK;
 }
 
-/* 1 if a control is fixed or a row an equation. */
-static int ipm_any_given(const golden_ipm_t *q)
+/* Rows or controls of the given kind: 1 if there is one. */
+static int ipm_any(const golden_ipm_t *q, int kind)
 {
     int c, any = 0;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        any |= q->kind[c] != 0;
+        any |= q->kind[c] == kind;
     }
     return any;
 }
@@ -2376,14 +2403,15 @@ static int ipm_run_without_sides(golden_solver_t *s, golden_status_t *status)
     q->sides = q->hard = 0;
     q->unit = 0.0;
     (void)ipm_violation_cost(s, &count);
-    if (q->damping > 0.0 || count > 0) {
+    if (q->damping > 0.0 || (count > 0 && !ipm_any(q, 1))) {
         return 0;
     }
-    if (!ipm_any_given(q)) {
+    if (!ipm_any(q, 1) && !ipm_any(q, 2)) {
         ipm_net_multipliers(s);
         return 1;
     }
     *status = ipm_iterate(s);
+    memcpy(q->origin, q->v, sizeof q->v);
     (void)ipm_violation_cost(s, &count);
     return *status != GOLDEN_OK || count == 0;
 }
@@ -2456,6 +2484,7 @@ static void qp_enter(golden_solver_t *s)
         c = GOLDEN_NV + m;
         q->side[c] = qp_allowed(q, c, q->side[c], q->penalty[m]);
         r->weight[m] = qp_weight(q, m, q->side[c]);
+        qp_set_center(q, m, q->side[c] != 0 ? q->mult[c] : 0.0);
     }
     q->stale = q->stale_vectors = GOLDEN_NS;
 }
@@ -2498,31 +2527,37 @@ static void qp_exchange(golden_solver_t *s, int back)
     memcpy(back ? q->mult : ipm->force, back ? ipm->force : q->mult, sizeof q->mult);
 }
 
+/* From the empty working set; where this fails, the interior point method and then the set that it names. */
 static golden_status_t qp_fall_back(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
-    const int before = q->iterations;
     golden_status_t status;
+    int before;
+    memset(q->side, 0, sizeof q->side);
+    memset(q->mult, 0, sizeof q->mult);
+    qp_enter(s);
+    if (qp_iterate(s, GOLDEN_QP_MAX_ITERATIONS) == GOLDEN_OK) {
+        return GOLDEN_OK;
+    }
+    before = q->iterations;
     s->ipm.ready = 0;
-    q->polished = 0;
     status = ipm_solve(s);
     q->iterations += before;
     q->stale = q->stale_vectors = GOLDEN_NS;
     q->factorized = 0;
-    if (status != GOLDEN_OK) {
+    if (status != GOLDEN_OK && status != GOLDEN_ITERATION_LIMIT) {
         return status;
     }
     qp_set_base(s);
     qp_exchange(s, 0);
     qp_enter(s);
     if (qp_iterate(s, GOLDEN_QP_MAX_POLISH) == GOLDEN_OK) {
-        qp_finish(q);
-        q->polished = 1;
-    } else {
-        qp_exchange(s, 1);
-        ipm_write_sides(s);
+        return GOLDEN_OK;
     }
-    return GOLDEN_OK;
+    qp_exchange(s, 1);
+    ipm_write_sides(s);
+    q->exact = 0;
+    return status;
 }
 
 static golden_status_t qp_fail(golden_qp_t *q, golden_status_t status)
@@ -2586,7 +2621,7 @@ static golden_status_t qp_solve(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
     golden_status_t status = q->factorized ? qp_check_bounds(q) : GOLDEN_NUMERICAL_FAILURE;
-    q->iterations = q->changes = q->refinements = q->dropped = q->relaxed = 0;
+    q->iterations = q->changes = q->refinements = q->dropped = q->relaxed = q->exact = 0;
     memset(q->certificate, 0, sizeof q->certificate);
     if (status != GOLDEN_OK) {
         return qp_fail(q, status);
@@ -2594,10 +2629,12 @@ static golden_status_t qp_solve(golden_solver_t *s)
     qp_take_bounds(s);
     q->changes = 0;
     status = qp_iterate(s, GOLDEN_QP_MAX_ITERATIONS);
-    if (status == GOLDEN_OK) {
-        qp_finish(q);
-    } else if (status != GOLDEN_NUMERICAL_FAILURE) {
+    q->exact = 1;
+    if (status == GOLDEN_STALLED || status == GOLDEN_ITERATION_LIMIT) {
         status = qp_fall_back(s);
+    }
+    if (q->exact && status == GOLDEN_OK) {
+        qp_finish(q);
     }
     return status == GOLDEN_NUMERICAL_FAILURE ? qp_fail(q, status) : status;
 }

@@ -1074,7 +1074,7 @@ static golden_real ipm_violation(const golden_solver_t *s, int c)
     const golden_real v = s->ipm.v[c], over = v - s->qp.upper[c], under = s->qp.lower[c] - v;
     const golden_real amount = (over > under) ? over : under;
     const golden_real bound = fabs((over > under) ? s->qp.upper[c] : s->qp.lower[c]);
-    return (amount > 3.552713678800501e-15 * (bound + fabs(v))) ? amount : 0.0;
+    return (amount > 5.684341886080802e-14 * (bound + fabs(v))) ? amount : 0.0;
 }
 
 /* Cost of the violations, sum of (violation / reach)^2, and their number. */
@@ -1156,8 +1156,22 @@ static inline void ipm_adjoint_step(golden_solver_t *s, int k, const golden_real
     riccati_combine(w, lam, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
 }
 
-/* Gradient of the Lagrangian with respect to the free controls and components of x_0 relative to the largest of the terms it is
- * a sum of, each times the way that one unit of cost allows. Fixed controls get their multipliers. */
+/* The component i of the gradient of the Lagrangian at stage k, times the way that one unit of cost allows, and the terms it is
+ * a sum of: cost, rows, the next state. */
+static void ipm_take_gradient(golden_solver_t *s, int k, int i, golden_real rest, golden_real unit, golden_real *worst, golden_real *most)
+{
+    const golden_real z = (i < GOLDEN_NX) ? s->qp.x[k][i] : s->qp.z[k * GOLDEN_NUS + i - GOLDEN_NX], g = s->riccati.g[k][i];
+    golden_real terms = fabs(stage_g(s, k)[i]) + fabs(stage_Q(s, k)[i][i] * z);
+    terms += fabs(g) + fabs(rest - g);
+    if (i >= GOLDEN_NX) {
+        terms += fabs(s->qp.mult[k * GOLDEN_NUS + i - GOLDEN_NX]);
+    }
+    *worst = (fabs(rest) * unit > *worst) ? fabs(rest) * unit : *worst;
+    *most = (terms * unit > *most) ? terms * unit : *most;
+}
+
+/* Gradient of the Lagrangian with respect to the free controls and components of x_0, relative to its terms, under the feedback
+ * u = K x + v: so rounding does not grow along an unstable horizon. Fixed controls get their multipliers. */
 static golden_real ipm_stationarity(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
@@ -1170,23 +1184,18 @@ static golden_real ipm_stationarity(golden_solver_t *s)
         ipm_adjoint_step(s, k, lam, w);
         for (j = 0; j < GOLDEN_NUS; j++) {
             const int c = k * GOLDEN_NUS + j;
-            const golden_real g = s->riccati.g[k][GOLDEN_NX + j], rest = w[GOLDEN_NX + j];
-            const golden_real unit = q->reach[c];
-            const golden_real terms = (fabs(g) + fabs(rest - g) + fabs(s->qp.mult[c])) * unit;
             if (q->kind[c] == 2) {
-                s->qp.mult[c] -= rest;
+                s->qp.mult[c] -= w[GOLDEN_NX + j];
             } else {
-                worst = (fabs(rest) * unit > worst) ? fabs(rest) * unit : worst;
-                most = (terms > most) ? terms : most;
+                ipm_take_gradient(s, k, GOLDEN_NX + j, w[GOLDEN_NX + j], q->reach[c], &worst, &most);
             }
         }
+        riccati_combine(w, w + GOLDEN_NX, s->riccati.K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_NX);
         memcpy(lam, w, sizeof lam);
     }
     for (j = 0; j < GOLDEN_NF; j++) {
-        const golden_real unit = 1.0 / sqrt(s->riccati.F[j][j]), g = s->riccati.g[0][free_state[j]];
-        const golden_real rest = lam[free_state[j]], terms = (fabs(g) + fabs(rest - g)) * unit;
-        worst = (fabs(rest) * unit > worst) ? fabs(rest) * unit : worst;
-        most = (terms > most) ? terms : most;
+        const golden_real unit = 1.0 / sqrt(s->riccati.F[j][j]);
+        ipm_take_gradient(s, 0, free_state[j], lam[free_state[j]], unit, &worst, &most);
     }
     return (worst > 0.0) ? worst / most : 0.0;
 }
@@ -1410,8 +1419,8 @@ static void ipm_measure(golden_solver_t *s)
  * fall fast enough: then there is less of it. Returns 1 if so. */
 static int ipm_stiffen(golden_ipm_t *q, golden_real before)
 {
-    if (q->step > 0.9 && q->primal > 9.094947017729282e-13 && q->primal > 0.125 * before &&
-        q->stiffening < 4096.0) {
+    if (q->step > 0.9 && q->primal > 1.4210854715202004e-14 && q->primal > 0.125 * before &&
+        q->stiffening < 65536.0) {
         q->stiffening *= 16.0;
         return 1;
     }
@@ -1516,7 +1525,7 @@ static golden_real ipm_setback(const golden_solver_t *s)
 static void ipm_step(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real least = 0.0009765625 * 8.673617379884035e-19 * q->unit;
+    const golden_real least = 0.0009765625 * 5.421010862427522e-20 * q->unit;
     golden_real inverse, share, target, way;
     memset(q->extra, 0, sizeof q->extra);
     memset(q->extra_e, 0, sizeof q->extra_e);
@@ -1562,21 +1571,23 @@ static golden_real ipm_gaps(golden_solver_t *s)
     return most;
 }
 
-/* 1 if all residuals are at their tolerance, or small and no longer falling. Gaps of the dynamics are
- * closed then. */
+/* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
+ * Gaps of the dynamics are closed then. */
 static int ipm_converged(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real before = q->merit;
-    golden_real part = (q->mu > 0.0) ? q->mu / (8.673617379884035e-19 * q->unit) : 0.0;
-    q->merit = q->primal / 9.094947017729282e-13;
-    q->merit = (part > q->merit) ? part : q->merit;
+    const golden_real rows_before = q->merit, gradient_before = q->slope;
+    q->merit = q->primal / 1.4210854715202004e-14;
+    if (q->mu > q->merit * 5.421010862427522e-20 * q->unit) {
+        q->merit = q->mu / (5.421010862427522e-20 * q->unit);
+    }
+    q->slope = (golden_real)INFINITY;
     if (!(q->merit <= 1024.0)) {
         return 0;
     }
-    part = ipm_stationarity(s) / 3.637978807091713e-12;
-    q->merit = (part > q->merit) ? part : q->merit;
-    if (q->merit > 1.0 && !(q->merit <= 1024.0 && q->merit > 0.5 * before)) {
+    q->slope = ipm_stationarity(s) / 5.684341886080802e-14;
+    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || q->slope > 65536.0 ||
+        (q->slope > 1.0 && q->slope <= 0.5 * gradient_before)) {
         return 0;
     }
     if (q->closed_gaps < 2 && ipm_gaps(s) > 5.684341886080802e-14) {
@@ -1591,7 +1602,7 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     q->closed_gaps = 0;
-    q->merit = (golden_real)INFINITY;
+    q->merit = q->slope = (golden_real)INFINITY;
     q->step = 1.0;
     q->primal = (golden_real)INFINITY;
     for (;;) {
@@ -1606,7 +1617,8 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         if (ipm_converged(s)) {
             return GOLDEN_OK;
         }
-        if (q->step < 0.5 && q->primal > 9.094947017729282e-13 && ipm_infeasible(s)) {
+        if (q->primal > 1.4210854715202004e-14 && (q->step < 0.5 || q->primal > 0.5 * before) &&
+            ipm_infeasible(s)) {
             return GOLDEN_INFEASIBLE;
         }
         if (s->qp.iterations >= GOLDEN_IPM_MAX_ITERATIONS) {
@@ -1683,12 +1695,12 @@ static golden_status_t ipm_prepare(golden_solver_t *s)
     return GOLDEN_OK;
 }
 
-/* 1 if a control is fixed or a row an equation. */
-static int ipm_any_given(const golden_ipm_t *q)
+/* Rows or controls of the given kind: 1 if there is one. */
+static int ipm_any(const golden_ipm_t *q, int kind)
 {
     int c, any = 0;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        any |= q->kind[c] != 0;
+        any |= q->kind[c] == kind;
     }
     return any;
 }
@@ -1702,14 +1714,15 @@ static int ipm_run_without_sides(golden_solver_t *s, golden_status_t *status)
     q->sides = q->hard = 0;
     q->unit = 0.0;
     (void)ipm_violation_cost(s, &count);
-    if (q->damping > 0.0 || count > 0) {
+    if (q->damping > 0.0 || (count > 0 && !ipm_any(q, 1))) {
         return 0;
     }
-    if (!ipm_any_given(q)) {
+    if (!ipm_any(q, 1) && !ipm_any(q, 2)) {
         ipm_net_multipliers(s);
         return 1;
     }
     *status = ipm_iterate(s);
+    memcpy(q->origin, q->v, sizeof q->v);
     (void)ipm_violation_cost(s, &count);
     return *status != GOLDEN_OK || count == 0;
 }
