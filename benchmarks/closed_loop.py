@@ -23,19 +23,21 @@ class Scenario:
 
     At every sample n with n % period == 0, in this order: all states get amplitude U(-1, 1); set point n / period (in
     turn) becomes the reference (y, y_N) of all nodes and of the end; the plant runs ``pushes`` samples under ``push``.
+    With ``restart`` every state becomes x0 (1 + restart U(-1, 1)) first.
     """
 
     x0: Sequence[float]
     dt: float
     period: int
     amplitude: float = 0.0
+    restart: float = 0.0
     set_points: Sequence[tuple[Sequence[float], Sequence[float]]] = ()
     push: Sequence[float] = ()
     pushes: int = 0
 
     def arguments(self) -> list[str]:
         """Command line of closed_loop.c from dt on."""
-        numbers = [self.dt, self.period, self.amplitude, *self.x0, len(self.set_points)]
+        numbers = [self.dt, self.period, self.amplitude, self.restart, *self.x0, len(self.set_points)]
         numbers += [value for point in self.set_points for part in point for value in part]
         numbers += [self.pushes, *(self.push if self.pushes else ())]
         return [repr(v) if isinstance(v, int) else repr(float(v)) for v in numbers]
