@@ -51,8 +51,16 @@ class Builder:
 
     # Slices ----------------------------------------------------------------------------------------------------------
 
+    @property
+    def wide(self) -> bool:
+        """Stages of a step side by side, component by component: tapes and curvatures are evaluated in vectors."""
+        return False
+
     def kept(self, buffer: str, stage: int, size: int, kept: bool = True, length: int | None = None) -> Slice:
         """What belongs to one stage of one step, in a buffer over all of them or in a single place."""
+        if self.wide:
+            offset = Affine(stage, (("step", self.stages * size),) if kept else ())
+            return Slice(buffer, size if length is None else length, offset, self.stages)
         if not kept:
             return Slice(buffer, length or size)
         return Slice(buffer, length or size, Affine(stage * size, (("step", self.stages * size),)))
@@ -73,6 +81,8 @@ class Builder:
     def kappa(self, stage: int) -> Slice:
         """Adjoints of the curved rows of a stage."""
         size = len(self.d.curved)
+        if self.wide:
+            return self.kept("kappa", stage, size, self.keeps_kappa)
         terms = (("step", self.stages * size),) if self.keeps_kappa else ()
         return Slice("kappa", size, Affine(stage * size, terms))
 
@@ -91,10 +101,12 @@ class Builder:
     def locals(self) -> tuple[Local, ...]:
         """Buffers of both schemes."""
         n, d, s = self.steps * self.stages, self.d, self.stages
+        once = s if self.wide else 1
         return (
-            *(("h", 1), ("X", self.nx), ("K", s * self.nx), ("Xs", (n if self.keeps_points else 1) * self.nx)),
+            *(("h", 1), ("X", self.nx), ("K", s * self.nx), ("Xs", (n if self.keeps_points else once) * self.nx)),
             *(("tape", (n if d.keeps_tape else 1) * d.tape), ("adj", self.nx), ("Xbar", s * self.nx)),
-            *(("Hs", d.values), ("Sx", self.nF * self.ld), ("Ks", s * self.nF * self.ld)),
+            *(("M", s * len(d.functions)), ("Hs", once * d.values)),
+            *(("Sx", self.nF * self.ld), ("Ks", s * self.nF * self.ld)),
             *(("Fu", len(self.forced) * self.ld), ("E", len(self.controls) * self.ld)),
         )
 
@@ -215,7 +227,10 @@ class Builder:
         else:
             nodes.append(Call(copy("copy_x", self.nx), (state,), (point,)))
         K = Slice("K", self.nx, Affine(stage * self.nx))
-        if self.d.keeps_tape:
+        if self.wide:
+            functions = self.kept("M", stage, len(self.d.functions), kept=False)
+            nodes.append(Call(self.d.leaf_value_and_functions(), (point, *self.up), (K, functions), inline=True))
+        elif self.d.keeps_tape:
             nodes.append(Call(self.d.leaf_tape(self.d.tape), (point, *self.up), (K, self.tape(stage))))
         else:
             nodes.append(Call(self.d.leaf_value(), (point, *self.up), (K,)))
@@ -280,6 +295,32 @@ class Builder:
         ins = (Slice("adj", self.nx), Slice("h", 1), self.tape(stage, self.d.slopes), *bars)
         outs = (self.kappa(stage), Slice("Xbar", self.nx, Affine(stage * self.nx)))
         return Call(self.leaf_backward(stage), ins, outs)
+
+    def stagewise(self, leaf: Any, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
+        """The leaf for every stage of a step."""
+        return For("s", 0, self.stages, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
+
+    def lane(self, buffer: str, size: int, kept: bool = True) -> Slice:
+        """What belongs to stage s."""
+        terms = (("s", 1), ("step", self.stages * size)) if kept else (("s", 1),)
+        return Slice(buffer, size, Affine(0, terms), self.stages)
+
+    def tapes(self) -> For:
+        """The tapes of a step."""
+        d = self.d
+        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.up, self.lane("M", len(d.functions), False))
+        return self.stagewise(d.leaf_tape_of_functions(), ins, (self.lane("tape", d.tape),))
+
+    def curvatures(self) -> For:
+        """The values of H of a step."""
+        d = self.d
+        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.up, self.lane("tape", d.tape))
+        kappa = self.lane("kappa", len(d.curved), self.keeps_kappa)
+        return self.stagewise(d.leaf_hessian(), (*ins, kappa), (self.lane("Hs", d.values, False),))
+
+    def hessian_values(self, stage: int) -> Slice:
+        """The values of H_i."""
+        return self.kept("Hs", stage, self.d.values, kept=False)
 
     def curvature(self, stage: int) -> Call:
         """The values of H_i."""

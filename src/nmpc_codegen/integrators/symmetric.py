@@ -28,6 +28,11 @@ class ThreeSweeps(Builder):
     """
 
     @property
+    def wide(self) -> bool:
+        """The terms of the sum do not depend on each other: those of a step are evaluated together."""
+        return self.d.keeps_tape
+
+    @property
     def merged(self) -> bool:
         """True: two sweeps that keep the curved rows of Z."""
         return self.d.keeps_tape and len(self.d.curved_states) * self.ld <= TAPE_PER_COMPONENT * self.nz
@@ -47,24 +52,29 @@ class ThreeSweeps(Builder):
         return nodes
 
     def _two(self) -> list[Node]:
-        stages = range(self.stages)
-        first = [node for i in stages for node in (*self.evaluate(i), self._slope(i))]
-        nodes: list[Node] = [For("step", 0, self.steps, (*first, self.update(), self.update_columns()))]
+        first = [*self._points(), *(self._slope(i) for i in range(self.stages)), self.update_columns()]
+        nodes: list[Node] = [For("step", 0, self.steps, tuple(first))]
         if self.rows:
-            bends = [node for i in stages for node in self._bend(i)]
-            nodes += [*self._clear(), For("step", 0, self.steps, (*self.backward(), *bends), down=True)]
+            bends = [node for i in range(self.stages) for node in self._bend(i)]
+            second = (*self.backward(), self.curvatures(), *bends)
+            nodes += [*self._clear(), For("step", 0, self.steps, second, down=True)]
         return nodes
 
     def _three(self) -> list[Node]:
         stages = range(self.stages)
-        first = [node for i in stages for node in self.evaluate(i)]
-        nodes: list[Node] = [For("step", 0, self.steps, (*first, self.update()))]
-        third = [node for i in stages for node in (*self.again(i, self.d.tape), self._slope(i))]
+        nodes: list[Node] = [For("step", 0, self.steps, tuple(self._points()))]
         if self.rows:
             nodes += [*self._clear(), For("step", 0, self.steps, tuple(self.backward()), down=True)]
-            third = [n for i in stages for n in (*self.again(i, self.d.tape), self._slope(i), *self._bend(i))]
+        third: list[Node] = [self.curvatures()] if self.rows and self.wide else []
+        for i in stages:
+            third += [*self.again(i, self.d.tape), self._slope(i), *(self._bend(i) if self.rows else ())]
         nodes.append(For("step", 0, self.steps, (*third, self.update_columns())))
         return nodes
+
+    def _points(self) -> list[Node]:
+        """Stage points and slopes, and the tapes where they are kept."""
+        nodes = [node for i in range(self.stages) for node in self.evaluate(i)]
+        return [*nodes, *([self.tapes()] if self.wide else []), self.update()]
 
     def _clear(self) -> list[Node]:
         """adj = lam, H = 0."""
@@ -91,11 +101,12 @@ class ThreeSweeps(Builder):
         H, Z, units = ca.SX.sym("H", d.values), ca.SX.sym("Z", len(d.curved_states)), ca.SX.sym("E", len(self.controls))
         value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
         leaf = ca.Function("bend", [H, Z, units], [value], ["H", "Z", "E"], ["HZ"])
-        ins = (Slice("Hs", d.values), self._curved(stage), self.column("E", len(self.controls)))
+        ins = (self.hessian_values(stage), self._curved(stage), self.column("E", len(self.controls)))
         bend = self.columnwise(leaf, ins, (self.column("HZ", len(self.rows), stage % self.group),))
         first = stage - stage % self.group
         complete = stage + 1 == min(first + self.group, self.stages)
-        return [self.curvature(stage), bend, *(self._accumulate(range(first, stage + 1)) if complete else ())]
+        own = () if self.wide else (self.curvature(stage),)
+        return [*own, bend, *(self._accumulate(range(first, stage + 1)) if complete else ())]
 
     @property
     def group(self) -> int:
