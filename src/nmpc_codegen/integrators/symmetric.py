@@ -16,6 +16,9 @@ from nmpc_codegen.sweep import Affine, Call, For, Node, Slice
 # Up to so many panels of rows have a loop each, with its own bounds.
 WRITTEN_PANELS = 3
 
+# Tapes of up to so many numbers are evaluated for all stages of a step at once; f is written out at every stage then.
+LONGEST_TAPE = 64
+
 # So many factors of the rows of one panel are held in registers.
 FACTORS = 12
 
@@ -24,13 +27,15 @@ class ThreeSweeps(Builder):
     """Points forward, adjoints backward, sensitivities and Hessian forward.
 
     Where the curved rows of S of all stages are few, they are kept as the first sweep passes, which then propagates S
-    too; what is left of the third sweep joins the second, for the order of the sum is arbitrary.
+    too; what is left of the third sweep joins the second, for the order of the sum is arbitrary. Tapes and H depend on
+    one stage alone: where they are worth it, those of a step are evaluated in one loop over its stages, which compilers
+    turn into vector instructions, as they do with loops over columns.
     """
 
     @property
     def wide(self) -> bool:
         """The terms of the sum do not depend on each other: those of a step are evaluated together."""
-        return self.d.keeps_tape
+        return self.d.keeps_tape and self.nz < self.d.tape <= LONGEST_TAPE
 
     @property
     def merged(self) -> bool:
@@ -40,7 +45,7 @@ class ThreeSweeps(Builder):
     @property
     def keeps_kappa(self) -> bool:
         """The adjoints of all stages are stored for the third sweep."""
-        return not self.merged
+        return not self.merged or self.staggered
 
     def body(self) -> list[Node]:
         """All nodes, from the inputs x, u, p, dt, lam to x_next, S, and what is added to g and Q."""
@@ -52,29 +57,33 @@ class ThreeSweeps(Builder):
         return nodes
 
     def _two(self) -> list[Node]:
-        first = [*self._points(), *(self._slope(i) for i in range(self.stages)), self.update_columns()]
-        nodes: list[Node] = [For("step", 0, self.steps, tuple(first))]
+        stages = range(self.stages)
+        slopes: list[list[Node]] = [[self._slope(i)] for i in stages]
+        if self.wide:
+            slopes[0].insert(0, self.tapes())
+        slopes[-1].append(self.update_columns())
+        nodes = self.loop(self._points(), slopes)
         if self.rows:
-            bends = [node for i in range(self.stages) for node in self._bend(i)]
-            second = (*self.backward(), self.curvatures(), *bends)
-            nodes += [*self._clear(), For("step", 0, self.steps, second, down=True)]
+            bends = [self._bend(i) for i in stages]
+            if self.wide:
+                bends[0].insert(0, self.curvatures())
+            nodes += [*self._clear(), *self.loop([self.backward()], bends, down=True)]
         return nodes
 
     def _three(self) -> list[Node]:
-        stages = range(self.stages)
-        nodes: list[Node] = [For("step", 0, self.steps, tuple(self._points()))]
+        nodes = self.loop(self._points(), [[self.tapes()]] if self.wide else [])
         if self.rows:
-            nodes += [*self._clear(), For("step", 0, self.steps, tuple(self.backward()), down=True)]
+            nodes += [*self._clear(), *self.loop([self.backward()], down=True)]
         third: list[Node] = [self.curvatures()] if self.rows and self.wide else []
-        for i in stages:
+        for i in range(self.stages):
             third += [*self.again(i, self.d.tape), self._slope(i), *(self._bend(i) if self.rows else ())]
-        nodes.append(For("step", 0, self.steps, (*third, self.update_columns())))
-        return nodes
+        return [*nodes, *self.loop([(*third, self.update_columns())])]
 
-    def _points(self) -> list[Node]:
-        """Stage points and slopes, and the tapes where they are kept."""
-        nodes = [node for i in range(self.stages) for node in self.evaluate(i)]
-        return [*nodes, *([self.tapes()] if self.wide else []), self.update()]
+    def _points(self) -> list[list[Node]]:
+        """Stage points and slopes, stage by stage, and the end of the step."""
+        groups = [self.evaluate(i) for i in range(self.stages)]
+        groups[-1].append(self.update())
+        return groups
 
     def _clear(self) -> list[Node]:
         """adj = lam, H = 0."""
@@ -149,7 +158,7 @@ class ThreeSweeps(Builder):
         n = self.steps * self.stages
         return (
             *self.locals(),
-            *(("kappa", (self.stages if self.merged else n) * len(self.d.curved)), ("H", self.ld**2)),
+            *(("kappa", (n if self.keeps_kappa else self.stages) * len(self.d.curved)), ("H", self.ld**2)),
             *(
                 ("Z", (n if self.merged else self.group) * len(self.d.curved_states) * self.ld),
                 ("HZ", self.group * len(self.rows) * self.ld),
