@@ -62,13 +62,15 @@ class Timing:
     samples: int
 
 
-def compile_driver(sources: Sources, name: str, folder: Path, flags: Sequence[str] = PROFILES["fast"].flags) -> Path:
+def compile_driver(
+    sources: Sources, name: str, folder: Path, flags: Sequence[str] = PROFILES["fast"].flags, driver: Path = DRIVER
+) -> Path:
     """The driver with the package compiled into it."""
     for path in (f"{name}.h", f"{name}.c"):
         (folder / path).write_text(sources[path], encoding="utf-8")
     program = folder / "closed_loop"
     command = [*find_compiler(), *flags, "-std=c99", f"-DNAME={name}", f"-DMACRO={name.upper()}"]
-    command += [f'-DPACKAGE="{name}.c"', f"-I{folder}", str(DRIVER), "-o", str(program), "-lm"]
+    command += [f'-DPACKAGE="{name}.c"', f"-I{folder}", str(driver), "-o", str(program), "-lm"]
     subprocess.run(command, check=True)
     return program
 
