@@ -24,6 +24,9 @@ from nmpc_codegen.problem import Problem
 from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Affine, Call, For, Node, Slice, Sweep, unroll
 
+# Longest tape with which the sweeps are staggered: the code of their loops is written two times.
+STAGGERED_TAPE = 32
+
 Local = tuple[str, int]
 Groups = Sequence[Sequence[Node]]
 
@@ -33,7 +36,8 @@ class Builder:
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int, staggered: bool = True) -> None:
         self.d = d = Derivatives(problem)
-        self.staggered = staggered and steps > 1 and not d.functions  # calls take more than staggering would hide
+        # Calls of functions take more than staggering would hide; with a long tape there is work enough in one step.
+        self.staggered = staggered and steps > 1 and not d.functions and d.tape <= STAGGERED_TAPE
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
         self.nx, self.nu, self.nz, self.nF = d.nx, d.nu, d.nz, d.nF
         self.columns = [j for j in range(d.nz) if not d.closed(j)]

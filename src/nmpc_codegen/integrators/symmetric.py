@@ -17,7 +17,7 @@ from nmpc_codegen.sweep import Affine, Call, For, Node, Slice
 WRITTEN_PANELS = 3
 
 # Tapes of up to so many numbers are evaluated for all stages of a step at once; f is written out at every stage then.
-LONGEST_TAPE = 64
+LONGEST_TAPE = 128
 
 # So many factors of the rows of one panel are held in registers.
 FACTORS = 12
