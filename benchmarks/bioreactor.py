@@ -73,7 +73,7 @@ def by_ipopt(ocp: OCP, x0: np.ndarray, x: np.ndarray, u: np.ndarray) -> Referenc
 def orbits(report: Report) -> None:
     """Optimal periodic orbits, initial state free, both readings of the average feed; then the unique optimum."""
     for reading, value in EXPECTED.items():
-        # In reading (a) the reduced Hessian is 0, and there is nothing to scale the floor of its eigenvalues by: watched.
+        # In reading (a) the reduced Hessian is 0, and nothing is left to scale the floor of its eigenvalues by: watched.
         for case, hessian in HESSIANS.items():
             watched = "_zero_reduced_hessian" if reading == "a" and hessian is PROJECT else ""
             ocp = example.build_ocp(reading)
@@ -88,7 +88,9 @@ def orbits(report: Report) -> None:
             key, limit = f"bioreactor_{reading}_objective{watched}", None if watched else value - 1e-6
             report.add(key, -ours.cost, "g/(L h)", case=label, limit=limit, at_least=True)
             limit = None if watched else 1e-6
-            report.add(f"bioreactor_objective_error{watched}", error, "g/(L h)", case=f"({reading}) {case}", limit=limit)
+            report.add(
+                f"bioreactor_objective_error{watched}", error, "g/(L h)", case=f"({reading}) {case}", limit=limit
+            )
             kkt = max(dataclasses.astuple(ours.kkt))
             report.add(f"bioreactor_kkt{watched}", kkt, case=f"({reading}) {case}", limit=None if watched else 1e-8)
     for case, hessian in HESSIANS.items():
@@ -219,5 +221,3 @@ def table_3(report: Report) -> None:
     for name, row in {**rows, **PEERS}.items():
         table.add_row(name, *("" if value is None else f"{value:.3g}" for value in row))
     Console(width=140).print(table)
-
-

@@ -22,6 +22,7 @@ from nmpc_codegen.evaluation import Tableau, interval_map
 from nmpc_codegen.integrators import TABLEAUS, Discrete
 from nmpc_codegen.kernel import Kernel, lift
 from nmpc_codegen.problem import Problem
+from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Call, For, LoopedRoutine, Node, Routine, Slice, unroll
 from tests.c_harness import Routines
 from tests.models import discrete_map, problem_of
@@ -247,6 +248,7 @@ def promise(report: Report) -> None:
         if name == "bioreactor":
             report.add("foa_over_tsp", ratio, case="time, looped", limit=1.3, at_least=True, n=20)
         report.add(f"{name}_foa_over_tsp", ratio, case="time, looped", at_least=True, n=20)
+    explain()
 
 
 def _report_spelling(
@@ -262,6 +264,51 @@ def _report_spelling(
         report.add(f"{name}_{what}_ns", t[f"{what}_{word}"], "ns", case=case, n=20)
         report.add(f"{name}_{what}_operations", routine.count.total, "operations", case=case, profile="exact")
         report.add(f"{name}_{what}_code_bytes", code_bytes(routine), "bytes", case=case)
+
+
+#: Parts of both schemes and the leaves that they consist of.
+GROUPS = {
+    "points": ("f", "taped_f", "point", "update"),
+    "derivatives of f": ("tape", "curvature"),
+    "S": ("slope", "update_columns"),
+    "adjoint": ("backward",),
+    "H": ("bend", "accumulate", "sum", "bar", "update_bars"),
+    "rest": (),
+}
+
+
+def explain() -> None:
+    """Where operations of the bioreactor's loops are: all of them, and as instructions, four in a vector."""
+    model = MODELS["bioreactor"]
+    problem = analyse(model.make())
+    component = ExplicitRungeKutta(RK4, model.steps, "none")
+    table = Table(title="bioreactor, looped: operations (scalar and vector instructions)")
+    for column in ("", *GROUPS, "all"):
+        table.add_column(column, justify="right")
+    for scheme in SWEEPS:
+        routine = curved(problem, component, scheme)
+        assert isinstance(routine, LoopedRoutine)
+        found = {group: np.zeros(2) for group in GROUPS}
+        _collect(routine.sweep.body, routine, found)
+        cells = [*found.values(), sum(found.values(), np.zeros(2))]
+        table.add_row(scheme.upper(), *(f"{all_:.0f} ({issued:.0f})" for all_, issued in cells))
+    Console(width=140).print(table)
+
+
+def _collect(
+    nodes: tuple[Node, ...], routine: LoopedRoutine, found: dict[str, np.ndarray], times: int = 1, vector: int = 1
+) -> None:
+    for node in nodes:
+        if isinstance(node, For):
+            n = len(node.values({}))
+            vectors = node.index in ("c", "s") and n % PANEL == 0
+            _collect(node.body, routine, found, times * n, PANEL if vectors else vector)
+            continue
+        name = node.leaf.name()
+        words = (name, name.rstrip("0123456789").rstrip("_"))
+        group = next((g for g, leaves in GROUPS.items() if any(w in leaves for w in words)), "rest")
+        total = times * routine.leaves[name].count.total
+        found[group] += np.array([total, total / vector])
 
 
 # Table I -------------------------------------------------------------------------------------------------------------
@@ -280,14 +327,14 @@ def dense(nz: int) -> Problem:
 #: Leaves of the propagation, and the buffers that it needs besides derivatives of phi.
 LEAVES = {"tsp": ("bend", "accumulate", "sum"), "foa": ("bar", "update_bars")}
 BUFFERS = {"tsp": ("Xs", "kappa", "Z", "Sx", "H"), "foa": ("Xs", "Zs", "Sx", "adj", "adjS", "ubarS")}
-PICTURE = Path(__file__).parents[1] / "out" / "table_1.png"
+TABLE_1 = Path(__file__).parents[1] / "out" / "table_1.png"
 
 
 def table_1(steps: int = 10) -> list[dict[str, float]]:
     """Operations per step and numbers stored for n steps, counted from the emitted loops, and the paper's formulas.
 
-    The paper counts one operation per product; so do we. Columns are padded to multiples of PANEL. ``memory`` is what the
-    recursions of S and H store, apart from the slopes of a step, which are local to it.
+    The paper counts one operation per product; so do we. Columns are padded to multiples of PANEL. ``memory`` is what
+    the recursions of S and H store, apart from the slopes of a step, which are local to it.
     """
     rows = []
     for nz in range(2, 21):
@@ -321,7 +368,7 @@ def report_table_1(report: Report) -> None:
         every = [f"{row[f'{s}_all']:.0f}" for s in SWEEPS]
         table.add_row(f"{row['nz']:.0f}", *both, ratio, *memory, *every)
     Console(width=140).print(table)
-    draw_table_1(rows, PICTURE)
+    draw_table_1(rows, TABLE_1)
     for row in (rows[4], rows[10], rows[18]):
         case = f"nz = {row['nz']:.0f}"
         for what in ("products", "memory"):

@@ -240,9 +240,11 @@ def test_stages_in_vectors(make: Callable[[], OCP], steps: int, wide: bool, stag
     H = sum((weight * jet.H for weight, jet in zip(lam, end, strict=True)), q.H)
     expected = Expansion(np.array([jet.v for jet in end]), np.array([jet.g for jet in end]), q.g, H)
     spelled = ("none", "auto") if len(x) > 5 else UNROLL
-    call = Routines({n: curved(problem, ExplicitRungeKutta(steps=steps, unroll=n), "symmetric") for n in spelled})
+    call = Routines(
+        {f"as_{n}": curved(problem, ExplicitRungeKutta(steps=steps, unroll=n), "symmetric") for n in spelled}
+    )
     for unroll in spelled:
-        assert_equal(call(unroll, x, u, problem.p_value, [problem.dt[0]], lam), expected, unroll)
+        assert_equal(call(f"as_{unroll}", x, u, problem.p_value, [problem.dt[0]], lam), expected, unroll)
 
 
 def test_memory_of_three_sweeps() -> None:

@@ -23,7 +23,7 @@ from nmpc_codegen.integrators.quadrature import Quadrature
 from nmpc_codegen.integrators.second_order import expand_steps, fuse_steps
 from nmpc_codegen.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau, combine
-from nmpc_codegen.kernel import Kernel, OpCount, Port
+from nmpc_codegen.kernel import OpCount, Port
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Affine, Call, For, Node, Routine, Slice, Sweep, looped, straight, unroll
