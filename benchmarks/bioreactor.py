@@ -73,7 +73,7 @@ def by_ipopt(ocp: OCP, x0: np.ndarray, x: np.ndarray, u: np.ndarray) -> Referenc
 def orbits(report: Report) -> None:
     """Optimal periodic orbits, initial state free, both readings of the average feed; then the unique optimum."""
     for reading, value in EXPECTED.items():
-        # In reading (a) the reduced Hessian is 0, and nothing is left to scale the floor of its eigenvalues by: watched.
+        # In reading (a) the reduced Hessian is 0: nothing is left to scale the floor of its eigenvalues by, so watched.
         for case, hessian in HESSIANS.items():
             watched = "_zero_reduced_hessian" if reading == "a" and hessian is PROJECT else ""
             ocp = example.build_ocp(reading)
