@@ -280,8 +280,8 @@ GROUPS = {
 def explain() -> None:
     """Where operations of the bioreactor's loops are: all of them, and as instructions, four in a vector.
 
-    With four packed columns a symmetric product saves nothing in vectors of four. What makes three sweeps faster is that
-    terms of the sum do not depend on each other: derivatives of f and H of a step's stages are evaluated side by side.
+    With four packed columns a symmetric product saves nothing in vectors of four. Three sweeps are faster because the
+    terms of the sum do not depend on each other: what they consist of is evaluated for the stages of a step at once.
     The reference stays as [Q14] algorithm 1 has it, one stage after the other; its tapes could be treated alike.
     """
     model = MODELS["bioreactor"]
