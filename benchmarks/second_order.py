@@ -218,8 +218,8 @@ def one_program(routine: Routine, sweep_of: LoopedRoutine) -> Kernel:
     return lift(ca.Function("curved", symbols, outputs), "curved", routine.doc, routine.inputs, routine.outputs)
 
 
-#: unroll -> what it is called in the table
-SPELLED = {"all": 'unroll="all"', "none": "looped", "scalar": "no loop at all"}
+#: unroll -> what it is called in the table and in keys
+SPELLED = {"all": ('unroll="all"', "unrolled"), "none": ("looped", "looped"), "scalar": ("no loop at all", "scalar")}
 
 
 def promise(report: Report) -> None:
@@ -255,15 +255,15 @@ def _report_spelling(
     report: Report, name: str, model: Model, word: str, routines: Mapping[str, Routine], t: Mapping[str, float]
 ) -> None:
     watched = "_scalar" if word == "scalar" else ""
-    case = SPELLED[word]
+    case, key = SPELLED[word]
     ratio = t[f"tsp_{word}"] / t[f"forward_{word}"]
     limit = None if watched else model.limit
     report.add(f"{name}_exact_over_forward{watched}", ratio, case=f"time, {case}", limit=limit, n=20)
     for what in ("forward", *SWEEPS):
         routine = routines[f"{what}_{word}"]
-        report.add(f"{name}_{what}_ns", t[f"{what}_{word}"], "ns", case=case, n=20)
-        report.add(f"{name}_{what}_operations", routine.count.total, "operations", case=case, profile="exact")
-        report.add(f"{name}_{what}_code_bytes", code_bytes(routine), "bytes", case=case)
+        report.add(f"{name}_{what}_{key}_ns", t[f"{what}_{word}"], "ns", case=case, n=20)
+        report.add(f"{name}_{what}_{key}_operations", routine.count.total, "operations", case=case, profile="exact")
+        report.add(f"{name}_{what}_{key}_code_bytes", code_bytes(routine), "bytes", case=case)
 
 
 #: Parts of both schemes and the leaves that they consist of.
