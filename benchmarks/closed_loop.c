@@ -1,8 +1,9 @@
 /* Times the closed loop of one package in C, the package's own model as plant.
  * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'. Arguments:
- *     runs steps dt period amplitude x0...  set_points [y... y_N...]...  pushes [u...]
- * Every `period` steps all states are disturbed by amplitude * U(-1, 1), the next set point is taken (references of path
- * and end, in turn), and the plant runs `pushes` samples under u. Prints per run: median us of prepare + feedback, of
+ *     runs steps dt period amplitude restart x0...  set_points [y... y_N...]...  pushes [u...]
+ * Every `period` steps the plant starts anew at x0 (1 + restart * U(-1, 1)) if restart > 0, all states are disturbed by
+ * amplitude * U(-1, 1), the next set point is taken (references of path and end, in turn), and the plant runs `pushes`
+ * samples under u. Prints per run: median us of prepare + feedback, of
  * feedback, failed steps, QP iterations per step and at most; then the total of the worst step, where the time of a step
  * is its minimum over the runs, which are all alike. */
 #define _POSIX_C_SOURCE 199309L
@@ -21,7 +22,7 @@ enum { POINT = SIZE(_NY) + SIZE(_NY_N) };
 
 typedef struct {
     int runs, steps, period, n_points, pushes;
-    double dt, amplitude;
+    double dt, amplitude, restart;
     API(_real) x0[SIZE(_NX)], push[SIZE(_NU)];
     API(_real) *points; /* n_points rows (y, y_N) */
 } scenario_t;
@@ -57,6 +58,7 @@ static void read_scenario(scenario_t *c, char **argument)
     c->dt = atof(*argument++);
     c->period = atoi(*argument++);
     c->amplitude = atof(*argument++);
+    c->restart = atof(*argument++);
     argument = take(argument, SIZE(_NX), c->x0);
     c->n_points = atoi(*argument++);
     c->points = malloc((size_t)(1 + c->n_points * POINT) * sizeof *c->points);
@@ -71,6 +73,9 @@ static void event(const scenario_t *c, int n, API(_real) *x)
     int i;
     if (n % c->period != 0) {
         return;
+    }
+    for (i = 0; c->restart > 0.0 && i < SIZE(_NX); i++) {
+        x[i] = c->x0[i] * (API(_real))(1.0 + c->restart * (2.0 * rand() / RAND_MAX - 1.0));
     }
     for (i = 0; i < SIZE(_NX); i++) {
         x[i] += (API(_real))(c->amplitude * (2.0 * rand() / RAND_MAX - 1.0));

@@ -23,19 +23,21 @@ class Scenario:
 
     At every sample n with n % period == 0, in this order: all states get amplitude U(-1, 1); set point n / period (in
     turn) becomes the reference (y, y_N) of all nodes and of the end; the plant runs ``pushes`` samples under ``push``.
+    With ``restart`` every state becomes x0 (1 + restart U(-1, 1)) first.
     """
 
     x0: Sequence[float]
     dt: float
     period: int
     amplitude: float = 0.0
+    restart: float = 0.0
     set_points: Sequence[tuple[Sequence[float], Sequence[float]]] = ()
     push: Sequence[float] = ()
     pushes: int = 0
 
     def arguments(self) -> list[str]:
         """Command line of closed_loop.c from dt on."""
-        numbers = [self.dt, self.period, self.amplitude, *self.x0, len(self.set_points)]
+        numbers = [self.dt, self.period, self.amplitude, self.restart, *self.x0, len(self.set_points)]
         numbers += [value for point in self.set_points for part in point for value in part]
         numbers += [self.pushes, *(self.push if self.pushes else ())]
         return [repr(v) if isinstance(v, int) else repr(float(v)) for v in numbers]
@@ -60,13 +62,15 @@ class Timing:
     samples: int
 
 
-def compile_driver(sources: Sources, name: str, folder: Path, flags: Sequence[str] = PROFILES["fast"].flags) -> Path:
+def compile_driver(
+    sources: Sources, name: str, folder: Path, flags: Sequence[str] = PROFILES["fast"].flags, driver: Path = DRIVER
+) -> Path:
     """The driver with the package compiled into it."""
     for path in (f"{name}.h", f"{name}.c"):
         (folder / path).write_text(sources[path], encoding="utf-8")
     program = folder / "closed_loop"
     command = [*find_compiler(), *flags, "-std=c99", f"-DNAME={name}", f"-DMACRO={name.upper()}"]
-    command += [f'-DPACKAGE="{name}.c"', f"-I{folder}", str(DRIVER), "-o", str(program), "-lm"]
+    command += [f'-DPACKAGE="{name}.c"', f"-I{folder}", str(driver), "-o", str(program), "-lm"]
     subprocess.run(command, check=True)
     return program
 

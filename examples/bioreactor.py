@@ -145,7 +145,7 @@ def productivity(log: Log, first: int, last: int, parts: int = 48) -> float:
 def draw(best: Solution, loops: dict[str, Log], picture: str) -> None:
     """The closed loops over 288 h, and what they should be: the optimal orbit, thin."""
     names = ("X [g/L]", "S [g/L]", "P [g/L]", "feed Sf [g/L]")
-    figure = Figure(figsize=(9, 7.5), layout="constrained")
+    figure = Figure(figsize=(9, 7), layout="constrained")
     axes = figure.subplots(4, 1, sharex=True)
     for (title, log), color in zip(loops.items(), ("#1f5fa8", "#c2571a"), strict=False):
         for i, axis in enumerate(axes[:3]):
@@ -167,7 +167,7 @@ def draw(best: Solution, loops: dict[str, Log], picture: str) -> None:
     axes[3].set_xlabel("time [h]")
     figure.suptitle("Bioreactor: economic NMPC finds its orbit again after a jump of the state at 144 h", fontsize=11)
     Path(picture).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(picture, dpi=110)
+    figure.savefig(picture, dpi=85)
 
 
 def main(picture: str = "out/bioreactor.png") -> dict[str, Log]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from examples import bioreactor, cart_pole, chain, crane
 from nmpc_codegen import OCP
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.hessians.stage_cost import integrated_kernels
@@ -20,6 +22,7 @@ from nmpc_codegen.products import pattern
 from nmpc_codegen.sweep import Call, LoopedRoutine, Routine, Slice
 from tests.c_harness import Routines
 from tests.models import GRID, LENGTH, discrete_map, problem_of
+from tests.oracles import jets
 from tests.oracles.runge_kutta import MODELS, POINTS, SCHEMES, Array, complex_step
 from tests.oracles.second_order import Expansion, Rate, expand
 
@@ -211,6 +214,37 @@ def test_what_is_not_kept_is_evaluated_again(model: str, monkeypatch: pytest.Mon
         return sum(getattr(node, "index", "") == "step" for node in routine.sweep.body)
 
     assert [loops(f"{way}_symmetric_none") for way in ("kept", "tapes", "points")] == [2, 3, 3]
+
+
+#: Example, steps, what its three sweeps do: tapes in vectors, the second half of a step one step behind.
+IN_VECTORS = (
+    (lambda: bioreactor.build_ocp(periodic=False), 3, True, True),
+    (cart_pole.build_ocp, 2, True, False),  # calls of sin and cos
+    (lambda: chain.build_ocp(3), 2, True, False),  # a long tape
+    (crane.build_ocp, 2, False, False),  # a short one
+)
+
+
+@pytest.mark.parametrize(("make", "steps", "wide", "staggered"), IN_VECTORS)
+def test_stages_in_vectors(make: Callable[[], OCP], steps: int, wide: bool, staggered: bool) -> None:
+    """Against arithmetic with Taylor polynomials, at a point where nothing vanishes."""
+    problem = analyse(make())
+    builder = symmetric.ThreeSweeps(problem, TABLEAUS["RK4"], steps)
+    assert (builder.wide, builder.staggered) == (wide, staggered)
+    x = problem.x_initial + np.random.default_rng(1).uniform(-0.1, 0.1, problem.nx)
+    u, lam = np.random.default_rng(2).uniform(0.2, 0.9, problem.nu), seed(problem.nx)
+    rate = problem.path.cost_rate
+    if rate is not None:
+        rate = ca.Function("rate", [problem.path.x, problem.path.u, problem.path.p], [rate])
+    end, q = jets.interval(problem.dynamics, rate, SCHEMES["RK4"], steps, problem.dt[0], x, u, problem.p_value)
+    H = sum((weight * jet.H for weight, jet in zip(lam, end, strict=True)), q.H)
+    expected = Expansion(np.array([jet.v for jet in end]), np.array([jet.g for jet in end]), q.g, H)
+    spelled = ("none", "auto") if len(x) > 5 else UNROLL
+    call = Routines(
+        {f"as_{n}": curved(problem, ExplicitRungeKutta(steps=steps, unroll=n), "symmetric") for n in spelled}
+    )
+    for unroll in spelled:
+        assert_equal(call(f"as_{unroll}", x, u, problem.p_value, [problem.dt[0]], lam), expected, unroll)
 
 
 def test_memory_of_three_sweeps() -> None:

@@ -95,8 +95,7 @@ def run(function: Any, arguments: Sequence[Sequence[Jet]], size: int) -> list[Je
 def interval(
     f: Any, rate: Any, scheme: tuple[Any, Any], steps: int, dt: float, x: Array, u: Array, p: Array
 ) -> tuple[list[Jet], Jet]:
-    """x(dt) and the integral of the rate (None: 0) as Jets in z = (x, u); f and rate are CasADi Functions of x, u,
-    p."""
+    """x(dt) and the integral of the rate (None: 0) as Jets in z = (x, u); f(x, u, p) and rate(x, u, p) from CasADi."""
     nx, size = len(x), len(x) + len(u)
     unit, flat = np.eye(size), np.zeros((size, size))
     state = [Jet(float(v), unit[i], flat) for i, v in enumerate(x)]

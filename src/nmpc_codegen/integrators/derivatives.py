@@ -130,6 +130,32 @@ class Derivatives:
         name = "tape" if length == self.tape else "slopes"
         return ca.Function(name, [self.x, self.u, self.p], [tape], ["x", "u", "p"], ["t"])
 
+    @cached_property
+    def functions(self) -> list[int]:
+        """Values of functions of math.h that the tape consists of: what compilers do not evaluate in vectors."""
+        found, todo = set(), list(self._kept)
+        while todo:
+            index = todo.pop()
+            ins = self._kernel.instructions[index]
+            if index not in found and ins.opcode in OPERATIONS:
+                found.add(index)
+                todo += ins.args
+        return sorted(v for v in found if OPERATIONS[self._kernel.instructions[v].opcode].count == "call")
+
+    def leaf_value_and_functions(self) -> Any:
+        """K, and the values of ``functions``."""
+        entry = self._values([self.x, self.u, self.p], {})
+        values = _column([entry(v) for v in self.functions])
+        return ca.Function("f", [self.x, self.u, self.p], [self._K(entry), values], ["x", "u", "p"], ["K", "m"])
+
+    def leaf_tape_of_functions(self) -> Any:
+        """The tape from the values of ``functions``: arithmetic alone."""
+        values = ca.SX.sym("m", len(self.functions))
+        preset = {v: values[n] for n, v in enumerate(self.functions)}
+        entry = self._values([self.x, self.u, self.p], preset)
+        tape = _column([entry(v) for v in self._kept])
+        return ca.Function("tape", [self.x, self.u, self.p, values], [tape], ["x", "u", "p", "m"], ["t"])
+
     def _K(self, entry: Any) -> Any:
         K = ca.SX.zeros(self.nx)
         for o, e, v in self._kernel.stores:

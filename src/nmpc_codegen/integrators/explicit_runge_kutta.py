@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, ClassVar, Literal, get_args
@@ -20,10 +20,10 @@ from nmpc_codegen.component import Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.integrators.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.integrators.quadrature import Quadrature
-from nmpc_codegen.integrators.second_order import expand_steps, fuse_steps, straight_lower
+from nmpc_codegen.integrators.second_order import expand_steps, fuse_steps
 from nmpc_codegen.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.integrators.tableau import RK4, TABLEAUS, ButcherTableau, combine
-from nmpc_codegen.kernel import Kernel, OpCount, Port
+from nmpc_codegen.kernel import OpCount, Port
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Affine, Call, For, Node, Routine, Slice, Sweep, looped, straight, unroll
@@ -49,7 +49,9 @@ class ExplicitRungeKutta:
     """Explicit Runge-Kutta scheme with ``steps`` equal steps per interval.
 
     unroll: "all" (one straight-line program per interval), "step" (a loop over steps), "none" (loops over steps and
-    sensitivity columns, calls per stage), "auto" (the most unrolled one below a size limit).
+    sensitivity columns, calls per stage), "auto" (the most unrolled one below a size limit). With second derivatives
+    "all" keeps loops over columns and over the stages of a step: with vector instructions they are twice as fast as one
+    straight-line program, in half the code.
     """
 
     tableau: ButcherTableau = RK4
@@ -86,7 +88,7 @@ class ExplicitRungeKutta:
 
         scheme: "symmetric" (three sweeps) or "forward_over_adjoint".
         """
-        b = SCHEMES[scheme](problem, self.tableau, self.steps)
+        b = SCHEMES[scheme](problem, self.tableau, self.steps, staggered=self.unroll != "step")
         nx, nz = problem.nx, problem.nx + problem.nu
         sweep = Sweep(
             name,
@@ -97,10 +99,13 @@ class ExplicitRungeKutta:
             b.buffers(),
             (start, *b.body()),
         )
-        if self.unroll == "auto":
-            expanded = looped(expand_steps(sweep))
-            return expanded if expanded.statements <= AUTO_STATEMENTS else looped(sweep)
-        return self._spelled(sweep, straight_lower)
+        if self.unroll == "step":
+            return looped(fuse_steps(sweep))
+        if self.unroll == "none":
+            return looped(sweep)
+        expanded = looped(expand_steps(sweep))
+        small = expanded.statements <= AUTO_STATEMENTS
+        return expanded if small or self.unroll == "all" else looped(sweep)
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more) -> l: what ``start`` leaves in l, plus the integral of the cost rate."""
@@ -112,15 +117,15 @@ class ExplicitRungeKutta:
         doc = "g = d (cost of the node + integral of the cost rate over dt) / d(x, u)"
         return self._spelled(Quadrature(problem, self.tableau, self.steps).gradient(name, doc, start, more))
 
-    def _spelled(self, sweep: Sweep, straighten: Callable[[Sweep], Kernel] = straight) -> Routine:
+    def _spelled(self, sweep: Sweep) -> Routine:
         """Straight-line or looped, as ``unroll`` says."""
         if self.unroll == "all":
-            return straighten(sweep)
+            return straight(sweep)
         if self.unroll == "step":
             return looped(fuse_steps(sweep))
         rolled = looped(sweep)
         if self.unroll == "auto" and rolled.count.total <= 10 * AUTO_INSTRUCTIONS:
-            program = straighten(sweep)
+            program = straight(sweep)
             if len(program.instructions) <= AUTO_INSTRUCTIONS:
                 return program
         return rolled

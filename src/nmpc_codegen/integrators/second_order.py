@@ -10,27 +10,34 @@ out; the others are kept packed, in rows of a multiple of PANEL.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from itertools import zip_longest
 from typing import Any
 
 import casadi as ca
 
 from nmpc_codegen.integrators.derivatives import Derivatives
 from nmpc_codegen.integrators.tableau import ButcherTableau, combine
-from nmpc_codegen.kernel import Kernel, Port, lift
+from nmpc_codegen.kernel import Port, lift
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.products import PANEL
 from nmpc_codegen.sweep import Affine, Call, For, Node, Slice, Sweep, unroll
 
+# Longest tape with which the sweeps are staggered: the code of their loops is written two times.
+STAGGERED_TAPE = 32
+
 Local = tuple[str, int]
+Groups = Sequence[Sequence[Node]]
 
 
 class Builder:
     """Slices and leaves that both schemes share."""
 
-    def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
+    def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int, staggered: bool = True) -> None:
         self.d = d = Derivatives(problem)
+        # Calls of functions take more than staggering would hide; with a long tape there is work enough in one step.
+        self.staggered = staggered and steps > 1 and not d.functions and d.tape <= STAGGERED_TAPE
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
         self.nx, self.nu, self.nz, self.nF = d.nx, d.nu, d.nz, d.nF
         self.columns = [j for j in range(d.nz) if not d.closed(j)]
@@ -42,7 +49,7 @@ class Builder:
         self.forced = sorted({i for i, j in d.jacobian if j >= d.nx})  # rows of F with controls
         kernel = lift(d.leaf_hessian(), "h", "", self._hessian_ports(), [Port("H", d.values)])
         reads = {i.args[0] for i in kernel.instructions if i.opcode == ca.OP_INPUT}
-        self.keeps_points = not d.keeps_tape or 0 in reads
+        self.keeps_points = not d.keeps_tape or 0 in reads or (self.wide and self.staggered)
 
     def _hessian_ports(self) -> list[Port]:
         d = self.d
@@ -51,8 +58,16 @@ class Builder:
 
     # Slices ----------------------------------------------------------------------------------------------------------
 
+    @property
+    def wide(self) -> bool:
+        """Stages of a step side by side, component by component: tapes and curvatures are evaluated in vectors."""
+        return False
+
     def kept(self, buffer: str, stage: int, size: int, kept: bool = True, length: int | None = None) -> Slice:
         """What belongs to one stage of one step, in a buffer over all of them or in a single place."""
+        if self.wide:
+            offset = Affine(stage, (("step", self.stages * size),) if kept else ())
+            return Slice(buffer, size if length is None else length, offset, self.stages)
         if not kept:
             return Slice(buffer, length or size)
         return Slice(buffer, length or size, Affine(stage * size, (("step", self.stages * size),)))
@@ -73,6 +88,8 @@ class Builder:
     def kappa(self, stage: int) -> Slice:
         """Adjoints of the curved rows of a stage."""
         size = len(self.d.curved)
+        if self.wide:
+            return self.kept("kappa", stage, size, self.keeps_kappa)
         terms = (("step", self.stages * size),) if self.keeps_kappa else ()
         return Slice("kappa", size, Affine(stage * size, terms))
 
@@ -91,10 +108,12 @@ class Builder:
     def locals(self) -> tuple[Local, ...]:
         """Buffers of both schemes."""
         n, d, s = self.steps * self.stages, self.d, self.stages
+        once = s if self.wide else 1
         return (
-            *(("h", 1), ("X", self.nx), ("K", s * self.nx), ("Xs", (n if self.keeps_points else 1) * self.nx)),
+            *(("h", 1), ("X", self.nx), ("K", s * self.nx), ("Xs", (n if self.keeps_points else once) * self.nx)),
             *(("tape", (n if d.keeps_tape else 1) * d.tape), ("adj", self.nx), ("Xbar", s * self.nx)),
-            *(("Hs", d.values), ("Sx", self.nF * self.ld), ("Ks", s * self.nF * self.ld)),
+            *(("M", (n if self.staggered else s) * len(d.functions)), ("Hs", once * d.values)),
+            *(("Sx", self.nF * self.ld), ("Ks", s * self.nF * self.ld)),
             *(("Fu", len(self.forced) * self.ld), ("E", len(self.controls) * self.ld)),
         )
 
@@ -215,7 +234,10 @@ class Builder:
         else:
             nodes.append(Call(copy("copy_x", self.nx), (state,), (point,)))
         K = Slice("K", self.nx, Affine(stage * self.nx))
-        if self.d.keeps_tape:
+        if self.wide:
+            functions = self.kept("M", stage, len(self.d.functions), self.staggered)
+            nodes.append(Call(self.d.leaf_value_and_functions(), (point, *self.up), (K, functions), inline=True))
+        elif self.d.keeps_tape:
             nodes.append(Call(self.d.leaf_tape(self.d.tape), (point, *self.up), (K, self.tape(stage))))
         else:
             nodes.append(Call(self.d.leaf_value(), (point, *self.up), (K,)))
@@ -281,11 +303,55 @@ class Builder:
         outs = (self.kappa(stage), Slice("Xbar", self.nx, Affine(stage * self.nx)))
         return Call(self.leaf_backward(stage), ins, outs)
 
+    def stagewise(self, leaf: Any, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
+        """The leaf for every stage of a step."""
+        return For("s", 0, self.stages, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
+
+    def lane(self, buffer: str, size: int, kept: bool = True) -> Slice:
+        """What belongs to stage s."""
+        terms = (("s", 1), ("step", self.stages * size)) if kept else (("s", 1),)
+        return Slice(buffer, size, Affine(0, terms), self.stages)
+
+    def tapes(self) -> For:
+        """The tapes of a step."""
+        d = self.d
+        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.up, self.lane("M", len(d.functions), self.staggered))
+        return self.stagewise(d.leaf_tape_of_functions(), ins, (self.lane("tape", d.tape),))
+
+    def curvatures(self) -> For:
+        """The values of H of a step."""
+        d = self.d
+        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.up, self.lane("tape", d.tape))
+        kappa = self.lane("kappa", len(d.curved), self.keeps_kappa)
+        return self.stagewise(d.leaf_hessian(), (*ins, kappa), (self.lane("Hs", d.values, False),))
+
+    def hessian_values(self, stage: int) -> Slice:
+        """The values of H_i."""
+        return self.kept("Hs", stage, self.d.values, kept=False)
+
     def curvature(self, stage: int) -> Call:
         """The values of H_i."""
         d, H = self.d, Slice("Hs", self.d.values)
         point = self.point(stage) if self.keeps_points else Slice("X", self.nx)
         return Call(d.leaf_hessian(), (point, *self.up, self.tape(stage), self.kappa(stage)), (H,))
+
+    def loop(self, first: Groups, second: Groups = (), down: bool = False) -> list[Node]:
+        """``first`` and ``second``, groups of nodes, for every step. Staggered: ``second`` follows one step behind.
+
+        ``first`` is a chain of operations that wait for each other; what it leaves idle ``second`` of the step before
+        fills, group by group, for processors do not look further ahead.
+        """
+        if not (self.staggered and second):
+            return [For("step", 0, self.steps, tuple(n for group in (*first, *second) for n in group), down)]
+        begin, end, behind = (self.steps - 1, 0, 1) if down else (0, self.steps - 1, -1)
+        both: list[Node] = []
+        for ours, others in zip_longest(first, second, fillvalue=()):
+            both += [*ours, *(shifted(node, behind) for node in others)]
+        return [
+            *(fixed(node, begin) for group in first for node in group),
+            For("step", 0 if down else 1, self.steps - 1, tuple(both), down),
+            *(fixed(node, end) for group in second for node in group),
+        ]
 
     # Results ---------------------------------------------------------------------------------------------------------
 
@@ -382,15 +448,6 @@ def addition(n: int) -> Any:
 # Spellings -----------------------------------------------------------------------------------------------------------
 
 
-def straight_lower(sweep: Sweep) -> Kernel:
-    """The sweep as one straight-line Kernel; of its last output, a matrix, the lower triangle alone is stored."""
-    function = unroll(sweep)
-    symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
-    outputs = function.call(symbols)
-    outputs[-1] = ca.sparsify(ca.tril(outputs[-1]))
-    return lift(ca.Function(sweep.name, symbols, outputs), sweep.name, sweep.doc, sweep.inputs, sweep.outputs)
-
-
 def fuse_steps(sweep: Sweep) -> Sweep:
     """The same with the body of every loop over steps unrolled into a leaf of its own."""
     sizes = dict(sweep.locals) | {p.name: p.size for p in (*sweep.inputs, *sweep.outputs)}
@@ -451,12 +508,33 @@ def expand_steps(sweep: Sweep) -> Sweep:
 
 
 def _at_step(node: Node, step: int) -> Node:
-    if isinstance(node, For):
-        return For(node.index, node.start, node.count, tuple(_at_step(n, step) for n in node.body), node.down)
+    return fixed(node, step, inline=True)
 
-    def fixed(s: Slice) -> Slice:
+
+def fixed(node: Node, step: int, inline: bool = False) -> Node:
+    """The node at one step; ``inline`` prints all of its leaves in their place."""
+
+    def at(s: Slice) -> Slice:
         terms = tuple(t for t in s.offset.terms if t[0] != "step")
         constant = s.offset.constant + step * dict(s.offset.terms).get("step", 0)
         return Slice(s.buffer, s.size, Affine(constant, terms), s.stride)
 
-    return Call(node.leaf, tuple(map(fixed, node.ins)), tuple(map(fixed, node.outs)), inline=True)
+    return _mapped(node, at, inline)
+
+
+def shifted(node: Node, by: int) -> Node:
+    """The node as it is ``by`` steps later."""
+
+    def later(s: Slice) -> Slice:
+        constant = s.offset.constant + by * dict(s.offset.terms).get("step", 0)
+        return Slice(s.buffer, s.size, Affine(constant, s.offset.terms), s.stride)
+
+    return _mapped(node, later)
+
+
+def _mapped(node: Node, change: Callable[[Slice], Slice], inline: bool = False) -> Node:
+    if isinstance(node, For):
+        body = tuple(_mapped(n, change, inline) for n in node.body)
+        return For(node.index, node.start, node.count, body, node.down)
+    ins, outs = tuple(map(change, node.ins)), tuple(map(change, node.outs))
+    return Call(node.leaf, ins, outs, node.inline or inline)

@@ -16,6 +16,9 @@ from nmpc_codegen.sweep import Affine, Call, For, Node, Slice
 # Up to so many panels of rows have a loop each, with its own bounds.
 WRITTEN_PANELS = 3
 
+# Tapes of up to so many numbers are evaluated for all stages of a step at once; f is written out at every stage then.
+LONGEST_TAPE = 128
+
 # So many factors of the rows of one panel are held in registers.
 FACTORS = 12
 
@@ -24,8 +27,15 @@ class ThreeSweeps(Builder):
     """Points forward, adjoints backward, sensitivities and Hessian forward.
 
     Where the curved rows of S of all stages are few, they are kept as the first sweep passes, which then propagates S
-    too; what is left of the third sweep joins the second, for the order of the sum is arbitrary.
+    too; what is left of the third sweep joins the second, for the order of the sum is arbitrary. Tapes and H depend on
+    one stage alone: where they are worth it, those of a step are evaluated in one loop over its stages, which compilers
+    turn into vector instructions, as they do with loops over columns.
     """
+
+    @property
+    def wide(self) -> bool:
+        """The terms of the sum do not depend on each other: those of a step are evaluated together."""
+        return self.d.keeps_tape and self.nz < self.d.tape <= LONGEST_TAPE
 
     @property
     def merged(self) -> bool:
@@ -35,7 +45,7 @@ class ThreeSweeps(Builder):
     @property
     def keeps_kappa(self) -> bool:
         """The adjoints of all stages are stored for the third sweep."""
-        return not self.merged
+        return not self.merged or self.staggered
 
     def body(self) -> list[Node]:
         """All nodes, from the inputs x, u, p, dt, lam to x_next, S, and what is added to g and Q."""
@@ -48,23 +58,32 @@ class ThreeSweeps(Builder):
 
     def _two(self) -> list[Node]:
         stages = range(self.stages)
-        first = [node for i in stages for node in (*self.evaluate(i), self._slope(i))]
-        nodes: list[Node] = [For("step", 0, self.steps, (*first, self.update(), self.update_columns()))]
+        slopes: list[list[Node]] = [[self._slope(i)] for i in stages]
+        if self.wide:
+            slopes[0].insert(0, self.tapes())
+        slopes[-1].append(self.update_columns())
+        nodes = self.loop(self._points(), slopes)
         if self.rows:
-            bends = [node for i in stages for node in self._bend(i)]
-            nodes += [*self._clear(), For("step", 0, self.steps, (*self.backward(), *bends), down=True)]
+            bends = [self._bend(i) for i in stages]
+            if self.wide:
+                bends[0].insert(0, self.curvatures())
+            nodes += [*self._clear(), *self.loop([self.backward()], bends, down=True)]
         return nodes
 
     def _three(self) -> list[Node]:
-        stages = range(self.stages)
-        first = [node for i in stages for node in self.evaluate(i)]
-        nodes: list[Node] = [For("step", 0, self.steps, (*first, self.update()))]
-        third = [node for i in stages for node in (*self.again(i, self.d.tape), self._slope(i))]
+        nodes = self.loop(self._points(), [[self.tapes()]] if self.wide else [])
         if self.rows:
-            nodes += [*self._clear(), For("step", 0, self.steps, tuple(self.backward()), down=True)]
-            third = [n for i in stages for n in (*self.again(i, self.d.tape), self._slope(i), *self._bend(i))]
-        nodes.append(For("step", 0, self.steps, (*third, self.update_columns())))
-        return nodes
+            nodes += [*self._clear(), *self.loop([self.backward()], down=True)]
+        third: list[Node] = [self.curvatures()] if self.rows and self.wide else []
+        for i in range(self.stages):
+            third += [*self.again(i, self.d.tape), self._slope(i), *(self._bend(i) if self.rows else ())]
+        return [*nodes, *self.loop([(*third, self.update_columns())])]
+
+    def _points(self) -> list[list[Node]]:
+        """Stage points and slopes, stage by stage, and the end of the step."""
+        groups = [self.evaluate(i) for i in range(self.stages)]
+        groups[-1].append(self.update())
+        return groups
 
     def _clear(self) -> list[Node]:
         """adj = lam, H = 0."""
@@ -91,11 +110,12 @@ class ThreeSweeps(Builder):
         H, Z, units = ca.SX.sym("H", d.values), ca.SX.sym("Z", len(d.curved_states)), ca.SX.sym("E", len(self.controls))
         value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
         leaf = ca.Function("bend", [H, Z, units], [value], ["H", "Z", "E"], ["HZ"])
-        ins = (Slice("Hs", d.values), self._curved(stage), self.column("E", len(self.controls)))
+        ins = (self.hessian_values(stage), self._curved(stage), self.column("E", len(self.controls)))
         bend = self.columnwise(leaf, ins, (self.column("HZ", len(self.rows), stage % self.group),))
         first = stage - stage % self.group
         complete = stage + 1 == min(first + self.group, self.stages)
-        return [self.curvature(stage), bend, *(self._accumulate(range(first, stage + 1)) if complete else ())]
+        own = () if self.wide else (self.curvature(stage),)
+        return [*own, bend, *(self._accumulate(range(first, stage + 1)) if complete else ())]
 
     @property
     def group(self) -> int:
@@ -138,7 +158,7 @@ class ThreeSweeps(Builder):
         n = self.steps * self.stages
         return (
             *self.locals(),
-            *(("kappa", (self.stages if self.merged else n) * len(self.d.curved)), ("H", self.ld**2)),
+            *(("kappa", (n if self.keeps_kappa else self.stages) * len(self.d.curved)), ("H", self.ld**2)),
             *(
                 ("Z", (n if self.merged else self.group) * len(self.d.curved_states) * self.ld),
                 ("HZ", self.group * len(self.rows) * self.ld),

@@ -1,0 +1,102 @@
+"""Exact Hessians: sensitivities against oracles, the bioreactor, convergence, closed loops, times, [Q14] Tables I, III.
+
+    python -m benchmarks.exact_hessian [--json FILE] [--only PART,...]
+
+Pictures go to out/: bioreactor.png is drawn like [Q14] Fig. 1, table_1.png shows Table I.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import bioreactor, second_order
+from benchmarks.report import Report
+from benchmarks.scenarios import CSTR, QUADROTOR
+from examples import cstr, quadrotor
+from nmpc_codegen import Controller, ExactHessian, GaussNewton, Options, build
+
+TOLERANCE = 1e-10
+LONG = 1000
+
+
+def residuals(controller: Controller, x0: np.ndarray, iterations: int) -> list[float]:
+    """Largest KKT residual after 1, 2, ... iterations of solve() from the plain start; each run starts anew."""
+    found = []
+    for n in range(1, iterations + 1):
+        solution = controller.copy().solve(x0, tol=TOLERANCE, max_iterations=n)
+        found.append(max(dataclasses.astuple(solution.kkt)))
+        if solution.iterations < n:
+            break
+    return found
+
+
+def convergence(report: Report) -> None:
+    """SQP iterations to 1e-10 from the plain start: exact Hessians at reduced level, and Gauss-Newton beside."""
+    table = Table(title="largest KKT residual after every iteration")
+    for name in ("", "CSTR, exact", "CSTR, Gauss-Newton", "quadrotor, exact", "quadrotor, Gauss-Newton"):
+        table.add_column(name, justify="right")
+    columns = []
+    quadrotor_x0 = np.array([1.0, 1.0, 1.0, *np.zeros(9)])
+    for name, make, options, x0, limit in (
+        ("cstr", cstr.build_ocp, CSTR.options, cstr.START, 8),
+        ("quadrotor", quadrotor.build_ocp, QUADROTOR.options, quadrotor_x0, 30),
+    ):
+        for word, hessian in (("", ExactHessian()), ("_gauss_newton", GaussNewton())):
+            chosen = Options(integrator=options.integrator, hessian=hessian)
+            controller = build(make(), chosen, "fast")
+            controller.x[...] = x0
+            solution = controller.copy().solve(x0, tol=TOLERANCE, max_iterations=LONG)
+            last = max(dataclasses.astuple(solution.kkt))
+            iterations = solution.iterations if last <= TOLERANCE else np.nan
+            case = f"{solution.status.name}, residual {last:.1e}"
+            report.add(f"{name}{word}_iterations", iterations, case=case, limit=None if word else limit)
+            columns.append(residuals(controller, x0, min(solution.iterations, 40)))
+    for n in range(max(map(len, columns))):
+        table.add_row(str(n + 1), *(f"{c[n]:.1e}" if n < len(c) else "" for c in columns))
+    Console(width=140).print(table)
+
+
+PARTS: dict[str, Callable[[Report], None]] = {
+    "times": bioreactor.times,
+    "promise": second_order.promise,
+    "table_3": bioreactor.table_3,
+    "table_1": second_order.report_table_1,
+    "convergence": convergence,
+    "orbits": bioreactor.orbits,
+    "loops": bioreactor.loops,
+    "errors": second_order.errors,
+}
+
+
+def main() -> None:
+    """All figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", metavar="FILE", help="write one record per key")
+    parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
+    arguments = parser.parse_args()
+    names = arguments.only.split(",") if arguments.only else list(PARTS)
+    unknown = [name for name in names if name not in PARTS]
+    if unknown:
+        parser.error(f"--only: {', '.join(unknown)}; expected some of {', '.join(PARTS)}")
+    report = Report("exact Hessians")
+    start = time.perf_counter()
+    for name in names:
+        begin = time.perf_counter()
+        PARTS[name](report)
+        report.add("benchmark_seconds", time.perf_counter() - begin, "s", case=name, profile="")
+    report.print()
+    print(f"{time.perf_counter() - start:.0f} s; CasADi {ca.__version__}, NumPy {np.__version__}")
+    if arguments.json:
+        report.write(arguments.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""Printed routines timed one by one, over several points, in C."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.closed_loop import pinned_core
+from nmpc_codegen.build import PROFILES, find_compiler
+from nmpc_codegen.cprint import CStyle
+from nmpc_codegen.sweep import Routine, print_routine
+
+MAIN = """
+static double now(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return 1e9 * (double)t.tv_sec + (double)t.tv_nsec;
+}
+"""
+
+
+def times(
+    routines: Mapping[str, Routine], points: Mapping[str, np.ndarray], repetitions: int = 400, runs: int = 25
+) -> dict[str, float]:
+    """ns per call and routine: minimum over runs of the mean over repetitions and points.
+
+    ``points``: port -> (n, size); routines of any port names may be mixed.
+    """
+    n = len(next(iter(points.values())))
+    lines = ["#define _POSIX_C_SOURCE 199309L", "#include <math.h>", "#include <stdio.h>", "#include <time.h>"]
+    lines += ["typedef double real;", MAIN]
+    for name, values in points.items():
+        table = values.reshape(n, -1) if values.size else np.zeros((n, 1))
+        rows = ", ".join("{" + ", ".join(map(repr, map(float, row))) + "}" for row in table)
+        lines.append(f"static const real in_{name}[{n}][{table.shape[1]}] = {{{rows}}};")
+    body = []
+    for key, routine in routines.items():
+        lines.append(print_routine(routine, CStyle("real", False)).replace(routine.name, f"{key}_"))
+        lines += [f"static real {key}_{p.name}[{n}][{max(1, p.size)}];" for p in routine.outputs]
+        arguments = [f"in_{p.name}[k]" for p in routine.inputs] + [f"{key}_{p.name}[k]" for p in routine.outputs]
+        body += [
+            "best = 1e30;",
+            f"for (q = 0; q < {runs}; q++) {{ t = now(); for (r = 0; r < {repetitions}; r++) for (k = 0; k < {n}; k++)",
+            f"    {key}_({', '.join(arguments)});",
+            f'    t = (now() - t) / {repetitions * n}.0; best = (t < best) ? t : best; }} printf("{key} %g\\n", best);',
+        ]
+    lines += ["int main(void)", "{", "double best, t; int k, r, q;", *body, "return 0;", "}"]
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "kernels.c").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        command = [*find_compiler(), *PROFILES["fast"].flags, "kernels.c", "-o", "kernels", "-lm"]
+        subprocess.run(command, cwd=folder, check=True)
+        core = pinned_core()
+        text = subprocess.run(
+            [f"{folder}/kernels"],
+            check=True,
+            capture_output=True,
+            text=True,
+            preexec_fn=lambda: os.sched_setaffinity(0, core),
+        ).stdout
+    return {line.split()[0]: float(line.split()[1]) for line in text.splitlines()}
+
+
+def code_bytes(routine: Routine) -> int:
+    """Machine code of a routine and its leaves under the profile "fast"."""
+    name = routine.name
+    text = print_routine(routine, CStyle("real", False)).replace(f"static void {name}(", f"void {name}(")
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "k.c").write_text(f"#include <math.h>\ntypedef double real;\n{text}\n", encoding="utf-8")
+        subprocess.run([*find_compiler(), *PROFILES["fast"].flags, "-c", "k.c"], cwd=folder, check=True)
+        out = subprocess.run(["size", "k.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
+    return int(out.splitlines()[1].split()[0])

@@ -1,0 +1,420 @@
+"""Second-order sensitivities: errors against two oracles; operations, memory, time of both schemes; [Q14] Table I."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.kernels import code_bytes, times
+from benchmarks.report import Report
+from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
+from nmpc_codegen import OCP, RK4, ExplicitRungeKutta
+from nmpc_codegen.analyse import analyse
+from nmpc_codegen.evaluation import Tableau, interval_map
+from nmpc_codegen.integrators import TABLEAUS, Discrete
+from nmpc_codegen.kernel import Kernel, lift
+from nmpc_codegen.problem import Problem
+from nmpc_codegen.products import PANEL
+from nmpc_codegen.sweep import Call, For, LoopedRoutine, Node, Routine, Slice, unroll
+from tests.c_harness import Routines
+from tests.models import discrete_map, problem_of
+from tests.oracles.jets import Jet, interval, run
+from tests.oracles.runge_kutta import SCHEMES
+
+SWEEPS = {"tsp": "symmetric", "foa": "forward_over_adjoint"}
+
+
+@dataclass(frozen=True)
+class Model:
+    """A problem, its RK4 steps per interval, and how far from its initial state points are drawn."""
+
+    make: Callable[[], OCP]
+    steps: int
+    limit: float | None = None  # on the time of exact over that of forward sensitivities
+
+
+MODELS = {
+    "crane": Model(crane.build_ocp, 2, 1.5),
+    "cstr": Model(cstr.build_ocp, 2, 1.5),
+    "bioreactor": Model(lambda: bioreactor.build_ocp(periodic=False), bioreactor.STEPS, 1.5),
+    "quadrotor": Model(quadrotor.build_ocp, 1, 2.0),
+    "cart_pole": Model(lambda: cart_pole.build_ocp(any_length=True), 2),
+    "chain3": Model(lambda: chain.build_ocp(3), 2),
+    "chain5": Model(lambda: chain.build_ocp(5), 2),
+    "chain7": Model(lambda: chain.build_ocp(7), 2),
+}
+
+
+def curved(problem: Problem, component: Any, scheme: str) -> Routine:
+    """x_next, S, gradient and Hessian of an interval; the node itself adds nothing."""
+    nz = problem.nx + problem.nu
+    zeros = ca.Function("zeros", [], [ca.SX.zeros(nz), ca.SX.zeros(nz * nz)])
+    start = Call(zeros, (), (Slice("g", nz), Slice("Q", nz * nz)))
+    routine: Routine = component.curved(problem, SWEEPS[scheme], "curved", start, ())
+    return routine
+
+
+def points(problem: Problem, n: int, seed: int = 0) -> dict[str, np.ndarray]:
+    """Random points around the initial state."""
+    random = np.random.default_rng(seed)
+    x = problem.x_initial * (1 + 0.02 * random.standard_normal((n, problem.nx)))
+    lower = np.array(
+        [next((r.lower for r in problem.rows if r.kind == "control" and r.index == j), -1.0) for j in range(problem.nu)]
+    )
+    upper = np.array(
+        [next((r.upper for r in problem.rows if r.kind == "control" and r.index == j), 1.0) for j in range(problem.nu)]
+    )
+    return {
+        "x": x + 0.01 * random.standard_normal(x.shape),
+        "u": random.uniform(np.maximum(lower, -1e4), np.minimum(upper, 1e4), (n, problem.nu)),
+        "p": np.tile(problem.p_value, (n, 1)),
+        "dt": np.full((n, 1), problem.dt[0]),
+        "lam": random.standard_normal((n, problem.nx)),
+    }
+
+
+# Errors --------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ErrorCase:
+    """One interval map: its problem, tableau and steps ("", 0: discrete map), and how it is spelled."""
+
+    name: str
+    problem: Problem
+    tableau: str = ""
+    steps: int = 0
+    unroll: tuple[str, ...] = ("map",)
+    dt: float | None = None
+
+    @property
+    def components(self) -> dict[str, Any]:
+        if not self.tableau:
+            return {"map": Discrete()}
+        return {n: ExplicitRungeKutta(TABLEAUS[self.tableau], self.steps, n) for n in self.unroll}  # type: ignore[arg-type]
+
+
+def error_cases() -> Iterator[ErrorCase]:
+    """All examples, tableaus, several numbers of steps, parameters, intervals of different lengths, discrete maps."""
+    for name, model in MODELS.items():
+        problem = analyse(model.make())
+        chains = name.startswith("chain")  # a step of theirs as one leaf takes the compiler too long
+        for tableau in TABLEAUS:
+            full = ("all", "step", "none") if tableau == "RK4" else ("all", "none")
+            unroll = ("none",) if chains else full
+            for steps in sorted({1, 2, 3, model.steps}) if name in ("crane", "bioreactor") else (model.steps,):
+                yield ErrorCase(f"{name}, {tableau}, {steps} steps", problem, tableau, steps, unroll)
+    for name in ("reactor", "tanks"):
+        problem = analyse(problem_of(name, uniform=False))
+        for tableau in TABLEAUS:
+            for dt in problem.dt[:2]:
+                yield ErrorCase(f"{name}, {tableau}, parameters, dt = {dt}", problem, tableau, 2, ("all", "none"), dt)
+    yield ErrorCase("map with a parameter", analyse(discrete_map()))
+    yield ErrorCase("map, economic", analyse(economic_map()))
+
+
+def economic_map() -> OCP:
+    """x+ = (0.9 x_0 + 0.1 x_1 u, x_1 - 0.2 sin(x_0) u): a map with a mixed derivative of state and control."""
+    ocp = OCP("economic_map", N=3)
+    x, u = ocp.state("x", size=2), ocp.control("u")
+    ocp.dynamics(ca.vertcat(0.9 * x[0] + 0.1 * x[1] * u, x[1] - 0.2 * ca.sin(x[0]) * u), discrete=True)
+    ocp.stage_cost(x[0] * u)
+    return ocp
+
+
+def errors(report: Report) -> None:
+    """Largest normwise error of S, g and Q per case, against CasADi and against Taylor arithmetic."""
+    for case in error_cases():
+        data = points(case.problem, 3)
+        if case.dt is not None:
+            data["dt"][:] = case.dt
+        routines = {f"{s}_{n}": curved(case.problem, c, s) for s in SWEEPS for n, c in case.components.items()}
+        call = Routines(routines)
+        worst = dict.fromkeys(SWEEPS, 0.0)
+        for k in range(3):
+            arguments = [data[name][k] for name in ("x", "u", "p", "dt", "lam")]
+            for oracle in (_by_casadi, _by_jets):
+                exact = oracle(case.problem, case.tableau, case.steps, *arguments)
+                for key in routines:
+                    _, S, g, Q = call(key, *arguments)
+                    found = float(np.max(list(map(normwise, (S, g, np.tril(Q)), exact))))
+                    worst[key[:3]] = max(worst[key[:3]], found) if np.isfinite(found) else np.inf
+        for scheme, error in worst.items():
+            n = 2 * 3 * len(case.components)
+            report.add(f"{scheme}_error", error, case=case.name, limit=1e-12, n=n, profile="test")
+
+
+def normwise(value: np.ndarray, exact: np.ndarray) -> float:
+    """|value - exact| / |exact|; where exact is zero, |value|."""
+    return float(np.linalg.norm(value - exact) / (np.linalg.norm(exact) or 1.0))
+
+
+def _by_casadi(
+    problem: Problem, tableau: str, steps: int, x: Any, u: Any, p: Any, dt: Any, lam: Any
+) -> tuple[Any, ...]:
+    X, U = ca.SX.sym("x", problem.nx), ca.SX.sym("u", problem.nu)
+    scheme = Tableau(*(np.array(v, dtype=float) for v in SCHEMES[tableau]), steps) if tableau else Tableau((), ())
+    end, q = interval_map(problem, scheme)(X, U, p, float(dt[0]))
+    z = ca.vertcat(X, U)
+    values = [ca.jacobian(end, z), ca.gradient(q, z), ca.tril(ca.hessian(ca.dot(lam, end) + q, z)[0])]
+    found = ca.Function("exact", [X, U], values)(x, u)
+    return np.array(found[0]), np.array(found[1]).ravel(), np.array(found[2])
+
+
+def _by_jets(problem: Problem, tableau: str, steps: int, x: Any, u: Any, p: Any, dt: Any, lam: Any) -> tuple[Any, ...]:
+    stage = problem.path
+    rate = None
+    if stage.cost_rate is not None:
+        rate = ca.Function("rate", [stage.x, stage.u, stage.p], [stage.cost_rate])
+    if problem.discrete:
+        size = len(x) + len(u)
+        end, q = run(problem.dynamics, _jets(x, u, p), size), Jet(0.0, np.zeros(size), np.zeros((size, size)))
+    else:
+        end, q = interval(problem.dynamics, rate, SCHEMES[tableau], steps, float(dt[0]), x, u, p)
+    S = np.array([jet.g for jet in end])
+    return S, q.g, np.tril(sum((weight * jet.H for weight, jet in zip(lam, end, strict=True)), q.H))
+
+
+def _jets(x: Any, u: Any, p: Any) -> tuple[list[Any], ...]:
+    size = len(x) + len(u)
+    unit, flat = np.eye(size), np.zeros((size, size))
+    z = [Jet(float(v), unit[i], flat) for i, v in enumerate((*x, *u))]
+    return z[: len(x)], z[len(x) :], [Jet(float(v), np.zeros(size), flat) for v in p]
+
+
+# The promise ---------------------------------------------------------------------------------------------------------
+
+
+def forward_problem(problem: Problem) -> Problem:
+    """The same dynamics; an integrated cost becomes a state: its gradient is part of the forward sensitivities."""
+    if problem.path.cost_rate is None:
+        return problem
+    if problem.np:
+        raise ValueError(f"{problem.name}: an integrated cost with parameters")
+    ocp = OCP("forward", T=sum(problem.dt), N=problem.N)
+    x, u = ocp.state("x", size=problem.nx), ocp.control("u", size=problem.nu)
+    ocp.state("q")
+    stage = problem.path
+    rates = ca.vertcat(problem.dynamics(stage.x, stage.u, stage.p), stage.cost_rate)
+    ocp.dynamics(ca.substitute(rates, ca.vertcat(stage.x, stage.u), ca.vertcat(x, u)))
+    ocp.least_squares(u, weight=np.ones(problem.nu))
+    return analyse(ocp)
+
+
+def one_program(routine: Routine, sweep_of: LoopedRoutine) -> Kernel:
+    """A sweep as one straight-line program without any loop, lower triangle of Q: fewest operations, most code."""
+    function = unroll(sweep_of.sweep)
+    symbols = [ca.SX.sym(port.name, port.size) for port in routine.inputs]
+    outputs = function.call(symbols)
+    outputs[-1] = ca.sparsify(ca.tril(outputs[-1]))
+    return lift(ca.Function("curved", symbols, outputs), "curved", routine.doc, routine.inputs, routine.outputs)
+
+
+#: unroll -> what it is called in the table and in keys
+SPELLED = {"all": ('unroll="all"', "unrolled"), "none": ("looped", "looped"), "scalar": ("no loop at all", "scalar")}
+
+
+def promise(report: Report) -> None:
+    """Exact Hessian over forward sensitivities: time, operations and code; and FOA over TSP."""
+    for name, model in MODELS.items():
+        problem = analyse(model.make())
+        forward = forward_problem(problem)
+        long = name in ("chain5", "chain7")  # their straight-line programs take the compiler minutes
+        spelled = ("none",) if long else ("all", "none", "scalar")
+        routines: dict[str, Routine] = {}
+        for word in spelled:
+            way: Any = "all" if word == "scalar" else word
+            component = ExplicitRungeKutta(RK4, model.steps, way)
+            routines[f"forward_{word}"] = component.routines(forward)[0]
+            for scheme in SWEEPS:
+                routine = curved(problem, component, scheme)
+                assert isinstance(routine, LoopedRoutine)
+                routines[f"{scheme}_{word}"] = one_program(routine, routine) if word == "scalar" else routine
+        data = points(problem, 20)
+        if forward is not problem:
+            data["x"] = np.hstack([data["x"], np.zeros((20, 1))])
+        t = times(routines, data, 40 if name.startswith("chain") else 400)
+        for word in spelled:
+            _report_spelling(report, name, model, word, routines, t)
+        ratio = t["foa_none"] / t["tsp_none"]
+        if name == "bioreactor":
+            report.add("foa_over_tsp", ratio, case="time, looped", limit=1.3, at_least=True, n=20)
+        report.add(f"{name}_foa_over_tsp", ratio, case="time, looped", at_least=True, n=20)
+    explain()
+
+
+def _report_spelling(
+    report: Report, name: str, model: Model, word: str, routines: Mapping[str, Routine], t: Mapping[str, float]
+) -> None:
+    watched = "_scalar" if word == "scalar" else ""
+    case, key = SPELLED[word]
+    ratio = t[f"tsp_{word}"] / t[f"forward_{word}"]
+    limit = None if watched else model.limit
+    report.add(f"{name}_exact_over_forward{watched}", ratio, case=f"time, {case}", limit=limit, n=20)
+    for what in ("forward", *SWEEPS):
+        routine = routines[f"{what}_{word}"]
+        report.add(f"{name}_{what}_{key}_ns", t[f"{what}_{word}"], "ns", case=case, n=20)
+        report.add(f"{name}_{what}_{key}_operations", routine.count.total, "operations", case=case, profile="exact")
+        report.add(f"{name}_{what}_{key}_code_bytes", code_bytes(routine), "bytes", case=case)
+
+
+#: Parts of both schemes and the leaves that they consist of.
+GROUPS = {
+    "points": ("f", "taped_f", "point", "update"),
+    "derivatives of f": ("tape", "curvature"),
+    "S": ("slope", "update_columns"),
+    "adjoint": ("backward",),
+    "H": ("bend", "accumulate", "sum", "bar", "update_bars"),
+    "rest": (),
+}
+
+
+def explain() -> None:
+    """Where operations of the bioreactor's loops are: all of them, and as instructions, four in a vector.
+
+    With four packed columns a symmetric product saves nothing in vectors of four. Three sweeps are faster because the
+    terms of the sum do not depend on each other: what they consist of is evaluated for the stages of a step at once.
+    The reference stays as [Q14] algorithm 1 has it, one stage after the other; its tapes could be treated alike.
+    """
+    model = MODELS["bioreactor"]
+    problem = analyse(model.make())
+    component = ExplicitRungeKutta(RK4, model.steps, "none")
+    table = Table(title="bioreactor, looped: operations (scalar and vector instructions)")
+    for column in ("", *GROUPS, "all"):
+        table.add_column(column, justify="right")
+    for scheme in SWEEPS:
+        routine = curved(problem, component, scheme)
+        assert isinstance(routine, LoopedRoutine)
+        found = {group: np.zeros(2) for group in GROUPS}
+        _collect(routine.sweep.body, routine, found)
+        cells = [*found.values(), sum(found.values(), np.zeros(2))]
+        table.add_row(scheme.upper(), *(f"{all_:.0f} ({issued:.0f})" for all_, issued in cells))
+    Console(width=140).print(table)
+
+
+def _collect(
+    nodes: tuple[Node, ...], routine: LoopedRoutine, found: dict[str, np.ndarray], times: int = 1, vector: int = 1
+) -> None:
+    for node in nodes:
+        if isinstance(node, For):
+            n = len(node.values({}))
+            vectors = node.index in ("c", "s") and n % PANEL == 0
+            _collect(node.body, routine, found, times * n, PANEL if vectors else vector)
+            continue
+        name = node.leaf.name()
+        words = (name, name.rstrip("0123456789").rstrip("_"))
+        group = next((g for g, leaves in GROUPS.items() if any(w in leaves for w in words)), "rest")
+        total = times * routine.leaves[name].count.total
+        found[group] += np.array([total, total / vector])
+
+
+# Table I -------------------------------------------------------------------------------------------------------------
+
+
+def dense(nz: int) -> Problem:
+    """nz - 1 states and one control, every derivative nonzero; one Euler step is one recursion z+ = phi(z)."""
+    ocp = OCP("dense", T=1.0, N=1)
+    x, u = ocp.state("x", size=nz - 1), ocp.control("u")
+    M = np.random.default_rng(nz).uniform(0.1, 1, (nz - 1, nz))
+    ocp.dynamics(ca.sin(M @ ca.vertcat(x, u)) ** 2)
+    ocp.least_squares(ca.vertcat(x, u), weight=np.ones(nz))
+    return analyse(ocp)
+
+
+#: Leaves of the propagation, and the buffers that it needs besides derivatives of phi.
+LEAVES = {"tsp": ("bend", "accumulate", "sum"), "foa": ("bar", "update_bars")}
+BUFFERS = {"tsp": ("Xs", "kappa", "Z", "Sx", "H"), "foa": ("Xs", "Zs", "Sx", "adj", "adjS", "ubarS")}
+TABLE_1 = Path(__file__).parents[1] / "out" / "table_1.png"
+
+
+def table_1(steps: int = 10) -> list[dict[str, float]]:
+    """Operations per step and numbers stored for n steps, counted from the emitted loops, and the paper's formulas.
+
+    The paper counts one operation per product; so do we. Columns are padded to multiples of PANEL. ``memory`` is what
+    the recursions of S and H store, apart from the slopes of a step, which are local to it.
+    """
+    rows = []
+    for nz in range(2, 21):
+        problem = dense(nz)
+        row: dict[str, float] = {"nz": nz}
+        for scheme in SWEEPS:
+            routine = curved(problem, ExplicitRungeKutta("Euler", steps, "none"), scheme)  # type: ignore[arg-type]
+            assert isinstance(routine, LoopedRoutine)
+            row[f"{scheme}_products"] = _products(routine.sweep.body, routine, LEAVES[scheme]) / steps
+            row[f"{scheme}_all"] = routine.count.total / steps
+            sizes = dict(routine.sweep.locals)
+            row[f"{scheme}_memory"] = sum(sizes.get(buffer, 0) for buffer in BUFFERS[scheme])
+        n = steps
+        row["tsp_formula"], row["foa_formula"] = nz**3 + nz**2 * (nz + 1) / 2, 2 * nz**3
+        row["tsp_memory_formula"] = n * (nz + nz) + nz**2 + nz * (nz + 1) / 2
+        row["foa_memory_formula"] = n * (nz + nz**2) + nz + nz**2
+        rows.append(row)
+    return rows
+
+
+def report_table_1(report: Report) -> None:
+    """Table, picture, and the ratios at nz = 20."""
+    rows = table_1()
+    table = Table(title="[Q14] Table I: products per step, numbers stored for 10 steps; counted (formula)")
+    for title in ("nz", "TSP", "FOA", "FOA/TSP", "TSP stores", "FOA stores", "all operations: TSP", "FOA"):
+        table.add_column(title, justify="right")
+    for row in rows:
+        both = [f"{row[f'{s}_products']:.0f} ({row[f'{s}_formula']:.0f})" for s in SWEEPS]
+        ratio = f"{row['foa_products'] / row['tsp_products']:.2f} ({row['foa_formula'] / row['tsp_formula']:.2f})"
+        memory = [f"{row[f'{s}_memory']:.0f} ({row[f'{s}_memory_formula']:.0f})" for s in SWEEPS]
+        every = [f"{row[f'{s}_all']:.0f}" for s in SWEEPS]
+        table.add_row(f"{row['nz']:.0f}", *both, ratio, *memory, *every)
+    Console(width=140).print(table)
+    draw_table_1(rows, TABLE_1)
+    for row in (rows[4], rows[10], rows[18]):
+        case = f"nz = {row['nz']:.0f}"
+        for what in ("products", "memory"):
+            ratio = row[f"foa_{what}"] / row[f"tsp_{what}"]
+            report.add(f"table1_foa_over_tsp_{what}", ratio, case=case, at_least=True, profile="exact")
+            for scheme in SWEEPS:
+                formula = row[f"{scheme}_formula" if what == "products" else f"{scheme}_memory_formula"]
+                excess = row[f"{scheme}_{what}"] / formula
+                report.add(f"table1_{scheme}_{what}_over_formula", excess, case=case, profile="exact")
+
+
+def _products(nodes: tuple[Node, ...], routine: LoopedRoutine, leaves: tuple[str, ...], indices: Any = None) -> int:
+    """Multiplications in the given leaves, loops multiplied out."""
+    total = 0
+    for node in nodes:
+        if isinstance(node, For):
+            for value in node.values(indices or {}):
+                total += _products(node.body, routine, leaves, {**(indices or {}), node.index: value})
+        elif node.leaf.name().startswith(leaves):
+            total += routine.leaves[node.leaf.name()].count.mul
+    return total
+
+
+def draw_table_1(rows: list[dict[str, float]], picture: Path) -> None:
+    """Both schemes, counted and by formula."""
+    nz = [row["nz"] for row in rows]
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    for axis, what, formula, title in zip(
+        figure.subplots(1, 2),
+        ("products", "memory"),
+        ("formula", "memory_formula"),
+        ("products per step", "numbers stored, 10 steps"),
+        strict=True,
+    ):
+        for scheme, color in (("tsp", "#1f5fa8"), ("foa", "#c2571a")):
+            axis.plot(
+                nz, [row[f"{scheme}_{what}"] for row in rows], "o", color=color, label=f"{scheme.upper()}, counted"
+            )
+            axis.plot(nz, [row[f"{scheme}_{formula}"] for row in rows], color=color, linewidth=1, label="formula")
+        axis.set(xlabel="nz", title=title, xticks=range(2, 21, 3))
+        axis.grid(alpha=0.25)
+        axis.legend(frameon=False)
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(picture, dpi=110)
