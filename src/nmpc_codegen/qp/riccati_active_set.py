@@ -123,6 +123,7 @@ class RiccatiActiveSet:
                     Field("scale", (dims.nzs,), "largest entry of every component of (x, u)", "scratch"),
                     Field("size", (dims.nzs,), "largest terms of the components of the gradient", "scratch"),
                     Field("residual", (), "what is left on the working set, relative", "scratch"),
+                    Field("largest_mult", (), "largest multiplier of a row", "scratch"),
                     Field("largest", (), "largest multiplier of a row over its root", "scratch"),
                     Field(
                         "side",
