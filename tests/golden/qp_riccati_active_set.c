@@ -634,16 +634,7 @@ static void qp_set_control(golden_solver_t *s, int c, int side)
     }
 }
 
-/* The multiplier that row m starts from: that of the last solve, none for what enters, that of the cost where it is violated. */
-static inline void qp_set_center(golden_qp_t *q, int m, golden_real mult)
-{
-    const int side = q->side[GOLDEN_NV + m];
-    q->center[m] = mult;
-    if (side == 2 || side == -2) {
-        q->center[m] = side > 0 ? q->penalty[m] : -q->penalty[m];
-    }
-}
-
+/* What enters has no multiplier yet. */
 static void qp_set_row(golden_solver_t *s, int m, int side)
 {
     golden_qp_t *q = &s->qp;
@@ -651,7 +642,7 @@ static void qp_set_row(golden_solver_t *s, int m, int side)
     if (side != q->side[c]) {
         q->side[c] = side;
         q->changes++;
-        qp_set_center(q, m, 0.0);
+        q->mult[c] = 0.0;
         s->riccati.weight[m] = qp_weight(q, m, side);
         qp_outdate(q, stage_of_row[m]);
     }
@@ -709,8 +700,11 @@ static void qp_load(golden_solver_t *s)
             q->target[c] = r->du[c];
         }
         for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
-            if (q->side[GOLDEN_NV + m] != 0) {
+            const int side = q->side[GOLDEN_NV + m];
+            if (side != 0) {
+                const golden_real l1 = side > 0 ? q->penalty[m] : -q->penalty[m];
                 q->target[GOLDEN_NV + m] = qp_target(q, GOLDEN_NV + m);
+                q->center[m] = (side == 1 || side == -1) ? q->mult[GOLDEN_NV + m] : l1;
                 qp_add_row(s, m, q->center[m] - r->weight[m] * q->target[GOLDEN_NV + m], r->g[k]);
             }
         }
@@ -969,7 +963,7 @@ static golden_status_t qp_refine(golden_solver_t *s)
         if (!isfinite(q->residual) || !qp_measure(q)) {
             return GOLDEN_NUMERICAL_FAILURE;
         }
-        if (q->residual <= 1.4210854715202004e-14) {
+        if (q->residual <= 1.7763568394002505e-15) {
             return GOLDEN_OK;
         }
         if (q->residual > 0.5 * before) {
@@ -992,7 +986,7 @@ static inline golden_real qp_tolerance(const golden_qp_t *q, golden_real exact)
 /* The side that bounds say: v is the value of what is no member. */
 static inline int qp_side_of_value(const golden_qp_t *q, int c, golden_real v, golden_real size)
 {
-    const golden_real tolerance = qp_tolerance(q, 2.2737367544323206e-13);
+    const golden_real tolerance = qp_tolerance(q, 1.4210854715202004e-14);
     if (v - q->upper[c] > tolerance * (size + fabs(q->upper[c]))) {
         return 1;
     }
@@ -1027,13 +1021,15 @@ static int qp_side_of_row(const golden_solver_t *s, int m)
     const golden_qp_t *q = &s->qp;
     const int c = GOLDEN_NV + m, side = q->side[c], sign = side > 0 ? 1 : -1;
     const golden_real size = qp_row_size(s, m), mult = side > 0 ? q->mult[c] : -q->mult[c];
-    const golden_real rounding = qp_tolerance(q, 5.684341886080802e-14) * (q->base[m] * size + q->largest);
+    const golden_real terms = q->root[m] * q->largest < q->largest_mult ? q->root[m] * q->largest : q->largest_mult;
+    const golden_real stiff = q->refined ? 0.0 : q->root[m] * q->root[m] * size;
+    const golden_real rounding = qp_tolerance(q, 5.684341886080802e-14) * (terms + stiff);
     if (side == 0) {
         return qp_side_of_value(q, c, q->value[m], size);
     }
     if (side != sign) {
         const golden_real violation = side > 0 ? q->value[m] - q->upper[c] : q->lower[c] - q->value[m];
-        return violation >= -qp_tolerance(q, 2.2737367544323206e-13) * (size + fabs(q->target[c])) ? side : sign;
+        return violation >= -qp_tolerance(q, 1.4210854715202004e-14) * (size + fabs(q->target[c])) ? side : sign;
     }
     if (mult > q->penalty[m] + rounding) {
         return 2 * sign;
@@ -1065,10 +1061,11 @@ static int qp_revise(golden_solver_t *s)
     const int before = q->changes;
     golden_real worst = 0.0;
     int c, m;
-    q->largest = 0.0;
+    q->largest = q->largest_mult = 0.0;
     for (m = 0; m < GOLDEN_NG; m++) {
-        const golden_real mult = fabs(q->mult[GOLDEN_NV + m]);
-        q->largest = mult > q->largest ? mult : q->largest;
+        const golden_real force = fabs(q->mult[GOLDEN_NV + m]);
+        q->largest_mult = force > q->largest_mult ? force : q->largest_mult;
+        q->largest = force > q->largest * q->root[m] ? force / q->root[m] : q->largest;
         if (q->side[GOLDEN_NV + m] == 0) {
             const golden_real violation = qp_violation(s, m);
             worst = violation > worst ? violation : worst;
@@ -1127,7 +1124,7 @@ static int qp_raise_weights(golden_solver_t *s)
         const int c = GOLDEN_NV + m;
         const golden_real size = qp_row_size(s, m) + fabs(q->target[c]);
         if ((q->side[c] == 1 || q->side[c] == -1) && q->raised[m] < 2 &&
-            fabs(q->value[m] - q->target[c]) > 2.2737367544323206e-13 * size) {
+            fabs(q->value[m] - q->target[c]) > 1.4210854715202004e-14 * size) {
             q->raised[m]++;
             q->weight[m] *= 1024.0;
             s->riccati.weight[m] = q->weight[m];
@@ -1370,8 +1367,11 @@ static void ipm_set_weights(golden_solver_t *s)
     int k, j;
     for (k = 0; k < GOLDEN_NS; k++) {
         for (j = 0; j < GOLDEN_NUS; j++) {
-            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j];
+            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j] + s->ipm.proximal[GOLDEN_NX + j];
         }
+    }
+    for (j = 0; j < GOLDEN_NF; j++) {
+        s->riccati.diagonal[0][free_state[j]] = s->ipm.proximal[free_state[j]];
     }
     memcpy(s->riccati.weight, s->ipm.weight + GOLDEN_NV, sizeof s->ipm.weight[0] * GOLDEN_NG);
 }
@@ -1644,6 +1644,22 @@ static golden_real ipm_least_pivot(golden_solver_t *s)
     return sqrt(2.220446049250313e-16) * ((most > 0.0 && isfinite(most)) ? most : 1.0);
 }
 
+/* Where the Hessian is singular the steps are those of the proximal point method, or rounding drives them along its null space:
+ * a small share of the largest diagonal entry of each control and free component of x_0. */
+static void ipm_set_proximal(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int k, i;
+    for (i = 0; i < GOLDEN_NZS; i++) {
+        golden_real most = 0.0;
+        for (k = 0; k < GOLDEN_NS; k++) {
+            most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
+        }
+        most = sqrt(2.220446049250313e-16) * most;
+        q->proximal[i] = 64.0 * ((most > 0.0) ? most : q->least_pivot);
+    }
+}
+
 /* Weights for the first factorisation: equations, and if the Hessian needs it a damping of the rows with two bounds. */
 static void ipm_first_weights(golden_solver_t *s)
 {
@@ -1680,6 +1696,7 @@ static int ipm_first_factorization(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     memset(q->stiffness, 0, sizeof q->stiffness);
+    memset(q->proximal, 0, sizeof q->proximal);
     q->damping = 0.0;
     q->stiffening = 1.0;
     q->least_pivot = ipm_least_pivot(s);
@@ -1687,6 +1704,7 @@ static int ipm_first_factorization(golden_solver_t *s)
     s->riccati.regularize = 0;
     if (!riccati_factorize(s, GOLDEN_NS)) {
         q->damping = ipm_damping_cost(s);
+        ipm_set_proximal(s);
         ipm_first_weights(s);
         if (!ipm_factorize(s)) {
             return 0;
@@ -1845,46 +1863,67 @@ static inline void ipm_adjoint_step(golden_solver_t *s, int k, const golden_real
     riccati_combine(w, lam, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
 }
 
-/* The component i of the gradient of the Lagrangian at stage k, times the way that one unit of cost allows, and the terms it is
- * a sum of: cost, rows, the next state. */
-static void ipm_take_gradient(golden_solver_t *s, int k, int i, golden_real rest, golden_real unit, golden_real *worst, golden_real *most)
+/* The sum of the absolute terms of entry i of the gradient at stage k without the dynamics: cost and rows. */
+static inline golden_real ipm_gradient_terms(golden_solver_t *s, int k, int i)
 {
-    const golden_real z = (i < GOLDEN_NX) ? s->qp.x[k][i] : s->qp.z[k * GOLDEN_NUS + i - GOLDEN_NX], g = s->riccati.g[k][i];
-    golden_real terms = fabs(stage_g(s, k)[i]) + fabs(stage_Q(s, k)[i][i] * z);
-    terms += fabs(g) + fabs(rest - g);
-    if (i >= GOLDEN_NX) {
-        terms += fabs(s->qp.mult[k * GOLDEN_NUS + i - GOLDEN_NX]);
+    const golden_real g = stage_g(s, k)[i], cost = s->ipm.gradient[k][i];
+    return fabs(g) + fabs(cost - g) + fabs(s->riccati.g[k][i] - cost);
+}
+
+/* size[j]: the sum of the absolute terms of the gradient of control j at stage k, next[] those of the entries of lam. What lam is
+ * a sum of may cancel in it, as where a row holds a state, so its rounding is not seen from lam. */
+static void ipm_term_sizes(golden_solver_t *s, int k, const golden_real *next, golden_real *size)
+{
+    int i, j;
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        size[j] = ipm_gradient_terms(s, k, GOLDEN_NX + j);
+        for (i = 0; i < GOLDEN_NX; i++) {
+            size[j] += fabs(stage_S(s, k)[i][GOLDEN_NX + j]) * next[i];
+        }
     }
+}
+
+/* The largest |gradient| and the largest sum of its terms, both times the way that one unit of cost allows. */
+static inline void ipm_take_gradient(golden_real rest, golden_real terms, golden_real unit, golden_real *worst, golden_real *most)
+{
     *worst = (fabs(rest) * unit > *worst) ? fabs(rest) * unit : *worst;
     *most = (terms * unit > *most) ? terms * unit : *most;
 }
 
-/* Gradient of the Lagrangian with respect to the free controls and components of x_0, relative to its terms, under the feedback
- * u = K x + v: so rounding does not grow along an unstable horizon. Fixed controls get their multipliers. */
+/* Gradient of the Lagrangian with respect to the free controls and components of x_0 relative to the largest of the terms it is
+ * a sum of, each times the way that one unit of cost allows, under the feedback u = K x + v: so rounding does not grow along an
+ * unstable horizon. Fixed controls get their multipliers. */
 static golden_real ipm_stationarity(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    golden_real lam[GOLDEN_NX], w[GOLDEN_NZS], worst = 0.0, most = 0.0;
+    golden_real lam[GOLDEN_NX], w[GOLDEN_NZS], size[GOLDEN_NUS], next[GOLDEN_NX], worst = 0.0, most = 0.0;
     int k, j;
     memcpy(s->riccati.g, q->gradient, sizeof s->riccati.g);
     ipm_add_forces(s, s->qp.mult, s->riccati.g);
     memcpy(lam, s->riccati.g[GOLDEN_NS], sizeof lam);
+    for (j = 0; j < GOLDEN_NX; j++) {
+        next[j] = ipm_gradient_terms(s, GOLDEN_NS, j);
+    }
     for (k = GOLDEN_NS - 1; k >= 0; k--) {
         ipm_adjoint_step(s, k, lam, w);
+        ipm_term_sizes(s, k, next, size);
         for (j = 0; j < GOLDEN_NUS; j++) {
             const int c = k * GOLDEN_NUS + j;
             if (q->kind[c] == 2) {
                 s->qp.mult[c] -= w[GOLDEN_NX + j];
             } else {
-                ipm_take_gradient(s, k, GOLDEN_NX + j, w[GOLDEN_NX + j], q->reach[c], &worst, &most);
+                ipm_take_gradient(w[GOLDEN_NX + j], size[j], q->reach[c], &worst, &most);
             }
+        }
+        for (j = 0; j < GOLDEN_NX; j++) {
+            next[j] = ipm_gradient_terms(s, k, j) + fabs(w[j] - s->riccati.g[k][j]);
         }
         riccati_combine(w, w + GOLDEN_NX, s->riccati.K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_NX);
         memcpy(lam, w, sizeof lam);
     }
     for (j = 0; j < GOLDEN_NF; j++) {
         const golden_real unit = 1.0 / sqrt(s->riccati.F[j][j]);
-        ipm_take_gradient(s, 0, free_state[j], lam[free_state[j]], unit, &worst, &most);
+        ipm_take_gradient(lam[free_state[j]], next[free_state[j]], unit, &worst, &most);
     }
     return (worst > 0.0) ? worst / most : 0.0;
 }
@@ -2108,7 +2147,7 @@ static void ipm_measure(golden_solver_t *s)
  * fall fast enough: then there is less of it. Returns 1 if so. */
 static int ipm_stiffen(golden_ipm_t *q, golden_real before)
 {
-    if (q->step > 0.9 && q->primal > 1.4210854715202004e-14 && q->primal > 0.125 * before &&
+    if (q->step > 0.9 && q->primal > 2.0 * 8.881784197001252e-16 && q->primal > 0.125 * before &&
         q->stiffening < 65536.0) {
         q->stiffening *= 16.0;
         return 1;
@@ -2214,7 +2253,7 @@ static golden_real ipm_setback(const golden_solver_t *s)
 static void ipm_step(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real least = 0.0009765625 * 5.421010862427522e-20 * q->unit;
+    const golden_real least = 0.0009765625 * 2.117582368135751e-22 * q->unit;
     golden_real inverse, share, target, way;
     memset(q->extra, 0, sizeof q->extra);
     memset(q->extra_e, 0, sizeof q->extra_e);
@@ -2260,28 +2299,51 @@ static golden_real ipm_gaps(golden_solver_t *s)
     return most;
 }
 
+/* Residuals that are good enough where they fall no more. */
+static inline int ipm_small_residuals(const golden_ipm_t *q)
+{
+    return q->merit <= 16384.0 && q->slope <= 1024.0;
+}
+
 /* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
  * Gaps of the dynamics are closed then. */
 static int ipm_converged(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     const golden_real rows_before = q->merit, gradient_before = q->slope;
-    q->merit = q->primal / 1.4210854715202004e-14;
-    if (q->mu > q->merit * 5.421010862427522e-20 * q->unit) {
-        q->merit = q->mu / (5.421010862427522e-20 * q->unit);
+    q->merit = q->primal / 8.881784197001252e-16;
+    if (q->mu > q->merit * 2.117582368135751e-22 * q->unit) {
+        q->merit = q->mu / (2.117582368135751e-22 * q->unit);
     }
     q->slope = (golden_real)INFINITY;
-    if (!(q->merit <= 1024.0)) {
+    if (!(q->merit <= 16384.0)) {
         return 0;
     }
     q->slope = ipm_stationarity(s) / 5.684341886080802e-14;
-    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || q->slope > 65536.0 ||
+    if (q->merit <= 1.0 && q->slope > 1024.0 && q->slope > 0.5 * gradient_before) {
+        q->stiffening = 1.0; /* rounding of stiff rows */
+    }
+    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || !ipm_small_residuals(q) ||
         (q->slope > 1.0 && q->slope <= 0.5 * gradient_before)) {
         return 0;
     }
     if (q->closed_gaps < 2 && ipm_gaps(s) > 5.684341886080802e-14) {
         q->closed_gaps++;
         return 0;
+    }
+    return 1;
+}
+
+/* Stiff rows may be too much for the recursion. 0 if it fails with the regularisation that they began with, too. */
+static int ipm_weigh_and_factorize(golden_solver_t *s)
+{
+    ipm_weigh(s);
+    while (!ipm_factorize(s)) {
+        if (s->ipm.stiffening <= 1.0) {
+            return 0;
+        }
+        s->ipm.stiffening = 1.0;
+        ipm_weigh(s);
     }
     return 1;
 }
@@ -2303,10 +2365,10 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return GOLDEN_NUMERICAL_FAILURE;
         }
-        if (ipm_converged(s)) {
+        if (ipm_converged(s) && !changed) {
             return GOLDEN_OK;
         }
-        if (q->primal > 1.4210854715202004e-14 && (q->step < 0.5 || q->primal > 0.5 * before) &&
+        if (q->primal > 8.881784197001252e-16 && (q->step < 0.5 || q->primal > 0.5 * before) &&
             ipm_infeasible(s)) {
             return GOLDEN_INFEASIBLE;
         }
@@ -2315,9 +2377,8 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         }
         s->qp.iterations++;
         if (q->sides > 0 || changed) {
-            ipm_weigh(s);
-            if (!ipm_factorize(s)) {
-                return GOLDEN_NUMERICAL_FAILURE;
+            if (!ipm_weigh_and_factorize(s)) {
+                return ipm_small_residuals(q) ? GOLDEN_OK : GOLDEN_NUMERICAL_FAILURE;
             }
         }
         ipm_step(s);
@@ -2484,21 +2545,20 @@ static void qp_enter(golden_solver_t *s)
         c = GOLDEN_NV + m;
         q->side[c] = qp_allowed(q, c, q->side[c], q->penalty[m]);
         r->weight[m] = qp_weight(q, m, q->side[c]);
-        qp_set_center(q, m, q->side[c] != 0 ? q->mult[c] : 0.0);
     }
     q->stale = q->stale_vectors = GOLDEN_NS;
 }
 
-/* The cost of moving a row by one is base / 2 or more; as a member it gets a weight that is larger by the root of the precision:
+/* The cost of moving a row by one is root^2 / 2 or more; as a member it gets a weight that is larger by the root of the precision:
  * one correction makes up for its share in the Hessian, and the rounding that it causes is no larger. */
-static void qp_set_base(golden_solver_t *s)
+static void qp_set_units(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
     int m;
     for (m = 0; m < GOLDEN_NG; m++) {
         const golden_real reach = s->ipm.reach[GOLDEN_NV + m];
-        q->base[m] = (reach > 0.0 && isfinite(reach)) ? 1.0 / (reach * reach) : 1.0;
-        q->weight[m] = q->base[m] / sqrt(2.220446049250313e-16);
+        q->root[m] = (reach > 0.0 && isfinite(reach)) ? 1.0 / reach : 1.0;
+        q->weight[m] = q->root[m] * q->root[m] / sqrt(2.220446049250313e-16);
         q->raised[m] = 0;
     }
     q->scaled = 1;
@@ -2513,7 +2573,7 @@ static void qp_scale_rows(golden_solver_t *s)
     memset(r->weight, 0, sizeof r->weight);
     if (GOLDEN_NG > 0 && riccati_factorize(s, GOLDEN_NS)) {
         ipm_set_reach(s);
-        qp_set_base(s);
+        qp_set_units(s);
     }
 }
 
@@ -2527,7 +2587,7 @@ static void qp_exchange(golden_solver_t *s, int back)
     memcpy(back ? q->mult : ipm->force, back ? ipm->force : q->mult, sizeof q->mult);
 }
 
-/* From the empty working set; where this fails, the interior point method and then the set that it names. */
+/* From the empty working set, with units of this QP; where this fails, the interior point method and then the set that it names. */
 static golden_status_t qp_fall_back(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
@@ -2535,6 +2595,7 @@ static golden_status_t qp_fall_back(golden_solver_t *s)
     int before;
     memset(q->side, 0, sizeof q->side);
     memset(q->mult, 0, sizeof q->mult);
+    qp_scale_rows(s);
     qp_enter(s);
     if (qp_iterate(s, GOLDEN_QP_MAX_ITERATIONS) == GOLDEN_OK) {
         return GOLDEN_OK;
@@ -2548,7 +2609,7 @@ static golden_status_t qp_fall_back(golden_solver_t *s)
     if (status != GOLDEN_OK && status != GOLDEN_ITERATION_LIMIT) {
         return status;
     }
-    qp_set_base(s);
+    qp_set_units(s);
     qp_exchange(s, 0);
     qp_enter(s);
     if (qp_iterate(s, GOLDEN_QP_MAX_POLISH) == GOLDEN_OK) {
@@ -2582,6 +2643,7 @@ static void qp_init(golden_solver_t *s)
     }
     for (c = 0; c < GOLDEN_NG; c++) {
         q->penalty[c] = (golden_real)INFINITY;
+        q->root[c] = 1.0;
     }
 }
 
@@ -2593,6 +2655,12 @@ static golden_status_t qp_factorize(golden_solver_t *s)
     }
     qp_enter(s);
     q->factorized = qp_renew(s);
+    if (!q->factorized) { /* weights and members may be those of a QP in other units */
+        memset(q->side, 0, sizeof q->side);
+        qp_scale_rows(s);
+        qp_enter(s);
+        q->factorized = qp_renew(s);
+    }
     return q->factorized ? GOLDEN_OK : qp_fail(q, GOLDEN_NUMERICAL_FAILURE);
 }
 
@@ -2630,7 +2698,7 @@ static golden_status_t qp_solve(golden_solver_t *s)
     q->changes = 0;
     status = qp_iterate(s, GOLDEN_QP_MAX_ITERATIONS);
     q->exact = 1;
-    if (status == GOLDEN_STALLED || status == GOLDEN_ITERATION_LIMIT) {
+    if (status != GOLDEN_OK) {
         status = qp_fall_back(s);
     }
     if (q->exact && status == GOLDEN_OK) {

@@ -681,8 +681,11 @@ static void ipm_set_weights(golden_solver_t *s)
     int k, j;
     for (k = 0; k < GOLDEN_NS; k++) {
         for (j = 0; j < GOLDEN_NUS; j++) {
-            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j];
+            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j] + s->ipm.proximal[GOLDEN_NX + j];
         }
+    }
+    for (j = 0; j < GOLDEN_NF; j++) {
+        s->riccati.diagonal[0][free_state[j]] = s->ipm.proximal[free_state[j]];
     }
     memcpy(s->riccati.weight, s->ipm.weight + GOLDEN_NV, sizeof s->ipm.weight[0] * GOLDEN_NG);
 }
@@ -955,6 +958,22 @@ static golden_real ipm_least_pivot(golden_solver_t *s)
     return sqrt(2.220446049250313e-16) * ((most > 0.0 && isfinite(most)) ? most : 1.0);
 }
 
+/* Where the Hessian is singular the steps are those of the proximal point method, or rounding drives them along its null space:
+ * a small share of the largest diagonal entry of each control and free component of x_0. */
+static void ipm_set_proximal(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int k, i;
+    for (i = 0; i < GOLDEN_NZS; i++) {
+        golden_real most = 0.0;
+        for (k = 0; k < GOLDEN_NS; k++) {
+            most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
+        }
+        most = sqrt(2.220446049250313e-16) * most;
+        q->proximal[i] = 64.0 * ((most > 0.0) ? most : q->least_pivot);
+    }
+}
+
 /* Weights for the first factorisation: equations, and if the Hessian needs it a damping of the rows with two bounds. */
 static void ipm_first_weights(golden_solver_t *s)
 {
@@ -991,6 +1010,7 @@ static int ipm_first_factorization(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     memset(q->stiffness, 0, sizeof q->stiffness);
+    memset(q->proximal, 0, sizeof q->proximal);
     q->damping = 0.0;
     q->stiffening = 1.0;
     q->least_pivot = ipm_least_pivot(s);
@@ -998,6 +1018,7 @@ static int ipm_first_factorization(golden_solver_t *s)
     s->riccati.regularize = 0;
     if (!riccati_factorize(s, GOLDEN_NS)) {
         q->damping = ipm_damping_cost(s);
+        ipm_set_proximal(s);
         ipm_first_weights(s);
         if (!ipm_factorize(s)) {
             return 0;
@@ -1156,46 +1177,67 @@ static inline void ipm_adjoint_step(golden_solver_t *s, int k, const golden_real
     riccati_combine(w, lam, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
 }
 
-/* The component i of the gradient of the Lagrangian at stage k, times the way that one unit of cost allows, and the terms it is
- * a sum of: cost, rows, the next state. */
-static void ipm_take_gradient(golden_solver_t *s, int k, int i, golden_real rest, golden_real unit, golden_real *worst, golden_real *most)
+/* The sum of the absolute terms of entry i of the gradient at stage k without the dynamics: cost and rows. */
+static inline golden_real ipm_gradient_terms(golden_solver_t *s, int k, int i)
 {
-    const golden_real z = (i < GOLDEN_NX) ? s->qp.x[k][i] : s->qp.z[k * GOLDEN_NUS + i - GOLDEN_NX], g = s->riccati.g[k][i];
-    golden_real terms = fabs(stage_g(s, k)[i]) + fabs(stage_Q(s, k)[i][i] * z);
-    terms += fabs(g) + fabs(rest - g);
-    if (i >= GOLDEN_NX) {
-        terms += fabs(s->qp.mult[k * GOLDEN_NUS + i - GOLDEN_NX]);
+    const golden_real g = stage_g(s, k)[i], cost = s->ipm.gradient[k][i];
+    return fabs(g) + fabs(cost - g) + fabs(s->riccati.g[k][i] - cost);
+}
+
+/* size[j]: the sum of the absolute terms of the gradient of control j at stage k, next[] those of the entries of lam. What lam is
+ * a sum of may cancel in it, as where a row holds a state, so its rounding is not seen from lam. */
+static void ipm_term_sizes(golden_solver_t *s, int k, const golden_real *next, golden_real *size)
+{
+    int i, j;
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        size[j] = ipm_gradient_terms(s, k, GOLDEN_NX + j);
+        for (i = 0; i < GOLDEN_NX; i++) {
+            size[j] += fabs(stage_S(s, k)[i][GOLDEN_NX + j]) * next[i];
+        }
     }
+}
+
+/* The largest |gradient| and the largest sum of its terms, both times the way that one unit of cost allows. */
+static inline void ipm_take_gradient(golden_real rest, golden_real terms, golden_real unit, golden_real *worst, golden_real *most)
+{
     *worst = (fabs(rest) * unit > *worst) ? fabs(rest) * unit : *worst;
     *most = (terms * unit > *most) ? terms * unit : *most;
 }
 
-/* Gradient of the Lagrangian with respect to the free controls and components of x_0, relative to its terms, under the feedback
- * u = K x + v: so rounding does not grow along an unstable horizon. Fixed controls get their multipliers. */
+/* Gradient of the Lagrangian with respect to the free controls and components of x_0 relative to the largest of the terms it is
+ * a sum of, each times the way that one unit of cost allows, under the feedback u = K x + v: so rounding does not grow along an
+ * unstable horizon. Fixed controls get their multipliers. */
 static golden_real ipm_stationarity(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    golden_real lam[GOLDEN_NX], w[GOLDEN_NZS], worst = 0.0, most = 0.0;
+    golden_real lam[GOLDEN_NX], w[GOLDEN_NZS], size[GOLDEN_NUS], next[GOLDEN_NX], worst = 0.0, most = 0.0;
     int k, j;
     memcpy(s->riccati.g, q->gradient, sizeof s->riccati.g);
     ipm_add_forces(s, s->qp.mult, s->riccati.g);
     memcpy(lam, s->riccati.g[GOLDEN_NS], sizeof lam);
+    for (j = 0; j < GOLDEN_NX; j++) {
+        next[j] = ipm_gradient_terms(s, GOLDEN_NS, j);
+    }
     for (k = GOLDEN_NS - 1; k >= 0; k--) {
         ipm_adjoint_step(s, k, lam, w);
+        ipm_term_sizes(s, k, next, size);
         for (j = 0; j < GOLDEN_NUS; j++) {
             const int c = k * GOLDEN_NUS + j;
             if (q->kind[c] == 2) {
                 s->qp.mult[c] -= w[GOLDEN_NX + j];
             } else {
-                ipm_take_gradient(s, k, GOLDEN_NX + j, w[GOLDEN_NX + j], q->reach[c], &worst, &most);
+                ipm_take_gradient(w[GOLDEN_NX + j], size[j], q->reach[c], &worst, &most);
             }
+        }
+        for (j = 0; j < GOLDEN_NX; j++) {
+            next[j] = ipm_gradient_terms(s, k, j) + fabs(w[j] - s->riccati.g[k][j]);
         }
         riccati_combine(w, w + GOLDEN_NX, s->riccati.K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_NX);
         memcpy(lam, w, sizeof lam);
     }
     for (j = 0; j < GOLDEN_NF; j++) {
         const golden_real unit = 1.0 / sqrt(s->riccati.F[j][j]);
-        ipm_take_gradient(s, 0, free_state[j], lam[free_state[j]], unit, &worst, &most);
+        ipm_take_gradient(lam[free_state[j]], next[free_state[j]], unit, &worst, &most);
     }
     return (worst > 0.0) ? worst / most : 0.0;
 }
@@ -1419,7 +1461,7 @@ static void ipm_measure(golden_solver_t *s)
  * fall fast enough: then there is less of it. Returns 1 if so. */
 static int ipm_stiffen(golden_ipm_t *q, golden_real before)
 {
-    if (q->step > 0.9 && q->primal > 1.4210854715202004e-14 && q->primal > 0.125 * before &&
+    if (q->step > 0.9 && q->primal > 2.0 * 8.881784197001252e-16 && q->primal > 0.125 * before &&
         q->stiffening < 65536.0) {
         q->stiffening *= 16.0;
         return 1;
@@ -1525,7 +1567,7 @@ static golden_real ipm_setback(const golden_solver_t *s)
 static void ipm_step(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real least = 0.0009765625 * 5.421010862427522e-20 * q->unit;
+    const golden_real least = 0.0009765625 * 2.117582368135751e-22 * q->unit;
     golden_real inverse, share, target, way;
     memset(q->extra, 0, sizeof q->extra);
     memset(q->extra_e, 0, sizeof q->extra_e);
@@ -1571,28 +1613,51 @@ static golden_real ipm_gaps(golden_solver_t *s)
     return most;
 }
 
+/* Residuals that are good enough where they fall no more. */
+static inline int ipm_small_residuals(const golden_ipm_t *q)
+{
+    return q->merit <= 16384.0 && q->slope <= 1024.0;
+}
+
 /* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
  * Gaps of the dynamics are closed then. */
 static int ipm_converged(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     const golden_real rows_before = q->merit, gradient_before = q->slope;
-    q->merit = q->primal / 1.4210854715202004e-14;
-    if (q->mu > q->merit * 5.421010862427522e-20 * q->unit) {
-        q->merit = q->mu / (5.421010862427522e-20 * q->unit);
+    q->merit = q->primal / 8.881784197001252e-16;
+    if (q->mu > q->merit * 2.117582368135751e-22 * q->unit) {
+        q->merit = q->mu / (2.117582368135751e-22 * q->unit);
     }
     q->slope = (golden_real)INFINITY;
-    if (!(q->merit <= 1024.0)) {
+    if (!(q->merit <= 16384.0)) {
         return 0;
     }
     q->slope = ipm_stationarity(s) / 5.684341886080802e-14;
-    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || q->slope > 65536.0 ||
+    if (q->merit <= 1.0 && q->slope > 1024.0 && q->slope > 0.5 * gradient_before) {
+        q->stiffening = 1.0; /* rounding of stiff rows */
+    }
+    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || !ipm_small_residuals(q) ||
         (q->slope > 1.0 && q->slope <= 0.5 * gradient_before)) {
         return 0;
     }
     if (q->closed_gaps < 2 && ipm_gaps(s) > 5.684341886080802e-14) {
         q->closed_gaps++;
         return 0;
+    }
+    return 1;
+}
+
+/* Stiff rows may be too much for the recursion. 0 if it fails with the regularisation that they began with, too. */
+static int ipm_weigh_and_factorize(golden_solver_t *s)
+{
+    ipm_weigh(s);
+    while (!ipm_factorize(s)) {
+        if (s->ipm.stiffening <= 1.0) {
+            return 0;
+        }
+        s->ipm.stiffening = 1.0;
+        ipm_weigh(s);
     }
     return 1;
 }
@@ -1614,10 +1679,10 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return GOLDEN_NUMERICAL_FAILURE;
         }
-        if (ipm_converged(s)) {
+        if (ipm_converged(s) && !changed) {
             return GOLDEN_OK;
         }
-        if (q->primal > 1.4210854715202004e-14 && (q->step < 0.5 || q->primal > 0.5 * before) &&
+        if (q->primal > 8.881784197001252e-16 && (q->step < 0.5 || q->primal > 0.5 * before) &&
             ipm_infeasible(s)) {
             return GOLDEN_INFEASIBLE;
         }
@@ -1626,9 +1691,8 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         }
         s->qp.iterations++;
         if (q->sides > 0 || changed) {
-            ipm_weigh(s);
-            if (!ipm_factorize(s)) {
-                return GOLDEN_NUMERICAL_FAILURE;
+            if (!ipm_weigh_and_factorize(s)) {
+                return ipm_small_residuals(q) ? GOLDEN_OK : GOLDEN_NUMERICAL_FAILURE;
             }
         }
         ipm_step(s);
