@@ -14,8 +14,8 @@ from nmpc_codegen import (
     OCP,
     RK4,
     DenseActiveSet,
-    ExactHessian,
     Discrete,
+    ExactHessian,
     ExplicitRungeKutta,
     FullCondensing,
     GaussNewton,
@@ -162,9 +162,8 @@ def test_taken_prefixes_are_all_that_clash() -> None:
     }
     assert clashing <= set(TAKEN_PREFIXES)
 
-
-# Features that some components lack ------------------------------------------------------------------------------------
-# Features that some components lack --------------------------------------------------------------------------------------
+-------------------------------------------------------------------------------
+# Features that some components lack --------------------------------------------------------------------------------
 
 
 def _soft(ocp: OCP) -> None:
