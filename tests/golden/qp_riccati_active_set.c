@@ -528,6 +528,14 @@ static void riccati_init(golden_solver_t *s)
     memset(&s->riccati, 0, sizeof s->riccati);
 }
 
+/* riccati_convexify   before qp_factorize: the Hessian is convex, or stays as it is. Returns 1 if the factors at hand are those
+ *                     without given controls and without rows. */
+static inline int riccati_convexify(golden_solver_t *s)
+{
+    (void)s;
+    return 0;
+}
+
 /* riccati_adjoint           lam = P_k x + p_k, the multiplier of x_k
  * riccati_control_gradient  derivative of the cost to go with respect to u_j at stage k, 0 at the minimiser if u_j is free: minus
  *                           the multiplier of a fixed control */
@@ -634,16 +642,7 @@ static void qp_set_control(golden_solver_t *s, int c, int side)
     }
 }
 
-/* The multiplier that row m starts from: that of the last solve, none for what enters, that of the cost where it is violated. */
-static inline void qp_set_center(golden_qp_t *q, int m, golden_real mult)
-{
-    const int side = q->side[GOLDEN_NV + m];
-    q->center[m] = mult;
-    if (side == 2 || side == -2) {
-        q->center[m] = side > 0 ? q->penalty[m] : -q->penalty[m];
-    }
-}
-
+/* What enters has no multiplier yet. */
 static void qp_set_row(golden_solver_t *s, int m, int side)
 {
     golden_qp_t *q = &s->qp;
@@ -651,7 +650,7 @@ static void qp_set_row(golden_solver_t *s, int m, int side)
     if (side != q->side[c]) {
         q->side[c] = side;
         q->changes++;
-        qp_set_center(q, m, 0.0);
+        q->mult[c] = 0.0;
         s->riccati.weight[m] = qp_weight(q, m, side);
         qp_outdate(q, stage_of_row[m]);
     }
@@ -709,8 +708,11 @@ static void qp_load(golden_solver_t *s)
             q->target[c] = r->du[c];
         }
         for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
-            if (q->side[GOLDEN_NV + m] != 0) {
+            const int side = q->side[GOLDEN_NV + m];
+            if (side != 0) {
+                const golden_real l1 = side > 0 ? q->penalty[m] : -q->penalty[m];
                 q->target[GOLDEN_NV + m] = qp_target(q, GOLDEN_NV + m);
+                q->center[m] = (side == 1 || side == -1) ? q->mult[GOLDEN_NV + m] : l1;
                 qp_add_row(s, m, q->center[m] - r->weight[m] * q->target[GOLDEN_NV + m], r->g[k]);
             }
         }
@@ -1370,8 +1372,11 @@ static void ipm_set_weights(golden_solver_t *s)
     int k, j;
     for (k = 0; k < GOLDEN_NS; k++) {
         for (j = 0; j < GOLDEN_NUS; j++) {
-            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j];
+            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j] + s->ipm.proximal[GOLDEN_NX + j];
         }
+    }
+    for (j = 0; j < GOLDEN_NF; j++) {
+        s->riccati.diagonal[0][free_state[j]] = s->ipm.proximal[free_state[j]];
     }
     memcpy(s->riccati.weight, s->ipm.weight + GOLDEN_NV, sizeof s->ipm.weight[0] * GOLDEN_NG);
 }
@@ -1644,6 +1649,22 @@ static golden_real ipm_least_pivot(golden_solver_t *s)
     return sqrt(2.220446049250313e-16) * ((most > 0.0 && isfinite(most)) ? most : 1.0);
 }
 
+/* Where the Hessian is singular the steps are those of the proximal point method, or rounding drives them along its null space:
+ * a small share of the largest diagonal entry of each control and free component of x_0. */
+static void ipm_set_proximal(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int k, i;
+    for (i = 0; i < GOLDEN_NZS; i++) {
+        golden_real most = 0.0;
+        for (k = 0; k < GOLDEN_NS; k++) {
+            most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
+        }
+        most = sqrt(2.220446049250313e-16) * most;
+        q->proximal[i] = 64.0 * ((most > 0.0) ? most : q->least_pivot);
+    }
+}
+
 /* Weights for the first factorisation: equations, and if the Hessian needs it a damping of the rows with two bounds. */
 static void ipm_first_weights(golden_solver_t *s)
 {
@@ -1675,18 +1696,24 @@ static int ipm_set_stiffness(golden_solver_t *s)
     return any;
 }
 
-/* Factorisation of the problem with equations only, and units of the rows. */
-static int ipm_first_factorization(golden_solver_t *s)
+/* Factorisation of the problem with equations only, and units of the rows. plain: as in ipm_prepare(). */
+static int ipm_first_factorization(golden_solver_t *s, int plain)
 {
     golden_ipm_t *q = &s->ipm;
+    int c, stands = plain;
     memset(q->stiffness, 0, sizeof q->stiffness);
+    memset(q->proximal, 0, sizeof q->proximal);
     q->damping = 0.0;
     q->stiffening = 1.0;
     q->least_pivot = ipm_least_pivot(s);
     ipm_first_weights(s);
     s->riccati.regularize = 0;
-    if (!riccati_factorize(s, GOLDEN_NS)) {
+    for (c = 0; c < GOLDEN_NV; c++) {
+        stands &= !s->riccati.fixed[c];
+    }
+    if (!stands && !riccati_factorize(s, GOLDEN_NS)) {
         q->damping = ipm_damping_cost(s);
+        ipm_set_proximal(s);
         ipm_first_weights(s);
         if (!ipm_factorize(s)) {
             return 0;
@@ -2370,12 +2397,12 @@ static void ipm_write_sides(golden_solver_t *s)
     }
 }
 
-/* Everything that does not depend on dx_0. */
-static golden_status_t ipm_prepare(golden_solver_t *s)
+/* Everything that does not depend on dx_0. plain: the factors at hand are those without given controls and without rows. */
+static golden_status_t ipm_prepare(golden_solver_t *s, int plain)
 {
     s->ipm.ready = 0;
     (void)ipm_take_kinds(s);
-    if (!ipm_first_factorization(s)) {
+    if (!ipm_first_factorization(s, plain)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
     (void)ipm_first_forces(s);
@@ -2445,7 +2472,7 @@ static golden_status_t ipm_solve(golden_solver_t *s)
     s->qp.iterations = q->solved = 0;
     if (status == GOLDEN_OK) {
         if (ipm_take_kinds(s) || !q->ready) {
-            status = ipm_prepare(s);
+            status = ipm_prepare(s, 0);
         } else if (ipm_first_forces(s)) {
             ipm_first_backward(s);
         }
@@ -2484,7 +2511,6 @@ static void qp_enter(golden_solver_t *s)
         c = GOLDEN_NV + m;
         q->side[c] = qp_allowed(q, c, q->side[c], q->penalty[m]);
         r->weight[m] = qp_weight(q, m, q->side[c]);
-        qp_set_center(q, m, q->side[c] != 0 ? q->mult[c] : 0.0);
     }
     q->stale = q->stale_vectors = GOLDEN_NS;
 }
@@ -2527,7 +2553,7 @@ static void qp_exchange(golden_solver_t *s, int back)
     memcpy(back ? q->mult : ipm->force, back ? ipm->force : q->mult, sizeof q->mult);
 }
 
-/* From the empty working set; where this fails, the interior point method and then the set that it names. */
+/* From the empty working set, with units of this QP; where this fails, the interior point method and then the set that it names. */
 static golden_status_t qp_fall_back(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
@@ -2535,6 +2561,7 @@ static golden_status_t qp_fall_back(golden_solver_t *s)
     int before;
     memset(q->side, 0, sizeof q->side);
     memset(q->mult, 0, sizeof q->mult);
+    qp_scale_rows(s);
     qp_enter(s);
     if (qp_iterate(s, GOLDEN_QP_MAX_ITERATIONS) == GOLDEN_OK) {
         return GOLDEN_OK;
@@ -2585,14 +2612,36 @@ static void qp_init(golden_solver_t *s)
     }
 }
 
+/* The last stage with a member, or -1: later factors are those without members. */
+static int qp_last_member(const golden_qp_t *q)
+{
+    int c, m, last = -1;
+    for (c = 0; c < GOLDEN_NV; c++) {
+        last = (q->side[c] != 0) ? c / GOLDEN_NUS : last;
+    }
+    for (m = 0; m < GOLDEN_NG; m++) {
+        const int k = stage_of_row[m];
+        last = (q->side[GOLDEN_NV + m] != 0 && k > last) ? k : last;
+    }
+    return last;
+}
+
 static golden_status_t qp_factorize(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
+    const int plain = riccati_convexify(s);
     if (!q->scaled) {
         qp_scale_rows(s);
     }
     qp_enter(s);
+    q->stale = plain ? qp_last_member(q) : GOLDEN_NS;
     q->factorized = qp_renew(s);
+    if (!q->factorized) { /* weights and members may be those of a QP in other units */
+        memset(q->side, 0, sizeof q->side);
+        qp_scale_rows(s);
+        qp_enter(s);
+        q->factorized = qp_renew(s);
+    }
     return q->factorized ? GOLDEN_OK : qp_fail(q, GOLDEN_NUMERICAL_FAILURE);
 }
 
@@ -2630,7 +2679,7 @@ static golden_status_t qp_solve(golden_solver_t *s)
     q->changes = 0;
     status = qp_iterate(s, GOLDEN_QP_MAX_ITERATIONS);
     q->exact = 1;
-    if (status == GOLDEN_STALLED || status == GOLDEN_ITERATION_LIMIT) {
+    if (status != GOLDEN_OK) {
         status = qp_fall_back(s);
     }
     if (q->exact && status == GOLDEN_OK) {

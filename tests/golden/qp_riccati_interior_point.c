@@ -516,6 +516,14 @@ static void riccati_init(golden_solver_t *s)
     memset(&s->riccati, 0, sizeof s->riccati);
 }
 
+/* riccati_convexify   before qp_factorize: the Hessian is convex, or stays as it is. Returns 1 if the factors at hand are those
+ *                     without given controls and without rows. */
+static inline int riccati_convexify(golden_solver_t *s)
+{
+    (void)s;
+    return 0;
+}
+
 /* Primal-dual interior point method of Mehrotra (1992) on the stages of the QP, with the Riccati recursion as its linear algebra.
  *
  *     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + sum_soft (l1_c e_c + l2_c/2 e_c^2)   s.t.   x_{k+1} = S_k z_k + b_k,
@@ -681,8 +689,11 @@ static void ipm_set_weights(golden_solver_t *s)
     int k, j;
     for (k = 0; k < GOLDEN_NS; k++) {
         for (j = 0; j < GOLDEN_NUS; j++) {
-            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j];
+            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j] + s->ipm.proximal[GOLDEN_NX + j];
         }
+    }
+    for (j = 0; j < GOLDEN_NF; j++) {
+        s->riccati.diagonal[0][free_state[j]] = s->ipm.proximal[free_state[j]];
     }
     memcpy(s->riccati.weight, s->ipm.weight + GOLDEN_NV, sizeof s->ipm.weight[0] * GOLDEN_NG);
 }
@@ -955,6 +966,22 @@ static golden_real ipm_least_pivot(golden_solver_t *s)
     return sqrt(2.220446049250313e-16) * ((most > 0.0 && isfinite(most)) ? most : 1.0);
 }
 
+/* Where the Hessian is singular the steps are those of the proximal point method, or rounding drives them along its null space:
+ * a small share of the largest diagonal entry of each control and free component of x_0. */
+static void ipm_set_proximal(golden_solver_t *s)
+{
+    golden_ipm_t *q = &s->ipm;
+    int k, i;
+    for (i = 0; i < GOLDEN_NZS; i++) {
+        golden_real most = 0.0;
+        for (k = 0; k < GOLDEN_NS; k++) {
+            most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
+        }
+        most = sqrt(2.220446049250313e-16) * most;
+        q->proximal[i] = 64.0 * ((most > 0.0) ? most : q->least_pivot);
+    }
+}
+
 /* Weights for the first factorisation: equations, and if the Hessian needs it a damping of the rows with two bounds. */
 static void ipm_first_weights(golden_solver_t *s)
 {
@@ -986,18 +1013,24 @@ static int ipm_set_stiffness(golden_solver_t *s)
     return any;
 }
 
-/* Factorisation of the problem with equations only, and units of the rows. */
-static int ipm_first_factorization(golden_solver_t *s)
+/* Factorisation of the problem with equations only, and units of the rows. plain: as in ipm_prepare(). */
+static int ipm_first_factorization(golden_solver_t *s, int plain)
 {
     golden_ipm_t *q = &s->ipm;
+    int c, stands = plain;
     memset(q->stiffness, 0, sizeof q->stiffness);
+    memset(q->proximal, 0, sizeof q->proximal);
     q->damping = 0.0;
     q->stiffening = 1.0;
     q->least_pivot = ipm_least_pivot(s);
     ipm_first_weights(s);
     s->riccati.regularize = 0;
-    if (!riccati_factorize(s, GOLDEN_NS)) {
+    for (c = 0; c < GOLDEN_NV; c++) {
+        stands &= !s->riccati.fixed[c];
+    }
+    if (!stands && !riccati_factorize(s, GOLDEN_NS)) {
         q->damping = ipm_damping_cost(s);
+        ipm_set_proximal(s);
         ipm_first_weights(s);
         if (!ipm_factorize(s)) {
             return 0;
@@ -1681,12 +1714,12 @@ static void ipm_write_sides(golden_solver_t *s)
     }
 }
 
-/* Everything that does not depend on dx_0. */
-static golden_status_t ipm_prepare(golden_solver_t *s)
+/* Everything that does not depend on dx_0. plain: the factors at hand are those without given controls and without rows. */
+static golden_status_t ipm_prepare(golden_solver_t *s, int plain)
 {
     s->ipm.ready = 0;
     (void)ipm_take_kinds(s);
-    if (!ipm_first_factorization(s)) {
+    if (!ipm_first_factorization(s, plain)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
     (void)ipm_first_forces(s);
@@ -1756,7 +1789,7 @@ static golden_status_t ipm_solve(golden_solver_t *s)
     s->qp.iterations = q->solved = 0;
     if (status == GOLDEN_OK) {
         if (ipm_take_kinds(s) || !q->ready) {
-            status = ipm_prepare(s);
+            status = ipm_prepare(s, 0);
         } else if (ipm_first_forces(s)) {
             ipm_first_backward(s);
         }
@@ -1792,7 +1825,7 @@ static void qp_init(golden_solver_t *s)
 
 static golden_status_t qp_factorize(golden_solver_t *s)
 {
-    return ipm_prepare(s);
+    return ipm_prepare(s, riccati_convexify(s));
 }
 
 static void qp_gradient(golden_solver_t *s)
