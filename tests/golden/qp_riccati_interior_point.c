@@ -722,7 +722,7 @@ static void ipm_side_residuals(golden_solver_t *s)
 static void ipm_weigh(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real regularization = 9.313225746154785e-10 / q->stiffening;
+    const golden_real share = 9.313225746154785e-10 / q->stiffening;
     int i, c;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
         q->weight[c] = q->stiffness[c] * q->stiffening;
@@ -730,7 +730,7 @@ static void ipm_weigh(golden_solver_t *s)
     for (i = 0; i < q->sides; i++) {
         const golden_real reach = q->reach[q->row[i]];
         q->ratio[i] = q->t[i] / q->lam[i];
-        q->omega[i] = q->ratio[i] + regularization * reach * reach;
+        q->omega[i] = q->ratio[i] + share * reach * reach;
     }
     for (i = q->hard; i < q->sides; i++) {
         const int j = i - q->hard;
@@ -1189,46 +1189,67 @@ static inline void ipm_adjoint_step(golden_solver_t *s, int k, const golden_real
     riccati_combine(w, lam, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
 }
 
-/* The component i of the gradient of the Lagrangian at stage k, times the way that one unit of cost allows, and the terms it is
- * a sum of: cost, rows, the next state. */
-static void ipm_take_gradient(golden_solver_t *s, int k, int i, golden_real rest, golden_real unit, golden_real *worst, golden_real *most)
+/* The sum of the absolute terms of entry i of the gradient at stage k without the dynamics: cost and rows. */
+static inline golden_real ipm_gradient_terms(golden_solver_t *s, int k, int i)
 {
-    const golden_real z = (i < GOLDEN_NX) ? s->qp.x[k][i] : s->qp.z[k * GOLDEN_NUS + i - GOLDEN_NX], g = s->riccati.g[k][i];
-    golden_real terms = fabs(stage_g(s, k)[i]) + fabs(stage_Q(s, k)[i][i] * z);
-    terms += fabs(g) + fabs(rest - g);
-    if (i >= GOLDEN_NX) {
-        terms += fabs(s->qp.mult[k * GOLDEN_NUS + i - GOLDEN_NX]);
+    const golden_real g = stage_g(s, k)[i], cost = s->ipm.gradient[k][i];
+    return fabs(g) + fabs(cost - g) + fabs(s->riccati.g[k][i] - cost);
+}
+
+/* size[j]: the sum of the absolute terms of the gradient of control j at stage k, next[] those of the entries of lam. What lam is
+ * a sum of may cancel in it, as where a row holds a state, so its rounding is not seen from lam. */
+static void ipm_term_sizes(golden_solver_t *s, int k, const golden_real *next, golden_real *size)
+{
+    int i, j;
+    for (j = 0; j < GOLDEN_NUS; j++) {
+        size[j] = ipm_gradient_terms(s, k, GOLDEN_NX + j);
+        for (i = 0; i < GOLDEN_NX; i++) {
+            size[j] += fabs(stage_S(s, k)[i][GOLDEN_NX + j]) * next[i];
+        }
     }
+}
+
+/* The largest |gradient| and the largest sum of its terms, both times the way that one unit of cost allows. */
+static inline void ipm_take_gradient(golden_real rest, golden_real terms, golden_real unit, golden_real *worst, golden_real *most)
+{
     *worst = (fabs(rest) * unit > *worst) ? fabs(rest) * unit : *worst;
     *most = (terms * unit > *most) ? terms * unit : *most;
 }
 
-/* Gradient of the Lagrangian with respect to the free controls and components of x_0, relative to its terms, under the feedback
- * u = K x + v: so rounding does not grow along an unstable horizon. Fixed controls get their multipliers. */
+/* Gradient of the Lagrangian with respect to the free controls and components of x_0 relative to the largest of the terms it is
+ * a sum of, each times the way that one unit of cost allows, under the feedback u = K x + v: so rounding does not grow along an
+ * unstable horizon. Fixed controls get their multipliers. */
 static golden_real ipm_stationarity(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    golden_real lam[GOLDEN_NX], w[GOLDEN_NZS], worst = 0.0, most = 0.0;
+    golden_real lam[GOLDEN_NX], w[GOLDEN_NZS], size[GOLDEN_NUS], next[GOLDEN_NX], worst = 0.0, most = 0.0;
     int k, j;
     memcpy(s->riccati.g, q->gradient, sizeof s->riccati.g);
     ipm_add_forces(s, s->qp.mult, s->riccati.g);
     memcpy(lam, s->riccati.g[GOLDEN_NS], sizeof lam);
+    for (j = 0; j < GOLDEN_NX; j++) {
+        next[j] = ipm_gradient_terms(s, GOLDEN_NS, j);
+    }
     for (k = GOLDEN_NS - 1; k >= 0; k--) {
         ipm_adjoint_step(s, k, lam, w);
+        ipm_term_sizes(s, k, next, size);
         for (j = 0; j < GOLDEN_NUS; j++) {
             const int c = k * GOLDEN_NUS + j;
             if (q->kind[c] == 2) {
                 s->qp.mult[c] -= w[GOLDEN_NX + j];
             } else {
-                ipm_take_gradient(s, k, GOLDEN_NX + j, w[GOLDEN_NX + j], q->reach[c], &worst, &most);
+                ipm_take_gradient(w[GOLDEN_NX + j], size[j], q->reach[c], &worst, &most);
             }
+        }
+        for (j = 0; j < GOLDEN_NX; j++) {
+            next[j] = ipm_gradient_terms(s, k, j) + fabs(w[j] - s->riccati.g[k][j]);
         }
         riccati_combine(w, w + GOLDEN_NX, s->riccati.K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_NX);
         memcpy(lam, w, sizeof lam);
     }
     for (j = 0; j < GOLDEN_NF; j++) {
         const golden_real unit = 1.0 / sqrt(s->riccati.F[j][j]);
-        ipm_take_gradient(s, 0, free_state[j], lam[free_state[j]], unit, &worst, &most);
+        ipm_take_gradient(lam[free_state[j]], next[free_state[j]], unit, &worst, &most);
     }
     return (worst > 0.0) ? worst / most : 0.0;
 }
