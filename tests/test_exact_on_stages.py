@@ -28,6 +28,7 @@ from nmpc_codegen import (
     RiccatiInteriorPoint,
     Status,
     build,
+    simulate,
 )
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.build import WARNINGS
@@ -326,6 +327,14 @@ def test_quadrotor_converges(route: str, regularization: Any) -> None:
     again = c.solve(x0, tol=1e-10, max_iterations=30)
     assert again.iterations == solution.iterations
     np.testing.assert_array_equal(c.u, u)
+
+
+def test_closed_loop() -> None:
+    """Real-time iterations through the nonconvex part: every QP is solved, the quadrotor comes to rest."""
+    c = _built(quadrotor.build_ocp, "none, active set", Project()).copy()
+    log = simulate(c, [1.0, 1.0, 1.0, *np.zeros(9)], steps=80, dt=quadrotor.SAMPLING)
+    assert all(status == Status.OK for status in log.status)
+    assert np.abs(log.x[-1]).max() <= 1e-2
 
 
 def curved(free: bool) -> OCP:

@@ -971,7 +971,7 @@ static golden_status_t qp_refine(golden_solver_t *s)
         if (!isfinite(q->residual) || !qp_measure(q)) {
             return GOLDEN_NUMERICAL_FAILURE;
         }
-        if (q->residual <= 1.4210854715202004e-14) {
+        if (q->residual <= 1.7763568394002505e-15) {
             return GOLDEN_OK;
         }
         if (q->residual > 0.5 * before) {
@@ -994,7 +994,7 @@ static inline golden_real qp_tolerance(const golden_qp_t *q, golden_real exact)
 /* The side that bounds say: v is the value of what is no member. */
 static inline int qp_side_of_value(const golden_qp_t *q, int c, golden_real v, golden_real size)
 {
-    const golden_real tolerance = qp_tolerance(q, 2.2737367544323206e-13);
+    const golden_real tolerance = qp_tolerance(q, 1.4210854715202004e-14);
     if (v - q->upper[c] > tolerance * (size + fabs(q->upper[c]))) {
         return 1;
     }
@@ -1029,13 +1029,15 @@ static int qp_side_of_row(const golden_solver_t *s, int m)
     const golden_qp_t *q = &s->qp;
     const int c = GOLDEN_NV + m, side = q->side[c], sign = side > 0 ? 1 : -1;
     const golden_real size = qp_row_size(s, m), mult = side > 0 ? q->mult[c] : -q->mult[c];
-    const golden_real rounding = qp_tolerance(q, 5.684341886080802e-14) * (q->base[m] * size + q->largest);
+    const golden_real terms = q->root[m] * q->largest < q->largest_mult ? q->root[m] * q->largest : q->largest_mult;
+    const golden_real stiff = q->refined ? 0.0 : q->root[m] * q->root[m] * size;
+    const golden_real rounding = qp_tolerance(q, 5.684341886080802e-14) * (terms + stiff);
     if (side == 0) {
         return qp_side_of_value(q, c, q->value[m], size);
     }
     if (side != sign) {
         const golden_real violation = side > 0 ? q->value[m] - q->upper[c] : q->lower[c] - q->value[m];
-        return violation >= -qp_tolerance(q, 2.2737367544323206e-13) * (size + fabs(q->target[c])) ? side : sign;
+        return violation >= -qp_tolerance(q, 1.4210854715202004e-14) * (size + fabs(q->target[c])) ? side : sign;
     }
     if (mult > q->penalty[m] + rounding) {
         return 2 * sign;
@@ -1067,10 +1069,11 @@ static int qp_revise(golden_solver_t *s)
     const int before = q->changes;
     golden_real worst = 0.0;
     int c, m;
-    q->largest = 0.0;
+    q->largest = q->largest_mult = 0.0;
     for (m = 0; m < GOLDEN_NG; m++) {
-        const golden_real mult = fabs(q->mult[GOLDEN_NV + m]);
-        q->largest = mult > q->largest ? mult : q->largest;
+        const golden_real force = fabs(q->mult[GOLDEN_NV + m]);
+        q->largest_mult = force > q->largest_mult ? force : q->largest_mult;
+        q->largest = force > q->largest * q->root[m] ? force / q->root[m] : q->largest;
         if (q->side[GOLDEN_NV + m] == 0) {
             const golden_real violation = qp_violation(s, m);
             worst = violation > worst ? violation : worst;
@@ -1129,7 +1132,7 @@ static int qp_raise_weights(golden_solver_t *s)
         const int c = GOLDEN_NV + m;
         const golden_real size = qp_row_size(s, m) + fabs(q->target[c]);
         if ((q->side[c] == 1 || q->side[c] == -1) && q->raised[m] < 2 &&
-            fabs(q->value[m] - q->target[c]) > 2.2737367544323206e-13 * size) {
+            fabs(q->value[m] - q->target[c]) > 1.4210854715202004e-14 * size) {
             q->raised[m]++;
             q->weight[m] *= 1024.0;
             s->riccati.weight[m] = q->weight[m];
@@ -2156,7 +2159,7 @@ static void ipm_measure(golden_solver_t *s)
  * fall fast enough: then there is less of it. Returns 1 if so. */
 static int ipm_stiffen(golden_ipm_t *q, golden_real before)
 {
-    if (q->step > 0.9 && q->primal > 1.4210854715202004e-14 && q->primal > 0.125 * before &&
+    if (q->step > 0.9 && q->primal > 2.0 * 8.881784197001252e-16 && q->primal > 0.125 * before &&
         q->stiffening < 65536.0) {
         q->stiffening *= 16.0;
         return 1;
@@ -2262,7 +2265,7 @@ static golden_real ipm_setback(const golden_solver_t *s)
 static void ipm_step(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real least = 0.0009765625 * 5.421010862427522e-20 * q->unit;
+    const golden_real least = 0.0009765625 * 2.117582368135751e-22 * q->unit;
     golden_real inverse, share, target, way;
     memset(q->extra, 0, sizeof q->extra);
     memset(q->extra_e, 0, sizeof q->extra_e);
@@ -2308,28 +2311,51 @@ static golden_real ipm_gaps(golden_solver_t *s)
     return most;
 }
 
+/* Residuals that are good enough where they fall no more. */
+static inline int ipm_small_residuals(const golden_ipm_t *q)
+{
+    return q->merit <= 16384.0 && q->slope <= 1024.0;
+}
+
 /* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
  * Gaps of the dynamics are closed then. */
 static int ipm_converged(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     const golden_real rows_before = q->merit, gradient_before = q->slope;
-    q->merit = q->primal / 1.4210854715202004e-14;
-    if (q->mu > q->merit * 5.421010862427522e-20 * q->unit) {
-        q->merit = q->mu / (5.421010862427522e-20 * q->unit);
+    q->merit = q->primal / 8.881784197001252e-16;
+    if (q->mu > q->merit * 2.117582368135751e-22 * q->unit) {
+        q->merit = q->mu / (2.117582368135751e-22 * q->unit);
     }
     q->slope = (golden_real)INFINITY;
-    if (!(q->merit <= 1024.0)) {
+    if (!(q->merit <= 16384.0)) {
         return 0;
     }
     q->slope = ipm_stationarity(s) / 5.684341886080802e-14;
-    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || q->slope > 65536.0 ||
+    if (q->merit <= 1.0 && q->slope > 1024.0 && q->slope > 0.5 * gradient_before) {
+        q->stiffening = 1.0; /* rounding of stiff rows */
+    }
+    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || !ipm_small_residuals(q) ||
         (q->slope > 1.0 && q->slope <= 0.5 * gradient_before)) {
         return 0;
     }
     if (q->closed_gaps < 2 && ipm_gaps(s) > 5.684341886080802e-14) {
         q->closed_gaps++;
         return 0;
+    }
+    return 1;
+}
+
+/* Stiff rows may be too much for the recursion. 0 if it fails with the regularisation that they began with, too. */
+static int ipm_weigh_and_factorize(golden_solver_t *s)
+{
+    ipm_weigh(s);
+    while (!ipm_factorize(s)) {
+        if (s->ipm.stiffening <= 1.0) {
+            return 0;
+        }
+        s->ipm.stiffening = 1.0;
+        ipm_weigh(s);
     }
     return 1;
 }
@@ -2351,10 +2377,10 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return GOLDEN_NUMERICAL_FAILURE;
         }
-        if (ipm_converged(s)) {
+        if (ipm_converged(s) && !changed) {
             return GOLDEN_OK;
         }
-        if (q->primal > 1.4210854715202004e-14 && (q->step < 0.5 || q->primal > 0.5 * before) &&
+        if (q->primal > 8.881784197001252e-16 && (q->step < 0.5 || q->primal > 0.5 * before) &&
             ipm_infeasible(s)) {
             return GOLDEN_INFEASIBLE;
         }
@@ -2363,9 +2389,8 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         }
         s->qp.iterations++;
         if (q->sides > 0 || changed) {
-            ipm_weigh(s);
-            if (!ipm_factorize(s)) {
-                return GOLDEN_NUMERICAL_FAILURE;
+            if (!ipm_weigh_and_factorize(s)) {
+                return ipm_small_residuals(q) ? GOLDEN_OK : GOLDEN_NUMERICAL_FAILURE;
             }
         }
         ipm_step(s);
@@ -2536,16 +2561,16 @@ static void qp_enter(golden_solver_t *s)
     q->stale = q->stale_vectors = GOLDEN_NS;
 }
 
-/* The cost of moving a row by one is base / 2 or more; as a member it gets a weight that is larger by the root of the precision:
+/* The cost of moving a row by one is root^2 / 2 or more; as a member it gets a weight that is larger by the root of the precision:
  * one correction makes up for its share in the Hessian, and the rounding that it causes is no larger. */
-static void qp_set_base(golden_solver_t *s)
+static void qp_set_units(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
     int m;
     for (m = 0; m < GOLDEN_NG; m++) {
         const golden_real reach = s->ipm.reach[GOLDEN_NV + m];
-        q->base[m] = (reach > 0.0 && isfinite(reach)) ? 1.0 / (reach * reach) : 1.0;
-        q->weight[m] = q->base[m] / sqrt(2.220446049250313e-16);
+        q->root[m] = (reach > 0.0 && isfinite(reach)) ? 1.0 / reach : 1.0;
+        q->weight[m] = q->root[m] * q->root[m] / sqrt(2.220446049250313e-16);
         q->raised[m] = 0;
     }
     q->scaled = 1;
@@ -2560,7 +2585,7 @@ static void qp_scale_rows(golden_solver_t *s)
     memset(r->weight, 0, sizeof r->weight);
     if (GOLDEN_NG > 0 && riccati_factorize(s, GOLDEN_NS)) {
         ipm_set_reach(s);
-        qp_set_base(s);
+        qp_set_units(s);
     }
 }
 
@@ -2596,7 +2621,7 @@ static golden_status_t qp_fall_back(golden_solver_t *s)
     if (status != GOLDEN_OK && status != GOLDEN_ITERATION_LIMIT) {
         return status;
     }
-    qp_set_base(s);
+    qp_set_units(s);
     qp_exchange(s, 0);
     qp_enter(s);
     if (qp_iterate(s, GOLDEN_QP_MAX_POLISH) == GOLDEN_OK) {
@@ -2630,6 +2655,7 @@ static void qp_init(golden_solver_t *s)
     }
     for (c = 0; c < GOLDEN_NG; c++) {
         q->penalty[c] = (golden_real)INFINITY;
+        q->root[c] = 1.0;
     }
 }
 

@@ -1473,7 +1473,7 @@ static void ipm_measure(golden_solver_t *s)
  * fall fast enough: then there is less of it. Returns 1 if so. */
 static int ipm_stiffen(golden_ipm_t *q, golden_real before)
 {
-    if (q->step > 0.9 && q->primal > 1.4210854715202004e-14 && q->primal > 0.125 * before &&
+    if (q->step > 0.9 && q->primal > 2.0 * 8.881784197001252e-16 && q->primal > 0.125 * before &&
         q->stiffening < 65536.0) {
         q->stiffening *= 16.0;
         return 1;
@@ -1579,7 +1579,7 @@ static golden_real ipm_setback(const golden_solver_t *s)
 static void ipm_step(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real least = 0.0009765625 * 5.421010862427522e-20 * q->unit;
+    const golden_real least = 0.0009765625 * 2.117582368135751e-22 * q->unit;
     golden_real inverse, share, target, way;
     memset(q->extra, 0, sizeof q->extra);
     memset(q->extra_e, 0, sizeof q->extra_e);
@@ -1625,28 +1625,51 @@ static golden_real ipm_gaps(golden_solver_t *s)
     return most;
 }
 
+/* Residuals that are good enough where they fall no more. */
+static inline int ipm_small_residuals(const golden_ipm_t *q)
+{
+    return q->merit <= 16384.0 && q->slope <= 1024.0;
+}
+
 /* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
  * Gaps of the dynamics are closed then. */
 static int ipm_converged(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     const golden_real rows_before = q->merit, gradient_before = q->slope;
-    q->merit = q->primal / 1.4210854715202004e-14;
-    if (q->mu > q->merit * 5.421010862427522e-20 * q->unit) {
-        q->merit = q->mu / (5.421010862427522e-20 * q->unit);
+    q->merit = q->primal / 8.881784197001252e-16;
+    if (q->mu > q->merit * 2.117582368135751e-22 * q->unit) {
+        q->merit = q->mu / (2.117582368135751e-22 * q->unit);
     }
     q->slope = (golden_real)INFINITY;
-    if (!(q->merit <= 1024.0)) {
+    if (!(q->merit <= 16384.0)) {
         return 0;
     }
     q->slope = ipm_stationarity(s) / 5.684341886080802e-14;
-    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || q->slope > 65536.0 ||
+    if (q->merit <= 1.0 && q->slope > 1024.0 && q->slope > 0.5 * gradient_before) {
+        q->stiffening = 1.0; /* rounding of stiff rows */
+    }
+    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || !ipm_small_residuals(q) ||
         (q->slope > 1.0 && q->slope <= 0.5 * gradient_before)) {
         return 0;
     }
     if (q->closed_gaps < 2 && ipm_gaps(s) > 5.684341886080802e-14) {
         q->closed_gaps++;
         return 0;
+    }
+    return 1;
+}
+
+/* Stiff rows may be too much for the recursion. 0 if it fails with the regularisation that they began with, too. */
+static int ipm_weigh_and_factorize(golden_solver_t *s)
+{
+    ipm_weigh(s);
+    while (!ipm_factorize(s)) {
+        if (s->ipm.stiffening <= 1.0) {
+            return 0;
+        }
+        s->ipm.stiffening = 1.0;
+        ipm_weigh(s);
     }
     return 1;
 }
@@ -1668,10 +1691,10 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return GOLDEN_NUMERICAL_FAILURE;
         }
-        if (ipm_converged(s)) {
+        if (ipm_converged(s) && !changed) {
             return GOLDEN_OK;
         }
-        if (q->primal > 1.4210854715202004e-14 && (q->step < 0.5 || q->primal > 0.5 * before) &&
+        if (q->primal > 8.881784197001252e-16 && (q->step < 0.5 || q->primal > 0.5 * before) &&
             ipm_infeasible(s)) {
             return GOLDEN_INFEASIBLE;
         }
@@ -1680,9 +1703,8 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
         }
         s->qp.iterations++;
         if (q->sides > 0 || changed) {
-            ipm_weigh(s);
-            if (!ipm_factorize(s)) {
-                return GOLDEN_NUMERICAL_FAILURE;
+            if (!ipm_weigh_and_factorize(s)) {
+                return ipm_small_residuals(q) ? GOLDEN_OK : GOLDEN_NUMERICAL_FAILURE;
             }
         }
         ipm_step(s);
