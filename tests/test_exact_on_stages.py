@@ -89,7 +89,8 @@ def reduced_hessian(S: Array, Q: Array, Q_N: Array, free: int) -> Array:
 
 
 def random_nonconvex_qp(shape: Shape, seed: int, curvature: float) -> StageQP:
-    """Convex blocks plus ``curvature`` times random symmetric ones; rows that a point inside the bounds meets."""
+    """Convex blocks plus ``curvature`` times random symmetric ones; rows that a point inside the bounds meets. Of every
+    third seed a control is fixed."""
     rng = np.random.default_rng(seed)
     nx, nu, N = shape.nx, shape.nu, shape.N
     nz, rows = nx + nu, rows_of(shape)
@@ -104,8 +105,10 @@ def random_nonconvex_qp(shape: Shape, seed: int, curvature: float) -> StageQP:
     C0[rows.kind != 2] = 0.0
     C[rows.node == N, nx:] = 0.0
     C[rows.kind == 0] = np.eye(nz)[rows.index[rows.kind == 0]]
-    b, du, lower_u, upper_u = rng.normal(size=(N, nx)), rng.normal(size=(N, nu)), np.zeros((N, nu)), np.zeros((N, nu))
+    b, du = rng.normal(size=(N, nx)), rng.normal(size=(N, nu))
     lower_u, upper_u = du - rng.exponential(size=(N, nu)), du + rng.exponential(size=(N, nu))
+    if seed % 3 == 0:
+        lower_u[-1, 0] = upper_u[-1, 0] = du[-1, 0]
     dx = np.zeros((N + 1, nx))
     dx[0] = rng.normal(size=nx)
     for k in range(N):
