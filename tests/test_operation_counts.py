@@ -90,7 +90,7 @@ def test_a_wrong_count_is_found() -> None:
 
 def test_sections_of_the_table_of_contents() -> None:
     """The figure of a section is the sum over its functions, and it is what the text prints."""
-    module = module_of(PROBLEMS["general"]())
+    module = module_of(PROBLEMS["general"](), Options(qp=DenseActiveSet()))
     operations = {name: OpCount(**count) for name, count in module.metadata["report"]["operations"].items()}
     expected = {
         "condensing": ("condense_hessian", "condense_gradient", "condense_embed", "condense_expand"),

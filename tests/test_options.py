@@ -15,6 +15,7 @@ from nmpc_codegen import (
     RK4,
     DenseActiveSet,
     Discrete,
+    ExactHessian,
     ExplicitRungeKutta,
     FullCondensing,
     GaussNewton,
@@ -161,8 +162,8 @@ def test_taken_prefixes_are_all_that_clash() -> None:
     }
     assert clashing <= set(TAKEN_PREFIXES)
 
-
-# Features that no component supports ----------------------------------------------------------------------------------
+-------------------------------------------------------------------------------
+# Features that some components lack --------------------------------------------------------------------------------
 
 
 def _soft(ocp: OCP) -> None:
@@ -206,20 +207,19 @@ def _accumulated(ocp: OCP) -> None:
     ],
 )
 def test_unsupported_feature(state: Callable[[OCP], None], feature: str) -> None:
-    """The problem, the feature, the seam and the component are named; nothing is accepted and ignored.
-
-    A feature that every component comes to support must be exported instead: then this test is to be replaced.
-    """
+    """Every component takes the feature or is refused with the names of problem, feature, seam and component."""
     ocp = integrator_ocp()
     state(ocp)
     components = [cls for registry in REGISTRIES.values() for cls in registry.values()]
-    lacking = {cls.name for cls in components if feature not in cls.supports}
-    if not lacking:
-        assert generate(ocp)
-        return
-    with pytest.raises(OptionError) as caught:
-        generate(ocp)
-    message = str(caught.value)
-    assert "cart" in message
-    assert feature in message
-    assert any(f"{cls.seam} '{cls.name}'" in message for cls in components if cls.name in lacking)
+    hessian = ExactHessian() if "cost" in feature else GaussNewton()
+    for cls in components:
+        if feature in cls.supports:
+            continue
+        chosen = {"hessian": hessian, cls.seam: cls()}
+        with pytest.raises(OptionError) as caught:
+            generate(ocp, Options(**chosen))
+        message = str(caught.value)
+        assert "cart" in message
+        assert feature in message
+        assert f"{cls.seam} '{cls.name}'" in message
+    assert generate(ocp, Options(hessian=hessian))

@@ -137,7 +137,7 @@ def test_everything_but_the_matrices_may_change_between_the_phases(seed: int, na
 def test_the_same_problem_again_needs_no_iteration(seed: int, name: str, kind: str) -> None:
     s, qp = solver(SHAPES[name]), drawn(np.random.default_rng(seed), SHAPES[name], kind)
     assert s.run(qp) == "OK"
-    x, mult = s.x, s.mult
+    x, _mult = s.x, s.mult
     if not s["exact"]:
         return
     assert s.run(qp) == "OK"
@@ -193,7 +193,7 @@ def test_redundant_rows(repeated: str, seed: int, degenerate: float) -> None:
 @few
 @given(seed=seeds, rank=st.sampled_from([0, 1, 3, 5]))
 def test_semidefinite_hessians(seed: int, rank: int) -> None:
-    """Any rank, 0 (a linear program) included: conditions of optimality and the objective of the constructed solution."""
+    """Any rank, 0 (a linear program) included: optimality conditions and the objective of the constructed solution."""
     rng = np.random.default_rng(seed)
     shape = SHAPES["state bounds"]
     problem = random_problem(rng, shape.ns, shape.nx, shape.nus)
@@ -206,7 +206,8 @@ def test_semidefinite_hessians(seed: int, rank: int) -> None:
     for _ in range(2):
         assert s.run(qp) == "OK"
         assert residuals(qp, s.x, s.u, s.mult).worst <= 1e-6
-        assert qp.x is not None and qp.u is not None
+        assert qp.x is not None
+        assert qp.u is not None
         best = qp.objective(qp.x, qp.u)
         assert abs(qp.objective(s.x, s.u) - best) <= 1e-6 * (1 + abs(best))
 
@@ -236,7 +237,7 @@ def test_badly_scaled_components(seed: int, spread: float) -> None:
     qp = drawn(rng, shape)
     p = qp.problem
     units = np.exp(rng.uniform(-np.log(spread), np.log(spread), shape.nx + shape.nus))
-    x_unit, u_unit = units[: shape.nx], units[shape.nx :]
+    x_unit, _u_unit = units[: shape.nx], units[shape.nx :]
     S = p.S * x_unit[:, None] / units
     problem = dataclasses.replace(
         p,
@@ -255,7 +256,8 @@ def test_badly_scaled_components(seed: int, spread: float) -> None:
 def contradiction(rng: np.random.Generator, shape: Shape) -> StageQP:
     """A row at the end that cannot reach its bound with all the others kept."""
     qp = drawn(rng, shape, "none active")
-    assert qp.u is not None and qp.x is not None
+    assert qp.u is not None
+    assert qp.x is not None
     n = qp.u.size
     lower, upper = qp.lower.copy(), qp.upper.copy()
     lower[:n], upper[:n] = qp.u.ravel() - 0.1, qp.u.ravel() + 0.1
@@ -301,7 +303,8 @@ def test_infeasible_problems_are_recognised_and_left_behind(name: str, seed: int
     for _ in range(2):
         assert s.run(bad) == "INFEASIBLE"
         assert proves(bad, s["certificate"].astype(float))
-        assert np.all(np.isfinite(s.x)) and np.all(np.isfinite(s.u))
+        assert np.all(np.isfinite(s.x))
+        assert np.all(np.isfinite(s.u))
         assert s.run(good) == "OK"
         optimal(good, s)
 

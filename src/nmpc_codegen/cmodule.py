@@ -236,6 +236,7 @@ TAKEN_PREFIXES = (
     "algorithm",
     "condense",
     "integrator",
+    "nodal",
     "path",
     "qp",
     "qp_conjugate",

@@ -115,13 +115,14 @@ def refuse_unsupported(
 ) -> None:
     """Raise OptionError if the problem uses a feature that a chosen component does not take; name those that do."""
     for component in components:
-        for feature in sorted(problem.features - component.supports):
-            named = ", ".join(r.name for r in problem.rows if _uses(r, feature))
+        missing = sorted(problem.features - component.supports)
+        if missing:
+            named = ", ".join(r.name for r in problem.rows if any(_uses(r, feature) for feature in missing))
             where = f" ({named})" if named else ""
-            able = [name for name, cls in registries[component.seam].items() if feature in cls.supports]
+            able = [name for name, cls in registries[component.seam].items() if cls.supports.issuperset(missing)]
             offer = f"choose {' or '.join(able)}" if able else f"no {component.seam} of this version does"
             refused = f"which {component.seam} {component.name!r} does not support"
-            raise OptionError(f"{problem.name} uses {feature}{where}, {refused}; {offer}")
+            raise OptionError(f"{problem.name} uses {' and '.join(missing)}{where}, {refused}; {offer}")
 
 
 def _uses(row: Row, feature: str) -> bool:

@@ -58,7 +58,9 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("reach", (rows,), "how far one half unit of cost moves a row", "keep"),
             Field("stiffness", (rows,), "weights of equations", "scratch"),
             Field("weight", (rows,), "weights of the rows", "scratch"),
-            Field("proximal", (dims.nzs,), "share of the diagonal of a singular Hessian that is added to it", "scratch"),
+            Field(
+                "proximal", (dims.nzs,), "share of the diagonal of a singular Hessian that is added to it", "scratch"
+            ),
             Field("force", (rows,), "multipliers after a step that leaves v as it is", "scratch"),
             Field("ray", (rows,), "weights of a contradiction", "scratch"),
             Field("covariance", (ldx, ldx), "of the states of a stage under unit noise", "scratch"),
