@@ -162,7 +162,7 @@ def test_taken_prefixes_are_all_that_clash() -> None:
     }
     assert clashing <= set(TAKEN_PREFIXES)
 
--------------------------------------------------------------------------------
+
 # Features that some components lack --------------------------------------------------------------------------------
 
 
