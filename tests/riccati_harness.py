@@ -117,6 +117,7 @@ def source(
         keep_trailing_newline=True,
     )
     body = environment.get_template(template).render(
+        m=types.SimpleNamespace(convexify="riccati/as_given.c.jinja"),
         p="test",
         P="TEST",
         real="test_real",

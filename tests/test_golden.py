@@ -13,7 +13,7 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from nmpc_codegen import OCP, ExplicitRungeKutta, Options, products
+from nmpc_codegen import OCP, ExactHessian, ExplicitRungeKutta, Options, products
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.component import SEAMS
 from nmpc_codegen.cprint import CStyle
@@ -23,7 +23,7 @@ from nmpc_codegen.linearize import Linearization, linearize
 from nmpc_codegen.lower import lower
 from nmpc_codegen.options import REGISTRIES
 from nmpc_codegen.problem import Problem
-from nmpc_codegen.render import Sources, render
+from nmpc_codegen.render import Sources, context, environment, render
 from nmpc_codegen.sweep import print_routine
 from tests.models import problem_of
 from tests.test_sweep import SWEEP, looped
@@ -204,6 +204,13 @@ def test_section_of_a_component(cls: type, check) -> None:  # type: ignore[no-un
     check(f"{cls.seam}_{cls.name}.c", section(sources(cls)["golden.c"], title))  # type: ignore[attr-defined]
 
 
+def test_exact_hessian_on_stages(check) -> None:  # type: ignore[no-untyped-def]
+    """The template that ExactHessian adds to the Riccati recursion."""
+    check(
+        "riccati_convexify.c", environment().get_template(ExactHessian().convexify).render(context("golden", "double"))
+    )
+
+
 @pytest.mark.parametrize(("spelling", "limit"), [("nonzeros", 10**9), ("loops", -1)])
 def test_products(spelling: str, limit: int, check, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
     monkeypatch.setattr(products, "WRITTEN_OUT", limit)
@@ -246,5 +253,14 @@ def test_lifted(check) -> None:  # type: ignore[no-untyped-def]
 
 def test_no_golden_file_is_left_over() -> None:
     wanted = {f"{cls.seam}_{cls.name}.c" for cls in COMPONENTS}  # type: ignore[attr-defined]
-    wanted |= {"products_nonzeros.c", "products_loops.c", "header.h", "head.c", "api.c", "sweep.c", "lifted.c"}
+    wanted |= {
+        "products_nonzeros.c",
+        "products_loops.c",
+        "riccati_convexify.c",
+        "header.h",
+        "head.c",
+        "api.c",
+        "sweep.c",
+        "lifted.c",
+    }
     assert {path.name for path in GOLDEN.iterdir()} == wanted

@@ -46,8 +46,6 @@ def choose_qp(
         return options, ()
     candidates = []
     for condensing, qp in _pairs(*given):
-        if condensing.gives == "stages" and not options.hessian.convex and given[0] is None:
-            continue  # what makes an indefinite Hessian convex acts on the condensed one
         if all(problem.features <= c.supports for c in (condensing, qp)) and condensing.refusal(problem) is None:
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian)
             counts = (condensing.cost(dims, known), qp.cost(dims, known))

@@ -189,6 +189,7 @@ class CModule:
     layouts: Mapping[str, str]  # reference, weight, bounds, parameter -> fixed, shared, node
     routines: tuple[Routine, ...]
     products: Products
+    convexify: str  # template of riccati_convexify()
     sections: tuple[Section, ...]
     statuses: tuple[Status, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments

@@ -69,6 +69,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         layouts=lin.options.online.layouts,
         routines=lin.routines,
         products=products,
+        convexify=lin.options.hessian.convexify,
         sections=sections,
         statuses=STATUSES,
         signals=(

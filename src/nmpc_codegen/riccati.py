@@ -59,6 +59,8 @@ def riccati_struct(dims: Dims) -> Struct:
             Field("proximal", (stages, dims.nus), "added to pivots of M_uu that may be zero", "scratch"),
             Field("proximal_free", (dims.nf,), "added to pivots of P_0", "scratch"),
             Field("regularize_zero", (), "the least that is added", "scratch"),
+            Field("shift", (), "last shift that made the Hessian convex, in its units", "keep"),
+            Field("hold", (), "last hold on the controls of a working set, likewise", "keep"),
             Field("P", (nodes, ldx, ldx), "cost to go, symmetric", "scratch"),
             Field("M", (stages, ldu, ldz), "rows of the controls of M_k", "scratch"),
             Field("L", (stages, dims.nus, dims.nus), "M_uu = L D L'", "scratch"),

@@ -44,6 +44,10 @@ static void expand_node(golden_solver_t *s, int k, golden_real *x_next)
         if (s->hessian.adjoint) {
             memcpy(s->lam[GOLDEN_N], s->terminal.g, sizeof s->terminal.g);
         }
+        if (s->hessian.changed) {
+            memset(s->hessian.Q, 0, sizeof s->hessian.Q);
+            s->hessian.changed = 0;
+        }
     }
     path_exact(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W[0], s->mu[k], s->lam[k + 1],
         x_next, &node->S[0][0], node->g, &s->hessian.Q[k][0][0]);

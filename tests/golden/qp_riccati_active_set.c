@@ -528,6 +528,14 @@ static void riccati_init(golden_solver_t *s)
     memset(&s->riccati, 0, sizeof s->riccati);
 }
 
+/* riccati_convexify   before qp_factorize: the Hessian is convex, or stays as it is. Returns 1 if the factors at hand are those
+ *                     without given controls and without rows. */
+static inline int riccati_convexify(golden_solver_t *s)
+{
+    (void)s;
+    return 0;
+}
+
 /* riccati_adjoint           lam = P_k x + p_k, the multiplier of x_k
  * riccati_control_gradient  derivative of the cost to go with respect to u_j at stage k, 0 at the minimiser if u_j is free: minus
  *                           the multiplier of a fixed control */
@@ -1400,7 +1408,7 @@ static void ipm_side_residuals(golden_solver_t *s)
 static void ipm_weigh(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real regularization = 9.313225746154785e-10 / q->stiffening;
+    const golden_real share = 9.313225746154785e-10 / q->stiffening;
     int i, c;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
         q->weight[c] = q->stiffness[c] * q->stiffening;
@@ -1408,7 +1416,7 @@ static void ipm_weigh(golden_solver_t *s)
     for (i = 0; i < q->sides; i++) {
         const golden_real reach = q->reach[q->row[i]];
         q->ratio[i] = q->t[i] / q->lam[i];
-        q->omega[i] = q->ratio[i] + regularization * reach * reach;
+        q->omega[i] = q->ratio[i] + share * reach * reach;
     }
     for (i = q->hard; i < q->sides; i++) {
         const int j = i - q->hard;
@@ -1691,10 +1699,11 @@ static int ipm_set_stiffness(golden_solver_t *s)
     return any;
 }
 
-/* Factorisation of the problem with equations only, and units of the rows. */
-static int ipm_first_factorization(golden_solver_t *s)
+/* Factorisation of the problem with equations only, and units of the rows. plain: as in ipm_prepare(). */
+static int ipm_first_factorization(golden_solver_t *s, int plain)
 {
     golden_ipm_t *q = &s->ipm;
+    int c, stands = plain;
     memset(q->stiffness, 0, sizeof q->stiffness);
     memset(q->proximal, 0, sizeof q->proximal);
     q->damping = 0.0;
@@ -1702,7 +1711,10 @@ static int ipm_first_factorization(golden_solver_t *s)
     q->least_pivot = ipm_least_pivot(s);
     ipm_first_weights(s);
     s->riccati.regularize = 0;
-    if (!riccati_factorize(s, GOLDEN_NS)) {
+    for (c = 0; c < GOLDEN_NV; c++) {
+        stands &= !s->riccati.fixed[c];
+    }
+    if (!stands && !riccati_factorize(s, GOLDEN_NS)) {
         q->damping = ipm_damping_cost(s);
         ipm_set_proximal(s);
         ipm_first_weights(s);
@@ -2431,12 +2443,12 @@ static void ipm_write_sides(golden_solver_t *s)
     }
 }
 
-/* Everything that does not depend on dx_0. */
-static golden_status_t ipm_prepare(golden_solver_t *s)
+/* Everything that does not depend on dx_0. plain: the factors at hand are those without given controls and without rows. */
+static golden_status_t ipm_prepare(golden_solver_t *s, int plain)
 {
     s->ipm.ready = 0;
     (void)ipm_take_kinds(s);
-    if (!ipm_first_factorization(s)) {
+    if (!ipm_first_factorization(s, plain)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
     (void)ipm_first_forces(s);
@@ -2506,7 +2518,7 @@ static golden_status_t ipm_solve(golden_solver_t *s)
     s->qp.iterations = q->solved = 0;
     if (status == GOLDEN_OK) {
         if (ipm_take_kinds(s) || !q->ready) {
-            status = ipm_prepare(s);
+            status = ipm_prepare(s, 0);
         } else if (ipm_first_forces(s)) {
             ipm_first_backward(s);
         }
@@ -2647,13 +2659,29 @@ static void qp_init(golden_solver_t *s)
     }
 }
 
+/* The last stage with a member, or -1: later factors are those without members. */
+static int qp_last_member(const golden_qp_t *q)
+{
+    int c, m, last = -1;
+    for (c = 0; c < GOLDEN_NV; c++) {
+        last = (q->side[c] != 0) ? c / GOLDEN_NUS : last;
+    }
+    for (m = 0; m < GOLDEN_NG; m++) {
+        const int k = stage_of_row[m];
+        last = (q->side[GOLDEN_NV + m] != 0 && k > last) ? k : last;
+    }
+    return last;
+}
+
 static golden_status_t qp_factorize(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
+    const int plain = riccati_convexify(s);
     if (!q->scaled) {
         qp_scale_rows(s);
     }
     qp_enter(s);
+    q->stale = plain ? qp_last_member(q) : GOLDEN_NS;
     q->factorized = qp_renew(s);
     if (!q->factorized) { /* weights and members may be those of a QP in other units */
         memset(q->side, 0, sizeof q->side);

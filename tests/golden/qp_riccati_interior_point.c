@@ -516,6 +516,14 @@ static void riccati_init(golden_solver_t *s)
     memset(&s->riccati, 0, sizeof s->riccati);
 }
 
+/* riccati_convexify   before qp_factorize: the Hessian is convex, or stays as it is. Returns 1 if the factors at hand are those
+ *                     without given controls and without rows. */
+static inline int riccati_convexify(golden_solver_t *s)
+{
+    (void)s;
+    return 0;
+}
+
 /* Primal-dual interior point method of Mehrotra (1992) on the stages of the QP, with the Riccati recursion as its linear algebra.
  *
  *     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + sum_soft (l1_c e_c + l2_c/2 e_c^2)   s.t.   x_{k+1} = S_k z_k + b_k,
@@ -714,7 +722,7 @@ static void ipm_side_residuals(golden_solver_t *s)
 static void ipm_weigh(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    const golden_real regularization = 9.313225746154785e-10 / q->stiffening;
+    const golden_real share = 9.313225746154785e-10 / q->stiffening;
     int i, c;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
         q->weight[c] = q->stiffness[c] * q->stiffening;
@@ -722,7 +730,7 @@ static void ipm_weigh(golden_solver_t *s)
     for (i = 0; i < q->sides; i++) {
         const golden_real reach = q->reach[q->row[i]];
         q->ratio[i] = q->t[i] / q->lam[i];
-        q->omega[i] = q->ratio[i] + regularization * reach * reach;
+        q->omega[i] = q->ratio[i] + share * reach * reach;
     }
     for (i = q->hard; i < q->sides; i++) {
         const int j = i - q->hard;
@@ -1005,10 +1013,11 @@ static int ipm_set_stiffness(golden_solver_t *s)
     return any;
 }
 
-/* Factorisation of the problem with equations only, and units of the rows. */
-static int ipm_first_factorization(golden_solver_t *s)
+/* Factorisation of the problem with equations only, and units of the rows. plain: as in ipm_prepare(). */
+static int ipm_first_factorization(golden_solver_t *s, int plain)
 {
     golden_ipm_t *q = &s->ipm;
+    int c, stands = plain;
     memset(q->stiffness, 0, sizeof q->stiffness);
     memset(q->proximal, 0, sizeof q->proximal);
     q->damping = 0.0;
@@ -1016,7 +1025,10 @@ static int ipm_first_factorization(golden_solver_t *s)
     q->least_pivot = ipm_least_pivot(s);
     ipm_first_weights(s);
     s->riccati.regularize = 0;
-    if (!riccati_factorize(s, GOLDEN_NS)) {
+    for (c = 0; c < GOLDEN_NV; c++) {
+        stands &= !s->riccati.fixed[c];
+    }
+    if (!stands && !riccati_factorize(s, GOLDEN_NS)) {
         q->damping = ipm_damping_cost(s);
         ipm_set_proximal(s);
         ipm_first_weights(s);
@@ -1745,12 +1757,12 @@ static void ipm_write_sides(golden_solver_t *s)
     }
 }
 
-/* Everything that does not depend on dx_0. */
-static golden_status_t ipm_prepare(golden_solver_t *s)
+/* Everything that does not depend on dx_0. plain: the factors at hand are those without given controls and without rows. */
+static golden_status_t ipm_prepare(golden_solver_t *s, int plain)
 {
     s->ipm.ready = 0;
     (void)ipm_take_kinds(s);
-    if (!ipm_first_factorization(s)) {
+    if (!ipm_first_factorization(s, plain)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
     (void)ipm_first_forces(s);
@@ -1820,7 +1832,7 @@ static golden_status_t ipm_solve(golden_solver_t *s)
     s->qp.iterations = q->solved = 0;
     if (status == GOLDEN_OK) {
         if (ipm_take_kinds(s) || !q->ready) {
-            status = ipm_prepare(s);
+            status = ipm_prepare(s, 0);
         } else if (ipm_first_forces(s)) {
             ipm_first_backward(s);
         }
@@ -1856,7 +1868,7 @@ static void qp_init(golden_solver_t *s)
 
 static golden_status_t qp_factorize(golden_solver_t *s)
 {
-    return ipm_prepare(s);
+    return ipm_prepare(s, riccati_convexify(s));
 }
 
 static void qp_gradient(golden_solver_t *s)

@@ -30,6 +30,9 @@ from nmpc_codegen.sweep import Call, Routine, Slice
 MAX_SWEEPS = 12
 MAX_QL = 30
 
+# Shifts of the Hessian on stages, each four times the one before.
+MAX_SHIFTS = 24
+
 # Blocks decomposed at once: for a small one, as many as fill vector registers.
 LANES = ((8, 8), (16, 4))
 
@@ -173,9 +176,9 @@ class ExactHessian:
         return self._block(path | first, nz), self._block(last, nx)
 
     @property
-    def convex(self) -> bool:
-        """Every block is made positive definite."""
-        return self.level == "stage"
+    def convexify(self) -> str:
+        """What the Riccati recursion does about an indefinite reduced Hessian."""
+        return "riccati/convexify.c.jinja" if self.level == "reduced" else "riccati/as_given.c.jinja"
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -207,7 +210,11 @@ class ExactHessian:
                 ("LANES", _lanes(dims.nz.value), "blocks that are decomposed at once"),
                 ("MAX_SWEEPS", MAX_SWEEPS, "sweeps of Jacobi rotations"),
             )
-        return (mirror, ("MAX_QL", MAX_QL, "QL iterations per eigenvalue"))
+        return (
+            mirror,
+            ("MAX_QL", MAX_QL, "QL iterations per eigenvalue"),
+            ("MAX_SHIFTS", MAX_SHIFTS, "shifts of the Hessian that are tried"),
+        )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Hessian blocks, lower triangles in the order z = (x, u), and the scratch of their decomposition."""
@@ -215,7 +222,10 @@ class ExactHessian:
             Field("Q", (dims.nq, dims.nz, dims.nz), "path blocks", "data"),
             Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
         )
-        scratch: tuple[Field, ...] = (Field("adjoint", (), "1: lam comes from an adjoint pass", "scratch", "int32"),)
+        scratch: tuple[Field, ...] = (
+            Field("adjoint", (), "1: lam comes from an adjoint pass", "scratch", "int32"),
+            Field("changed", (), "1: entries of Q beyond its pattern are nonzero", "scratch", "int32"),
+        )
         if self.level == "stage":
             nodes, lanes = Size("N + 1", dims.N.value + 1), Size("LANES", _lanes(dims.nz.value))
             square = Size("NZ * NZ", dims.nz.value**2)

@@ -39,6 +39,7 @@ class GaussNewton:
     name: ClassVar[str] = "gauss_newton"
     template: ClassVar[str] = "hessians/gauss_newton.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
+    convexify: ClassVar[str] = "riccati/as_given.c.jinja"
     supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "accumulators"})
 
     def __post_init__(self) -> None:
@@ -97,11 +98,6 @@ class GaussNewton:
     def patterns(self, routines: Mapping[str, Routine]) -> tuple[Pattern, Pattern]:
         """Nonzeros of Q and Q_N, lower triangles."""
         return pattern(routines["path_hessian"], "Q"), pattern(routines["terminal_hessian"], "Q")
-
-    @property
-    def convex(self) -> bool:
-        """Every block is positive semidefinite."""
-        return True
 
     @property
     def parts(self) -> tuple[str, ...]:

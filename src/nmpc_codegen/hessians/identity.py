@@ -25,6 +25,7 @@ class IdentityHessian:
     name: ClassVar[str] = "identity"
     template: ClassVar[str] = "hessians/identity.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("integrator",)
+    convexify: ClassVar[str] = "riccati/as_given.c.jinja"
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
@@ -47,11 +48,6 @@ class IdentityHessian:
     def patterns(self, routines: Mapping[str, Routine]) -> tuple[Pattern, Pattern]:
         """The diagonals."""
         return pattern(routines["path_hessian"], "Q"), pattern(routines["terminal_hessian"], "Q")
-
-    @property
-    def convex(self) -> bool:
-        """Every block is positive definite."""
-        return True
 
     @property
     def parts(self) -> tuple[str, ...]:

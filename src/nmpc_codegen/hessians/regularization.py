@@ -3,7 +3,11 @@
     V max(|Lambda|, floor) V'   (mirror, [Q14] equation 4)      V max(Lambda, floor) V'   (project)
 
 floor = ``floor`` times the largest |Lambda| of the block; a zero block takes the largest entry of all blocks
-for it.
+for it. On stages the reduced Hessian is not formed: its diagonal is shifted, in units D of the variables,
+
+    H + 9/8 s D   (project)      H + 2 s D   (mirror)      s: the smallest of 1e-3 4^n with H + s D positive definite
+
+while the controls of the predicted working set are given (templates/riccati/convexify.c.jinja).
 """
 
 from __future__ import annotations
