@@ -744,11 +744,12 @@ static int qp_measure(golden_qp_t *q)
     return isfinite(sum);
 }
 
-/* Multipliers at the minimiser on the working set. */
-static void qp_take_multipliers(golden_solver_t *s)
+/* Multipliers at the minimiser on the working set. 0 if one, or the value of a row, is not finite. */
+static int qp_take_multipliers(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
     golden_riccati_t *r = &s->riccati;
+    golden_real sum = 0.0;
     int k, c, m;
     for (c = 0; c < GOLDEN_NV; c++) {
         k = c / GOLDEN_NUS;
@@ -756,13 +757,16 @@ static void qp_take_multipliers(golden_solver_t *s)
         if (q->side[c] != 0) {
             q->z[c] = q->target[c];
             q->mult[c] = -riccati_control_gradient(r, k, c % GOLDEN_NUS, q->x[k], &q->z[k * GOLDEN_NUS]);
+            sum += fabs(q->mult[c]);
         }
     }
     for (m = 0; m < GOLDEN_NG; m++) {
         c = GOLDEN_NV + m;
         q->value[m] = qp_row_value(s, m, q->x, q->z);
         q->mult[c] = q->side[c] != 0 ? q->center[m] + r->weight[m] * (q->value[m] - q->target[c]) : 0.0;
+        sum += fabs(q->value[m]);
     }
+    return isfinite(sum);
 }
 
 /* Contract of this part: the minimiser on the working set to rounding. Corrections solve for the residuals of the original
@@ -1154,10 +1158,9 @@ static golden_status_t qp_minimize(golden_solver_t *s, int *changed)
     }
     memcpy(q->x[0], s->step.dx[0], sizeof q->x[0]);
     riccati_forward(s, q->x, q->z);
-    if (!qp_measure(q)) {
+    if (!qp_measure(q) || !qp_take_multipliers(s)) {
         return GOLDEN_NUMERICAL_FAILURE;
     }
-    qp_take_multipliers(s);
     q->refined = 0;
     q->rough = qp_is_approximate(s);
     *changed = qp_revise(s);
@@ -2617,7 +2620,7 @@ static golden_status_t qp_fall_back(golden_solver_t *s)
     status = ipm_solve(s);
     q->iterations += before;
     q->stale = q->stale_vectors = GOLDEN_NS;
-    q->factorized = 0;
+    q->factorized = 2;
     if (status != GOLDEN_OK && status != GOLDEN_ITERATION_LIMIT) {
         return status;
     }
@@ -2639,6 +2642,7 @@ static golden_status_t qp_fail(golden_qp_t *q, golden_status_t status)
     memset(q->z, 0, sizeof q->z);
     memset(q->mult, 0, sizeof q->mult);
     memset(q->side, 0, sizeof q->side);
+    q->factorized = q->factorized ? 2 : 0;
     return status;
 }
 
@@ -2713,6 +2717,17 @@ static golden_status_t qp_check_bounds(const golden_qp_t *q)
     return status;
 }
 
+/* 1 if all multipliers are finite: data of a control that is given enter nothing else. */
+static int qp_has_multipliers(const golden_qp_t *q)
+{
+    golden_real sum = 0.0;
+    int c;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        sum += fabs(q->mult[c]);
+    }
+    return isfinite(sum);
+}
+
 static golden_status_t qp_solve(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
@@ -2722,12 +2737,18 @@ static golden_status_t qp_solve(golden_solver_t *s)
     if (status != GOLDEN_OK) {
         return qp_fail(q, status);
     }
+    if (q->factorized == 2) {
+        qp_enter(s);
+        q->factorized = 1;
+    }
     qp_take_bounds(s);
     q->changes = 0;
     status = qp_iterate(s, GOLDEN_QP_MAX_ITERATIONS);
     q->exact = 1;
-    if (status != GOLDEN_OK) {
-        status = qp_fall_back(s);
+    if (status != GOLDEN_OK) { /* a breakdown that the interior point method does not cure: no minimum, or bad numbers */
+        const golden_status_t next = qp_fall_back(s);
+        status = (status == GOLDEN_NUMERICAL_FAILURE && next == GOLDEN_ITERATION_LIMIT) ? status : next;
+        status = qp_has_multipliers(q) ? status : GOLDEN_NUMERICAL_FAILURE;
     }
     if (q->exact && status == GOLDEN_OK) {
         qp_finish(q);

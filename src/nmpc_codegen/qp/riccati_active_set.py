@@ -139,7 +139,7 @@ class RiccatiActiveSet:
                     Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
                     Field("stale_vectors", (), "last stage whose vectors are out of date, or -1", "scratch", "int32"),
-                    Field("factorized", (), "qp_factorize has succeeded", "scratch", "int32"),
+                    Field("factorized", (), "1: the recursion stands, 2: its matrices do", "scratch", "int32"),
                     Field("iterations", (), "changes of the working set in the last qp_solve", "result", "int32"),
                     Field("changes", (), "rows that entered or left it", "result", "int32"),
                     Field("refinements", (), "corrections in the last qp_solve", "result", "int32"),
