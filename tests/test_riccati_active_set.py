@@ -193,7 +193,7 @@ def test_redundant_rows(repeated: str, seed: int, degenerate: float) -> None:
 @few
 @given(seed=seeds, rank=st.sampled_from([0, 1, 3, 5]))
 def test_semidefinite_hessians(seed: int, rank: int) -> None:
-    """Any rank: optimality conditions and the objective of the constructed solution; a linear program may be given up."""
+    """Any rank: optimality conditions and the objective of the solution; a linear program may be given up."""
     rng = np.random.default_rng(seed)
     shape = SHAPES["state bounds"]
     problem = random_problem(rng, shape.ns, shape.nx, shape.nus)
@@ -340,8 +340,8 @@ def test_data_that_are_not_finite(seed: int, name: str, bad: float) -> None:
     if name in ("Q", "Q_N"):
         i, j = np.sort(index[-2:])
         index = (*index[:-2], j, i)
-        if name == "Q" and index[0] == 0:  # x_0 is given: its block takes no part
-            index = (1, *index[1:])
+    if name in ("Q", "g") and index[0] == 0:  # x_0 is given: its block takes no part
+        index = (1, *index[1:])
     if name == "rows" and good.at[index[0]] == SHAPES["general"].ns:
         index = (0, index[1])
     array[index] = {"lower": abs(bad), "upper": -abs(bad)}.get(name, bad)

@@ -156,7 +156,7 @@ class Builder:
         return any(j >= self.nx and not c for (_, j), c in zip(self.d.jacobian, self.d.constants, strict=True))
 
     def linear_forcing(self) -> Any:
-        """Constant entries of [0 F_u], rows ``forced`` and packed columns; those known in closed form are not packed."""
+        """Constant entries of [0 F_u], rows ``forced`` and packed columns, which leave out closed forms."""
         rows = ca.SX.zeros(len(self.forced), self.ld)
         for (i, j), constant, value in zip(self.d.jacobian, self.d.constants, self.d.Fz_values, strict=True):
             if j in self.controls and constant:
