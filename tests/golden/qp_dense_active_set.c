@@ -1171,30 +1171,6 @@ static golden_status_t qp_iterate_proximal(golden_qp_t *q)
     return GOLDEN_ITERATION_LIMIT;
 }
 
-/* 1 if the result without elastic rows is stationary, H z + g + mult + A'mult = 0 with H z = L D L'z - E z, relative to the largest term. The proximal
- * steps are relative to L^{-1}g, which is huge where g is not in the range of H: their rounding may be seen here. */
-static int qp_is_stationary(const golden_qp_t *q)
-{
-    golden_real z[GOLDEN_LDV] = {0}, u[GOLDEN_LDV], worst = 0.0, most = 0.0;
-    memcpy(z, q->z, sizeof q->z);
-    qp_to_working_coordinates(q, z, u);
-    for (int i = 0; i < GOLDEN_NV; ++i) {
-        golden_real rest = u[i] / q->inverse[i], force = q->mult[i];
-        for (int j = 0; j < i; ++j) {
-            rest += q->H[j][i] * (u[j] / q->inverse[j]);
-        }
-        rest -= q->proximal[i] * z[i];
-        for (int m = 0; m < GOLDEN_NG; ++m) {
-            force += q->A[m][i] * q->mult[GOLDEN_NV + m];
-        }
-        const golden_real terms = fabs(rest) + fabs(q->g[i]) + fabs(force);
-        rest = fabs(rest + q->g[i] + force);
-        worst = rest > worst ? rest : worst;
-        most = terms > most ? terms : most;
-    }
-    return worst <= sqrt(2.220446049250313e-16) * most;
-}
-
 static void qp_init(golden_qp_t *q)
 {
     for (int i = 0; i < GOLDEN_LDV; ++i) {
@@ -1261,9 +1237,6 @@ static golden_status_t qp_solve(golden_qp_t *q)
         status = isfinite(q->scale) ? qp_iterate(q) : GOLDEN_NUMERICAL_FAILURE;
     }
     if (status == GOLDEN_NUMERICAL_FAILURE || !qp_write_result(q)) {
-        return qp_fail(q, GOLDEN_NUMERICAL_FAILURE);
-    }
-    if (q->semidefinite && !q->elastic && status == GOLDEN_OK && !qp_is_stationary(q)) {
         return qp_fail(q, GOLDEN_NUMERICAL_FAILURE);
     }
     return status;
