@@ -128,6 +128,8 @@ def certificate(qp: StageQP) -> str:
     """ "feasible", "infeasible", "undecided", or "not finite": the plan cannot be linearised."""
     if not all(np.all(np.isfinite(a)) for a in (qp.S, qp.b, qp.Q, qp.g, qp.C, qp.c)):
         return "not finite"
+    if not all(np.all(np.isfinite(a)) for a in condensed_rows(qp)):
+        return "not finite"  # the plan grows beyond all numbers over the horizon
     t = least_violation(qp)
     if t > CONTRADICTION:
         return "infeasible"
