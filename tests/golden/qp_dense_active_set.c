@@ -122,11 +122,29 @@ static int qp_factorize_diagonal(golden_qp_t *q, int b, const golden_real *refer
     return 1;
 }
 
+/* The middle one of the positive numbers in v; 1 if there is none. */
+static golden_real qp_median(const golden_real *v)
+{
+    golden_real middle = 0.0;
+    int positive = 0;
+    for (int i = 0; i < GOLDEN_NV; ++i) {
+        positive += v[i] > 0.0;
+    }
+    for (int i = 0; i < GOLDEN_NV; ++i) {
+        int smaller = 0;
+        for (int j = 0; j < GOLDEN_NV; ++j) {
+            smaller += v[j] > 0.0 && v[j] < v[i];
+        }
+        middle = 2 * smaller <= positive && v[i] > middle ? v[i] : middle;
+    }
+    return middle > 0.0 && isfinite(middle) ? middle : 1.0;
+}
+
 /* A length for every variable: the smallest positive width of its bounds and of the rows it appears in; 1 if there is none.
- * Returns the size of the cost over these lengths. */
+ * Returns the size of the cost over these lengths: the median, for some bounds are out of all reach. */
 static golden_real qp_lengths(const golden_qp_t *q, const golden_real *reference, golden_real *length)
 {
-    golden_real cost = 0.0;
+    golden_real square[GOLDEN_LDV];
     for (int i = 0; i < GOLDEN_NV; ++i) {
         golden_real least = q->upper[i] - q->lower[i];
         least = least > 0.0 ? least : (golden_real)INFINITY;
@@ -137,10 +155,9 @@ static golden_real qp_lengths(const golden_qp_t *q, const golden_real *reference
             }
         }
         length[i] = least < (golden_real)INFINITY ? least : 1.0;
-        const golden_real square = reference[i] * length[i] * length[i];
-        cost = square > cost ? square : cost;
+        square[i] = reference[i] * length[i] * length[i];
     }
-    return cost > 0.0 && isfinite(cost) ? cost : 1.0;
+    return qp_median(square);
 }
 
 /* Weights of the proximal term: a share of the diagonal of H, and where that is (nearly) zero, of the cost over the square of a

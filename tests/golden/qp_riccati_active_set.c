@@ -880,9 +880,30 @@ static golden_real qp_gradient_size(golden_solver_t *s)
     return worst;
 }
 
-/* Adds the correction (dx, dz) and what it does to the multipliers: those of members from its value, small as it is, for the
- * rounding of a'z - t would be multiplied by the weight. */
-static void qp_add_correction(golden_solver_t *s)
+/* By how much to stretch the correction (dx, dz), d = distances of the members: to the least (d + times change)'W(d + times change).
+ * Where members nearly depend on each other the method of multipliers takes short steps in one direction. */
+static golden_real qp_stretch(golden_solver_t *s)
+{
+    golden_qp_t *q = &s->qp;
+    golden_real gain = 0.0, size = 0.0;
+    int m;
+    for (m = 0; m < GOLDEN_NG; m++) {
+        const int c = GOLDEN_NV + m;
+        if (q->side[c] == 1 || q->side[c] == -1) {
+            const golden_real change = qp_row_value(s, m, q->dx, q->dz);
+            gain -= s->riccati.weight[m] * change * (q->value[m] - q->target[c]);
+            size += s->riccati.weight[m] * change * change;
+        }
+    }
+    if (!(gain > size)) {
+        return 1.0;
+    }
+    return gain < 65536.0 * size ? gain / size : 65536.0;
+}
+
+/* Adds `times` the correction (dx, dz) and what it does to the multipliers: those of members from its value, small as it is, for
+ * the rounding of a'z - t would be multiplied by the weight. */
+static void qp_add_correction(golden_solver_t *s, golden_real times)
 {
     golden_qp_t *q = &s->qp;
     golden_riccati_t *r = &s->riccati;
@@ -891,26 +912,26 @@ static void qp_add_correction(golden_solver_t *s)
     for (k = 0; k <= GOLDEN_NS; k++) {
         riccati_adjoint(r, k, q->dx[k], lam);
         for (i = 0; i < GOLDEN_NX; i++) {
-            q->lam[k][i] += lam[i];
-            q->x[k][i] += q->dx[k][i];
+            q->lam[k][i] += times * lam[i];
+            q->x[k][i] += times * q->dx[k][i];
         }
     }
     for (c = 0; c < GOLDEN_NV; c++) {
         k = c / GOLDEN_NUS;
         if (q->side[c] != 0) {
-            q->mult[c] -= riccati_control_gradient(r, k, c % GOLDEN_NUS, q->dx[k], &q->dz[k * GOLDEN_NUS]);
+            q->mult[c] -= times * riccati_control_gradient(r, k, c % GOLDEN_NUS, q->dx[k], &q->dz[k * GOLDEN_NUS]);
         }
     }
     for (c = 0; c < GOLDEN_NV; c++) {
-        q->z[c] += q->dz[c];
+        q->z[c] += times * q->dz[c];
     }
     for (m = 0; m < GOLDEN_NG; m++) {
         const golden_real change = qp_row_value(s, m, q->dx, q->dz);
         c = GOLDEN_NV + m;
         if (q->side[c] == 1 || q->side[c] == -1) {
-            q->mult[c] += r->weight[m] * (change + (q->value[m] - q->target[c]));
+            q->mult[c] += times * r->weight[m] * (change + (q->value[m] - q->target[c]));
         } else if (q->side[c] != 0) {
-            q->mult[c] += r->weight[m] * change;
+            q->mult[c] += times * r->weight[m] * change;
         }
         q->value[m] = qp_row_value(s, m, q->x, q->z);
     }
@@ -934,7 +955,7 @@ static golden_real qp_distance(const golden_solver_t *s)
 }
 
 /* The correction of (x, z, lam, mult) for the residuals in the right-hand sides; weight (a'z - t) a of members joins them. */
-static void qp_correct(golden_solver_t *s)
+static void qp_correct(golden_solver_t *s, int stretched)
 {
     golden_qp_t *q = &s->qp;
     int m;
@@ -947,16 +968,17 @@ static void qp_correct(golden_solver_t *s)
     riccati_backward(s, GOLDEN_NS);
     memset(q->dx[0], 0, sizeof q->dx[0]);
     riccati_forward(s, q->dx, q->dz);
-    qp_add_correction(s);
+    qp_add_correction(s, stretched ? qp_stretch(s) : 1.0);
     q->refinements++;
 }
 
-/* Corrections until the residuals are rounding. OK; STALLED: they fall no more, the members may contradict each other;
- * NUMERICAL_FAILURE. */
+/* Corrections until the residuals are rounding; slow ones near to it are stretched, every other one. OK; STALLED: they fall no
+ * more, the members may contradict each other; NUMERICAL_FAILURE. */
 static golden_status_t qp_refine(golden_solver_t *s)
 {
     golden_qp_t *q = &s->qp;
-    int i, k;
+    golden_real slow = (golden_real)INFINITY;
+    int i, k, stretched = 0;
     for (k = 0; k <= GOLDEN_NS; k++) {
         riccati_adjoint(&s->riccati, k, q->x[k], q->lam[k]);
     }
@@ -978,10 +1000,14 @@ static golden_status_t qp_refine(golden_solver_t *s)
         if (q->residual <= 1.7763568394002505e-15) {
             return GOLDEN_OK;
         }
-        if (q->residual > 0.5 * before) {
-            return GOLDEN_STALLED;
+        stretched = !stretched && q->residual > 0.5 * before;
+        if (stretched) {
+            if (distance < q->residual || q->residual > 2.3283064365386963e-10 || q->residual > 0.5 * slow) {
+                return GOLDEN_STALLED;
+            }
+            slow = q->residual;
         }
-        qp_correct(s);
+        qp_correct(s, stretched);
     }
     return GOLDEN_STALLED;
 }
@@ -1308,6 +1334,16 @@ static inline int ipm_row_kind(const golden_solver_t *s, int c)
         return 0;
     }
     return (s->qp.lower[c] >= s->qp.upper[c]) ? ((c < GOLDEN_NV) ? 2 : 1) : 0;
+}
+
+/* Rows or controls of the given kind: 1 if there is one. */
+static int ipm_any(const golden_ipm_t *q, int kind)
+{
+    int c, any = 0;
+    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        any |= q->kind[c] == kind;
+    }
+    return any;
 }
 
 /* 1 if the kind of a row is not what the factorisation was made for; the kinds are taken. */
@@ -1815,6 +1851,14 @@ static golden_real ipm_violation_cost(const golden_solver_t *s, int *count)
     return sum;
 }
 
+/* 1 if an inequality is violated. */
+static int ipm_any_violation(const golden_solver_t *s)
+{
+    int count;
+    (void)ipm_violation_cost(s, &count);
+    return count > 0;
+}
+
 /* Slack and multiplier of a soft side. It starts where its violation costs no more than its penalty, unless it was violated in
  * the QP before. */
 static void ipm_start_soft_side(golden_solver_t *s, int i, golden_real mu, golden_real distance)
@@ -2111,27 +2155,58 @@ static void ipm_net_multipliers(golden_solver_t *s)
 }
 
 /* The unit of the complementarity: what the inequalities cost, 1/2 sum_c mult_c (v_c at the first point - v_c), but no more than
- * the largest (mult reach)^2 of a row. */
+ * the largest (mult reach)^2 of a row; no less than a small share of the largest (value / reach)^2 of a control, for inequalities
+ * that only touch cost nothing. */
 static golden_real ipm_cost_unit(const golden_solver_t *s)
 {
     const golden_ipm_t *q = &s->ipm;
-    golden_real most = 0.0, sum = 0.0;
+    golden_real most = 0.0, sum = 0.0, way = 0.0;
     int c;
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
         const golden_real force = fabs(s->qp.mult[c]) * q->reach[c];
         most = (force > most) ? force : most;
         sum += s->qp.mult[c] * (q->origin[c] - q->v[c]);
     }
+    for (c = 0; c < GOLDEN_NV; c++) {
+        const golden_real v = fabs(q->v[c]);
+        way = (q->kind[c] == 0 && v > way * q->reach[c] && q->reach[c] > 0.0) ? v / q->reach[c] : way;
+    }
     sum = 0.5 * fabs(sum);
-    return (sum < most * most) ? sum : most * most;
+    most = (sum < most * most) ? sum : most * most;
+    way *= 0.00390625;
+    return (most > way * way) ? most : way * way;
 }
 
-/* |residual| of row c relative to |bound| + |value| and the way that the unit of cost allows, if larger than the one before. */
-static inline void ipm_take_residual(golden_ipm_t *q, int c, golden_real bound, golden_real residual, golden_real root)
+/* sum |a_i| |z_i| of row c: what the rounding of its value is relative to. */
+static golden_real ipm_terms(golden_solver_t *s, int c)
 {
-    const golden_real size = fabs(bound) + fabs(q->v[c]) + root * q->reach[c];
-    if (fabs(residual) > q->primal * size) {
-        q->primal = fabs(residual) / size;
+    const int m = c - GOLDEN_NV, k = (m >= 0) ? stage_of_row[m] : 0;
+    golden_real sum = 0.0;
+    const golden_real *a;
+    int i;
+    if (m < 0 || stage_state[m] >= 0) {
+        return fabs(s->ipm.v[c]);
+    }
+    a = stage_row(s, m);
+    for (i = 0; i < GOLDEN_NX; i++) {
+        sum += fabs(a[i] * s->qp.x[k][i]);
+    }
+    for (i = 0; k < GOLDEN_NS && i < GOLDEN_NUS; i++) {
+        sum += fabs(a[GOLDEN_NX + i] * s->qp.z[k * GOLDEN_NUS + i]);
+    }
+    return sum;
+}
+
+/* |residual| of row c relative to |bound|, the terms of its value and the way that the unit of cost allows, if larger than the one
+ * before. */
+static void ipm_take_residual(golden_solver_t *s, int c, golden_real bound, golden_real residual, golden_real root)
+{
+    golden_ipm_t *q = &s->ipm;
+    const golden_real amount = fabs(residual);
+    golden_real size = fabs(bound) + fabs(q->v[c]) + root * q->reach[c];
+    if (amount > q->primal * size) {
+        size += ipm_terms(s, c) - fabs(q->v[c]);
+        q->primal = (amount > q->primal * size) ? amount / size : q->primal;
     }
 }
 
@@ -2149,11 +2224,11 @@ static void ipm_measure(golden_solver_t *s)
     root = sqrt(q->unit);
     q->primal = 0.0;
     for (i = 0; i < q->sides; i++) {
-        ipm_take_residual(q, q->row[i], q->bound[i], q->r[i], root);
+        ipm_take_residual(s, q->row[i], q->bound[i], q->r[i], root);
     }
     for (c = GOLDEN_NV; c < GOLDEN_NV + GOLDEN_NG; c++) {
         if (q->stiffness[c] > 0.0) {
-            ipm_take_residual(q, c, s->qp.lower[c], q->v[c] - s->qp.lower[c], root);
+            ipm_take_residual(s, c, s->qp.lower[c], q->v[c] - s->qp.lower[c], root);
         }
     }
 }
@@ -2163,7 +2238,7 @@ static void ipm_measure(golden_solver_t *s)
 static int ipm_stiffen(golden_ipm_t *q, golden_real before)
 {
     if (q->step > 0.9 && q->primal > 2.0 * 8.881784197001252e-16 && q->primal > 0.125 * before &&
-        q->stiffening < 65536.0) {
+        q->stiffening < q->stiffest) {
         q->stiffening *= 16.0;
         return 1;
     }
@@ -2264,17 +2339,37 @@ static golden_real ipm_setback(const golden_solver_t *s)
     return (gap > 0.0005) ? 0.005 : (gap < 1e-07) ? 1e-06 : 10.0 * gap;
 }
 
+/* By how much to stretch a direction, d = residual of the equations: d'W d / -d'W dv, the step of steepest ascent of the dual
+ * function. Where equations nearly depend on each other the method of multipliers takes short steps in one direction. */
+static golden_real ipm_stretch(const golden_solver_t *s)
+{
+    const golden_ipm_t *q = &s->ipm;
+    golden_real gain = 0.0, size = 0.0;
+    int c;
+    for (c = GOLDEN_NV; c < GOLDEN_NV + GOLDEN_NG; c++) {
+        if (q->kind[c] == 1) {
+            const golden_real residual = q->v[c] - s->qp.lower[c];
+            gain += q->weight[c] * residual * residual;
+            size -= q->weight[c] * residual * q->dv[c];
+        }
+    }
+    if (!(q->stretched && gain > size)) {
+        return 1.0;
+    }
+    return (gain < 64.0 * size) ? gain / size : 64.0;
+}
+
 /* One iteration of Mehrotra (1992): affine direction, centring as its success allows, corrected direction. */
 static void ipm_step(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
     const golden_real least = 0.0009765625 * 2.117582368135751e-22 * q->unit;
-    golden_real inverse, share, target, way;
+    golden_real inverse, share, target, way, most;
     memset(q->extra, 0, sizeof q->extra);
     memset(q->extra_e, 0, sizeof q->extra_e);
     ipm_direction(s);
     if (q->sides == 0) {
-        ipm_move(s, 1.0);
+        ipm_move(s, ipm_stretch(s));
         return;
     }
     inverse = ipm_inverse_step(s);
@@ -2285,7 +2380,8 @@ static void ipm_step(golden_solver_t *s)
     ipm_direction(s);
     inverse = ipm_inverse_step(s);
     way = 1.0 - ipm_setback(s);
-    q->step = (way < inverse) ? way / inverse : 1.0;
+    most = ipm_stretch(s);
+    q->step = (way < inverse * most) ? way / inverse : most;
     ipm_move(s, q->step);
 }
 
@@ -2320,6 +2416,14 @@ static inline int ipm_small_residuals(const golden_ipm_t *q)
     return q->merit <= 16384.0 && q->slope <= 1024.0;
 }
 
+/* By how much the residuals of rows and products have to fall for another iteration. Both factors of the product of a degenerate
+ * row are small, of the order of its root; it falls no faster than linearly. */
+static inline golden_real ipm_progress(const golden_ipm_t *q)
+{
+    const int degenerate = q->primal <= 8.881784197001252e-16 && q->merit <= 8.0;
+    return degenerate ? 0.03125 : 0.875;
+}
+
 /* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
  * Gaps of the dynamics are closed then. */
 static int ipm_converged(golden_solver_t *s)
@@ -2335,10 +2439,7 @@ static int ipm_converged(golden_solver_t *s)
         return 0;
     }
     q->slope = ipm_stationarity(s) / 5.684341886080802e-14;
-    if (q->merit <= 1.0 && q->slope > 1024.0 && q->slope > 0.5 * gradient_before) {
-        q->stiffening = 1.0; /* rounding of stiff rows */
-    }
-    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || !ipm_small_residuals(q) ||
+    if ((q->merit > 1.0 && q->merit <= ipm_progress(q) * rows_before) || !ipm_small_residuals(q) ||
         (q->slope > 1.0 && q->slope <= 0.5 * gradient_before)) {
         return 0;
     }
@@ -2347,6 +2448,18 @@ static int ipm_converged(golden_solver_t *s)
         return 0;
     }
     return 1;
+}
+
+/* Stiff rows drown the gradient in their rounding: once that does not pass, there is less stiffening for good. Returns 1 if so. */
+static int ipm_soften(golden_ipm_t *q, golden_real gradient_before)
+{
+    if (q->stiffening > 1.0 && q->slope < (golden_real)INFINITY && q->slope > 1024.0 &&
+        q->slope > 0.5 * gradient_before) {
+        q->stiffest = 0.0625 * q->stiffening;
+        q->stiffening = 1.0;
+        return 1;
+    }
+    return 0;
 }
 
 /* Stiff rows may be too much for the recursion. 0 if it fails with the regularisation that they began with, too. */
@@ -2363,31 +2476,58 @@ static int ipm_weigh_and_factorize(golden_solver_t *s)
     return 1;
 }
 
+/* 1 if the next step is to be stretched: every other one, where nothing but equations is left that hardly come closer. */
+static int ipm_slow_equations(const golden_ipm_t *q, golden_real before)
+{
+    return !q->stretched && q->primal > 0.875 * before && q->stiffening >= q->stiffest &&
+           q->mu <= 16384.0 * 2.117582368135751e-22 * q->unit && ipm_any(q, 1);
+}
+
+/* The same before an end with equations that are off by more than rounding; 1 also after a stretched step: another one follows. */
+static int ipm_inexact_equations(golden_ipm_t *q)
+{
+    q->stretched = !q->stretched;
+    if (q->stretched) {
+        q->stretched = ipm_any(q, 1) && q->primal > 4.0 * 8.881784197001252e-16 && q->primal <= 0.5 * q->slow;
+        q->slow = q->primal;
+        return q->stretched;
+    }
+    return 1;
+}
+
 /* OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
 static golden_status_t ipm_iterate(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    q->closed_gaps = 0;
-    q->merit = q->slope = (golden_real)INFINITY;
+    q->closed_gaps = q->stretched = 0;
+    q->merit = q->slope = q->slow = (golden_real)INFINITY;
     q->step = 1.0;
+    q->stiffest = 65536.0;
     q->primal = (golden_real)INFINITY;
     for (;;) {
-        const golden_real before = q->primal;
-        int changed;
+        const golden_real before = q->primal, gradient_before = q->slope;
+        int changed, converged;
         ipm_measure(s);
         changed = ipm_stiffen(q, before);
         ipm_cost_gradient(s);
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return GOLDEN_NUMERICAL_FAILURE;
         }
-        if (ipm_converged(s) && !changed) {
+        converged = ipm_converged(s);
+        if (q->probing && q->slope < (golden_real)INFINITY && ipm_any_violation(s)) {
+            return GOLDEN_OK;
+        }
+        changed |= ipm_soften(q, gradient_before);
+        if (!converged || changed) {
+            q->stretched = ipm_slow_equations(q, before);
+        } else if (!ipm_inexact_equations(q)) {
             return GOLDEN_OK;
         }
         if (q->primal > 8.881784197001252e-16 && (q->step < 0.5 || q->primal > 0.5 * before) &&
             ipm_infeasible(s)) {
             return GOLDEN_INFEASIBLE;
         }
-        if (s->qp.iterations >= GOLDEN_IPM_MAX_ITERATIONS) {
+        if (s->qp.iterations >= (q->warm ? GOLDEN_IPM_MAX_ITERATIONS / 2 : GOLDEN_IPM_MAX_ITERATIONS)) {
             return ipm_infeasible(s) ? GOLDEN_INFEASIBLE : GOLDEN_ITERATION_LIMIT;
         }
         s->qp.iterations++;
@@ -2460,36 +2600,25 @@ static golden_status_t ipm_prepare(golden_solver_t *s, int plain)
     return GOLDEN_OK;
 }
 
-/* Rows or controls of the given kind: 1 if there is one. */
-static int ipm_any(const golden_ipm_t *q, int kind)
-{
-    int c, any = 0;
-    for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
-        any |= q->kind[c] == kind;
-    }
-    return any;
-}
-
 /* The first point is the solution if it meets all rows, once equations are exact and fixed controls have their multipliers.
  * Returns 1 if it is, or if something is wrong with the equations. */
 static int ipm_run_without_sides(golden_solver_t *s, golden_status_t *status)
 {
     golden_ipm_t *q = &s->ipm;
-    int count;
     q->sides = q->hard = 0;
     q->unit = 0.0;
-    (void)ipm_violation_cost(s, &count);
-    if (q->damping > 0.0 || (count > 0 && !ipm_any(q, 1))) {
+    if (q->damping > 0.0 || (ipm_any_violation(s) && !ipm_any(q, 1))) {
         return 0;
     }
     if (!ipm_any(q, 1) && !ipm_any(q, 2)) {
         ipm_net_multipliers(s);
         return 1;
     }
+    q->probing = 1;
     *status = ipm_iterate(s);
+    q->probing = 0;
     memcpy(q->origin, q->v, sizeof q->v);
-    (void)ipm_violation_cost(s, &count);
-    return *status != GOLDEN_OK || count == 0;
+    return *status != GOLDEN_OK || !ipm_any_violation(s);
 }
 
 /* The first point is known. Products t lam start at twice the mean cost of the violations, with the multipliers of the QP before
@@ -2511,7 +2640,14 @@ static golden_status_t ipm_run(golden_solver_t *s)
     return ipm_iterate(s);
 }
 
-/* The solution for dx_0 and the present bounds. */
+/* From the first factorisation and its backward substitution to the solution. */
+static golden_status_t ipm_attempt(golden_solver_t *s)
+{
+    s->ipm.ready = 0;
+    return !ipm_first_point(s) ? GOLDEN_NUMERICAL_FAILURE : ipm_constant_rows(s) ? GOLDEN_INFEASIBLE : ipm_run(s);
+}
+
+/* The solution for dx_0 and the present bounds. A warm start that does not get there by half the cap is given up for a cold one. */
 static golden_status_t ipm_solve(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
@@ -2526,12 +2662,17 @@ static golden_status_t ipm_solve(golden_solver_t *s)
             ipm_first_backward(s);
         }
     }
-    q->ready = 0;
     if (status == GOLDEN_OK) {
-        status = !ipm_first_point(s) ? GOLDEN_NUMERICAL_FAILURE : ipm_constant_rows(s) ? GOLDEN_INFEASIBLE : ipm_run(s);
+        status = ipm_attempt(s);
+        if (q->warm && (status == GOLDEN_ITERATION_LIMIT || status == GOLDEN_NUMERICAL_FAILURE)) {
+            q->warm = 0;
+            status = ipm_prepare(s, 0);
+            status = (status == GOLDEN_OK) ? ipm_attempt(s) : status;
+        }
         q->solved = status == GOLDEN_OK;
         ipm_write_sides(s);
     } else {
+        q->ready = 0;
         ipm_clear(s);
     }
     if (status == GOLDEN_NUMERICAL_FAILURE) {

@@ -31,7 +31,7 @@ CORE = (
 )
 
 #: Cap on the iterations where none is given.
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 80
 
 
 def interior_point_struct(dims: Dims) -> Struct:
@@ -100,7 +100,9 @@ def _progress(sides: Size, rows: Size) -> tuple[Field, ...]:
         Field("merit", (), "residuals of the rows and products, relative to their tolerance", "scratch"),
         Field("slope", (), "gradient of the Lagrangian, relative to its tolerance", "scratch"),
         Field("step", (), "length of the last step", "scratch"),
+        Field("slow", (), "primal when the last step was stretched", "scratch"),
         Field("stiffening", (), "by how much the regularisation of the rows is divided", "scratch"),
+        Field("stiffest", (), "limit of it", "scratch"),
         Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
         Field("least_pivot", (), "added to pivots that are zero", "scratch"),
         Field("row", (sides,), "row of a side", "scratch", "int32"),
@@ -110,6 +112,8 @@ def _progress(sides: Size, rows: Size) -> tuple[Field, ...]:
         Field("warm", (), "the multipliers of the QP before are used", "scratch", "int32"),
         Field("solved", (), "the last QP was solved", "keep", "int32"),
         Field("closed_gaps", (), "how often the gaps of the dynamics have been closed", "scratch", "int32"),
+        Field("stretched", (), "the next step is stretched towards the equations", "scratch", "int32"),
+        Field("probing", (), "violated inequalities end the iterations", "scratch", "int32"),
         Field("ready", (), "the first factorisation stands", "scratch", "int32"),
     )
 
