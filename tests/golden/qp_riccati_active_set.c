@@ -997,7 +997,7 @@ static golden_status_t qp_refine(golden_solver_t *s)
         if (!isfinite(q->residual) || !qp_measure(q)) {
             return GOLDEN_NUMERICAL_FAILURE;
         }
-        if (q->residual <= 1.7763568394002505e-15) {
+        if (q->residual <= 8.881784197001252e-16) {
             return GOLDEN_OK;
         }
         stretched = !stretched && q->residual > 0.5 * before;
