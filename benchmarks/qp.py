@@ -311,6 +311,8 @@ def torture(report: Report, steps: int = STEPS) -> None:
     report.add("torture_violations", count, limit=0, n=sum(o.samples for o in outcomes))
     infeasible = sum(o.certified["infeasible, INFEASIBLE"] for o in outcomes)
     report.add("torture_infeasible_qps", infeasible, limit=1, at_least=True)
+    unproven = sum(n for o in outcomes for key, n in o.certified.items() if key.startswith("infeasible")) - infeasible
+    report.add("torture_infeasible_without_proof", unproven, n=infeasible + unproven)
 
 
 PARTS: dict[str, Callable[..., None]] = {

@@ -19,15 +19,16 @@ def rows_of_problem(problem: Problem) -> Rows:
     return Rows(node, kind, index, user, l1, l2)
 
 
-def read_qp(problem: Problem, struct: Any, xhat: Array) -> StageQP:
+def read_qp(problem: Problem, struct: Any, xhat: Array, plan: tuple[Array, Array] | None = None) -> StageQP:
     """The QP of the next feedback(xhat), from the struct of a controller after prepare(), in double precision.
 
-    Bounds have to be stored "shared" (one pair for the path, one for node N) or "node".
+    Bounds have to be stored "shared" (one pair for the path, one for node N) or "node". ``plan``: (x, u) that was
+    prepared, if the struct holds another one by now.
     """
     N, nx, nu = problem.N, problem.nx, problem.nu
     node, terminal, hessian = struct["node"], struct["terminal"], struct["hessian"]
     rows = rows_of_problem(problem)
-    x, u = struct["x"].copy(), struct["u"].copy()
+    x, u = plan or (struct["x"].copy(), struct["u"].copy())
     lower, upper = (_at_nodes(struct[name], N) for name in ("lower", "upper"))
     C, c = np.zeros((len(rows), nx + nu)), np.zeros(len(rows))
     C0 = np.zeros((len(rows), nx))

@@ -101,6 +101,22 @@ def test_infeasible_state() -> None:
     np.testing.assert_allclose(c.u, problems.reference("crane").u, atol=1e-9)
 
 
+def test_a_plan_that_has_nothing_to_do_with_the_plant_is_given_up() -> None:
+    """Its QP is infeasible at a state from which a new controller finds a way: the third sample does, too."""
+    c = started()
+    c.x[:, 2] = np.linspace(1.0, -1.4, len(c.x))  # the load hangs elsewhere, at angles that no plan has
+    c.x[:, 3] = 40.0
+    u = c.u.copy()
+    for _ in range(2):
+        assert_safe(c, c.step(FAR))
+        assert c.status == Status.INFEASIBLE
+        np.testing.assert_array_equal(c.u, u)
+    np.testing.assert_array_equal(c.x, np.tile(FAR, (len(c.x), 1)))
+    for _ in range(6):
+        c.step(FAR, on_failure="raise")
+    np.testing.assert_allclose(c.u, problems.reference("crane").u, atol=1e-9)
+
+
 def test_iteration_cap_of_the_qp() -> None:
     c = build(problems.CASES["crane"].make(), Options(qp=DenseActiveSet(max_iterations=1)))
     x = c.x.copy()

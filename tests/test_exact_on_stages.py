@@ -340,7 +340,7 @@ def test_closed_loop() -> None:
     assert np.abs(log.x[-1]).max() <= 1e-2
 
 
-def curved(free: bool) -> OCP:
+def curved(free: bool, coupled: bool) -> OCP:
     """All kinds of costs and rows that stages take, and a dynamic system far from linear."""
     ocp = OCP("curved", intervals=[0.1, 0.3, 0.2, 0.2, 0.4])
     q, w, u = ocp.state("q", initial=0.7), ocp.state("w", initial=-0.2), ocp.control("u")
@@ -355,26 +355,28 @@ def curved(free: bool) -> OCP:
     ocp.subject_to(-1.5, u, 1.5)
     if free:
         ocp.free_initial(w)
-    else:
+    if coupled:
         ocp.boundary(-5, ocp.at_start(ocp.x[1]) ** 3 + ocp.at_end(ocp.x[0]) ** 2, 5, name="loop")
     return ocp
 
 
 @pytest.mark.parametrize(
-    ("route", "regularization", "free"),
+    ("route", "regularization", "free", "coupled"),
     [
-        ("none, active set", Project(), True),
-        ("partial, active set", Project(), False),
-        ("none, interior point", Project(), True),
-        ("partial, active set", Project(level="stage"), True),
-        ("none, interior point", Mirror(level="stage"), True),
+        ("none, active set", Project(), True, False),
+        ("partial, active set", Project(), False, True),
+        ("none, interior point", Project(), True, False),
+        ("none, active set", Project(), True, True),
+        ("partial, active set", Mirror(), True, True),
+        ("partial, active set", Project(level="stage"), True, False),
+        ("none, interior point", Mirror(level="stage"), True, True),
     ],
     ids=str,
 )
-def test_solutions_equal_those_of_ipopt(route: str, regularization: Any, free: bool) -> None:
+def test_solutions_equal_those_of_ipopt(route: str, regularization: Any, free: bool, coupled: bool) -> None:
     """Both levels, x_0 given and in part free."""
-    problem = analyse(curved(free))
-    c = _built(curved, route, regularization, free).copy()
+    problem = analyse(curved(free, coupled))
+    c = _built(curved, route, regularization, free, coupled).copy()
     ours = c.solve([0.7, -0.2], tol=1e-9)
     assert ours.status == Status.OK
     ref = solve_reference(problem, x0=[0.7, -0.2], x_guess=ours.x, u_guess=ours.u)
@@ -441,7 +443,7 @@ def test_single_precision() -> None:
 
 def test_warnings_of_the_interior_point_route() -> None:
     options = Options(hessian=ExactHessian(), condensing=PartialCondensing(2), qp=RiccatiInteriorPoint())
-    shared_library(generate(curved(True), options), "curved.c", WARNINGS)
+    shared_library(generate(curved(True, True), options), "curved.c", WARNINGS)
 
 
 def test_qp_none_looks_at_stages() -> None:

@@ -14,6 +14,7 @@ import pytest
 from nmpc_codegen import (
     OCP,
     DenseActiveSet,
+    NoCondensing,
     Options,
     PartialCondensing,
     RealTimeIteration,
@@ -25,6 +26,7 @@ from nmpc_codegen.analyse import analyse
 from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.evaluation import kkt_residuals, node_data
+from nmpc_codegen.linearize import linearize
 from nmpc_codegen.reference import solve_reference
 from nmpc_codegen.status import Status
 
@@ -73,6 +75,16 @@ def periodic() -> OCP:
     return ocp
 
 
+def partly_free() -> OCP:
+    """th_0 given, w_0 free; a row that mixes both ends in a curved way, hard, and one with a penalty."""
+    ocp = pendulum("partly_free")
+    ocp.free_initial(ocp.x[1])
+    start, end = ocp.at_start(ocp.x), ocp.at_end(ocp.x)
+    ocp.boundary(0, end[1] - start[1] - 0.3 * start[0] * end[0], 0, name="swing")
+    ocp.boundary(-np.inf, end[0] + start[1] ** 2, 0.05, soft=(0.2, 1.0), name="low")
+    return ocp
+
+
 def soft_periodic() -> OCP:
     ocp = pendulum("soft_periodic")
     ocp.boundary(0, ocp.at_start(ocp.x) - ocp.at_end(ocp.x), 0, soft=(0.5, 0.1), name="period")
@@ -87,6 +99,7 @@ CASES: dict[str, Callable[[], OCP]] = {
     "soft equality": soft_equality,
     "coupled": coupled,
     "periodic": periodic,
+    "partly free": partly_free,
     "soft periodic": soft_periodic,
 }
 
@@ -103,15 +116,9 @@ def controller(case: str, form: str) -> Controller:
     return build(CASES[case](), Options(**FORMS[form]), profile="test")
 
 
-def refused(case: str, form: str) -> bool:
-    return case == "periodic" and form != "condensed"
-
-
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("case", CASES)
 def test_equal_to_ipopt(case: str, form: str) -> None:
-    if refused(case, form):
-        return
     problem = analyse(CASES[case]())
     ctrl = controller(case, form)
     ctrl.reset()
@@ -140,6 +147,19 @@ def test_an_exact_penalty_is_the_hard_row() -> None:
     np.testing.assert_allclose(soft.u, expected.u, atol=1e-8)
     np.testing.assert_allclose(soft.mu_x, expected.mu_x, atol=1e-8)
     assert ctrl.stats.relaxed_rows == 0
+
+
+def test_stages_carry_free_components_to_coupled_rows() -> None:
+    """No condensing is blocks of one interval then, and says so; the QPs are those of full condensing."""
+    stages, condensed = (
+        build(periodic(), Options(**FORMS[form]), profile="test") for form in ("active set", "condensed")
+    )
+    stated = linearize(analyse(periodic()), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
+    assert stated.options.condensing == PartialCondensing(1)
+    assert any("instead of none; coupled rows read free components of x_0" in why for why in stated.choices)
+    for xhat in ([0.6, 0.0], [0.5, 0.1], [0.4, -0.2]):
+        np.testing.assert_allclose(stages.step(xhat), condensed.step(xhat), atol=1e-9)
+        np.testing.assert_allclose(stages.x, condensed.x, atol=1e-9)
 
 
 def tight() -> OCP:

@@ -43,10 +43,11 @@ def choose_qp(
     given: tuple[Any, Any] = (options.condensing, options.qp)
     if None not in given:
         _check_forms(options)
-        return options, ()
+        return _adapted(problem, options)
     candidates = []
-    for condensing, qp in _pairs(*given):
-        if all(problem.features <= c.supports for c in (condensing, qp)) and condensing.refusal(problem) is None:
+    for stated, qp in _pairs(*given):
+        condensing = stated.adapted(problem)
+        if all(problem.features <= c.supports for c in (condensing, qp)):
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian)
             counts = (condensing.cost(dims, known), qp.cost(dims, known))
             total = sum((c for count in counts for c in count.values()), OpCount())
@@ -58,11 +59,24 @@ def choose_qp(
     table = "; ".join(map(str, sorted(candidates, key=lambda c: c.operations)))
     why = f"fewest operations of a warm-started sample ({table})"
     chosen = replace(options, condensing=best.condensing, qp=best.qp)
-    return chosen, tuple(
+    return chosen, _instead(given[0], best.condensing) + tuple(
         f"{seam}: {getattr(best, seam).name}; {why}"
         for seam, was in zip(("condensing", "qp"), given, strict=True)
         if was is None
     )
+
+
+def _adapted(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
+    """The condensing that does for this problem what the stated one does for others."""
+    condensing = options.condensing.adapted(problem)
+    return replace(options, condensing=condensing), _instead(options.condensing, condensing)
+
+
+def _instead(stated: Any, condensing: Any) -> tuple[str, ...]:
+    """Why it is not the stated one, if it is not."""
+    if stated is None or condensing is stated:
+        return ()
+    return (f"condensing: {condensing} instead of {stated.name}; coupled rows read free components of x_0",)
 
 
 def _pairs(condensing: Any, qp: Any) -> Iterator[tuple[Any, Any]]:

@@ -45,7 +45,8 @@ class Dims:
     ne: Size  # coupled rows
     ns: Size  # stages of the QP after condensing
     nus: Size  # controls of such a stage
-    nzs: Size  # nx + nus
+    nxs: Size  # states of such a stage: nx and copies of components of x_0
+    nzs: Size  # nxs + nus
     nv: Size  # variables of the QP
     nsl: Size  # slacks among them
     ng: Size  # rows of the QP besides control bounds
@@ -57,20 +58,22 @@ class QpShape:
     """What a condensing component makes of N stages with nu controls each.
 
     ``stages`` of ``controls`` controls; ``variables`` of the QP: the controls of all stages, and what else it adds to
-    them; ``slacks`` among the variables.
+    them; ``slacks`` among the variables; ``copies`` of components of x_0 among the states of a stage.
     """
 
     stages: int
     controls: int
     variables: int
     slacks: int = 0
+    copies: int = 0
 
 
 class Component(Protocol):
     """What lower.py asks of a component.
 
-    A condensing component has besides qp_shape(problem) -> QpShape, refusal(problem) -> a reason or None, and
-    ``gives``, the form of QP it hands on ("condensed", "stages"), and ``columns``: it calls the products with columns.
+    A condensing component has besides qp_shape(problem) -> QpShape, adapted(problem) -> the component that does the
+    same for this problem, itself as a rule, ``gives``, the form of QP it hands on ("condensed", "stages"), and
+    ``columns``: it calls the products with columns.
     A QP solver has ``takes``, the form it reads, and ``automatic``: qp=None may choose it. One that wraps foreign code
     has foreign_sources(prefix, precision, nv, ng) -> files below the folder of its name.
     """

@@ -33,12 +33,12 @@ def _padded(n: int) -> int:
 
 def riccati_sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
     """Leading dimensions: (macro without prefix, value, meaning)."""
-    nx, nus = dims.nx.value, dims.nus.value
+    nx, nus = dims.nxs.value, dims.nus.value
     return (
-        ("LDX", _padded(nx), "NX rounded up to 4"),
+        ("LDX", _padded(nx), "NXS rounded up to 4"),
         ("LDU", _padded(nus), "NUS rounded up to 4"),
         ("LDZ", _padded(nx + nus), "NZS rounded up to 4"),
-        ("LDW", _padded(nx + _padded(nus)), "NX + LDU rounded up to 4"),
+        ("LDW", _padded(nx + _padded(nus)), "NXS + LDU rounded up to 4"),
         ("LDT", max(_padded(nx), nx + nus), "rows of the stage product: LDX or NZS"),
     )
 
@@ -54,7 +54,7 @@ def riccati_struct(dims: Dims) -> Struct:
             Field("diagonal", (nodes, dims.nzs), "added to the diagonal of Q_k", "scratch"),
             Field("weight", (dims.ng,), "of a a' for the rows of the QP", "scratch"),
             Field("g", (nodes, dims.nzs), "gradient", "scratch"),
-            Field("b", (stages, dims.nx), "gaps of the dynamics", "scratch"),
+            Field("b", (stages, dims.nxs), "gaps of the dynamics", "scratch"),
             Field("du", (dims.nv,), "values of the fixed controls", "scratch"),
             Field("proximal", (stages, dims.nus), "added to pivots of M_uu that may be zero", "scratch"),
             Field("proximal_free", (dims.nf,), "added to pivots of P_0", "scratch"),
@@ -84,7 +84,7 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
 
     No row has a weight, no control is fixed, no pivot is regularised, and the dynamics have gaps.
     """
-    ns, nx, nus, nf = (size.value for size in (dims.ns, dims.nx, dims.nus, dims.nf))
+    ns, nx, nus, nf = (size.value for size in (dims.ns, dims.nxs, dims.nus, dims.nf))
     ldx, nz = _padded(nx), nx + nus
     backward = _combined(ldx, nx) + _combined(nz, nx) + _combined(ldx, nus)
     backward += OpCount(add=1, mul=1) * (nus * (nus - 1)) + OpCount(mul=nus)

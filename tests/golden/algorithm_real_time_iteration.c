@@ -52,7 +52,7 @@ static void algorithm_reset(golden_solver_t *s)
     }
     memcpy(s->xhat, initial_state, sizeof s->xhat);
     s->prepared = 0;
-    s->samples = 0;
+    s->samples = s->failing = 0;
     s->status = (int32_t)GOLDEN_OK;
     s->relaxation = (golden_real)INFINITY;
     s->stats.violated_row = s->stats.violated_node = -1;
@@ -320,11 +320,16 @@ static int plan_is_finite(const golden_solver_t *s)
     return all_finite(&s->x[0][0], (GOLDEN_N + 1) * GOLDEN_NX) && all_finite(&s->u[0][0], GOLDEN_N * GOLDEN_NU);
 }
 
-/* After a failure that would come back: where numbers broke down the plan starts anew at the measured state, where the QP
- * did not end its working set is forgotten. Other plans stay. */
+/* After a failure that would come back: where numbers broke down, and where the QP fails for the second time in a row, the states
+ * of the plan start anew at the measured one, for the plan may have nothing to do with it any more; its controls stay. Where the
+ * QP did not end its working set is forgotten. */
 static void recover(golden_solver_t *s, golden_status_t status)
 {
-    if (status == GOLDEN_NUMERICAL_FAILURE) {
+    const int solved = status == GOLDEN_OK || status == GOLDEN_RELAXED;
+    const int measured = status != GOLDEN_NOT_FINITE && status != GOLDEN_NOT_PREPARED;
+    const int again = s->failing && !solved && measured;
+    s->failing = measured ? !solved : s->failing;
+    if (status == GOLDEN_NUMERICAL_FAILURE || again) {
         start_at(s, all_finite(s->xhat, GOLDEN_NX) ? s->xhat : initial_state);
     } else if (status == GOLDEN_ITERATION_LIMIT || status == GOLDEN_STALLED) {
         condense_init(s);

@@ -8,7 +8,7 @@
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
  *   condense_shift     the predicted working set moves by one interval
  * Here: nothing is eliminated, the QP has the stages of the problem.
- * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q (lower triangle), stage_row (gradient of a
+ * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient of a
  * general row), tables stage_first, stage_of_row, stage_state. */
 
 static void qp_init(golden_solver_t *s);
@@ -37,6 +37,12 @@ static inline golden_real (*stage_Q(golden_solver_t *s, int k))[GOLDEN_NZS]
     return s->hessian.Q[GOLDEN_NQ == 1 ? 0 : k];
 }
 
+/* The Hessian of the last stage, lower triangle. */
+static inline golden_real (*stage_Q_N(golden_solver_t *s))[GOLDEN_NXS]
+{
+    return s->hessian.Q_N;
+}
+
 /* Gradient of the general or coupled row m in the variables of its stage. */
 static inline const golden_real *stage_row(const golden_solver_t *s, int m)
 {
@@ -58,7 +64,7 @@ static inline golden_real stage_row_value(const golden_solver_t *s, int m)
     return row_constant(s, m);
 }
 
-/* Bounds of the controls and rows relative to the present iterate, penalties; J_0 dx_0 of a coupled row is known. */
+/* Bounds of the controls and rows relative to the present iterate, penalties; of J_0 dx_0 of a coupled row what is known. */
 static void condense_embed(golden_solver_t *s)
 {
     int k, j, m;
@@ -71,7 +77,7 @@ static void condense_embed(golden_solver_t *s)
     for (m = 0; m < GOLDEN_NG; m++) {
         golden_real value = stage_row_value(s, m);
         for (j = 0; row_kind[m] == 2 && j < GOLDEN_NX; j++) {
-            value += s->coupled.J_0[row_index[m]][j] * s->step.dx[0][j];
+            value += is_free[j] ? 0.0 : s->coupled.J_0[row_index[m]][j] * s->step.dx[0][j];
         }
         s->qp.lower[GOLDEN_NV + m] = row_lower(s, m) - value;
         s->qp.upper[GOLDEN_NV + m] = row_upper(s, m) - value;

@@ -10,8 +10,9 @@
  * Here: blocks of BLOCK intervals become one stage: all states but the first of a block are eliminated,
  *     dx_{kB+j} = G_j (dx_kB, du_kB .. du_{kB+B-1}) + c_j,   [A B] = G_B,  b = c_B,
  *     Q = sum_j Z_j' Q_{kB+j} Z_j,   g = sum_j Z_j' (g_{kB+j} + Q_{kB+j} (c_j, 0)),   Z_j = [G_j; selection of du_{kB+j}].
+ * Free components of x_0 that coupled rows read are states of the stages besides dx, as copies that do not move: z = (dx, copies, du).
  * Controls beyond the horizon are padded: Hessian 1, no gradient, no bounds, so they stay 0.
- * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q (lower triangle), stage_row (gradient of a
+ * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient of a
  * general row), tables stage_first, stage_of_row, stage_state. */
 
 static void qp_init(golden_solver_t *s);
@@ -32,12 +33,18 @@ static inline golden_real *stage_b(golden_solver_t *s, int k)
 
 static inline golden_real *stage_g(golden_solver_t *s, int k)
 {
-    return (k < GOLDEN_NS) ? s->block[k].g : s->terminal.g;
+    return (k < GOLDEN_NS) ? s->block[k].g : s->blocks.g_N;
 }
 
 static inline golden_real (*stage_Q(golden_solver_t *s, int k))[GOLDEN_NZS]
 {
     return s->block[k].Q;
+}
+
+/* The Hessian of the last stage, lower triangle. */
+static inline golden_real (*stage_Q_N(golden_solver_t *s))[GOLDEN_NXS]
+{
+    return s->blocks.Q_N;
 }
 
 /* Gradient of the general or coupled row m in the variables of its stage. */
@@ -56,7 +63,13 @@ static void condense_init(golden_solver_t *s)
 {
     int k, j;
     for (k = GOLDEN_N * GOLDEN_NU; k < GOLDEN_NV; k++) {
-        s->block[GOLDEN_NS - 1].Q[GOLDEN_NX + k - (GOLDEN_NS - 1) * GOLDEN_NUS][GOLDEN_NX + k - (GOLDEN_NS - 1) * GOLDEN_NUS] = 1.0;
+        j = GOLDEN_NXS + k - (GOLDEN_NS - 1) * GOLDEN_NUS;
+        s->block[GOLDEN_NS - 1].Q[j][j] = 1.0;
+    }
+    for (k = 0; k < GOLDEN_NS; k++) {
+        for (j = GOLDEN_NX; j < GOLDEN_NXS; j++) {
+            s->block[k].S[j][j] = 1.0;
+        }
     }
     for (k = 0; k < GOLDEN_N; k += GOLDEN_BLOCK) {
         for (j = 0; j < GOLDEN_NX; j++) {
@@ -70,7 +83,7 @@ static void condense_init(golden_solver_t *s)
     }
 }
 
-/* Bounds of the controls and rows relative to the present iterate, penalties; J_0 dx_0 of a coupled row is known. */
+/* Bounds of the controls and rows relative to the present iterate, penalties; of J_0 dx_0 of a coupled row what is known. */
 static void condense_embed(golden_solver_t *s)
 {
     int k, j, m;
@@ -83,7 +96,7 @@ static void condense_embed(golden_solver_t *s)
     for (m = 0; m < GOLDEN_NG; m++) {
         golden_real value = stage_row_value(s, m);
         for (j = 0; row_kind[m] == 2 && j < GOLDEN_NX; j++) {
-            value += s->coupled.J_0[row_index[m]][j] * s->step.dx[0][j];
+            value += is_free[j] ? 0.0 : s->coupled.J_0[row_index[m]][j] * s->step.dx[0][j];
         }
         s->qp.lower[GOLDEN_NV + m] = row_lower(s, m) - value;
         s->qp.upper[GOLDEN_NV + m] = row_upper(s, m) - value;
@@ -95,7 +108,7 @@ static void condense_embed(golden_solver_t *s)
 /* G_{j+1} = A G_j, B at du_j; the columns of later controls stay 0. */
 static void condense_forward(const golden_node_t *node, golden_real (*G)[GOLDEN_NZS], golden_real (*next)[GOLDEN_NZS], int j)
 {
-    const int width = GOLDEN_NX + j * GOLDEN_NU;
+    const int width = GOLDEN_NXS + j * GOLDEN_NU;
     int i, l, c;
     for (i = 0; i < GOLDEN_NX; i++) {
         for (c = 0; c < width; c++) {
@@ -119,14 +132,14 @@ static void condense_forward(const golden_node_t *node, golden_real (*G)[GOLDEN_
 /* Q += Z_j' Q_k Z_j, lower triangle; T = Q_k Z_j on the columns that are not 0. */
 static void condense_hessian(golden_solver_t *s, golden_block_t *block, golden_real (*Q)[GOLDEN_NZ], int node, int j)
 {
-    const int width = GOLDEN_NX + (j + 1) * GOLDEN_NU;
+    const int width = GOLDEN_NXS + (j + 1) * GOLDEN_NU;
     golden_real (*Z)[GOLDEN_NZS] = s->blocks.Z;
     golden_real T[GOLDEN_NZS];
     int i, l, c, r;
     memcpy(Z, s->blocks.G[node], sizeof s->blocks.G[node]);
     memset(Z[GOLDEN_NX], 0, sizeof Z[0] * GOLDEN_NU);
     for (i = 0; i < GOLDEN_NU; i++) {
-        Z[GOLDEN_NX + i][GOLDEN_NX + j * GOLDEN_NU + i] = 1.0;
+        Z[GOLDEN_NX + i][GOLDEN_NXS + j * GOLDEN_NU + i] = 1.0;
     }
     for (i = 0; i < GOLDEN_NZ; i++) {
         memset(T, 0, sizeof T);
@@ -158,15 +171,18 @@ static void condense_block_rows(golden_solver_t *s, int node)
         memset(row, 0, sizeof s->blocks.J[m]);
         if (node == GOLDEN_N) {
             memcpy(row, J, sizeof row[0] * GOLDEN_NX);
+            for (i = GOLDEN_NX; row_kind[m] == 2 && i < GOLDEN_NXS; i++) {
+                row[i] = s->coupled.J_0[row_index[m]][copied_state[i - GOLDEN_NX]];
+            }
             continue;
         }
         for (i = 0; i < GOLDEN_NX; i++) {
-            for (c = 0; c < GOLDEN_NX + j * GOLDEN_NU; c++) {
+            for (c = 0; c < GOLDEN_NXS + j * GOLDEN_NU; c++) {
                 row[c] += J[i] * s->blocks.G[node][i][c];
             }
         }
         for (i = 0; i < GOLDEN_NU; i++) {
-            row[GOLDEN_NX + j * GOLDEN_NU + i] = J[GOLDEN_NX + i];
+            row[GOLDEN_NXS + j * GOLDEN_NU + i] = J[GOLDEN_NX + i];
         }
     }
 }
@@ -192,7 +208,7 @@ static void condense_matrices(golden_solver_t *s)
     for (k = 0; k < GOLDEN_NS; k++) {
         golden_block_t *block = &s->block[k];
         const int n = (k < GOLDEN_NS - 1) ? GOLDEN_BLOCK : GOLDEN_N - k * GOLDEN_BLOCK;
-        for (r = 0; r < GOLDEN_NX + n * GOLDEN_NU; r++) {
+        for (r = 0; r < GOLDEN_NXS + n * GOLDEN_NU; r++) {
             memset(block->Q[r], 0, sizeof block->Q[r]);
         }
         for (j = 0; j < n; j++) {
@@ -200,6 +216,9 @@ static void condense_matrices(golden_solver_t *s)
             condense_hessian(s, block, s->hessian.Q[GOLDEN_NQ == 1 ? 0 : node], node, j);
             condense_forward(&s->node[node], s->blocks.G[node], (j + 1 < n) ? s->blocks.G[node + 1] : block->S, j);
         }
+    }
+    for (r = 0; r < GOLDEN_NX; r++) {
+        memcpy(s->blocks.Q_N[r], s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
     }
 }
 
@@ -221,11 +240,12 @@ static void condense_vectors(golden_solver_t *s)
             const int node = k * GOLDEN_BLOCK + j;
             adjoint_step(&s->node[node], s->hessian.Q[GOLDEN_NQ == 1 ? 0 : node], s->blocks.c[node], none, w);
             for (i = 0; i < GOLDEN_NU; i++) {
-                block->g[GOLDEN_NX + j * GOLDEN_NU + i] = w[GOLDEN_NX + i];
+                block->g[GOLDEN_NXS + j * GOLDEN_NU + i] = w[GOLDEN_NX + i];
             }
         }
         memcpy(block->g, w, sizeof w[0] * GOLDEN_NX);
     }
+    memcpy(s->blocks.g_N, s->terminal.g, sizeof s->terminal.g);
     condense_row_values(s);
 }
 

@@ -40,7 +40,8 @@ typedef double golden_real;
 #define GOLDEN_NE 0 /* coupled rows */
 #define GOLDEN_NS 1 /* stages of the QP */
 #define GOLDEN_NUS 2 /* controls of a stage of the QP */
-#define GOLDEN_NZS 3 /* NX + NUS */
+#define GOLDEN_NXS 1 /* states of a stage: NX and copies of components of x_0 */
+#define GOLDEN_NZS 3 /* NXS + NUS */
 #define GOLDEN_NV 2 /* variables of the QP */
 #define GOLDEN_NSL 0 /* slacks among them */
 #define GOLDEN_NG 5 /* rows of the QP besides control bounds */
@@ -230,6 +231,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
+    int32_t failing; /* the last QP had no solution */
     int32_t reference_changed; /* 1: gradients are renewed in feedback */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
     golden_condensed_t condensed; /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0 */

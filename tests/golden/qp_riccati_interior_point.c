@@ -149,7 +149,7 @@ static inline void riccati_clear_padding(golden_real (*P)[GOLDEN_LDX])
 {
     int i, j;
     for (i = 0; i < GOLDEN_LDX; i++) {
-        for (j = (i < GOLDEN_NX) ? GOLDEN_NX : 0; j < GOLDEN_LDX; j++) {
+        for (j = (i < GOLDEN_NXS) ? GOLDEN_NXS : 0; j < GOLDEN_LDX; j++) {
             P[i][j] = 0.0;
         }
     }
@@ -163,14 +163,14 @@ static void riccati_load_stage(golden_solver_t *s, int k)
     golden_real (*P)[GOLDEN_LDX] = r->P[k];
     golden_real (*M)[GOLDEN_LDZ] = r->M[k];
     int i, j;
-    for (i = 0; i < GOLDEN_NX; i++) {
-        memcpy(P[i], Q[i], sizeof(Q[0][0]) * GOLDEN_NX);
+    for (i = 0; i < GOLDEN_NXS; i++) {
+        memcpy(P[i], Q[i], sizeof(Q[0][0]) * GOLDEN_NXS);
         P[i][i] += r->diagonal[k][i];
     }
     riccati_clear_padding(P);
     for (j = 0; j < GOLDEN_NUS; j++) {
-        memcpy(M[j], Q[GOLDEN_NX + j], sizeof Q[0]);
-        M[j][GOLDEN_NX + j] += r->diagonal[k][GOLDEN_NX + j];
+        memcpy(M[j], Q[GOLDEN_NXS + j], sizeof Q[0]);
+        M[j][GOLDEN_NXS + j] += r->diagonal[k][GOLDEN_NXS + j];
     }
 }
 
@@ -178,8 +178,8 @@ static void riccati_load_terminal(golden_solver_t *s)
 {
     golden_riccati_t *r = &s->riccati;
     int i;
-    for (i = 0; i < GOLDEN_NX; i++) {
-        memcpy(r->P[GOLDEN_NS][i], s->hessian.Q_N[i], sizeof s->hessian.Q_N[0]);
+    for (i = 0; i < GOLDEN_NXS; i++) {
+        memcpy(r->P[GOLDEN_NS][i], stage_Q_N(s)[i], sizeof r->P[0][0][0] * GOLDEN_NXS);
         r->P[GOLDEN_NS][i][i] += r->diagonal[GOLDEN_NS][i];
     }
     riccati_clear_padding(r->P[GOLDEN_NS]);
@@ -198,7 +198,7 @@ static inline void riccati_update_controls(golden_riccati_t *r, int k, const gol
 {
     int j;
     for (j = 0; j < GOLDEN_NUS; j += 4) {
-        riccati_rows(r->M[k][j], GOLDEN_LDZ, A + GOLDEN_NX + j, GOLDEN_LDW, B, GOLDEN_LDZ, n, GOLDEN_LDZ);
+        riccati_rows(r->M[k][j], GOLDEN_LDZ, A + GOLDEN_NXS + j, GOLDEN_LDW, B, GOLDEN_LDZ, n, GOLDEN_LDZ);
     }
 }
 
@@ -206,7 +206,7 @@ static inline void riccati_update_controls(golden_riccati_t *r, int k, const gol
 static void riccati_add_weights(golden_solver_t *s, int k)
 {
     golden_riccati_t *r = &s->riccati;
-    const int width = k < GOLDEN_NS ? GOLDEN_NZS : GOLDEN_NX;
+    const int width = k < GOLDEN_NS ? GOLDEN_NZS : GOLDEN_NXS;
     int n = 0, m, i;
     for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
         const int state = stage_state[m];
@@ -237,12 +237,12 @@ static void riccati_propagate(golden_solver_t *s, int k)
     golden_riccati_t *r = &s->riccati;
     golden_real (*S)[GOLDEN_NZS] = stage_S(s, k);
     int i;
-    for (i = 0; i < GOLDEN_NX; i++) {
+    for (i = 0; i < GOLDEN_NXS; i++) {
         memcpy(r->W[i], S[i], sizeof S[0]);
     }
     memset(r->T, 0, sizeof r->T);
     for (i = 0; i < GOLDEN_LDX; i += 4) {
-        riccati_rows(r->T[i], GOLDEN_LDZ, &r->P[k + 1][0][i], GOLDEN_LDX, r->W[0], GOLDEN_LDW, GOLDEN_NX, GOLDEN_LDZ);
+        riccati_rows(r->T[i], GOLDEN_LDZ, &r->P[k + 1][0][i], GOLDEN_LDX, r->W[0], GOLDEN_LDW, GOLDEN_NXS, GOLDEN_LDZ);
     }
 }
 
@@ -254,13 +254,13 @@ static inline void riccati_load_controls(golden_riccati_t *r, int k)
     int i, j, l;
     for (j = 0; j < GOLDEN_NUS; j++) {
         const golden_real *M = r->M[k][j];
-        golden_real *V = r->T[GOLDEN_NX + j];
+        golden_real *V = r->T[GOLDEN_NXS + j];
         for (l = 0; l < j; l++) {
-            r->L[k][j][l] = (fixed[j] || fixed[l]) ? 0.0 : M[GOLDEN_NX + l];
+            r->L[k][j][l] = (fixed[j] || fixed[l]) ? 0.0 : M[GOLDEN_NXS + l];
         }
-        r->L[k][j][j] = fixed[j] ? 1.0 : M[GOLDEN_NX + j];
+        r->L[k][j][j] = fixed[j] ? 1.0 : M[GOLDEN_NXS + j];
         for (i = 0; i < GOLDEN_LDX; i++) {
-            V[i] = (fixed[j] || i >= GOLDEN_NX) ? 0.0 : M[i];
+            V[i] = (fixed[j] || i >= GOLDEN_NXS) ? 0.0 : M[i];
         }
     }
 }
@@ -285,12 +285,12 @@ static inline golden_real riccati_pivot(const golden_riccati_t *r, golden_real d
 static int riccati_eliminate_controls(golden_riccati_t *r, int k)
 {
     golden_real (*L)[GOLDEN_NUS] = r->L[k];
-    golden_real (*V)[GOLDEN_LDZ] = r->T + GOLDEN_NX;
+    golden_real (*V)[GOLDEN_LDZ] = r->T + GOLDEN_NXS;
     int i, j, l;
     riccati_load_controls(r, k);
     for (l = 0; l < GOLDEN_NUS; l++) {
         const int fixed = r->fixed[k * GOLDEN_NUS + l];
-        golden_real *reference = &r->M[k][l][GOLDEN_NX + l];
+        golden_real *reference = &r->M[k][l][GOLDEN_NXS + l];
         const golden_real pivot = riccati_pivot(r, L[l][l], fixed ? 0.0 : *reference, &r->proximal[k][l]);
         if (!(pivot > 0.0)) {
             return 0;
@@ -306,7 +306,7 @@ static int riccati_eliminate_controls(golden_riccati_t *r, int k)
             riccati_add(V[j], -L[j][l], V[l], GOLDEN_LDX);
         }
         for (i = 0; i < GOLDEN_LDX; i++) {
-            r->W[GOLDEN_NX + l][i] = -r->inverse[k][l] * V[l][i];
+            r->W[GOLDEN_NXS + l][i] = -r->inverse[k][l] * V[l][i];
         }
     }
     return 1;
@@ -317,7 +317,7 @@ static inline void riccati_gain(golden_riccati_t *r, int k)
 {
     int j, l;
     for (j = GOLDEN_NUS - 1; j >= 0; j--) {
-        memcpy(r->K[k][j], r->W[GOLDEN_NX + j], sizeof r->K[0][0]);
+        memcpy(r->K[k][j], r->W[GOLDEN_NXS + j], sizeof r->K[0][0]);
         for (l = j + 1; l < GOLDEN_NUS; l++) {
             riccati_add(r->K[k][j], -r->L[k][l][j], r->K[k][l], GOLDEN_LDX);
         }
@@ -328,7 +328,7 @@ static inline void riccati_gain(golden_riccati_t *r, int k)
 static inline void riccati_mirror(golden_real (*P)[GOLDEN_LDX])
 {
     int i, j;
-    for (i = 1; i < GOLDEN_NX; i++) {
+    for (i = 1; i < GOLDEN_NXS; i++) {
         for (j = 0; j < i; j++) {
             P[j][i] = P[i][j];
         }
@@ -342,7 +342,7 @@ static int riccati_stage(golden_solver_t *s, int k)
     riccati_load_stage(s, k);
     riccati_add_weights(s, k);
     riccati_propagate(s, k);
-    riccati_update_controls(r, k, r->W[0], r->T[0], GOLDEN_NX);
+    riccati_update_controls(r, k, r->W[0], r->T[0], GOLDEN_NXS);
     if (!riccati_eliminate_controls(r, k)) {
         r->failed = k;
         return 0;
@@ -351,6 +351,21 @@ static int riccati_stage(golden_solver_t *s, int k)
     riccati_update_states(r, k, r->W[0], r->T[0], GOLDEN_NZS);
     riccati_mirror(r->P[k]);
     return 1;
+}
+
+/* Copies of components of x_0 are no variables of their own: P_0 gets their rows and columns where the originals have theirs. */
+static inline void riccati_fold(golden_riccati_t *r)
+{
+    int c, j;
+    for (c = 0; c < GOLDEN_NXS - GOLDEN_NX; c++) {
+        const int from = GOLDEN_NX + c, to = copied_state[c];
+        riccati_add(r->P[0][to], 1.0, r->P[0][from], GOLDEN_LDX);
+        for (j = 0; j < GOLDEN_NXS; j++) {
+            r->P[0][j][to] += r->P[0][j][from];
+            r->P[0][j][from] = 0.0;
+        }
+        memset(r->P[0][from], 0, sizeof r->P[0][from]);
+    }
 }
 
 /* L D L' of the block of P_0 that belongs to the free components of x_0; pivots as above. */
@@ -395,6 +410,7 @@ static int riccati_factorize(golden_solver_t *s, int last)
             return 0;
         }
     }
+    riccati_fold(&s->riccati);
     return riccati_factorize_free(&s->riccati);
 }
 
@@ -423,28 +439,28 @@ static void riccati_backward_stage(golden_solver_t *s, int k)
     golden_real v[GOLDEN_LDX], w[GOLDEN_NZS], y[GOLDEN_NUS];
     int i, j, gaps = 0;
     memcpy(v, r->p[k + 1], sizeof v);
-    for (i = 0; i < GOLDEN_NX; i++) {
+    for (i = 0; i < GOLDEN_NXS; i++) {
         gaps |= r->b[k][i] < 0.0 || !(r->b[k][i] <= 0.0);
     }
     if (gaps) {
-        riccati_combine(v, r->b[k], r->P[k + 1][0], GOLDEN_LDX, GOLDEN_NX, GOLDEN_LDX);
+        riccati_combine(v, r->b[k], r->P[k + 1][0], GOLDEN_LDX, GOLDEN_NXS, GOLDEN_LDX);
     }
     memcpy(w, r->g[k], sizeof w);
-    riccati_combine(w, v, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
-    memcpy(r->h[k], w + GOLDEN_NX, sizeof r->h[k]);
+    riccati_combine(w, v, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NXS, GOLDEN_NZS);
+    memcpy(r->h[k], w + GOLDEN_NXS, sizeof r->h[k]);
     for (j = 0; j < GOLDEN_NUS; j++) {
         if (r->fixed[k * GOLDEN_NUS + j]) {
             const golden_real du = r->du[k * GOLDEN_NUS + j];
-            riccati_combine(w, &du, r->M[k][j], GOLDEN_LDZ, 1, GOLDEN_NX);
+            riccati_combine(w, &du, r->M[k][j], GOLDEN_LDZ, 1, GOLDEN_NXS);
             for (i = 0; i < GOLDEN_NUS; i++) {
-                w[GOLDEN_NX + i] += du * ((i < j) ? r->M[k][j][GOLDEN_NX + i] : r->M[k][i][GOLDEN_NX + j]);
+                w[GOLDEN_NXS + i] += du * ((i < j) ? r->M[k][j][GOLDEN_NXS + i] : r->M[k][i][GOLDEN_NXS + j]);
             }
         }
     }
     for (j = 0; j < GOLDEN_NUS; j++) {
-        y[j] = r->fixed[k * GOLDEN_NUS + j] ? 0.0 : w[GOLDEN_NX + j];
+        y[j] = r->fixed[k * GOLDEN_NUS + j] ? 0.0 : w[GOLDEN_NXS + j];
     }
-    memcpy(r->p[k], w, sizeof w[0] * GOLDEN_NX);
+    memcpy(r->p[k], w, sizeof w[0] * GOLDEN_NXS);
     riccati_combine(r->p[k], y, r->K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_LDX);
     riccati_solve_controls(r, k, y);
     for (j = 0; j < GOLDEN_NUS; j++) {
@@ -457,24 +473,31 @@ static void riccati_backward(golden_solver_t *s, int last)
 {
     int k = last;
     if (k == GOLDEN_NS) {
-        memcpy(s->riccati.p[k], s->riccati.g[k], sizeof s->riccati.g[0][0] * GOLDEN_NX);
+        memcpy(s->riccati.p[k], s->riccati.g[k], sizeof s->riccati.g[0][0] * GOLDEN_NXS);
         k--;
     }
     for (; k >= 0; k--) {
         riccati_backward_stage(s, k);
     }
+    for (k = 0; k < GOLDEN_NXS - GOLDEN_NX; k++) {
+        s->riccati.p[0][copied_state[k]] += s->riccati.p[0][GOLDEN_NX + k];
+        s->riccati.p[0][GOLDEN_NX + k] = 0.0;
+    }
 }
 
-/* Free components of x_0: P_ff x_f = -(p_f + P_fm x_m), m the others. */
+/* Free components of x_0 and their copies: P_ff x_f = -(p_f + P_fm x_m), m the others. */
 static void riccati_solve_free(const golden_riccati_t *r, golden_real *x)
 {
-    golden_real y[GOLDEN_NX];
+    golden_real y[GOLDEN_NXS];
     int f, i;
     for (f = 0; f < GOLDEN_NF; f++) {
         x[free_state[f]] = 0.0;
     }
+    for (i = GOLDEN_NX; i < GOLDEN_NXS; i++) {
+        x[i] = 0.0;
+    }
     for (f = 0; f < GOLDEN_NF; f++) {
-        y[f] = -r->p[0][free_state[f]] - riccati_dot(r->P[0][free_state[f]], x, GOLDEN_NX);
+        y[f] = -r->p[0][free_state[f]] - riccati_dot(r->P[0][free_state[f]], x, GOLDEN_NXS);
         for (i = 0; i < f; i++) {
             y[f] -= r->F[f][i] * y[i];
         }
@@ -488,10 +511,13 @@ static void riccati_solve_free(const golden_riccati_t *r, golden_real *x)
     for (f = 0; f < GOLDEN_NF; f++) {
         x[free_state[f]] = y[f];
     }
+    for (i = 0; i < GOLDEN_NXS - GOLDEN_NX; i++) {
+        x[GOLDEN_NX + i] = x[copied_state[i]];
+    }
 }
 
 /* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */
-static void riccati_forward(golden_solver_t *s, golden_real (*x)[GOLDEN_NX], golden_real *u)
+static void riccati_forward(golden_solver_t *s, golden_real (*x)[GOLDEN_NXS], golden_real *u)
 {
     const golden_riccati_t *r = &s->riccati;
     golden_real z[GOLDEN_LDZ] = {0};
@@ -501,10 +527,10 @@ static void riccati_forward(golden_solver_t *s, golden_real (*x)[GOLDEN_NX], gol
     for (k = 0; k < GOLDEN_NS; k++) {
         golden_real (*S)[GOLDEN_NZS] = stage_S(s, k);
         for (j = 0; j < GOLDEN_NUS; j++) {
-            z[GOLDEN_NX + j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, GOLDEN_LDX);
-            u[k * GOLDEN_NUS + j] = z[GOLDEN_NX + j];
+            z[GOLDEN_NXS + j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, GOLDEN_LDX);
+            u[k * GOLDEN_NUS + j] = z[GOLDEN_NXS + j];
         }
-        for (i = 0; i < GOLDEN_NX; i++) {
+        for (i = 0; i < GOLDEN_NXS; i++) {
             x[k + 1][i] = r->b[k][i] + riccati_dot(S[i], z, GOLDEN_NZS);
         }
         memcpy(z, x[k + 1], sizeof x[0]);
@@ -536,7 +562,7 @@ static inline int riccati_convexify(golden_solver_t *s)
 /* Contract of this part: rows of the QP (controls first, then general rows), their sides with finite bounds, directions. */
 
 /* Value of every row at (x, u). */
-static void ipm_values(golden_solver_t *s, golden_real (*x)[GOLDEN_NX], const golden_real *u, golden_real *v)
+static void ipm_values(golden_solver_t *s, golden_real (*x)[GOLDEN_NXS], const golden_real *u, golden_real *v)
 {
     int m;
     memcpy(v, u, sizeof v[0] * GOLDEN_NV);
@@ -546,9 +572,9 @@ static void ipm_values(golden_solver_t *s, golden_real (*x)[GOLDEN_NX], const go
             v[GOLDEN_NV + m] = x[k][stage_state[m]];
         } else {
             const golden_real *a = stage_row(s, m);
-            v[GOLDEN_NV + m] = riccati_dot(a, x[k], GOLDEN_NX);
+            v[GOLDEN_NV + m] = riccati_dot(a, x[k], GOLDEN_NXS);
             if (k < GOLDEN_NS) {
-                v[GOLDEN_NV + m] += riccati_dot(a + GOLDEN_NX, u + k * GOLDEN_NUS, GOLDEN_NUS);
+                v[GOLDEN_NV + m] += riccati_dot(a + GOLDEN_NXS, u + k * GOLDEN_NUS, GOLDEN_NUS);
             }
         }
     }
@@ -560,7 +586,7 @@ static void ipm_add_forces(golden_solver_t *s, const golden_real *force, golden_
     int k, j, m, i;
     for (k = 0; k < GOLDEN_NS; k++) {
         for (j = 0; j < GOLDEN_NUS; j++) {
-            g[k][GOLDEN_NX + j] += force[k * GOLDEN_NUS + j];
+            g[k][GOLDEN_NXS + j] += force[k * GOLDEN_NUS + j];
         }
     }
     for (m = 0; m < GOLDEN_NG; m++) {
@@ -570,7 +596,7 @@ static void ipm_add_forces(golden_solver_t *s, const golden_real *force, golden_
             w[stage_state[m]] += f;
         } else if (f != 0.0) {
             const golden_real *a = stage_row(s, m);
-            const int width = (stage_of_row[m] < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NX;
+            const int width = (stage_of_row[m] < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NXS;
             for (i = 0; i < width; i++) {
                 w[i] += f * a[i];
             }
@@ -604,12 +630,12 @@ static void ipm_cost_gradient(golden_solver_t *s)
     int k;
     for (k = 0; k < GOLDEN_NS; k++) {
         memcpy(z, s->qp.x[k], sizeof s->qp.x[k]);
-        memcpy(z + GOLDEN_NX, s->qp.z + k * GOLDEN_NUS, sizeof z[0] * GOLDEN_NUS);
+        memcpy(z + GOLDEN_NXS, s->qp.z + k * GOLDEN_NUS, sizeof z[0] * GOLDEN_NUS);
         memcpy(q->gradient[k], stage_g(s, k), sizeof q->gradient[k]);
         ipm_add_symmetric(stage_Q(s, k)[0], GOLDEN_NZS, z, q->gradient[k], GOLDEN_NZS);
     }
-    memcpy(q->gradient[k], stage_g(s, k), sizeof q->gradient[0][0] * GOLDEN_NX);
-    ipm_add_symmetric(s->hessian.Q_N[0], GOLDEN_NX, s->qp.x[k], q->gradient[k], GOLDEN_NX);
+    memcpy(q->gradient[k], stage_g(s, k), sizeof q->gradient[0][0] * GOLDEN_NXS);
+    ipm_add_symmetric(stage_Q_N(s)[0], GOLDEN_NXS, s->qp.x[k], q->gradient[k], GOLDEN_NXS);
 }
 
 /* What row c is: 0 inequality or free, 1 equation, 2 fixed control. Soft rows are never equations. */
@@ -699,7 +725,7 @@ static void ipm_set_weights(golden_solver_t *s)
     int k, j;
     for (k = 0; k < GOLDEN_NS; k++) {
         for (j = 0; j < GOLDEN_NUS; j++) {
-            s->riccati.diagonal[k][GOLDEN_NX + j] = s->ipm.weight[k * GOLDEN_NUS + j] + s->ipm.proximal[GOLDEN_NX + j];
+            s->riccati.diagonal[k][GOLDEN_NXS + j] = s->ipm.weight[k * GOLDEN_NUS + j] + s->ipm.proximal[GOLDEN_NXS + j];
         }
     }
     for (j = 0; j < GOLDEN_NF; j++) {
@@ -821,17 +847,17 @@ static void ipm_closed_loop(golden_solver_t *s, int k)
             }
         }
     }
-    for (l = 0; l < GOLDEN_NX; l++) {
-        for (i = 0; i < GOLDEN_NX; i++) {
+    for (l = 0; l < GOLDEN_NXS; l++) {
+        for (i = 0; i < GOLDEN_NXS; i++) {
             q->closed[l][i] = S[i][l];
         }
     }
     memset(q->push, 0, sizeof q->push);
     for (j = 0; j < GOLDEN_NUS; j++) {
-        for (i = 0; i < GOLDEN_NX; i++) {
-            column[i] = S[i][GOLDEN_NX + j];
+        for (i = 0; i < GOLDEN_NXS; i++) {
+            column[i] = S[i][GOLDEN_NXS + j];
         }
-        for (l = 0; l < GOLDEN_NX; l++) {
+        for (l = 0; l < GOLDEN_NXS; l++) {
             riccati_add(q->closed[l], r->K[k][j][l], column, GOLDEN_LDX);
         }
         for (l = 0; l < GOLDEN_NUS; l++) {
@@ -848,11 +874,11 @@ static void ipm_propagate_covariance(golden_solver_t *s)
     int i, j;
     memset(q->product, 0, sizeof q->product);
     for (i = 0; i < GOLDEN_LDX; i += 4) {
-        riccati_rows(U + i * GOLDEN_LDX, GOLDEN_LDX, C + i, GOLDEN_LDX, F, GOLDEN_LDX, GOLDEN_NX, GOLDEN_LDX);
+        riccati_rows(U + i * GOLDEN_LDX, GOLDEN_LDX, C + i, GOLDEN_LDX, F, GOLDEN_LDX, GOLDEN_NXS, GOLDEN_LDX);
     }
     memset(q->covariance, 0, sizeof q->covariance);
     for (i = 0; i < GOLDEN_LDX; i += 4) {
-        riccati_rows(C + i * GOLDEN_LDX, GOLDEN_LDX, F + i, GOLDEN_LDX, U, GOLDEN_LDX, GOLDEN_NX, i + 4);
+        riccati_rows(C + i * GOLDEN_LDX, GOLDEN_LDX, F + i, GOLDEN_LDX, U, GOLDEN_LDX, GOLDEN_NXS, i + 4);
         riccati_rows(C + i * GOLDEN_LDX, GOLDEN_LDX, q->push[0] + i, GOLDEN_LDX, q->push[0], GOLDEN_LDX, GOLDEN_NUS, i + 4);
     }
     for (i = 0; i < GOLDEN_LDX; i++) {
@@ -868,13 +894,13 @@ static golden_real ipm_reach(golden_solver_t *s, int k, const golden_real *a_x, 
     golden_ipm_t *q = &s->ipm;
     golden_real c[GOLDEN_LDX] = {0}, w[GOLDEN_LDX] = {0}, sum = 0.0;
     int l;
-    memcpy(c, a_x, sizeof c[0] * GOLDEN_NX);
+    memcpy(c, a_x, sizeof c[0] * GOLDEN_NXS);
     for (l = 0; k < GOLDEN_NS && l < GOLDEN_NUS; l++) {
         const golden_real part = riccati_dot(q->noise[l], a_u, GOLDEN_NUS);
         riccati_add(c, a_u[l], s->riccati.K[k][l], GOLDEN_LDX);
         sum += part * part;
     }
-    riccati_combine(w, c, q->covariance[0], GOLDEN_LDX, GOLDEN_NX, GOLDEN_LDX);
+    riccati_combine(w, c, q->covariance[0], GOLDEN_LDX, GOLDEN_NXS, GOLDEN_LDX);
     sum += riccati_dot(w, c, GOLDEN_LDX);
     return (sum > 0.0) ? sqrt(sum) : 0.0;
 }
@@ -886,9 +912,9 @@ static void ipm_stage_reach(golden_solver_t *s, int k)
     golden_real zero[GOLDEN_NZS] = {0};
     int j, m;
     for (j = 0; k < GOLDEN_NS && j < GOLDEN_NUS; j++) {
-        zero[GOLDEN_NX + j] = 1.0;
-        q->reach[k * GOLDEN_NUS + j] = ipm_reach(s, k, zero, zero + GOLDEN_NX);
-        zero[GOLDEN_NX + j] = 0.0;
+        zero[GOLDEN_NXS + j] = 1.0;
+        q->reach[k * GOLDEN_NUS + j] = ipm_reach(s, k, zero, zero + GOLDEN_NXS);
+        zero[GOLDEN_NXS + j] = 0.0;
     }
     for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
         const int i = stage_state[m];
@@ -897,7 +923,7 @@ static void ipm_stage_reach(golden_solver_t *s, int k)
             q->reach[GOLDEN_NV + m] = (variance > 0.0) ? sqrt(variance) : 0.0;
         } else {
             const golden_real *a = stage_row(s, m);
-            q->reach[GOLDEN_NV + m] = ipm_reach(s, k, a, (k < GOLDEN_NS) ? a + GOLDEN_NX : zero);
+            q->reach[GOLDEN_NV + m] = ipm_reach(s, k, a, (k < GOLDEN_NS) ? a + GOLDEN_NXS : zero);
         }
     }
 }
@@ -914,6 +940,9 @@ static void ipm_set_reach(golden_solver_t *s)
         memset(s->riccati.p[0], 0, sizeof s->riccati.p[0]);
         s->riccati.p[0][free_state[f]] = -1.0;
         riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
+    }
+    for (f = 0; f < GOLDEN_NXS - GOLDEN_NX; f++) {
+        memcpy(q->covariance[GOLDEN_NX + f], q->covariance[copied_state[f]], sizeof q->covariance[0]);
     }
     for (k = 0; k < GOLDEN_NS; k++) {
         ipm_closed_loop(s, k);
@@ -953,8 +982,8 @@ static golden_real ipm_damping_cost(golden_solver_t *s)
     for (k = 0; k < GOLDEN_NS; k++) {
         for (j = 0; j < GOLDEN_NUS; j++) {
             const golden_real d = s->qp.upper[k * GOLDEN_NUS + j] - s->qp.lower[k * GOLDEN_NUS + j];
-            const golden_real square = stage_Q(s, k)[GOLDEN_NX + j][GOLDEN_NX + j] * d * d;
-            const golden_real linear = fabs(stage_g(s, k)[GOLDEN_NX + j]) * d;
+            const golden_real square = stage_Q(s, k)[GOLDEN_NXS + j][GOLDEN_NXS + j] * d * d;
+            const golden_real linear = fabs(stage_g(s, k)[GOLDEN_NXS + j]) * d;
             most = (isfinite(square) && square > most) ? square : most;
             most = (isfinite(linear) && linear > most) ? linear : most;
         }
@@ -968,8 +997,8 @@ static golden_real ipm_least_pivot(golden_solver_t *s)
     golden_real most = 0.0;
     int k, i;
     for (k = 0; k <= GOLDEN_NS; k++) {
-        for (i = 0; i < ((k < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NX); i++) {
-            const golden_real d = (k < GOLDEN_NS) ? stage_Q(s, k)[i][i] : s->hessian.Q_N[i][i];
+        for (i = 0; i < ((k < GOLDEN_NS) ? GOLDEN_NZS : GOLDEN_NXS); i++) {
+            const golden_real d = (k < GOLDEN_NS) ? stage_Q(s, k)[i][i] : stage_Q_N(s)[i][i];
             most = (d > most) ? d : most;
         }
     }
@@ -1082,7 +1111,7 @@ static void ipm_first_backward(golden_solver_t *s)
         memcpy(s->riccati.g[k], stage_g(s, k), sizeof s->riccati.g[k]);
         memcpy(s->riccati.b[k], stage_b(s, k), sizeof s->riccati.b[k]);
     }
-    memcpy(s->riccati.g[k], stage_g(s, k), sizeof s->riccati.g[0][0] * GOLDEN_NX);
+    memcpy(s->riccati.g[k], stage_g(s, k), sizeof s->riccati.g[0][0] * GOLDEN_NXS);
     ipm_add_forces(s, s->ipm.force, s->riccati.g);
     riccati_backward(s, GOLDEN_NS);
 }
@@ -1093,12 +1122,12 @@ static int ipm_first_point(golden_solver_t *s)
     golden_ipm_t *q = &s->ipm;
     golden_real probe = 0.0;
     int k, i;
-    memcpy(s->qp.x[0], s->step.dx[0], sizeof s->qp.x[0]);
+    memcpy(s->qp.x[0], s->step.dx[0], sizeof s->step.dx[0]);
     riccati_forward(s, s->qp.x, s->qp.z);
     memset(s->riccati.b, 0, sizeof s->riccati.b);
     memset(s->riccati.du, 0, sizeof s->riccati.du);
     for (k = 0; k <= GOLDEN_NS; k++) {
-        for (i = 0; i < GOLDEN_NX; i++) {
+        for (i = 0; i < GOLDEN_NXS; i++) {
             probe += 0.0 * s->qp.x[k][i];
         }
     }
@@ -1200,11 +1229,21 @@ static void ipm_start_sides(golden_solver_t *s, golden_real mu, golden_real cost
 
 /* Contract of this part: the multipliers against the dynamics, as stationarity or as a proof that there is no feasible point. */
 
+/* Entries of vectors of the states that belong to copies of components of x_0 join those of the originals. */
+static inline void ipm_fold(golden_real *w)
+{
+    int c;
+    for (c = 0; c < GOLDEN_NXS - GOLDEN_NX; c++) {
+        w[copied_state[c]] += w[GOLDEN_NX + c];
+        w[GOLDEN_NX + c] = 0.0;
+    }
+}
+
 /* w = S_k'lam + g_k, lam the adjoint of x_{k+1}. */
 static inline void ipm_adjoint_step(golden_solver_t *s, int k, const golden_real *lam, golden_real *w)
 {
     memcpy(w, s->riccati.g[k], sizeof s->riccati.g[k]);
-    riccati_combine(w, lam, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NX, GOLDEN_NZS);
+    riccati_combine(w, lam, stage_S(s, k)[0], GOLDEN_NZS, GOLDEN_NXS, GOLDEN_NZS);
 }
 
 /* The sum of the absolute terms of entry i of the gradient at stage k without the dynamics: cost and rows. */
@@ -1220,9 +1259,9 @@ static void ipm_term_sizes(golden_solver_t *s, int k, const golden_real *next, g
 {
     int i, j;
     for (j = 0; j < GOLDEN_NUS; j++) {
-        size[j] = ipm_gradient_terms(s, k, GOLDEN_NX + j);
-        for (i = 0; i < GOLDEN_NX; i++) {
-            size[j] += fabs(stage_S(s, k)[i][GOLDEN_NX + j]) * next[i];
+        size[j] = ipm_gradient_terms(s, k, GOLDEN_NXS + j);
+        for (i = 0; i < GOLDEN_NXS; i++) {
+            size[j] += fabs(stage_S(s, k)[i][GOLDEN_NXS + j]) * next[i];
         }
     }
 }
@@ -1240,12 +1279,12 @@ static inline void ipm_take_gradient(golden_real rest, golden_real terms, golden
 static golden_real ipm_stationarity(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    golden_real lam[GOLDEN_NX], w[GOLDEN_NZS], size[GOLDEN_NUS], next[GOLDEN_NX], worst = 0.0, most = 0.0;
+    golden_real lam[GOLDEN_NXS], w[GOLDEN_NZS], size[GOLDEN_NUS], next[GOLDEN_NXS], worst = 0.0, most = 0.0;
     int k, j;
     memcpy(s->riccati.g, q->gradient, sizeof s->riccati.g);
     ipm_add_forces(s, s->qp.mult, s->riccati.g);
     memcpy(lam, s->riccati.g[GOLDEN_NS], sizeof lam);
-    for (j = 0; j < GOLDEN_NX; j++) {
+    for (j = 0; j < GOLDEN_NXS; j++) {
         next[j] = ipm_gradient_terms(s, GOLDEN_NS, j);
     }
     for (k = GOLDEN_NS - 1; k >= 0; k--) {
@@ -1254,17 +1293,19 @@ static golden_real ipm_stationarity(golden_solver_t *s)
         for (j = 0; j < GOLDEN_NUS; j++) {
             const int c = k * GOLDEN_NUS + j;
             if (q->kind[c] == 2) {
-                s->qp.mult[c] -= w[GOLDEN_NX + j];
+                s->qp.mult[c] -= w[GOLDEN_NXS + j];
             } else {
-                ipm_take_gradient(w[GOLDEN_NX + j], size[j], q->reach[c], &worst, &most);
+                ipm_take_gradient(w[GOLDEN_NXS + j], size[j], q->reach[c], &worst, &most);
             }
         }
-        for (j = 0; j < GOLDEN_NX; j++) {
+        for (j = 0; j < GOLDEN_NXS; j++) {
             next[j] = ipm_gradient_terms(s, k, j) + fabs(w[j] - s->riccati.g[k][j]);
         }
-        riccati_combine(w, w + GOLDEN_NX, s->riccati.K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_NX);
+        riccati_combine(w, w + GOLDEN_NXS, s->riccati.K[k][0], GOLDEN_LDX, GOLDEN_NUS, GOLDEN_NXS);
         memcpy(lam, w, sizeof lam);
     }
+    ipm_fold(lam);
+    ipm_fold(next);
     for (j = 0; j < GOLDEN_NF; j++) {
         const golden_real unit = 1.0 / sqrt(s->riccati.F[j][j]);
         ipm_take_gradient(lam[free_state[j]], next[free_state[j]], unit, &worst, &most);
@@ -1293,15 +1334,35 @@ static golden_real ipm_ray(golden_solver_t *s)
     return most;
 }
 
-/* 1 if component j of w = S_k'nu + g_k, at stage k, is the rounding of the terms it is a sum of. */
-static int ipm_vanishes(golden_solver_t *s, int k, int j, const golden_real *nu, golden_real w)
+/* The absolute terms of component j of w = S_k'nu + g_k, at stage k. */
+static golden_real ipm_ray_terms(golden_solver_t *s, int k, int j, const golden_real *nu)
 {
     golden_real size = fabs(s->riccati.g[k][j]);
     int i;
-    for (i = 0; i < GOLDEN_NX; i++) {
+    for (i = 0; i < GOLDEN_NXS; i++) {
         size += fabs(stage_S(s, k)[i][j] * nu[i]);
     }
-    return fabs(w) <= 9.313225746154785e-10 * size;
+    return size;
+}
+
+/* 1 if component j of w is the rounding of the terms it is a sum of. */
+static inline int ipm_vanishes(golden_solver_t *s, int k, int j, const golden_real *nu, golden_real w)
+{
+    return fabs(w) <= 9.313225746154785e-10 * ipm_ray_terms(s, k, j, nu);
+}
+
+/* The same for component j of x_0 with its copies. */
+static int ipm_free_vanishes(golden_solver_t *s, int j, const golden_real *nu, const golden_real *w)
+{
+    golden_real sum = w[j], size = ipm_ray_terms(s, 0, j, nu);
+    int c;
+    for (c = 0; c < GOLDEN_NXS - GOLDEN_NX; c++) {
+        if (copied_state[c] == j) {
+            sum += w[GOLDEN_NX + c];
+            size += ipm_ray_terms(s, 0, GOLDEN_NX + c, nu);
+        }
+    }
+    return fabs(sum) <= 9.313225746154785e-10 * size;
 }
 
 /* The weights f of the rows leave sum_c f_c a_c = w for the controls and free states of stage k. The bound of a control takes
@@ -1310,15 +1371,15 @@ static int ipm_balance(golden_solver_t *s, int k, const golden_real *nu, const g
 {
     int j;
     for (j = 0; j < GOLDEN_NUS; j++) {
-        const golden_real f = -w[GOLDEN_NX + j];
+        const golden_real f = -w[GOLDEN_NXS + j];
         const int finite = isfinite(ipm_support(s, k * GOLDEN_NUS + j, f)) != 0;
         s->ipm.ray[k * GOLDEN_NUS + j] = finite ? f : 0.0;
-        if (!finite && !ipm_vanishes(s, k, GOLDEN_NX + j, nu, -f)) {
+        if (!finite && !ipm_vanishes(s, k, GOLDEN_NXS + j, nu, -f)) {
             return 0;
         }
     }
     for (j = 0; k == 0 && j < GOLDEN_NF; j++) {
-        if (!ipm_vanishes(s, 0, free_state[j], nu, w[free_state[j]])) {
+        if (!ipm_free_vanishes(s, free_state[j], nu, w)) {
             return 0;
         }
     }
@@ -1330,7 +1391,7 @@ static int ipm_balance(golden_solver_t *s, int k, const golden_real *nu, const g
 static int ipm_contradiction(golden_solver_t *s)
 {
     golden_ipm_t *q = &s->ipm;
-    golden_real nu[GOLDEN_NX], w[GOLDEN_NZS], gap = 0.0, size = 0.0;
+    golden_real nu[GOLDEN_NXS], w[GOLDEN_NZS], gap = 0.0, size = 0.0;
     int k, i, c;
     memset(s->riccati.g, 0, sizeof s->riccati.g);
     ipm_add_forces(s, q->ray, s->riccati.g);
@@ -1340,7 +1401,7 @@ static int ipm_contradiction(golden_solver_t *s)
         if (!ipm_balance(s, k, nu, w)) {
             return 0;
         }
-        for (i = 0; i < GOLDEN_NX; i++) {
+        for (i = 0; i < GOLDEN_NXS; i++) {
             gap -= nu[i] * stage_b(s, k)[i];
             size += fabs(nu[i] * stage_b(s, k)[i]);
         }
@@ -1473,11 +1534,11 @@ static golden_real ipm_terms(golden_solver_t *s, int c)
         return fabs(s->ipm.v[c]);
     }
     a = stage_row(s, m);
-    for (i = 0; i < GOLDEN_NX; i++) {
+    for (i = 0; i < GOLDEN_NXS; i++) {
         sum += fabs(a[i] * s->qp.x[k][i]);
     }
     for (i = 0; k < GOLDEN_NS && i < GOLDEN_NUS; i++) {
-        sum += fabs(a[GOLDEN_NX + i] * s->qp.z[k * GOLDEN_NUS + i]);
+        sum += fabs(a[GOLDEN_NXS + i] * s->qp.z[k * GOLDEN_NUS + i]);
     }
     return sum;
 }
@@ -1588,10 +1649,10 @@ static void ipm_move(golden_solver_t *s, golden_real step)
     golden_ipm_t *q = &s->ipm;
     int k, i, c;
     for (k = 0; k <= GOLDEN_NS; k++) {
-        for (i = 0; i < GOLDEN_NX; i++) {
+        for (i = 0; i < GOLDEN_NXS; i++) {
             s->qp.x[k][i] += step * q->dx[k][i];
         }
-        for (i = 0; k < GOLDEN_NS && i < GOLDEN_NX; i++) {
+        for (i = 0; k < GOLDEN_NS && i < GOLDEN_NXS; i++) {
             s->riccati.b[k][i] *= 1.0 - step;
         }
     }
@@ -1674,10 +1735,10 @@ static void ipm_step(golden_solver_t *s)
  * largest value of that state. */
 static golden_real ipm_gaps(golden_solver_t *s)
 {
-    golden_real most = 0.0, size[GOLDEN_NX] = {0}, z[GOLDEN_NZS];
+    golden_real most = 0.0, size[GOLDEN_NXS] = {0}, z[GOLDEN_NZS];
     int k, i;
     for (k = 0; k <= GOLDEN_NS; k++) {
-        for (i = 0; i < GOLDEN_NX; i++) {
+        for (i = 0; i < GOLDEN_NXS; i++) {
             const golden_real x = fabs(s->qp.x[k][i]);
             size[i] = (x > size[i]) ? x : size[i];
         }
@@ -1685,8 +1746,8 @@ static golden_real ipm_gaps(golden_solver_t *s)
     for (k = 0; k < GOLDEN_NS; k++) {
         golden_real (*S)[GOLDEN_NZS] = stage_S(s, k);
         memcpy(z, s->qp.x[k], sizeof s->qp.x[k]);
-        memcpy(z + GOLDEN_NX, s->qp.z + k * GOLDEN_NUS, sizeof z[0] * GOLDEN_NUS);
-        for (i = 0; i < GOLDEN_NX; i++) {
+        memcpy(z + GOLDEN_NXS, s->qp.z + k * GOLDEN_NUS, sizeof z[0] * GOLDEN_NUS);
+        for (i = 0; i < GOLDEN_NXS; i++) {
             const golden_real gap = riccati_dot(S[i], z, GOLDEN_NZS) + stage_b(s, k)[i] - s->qp.x[k + 1][i];
             s->riccati.b[k][i] = gap;
             most = (fabs(gap) > most * size[i]) ? fabs(gap) / size[i] : most;
@@ -1699,14 +1760,6 @@ static golden_real ipm_gaps(golden_solver_t *s)
 static inline int ipm_small_residuals(const golden_ipm_t *q)
 {
     return q->merit <= 16384.0 && q->slope <= 1024.0;
-}
-
-/* By how much the residuals of rows and products have to fall for another iteration. Both factors of the product of a degenerate
- * row are small, of the order of its root; it falls no faster than linearly. */
-static inline golden_real ipm_progress(const golden_ipm_t *q)
-{
-    const int degenerate = q->primal <= 8.881784197001252e-16 && q->merit <= 8.0;
-    return degenerate ? 0.03125 : 0.875;
 }
 
 /* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
@@ -1724,7 +1777,7 @@ static int ipm_converged(golden_solver_t *s)
         return 0;
     }
     q->slope = ipm_stationarity(s) / 5.684341886080802e-14;
-    if ((q->merit > 1.0 && q->merit <= ipm_progress(q) * rows_before) || !ipm_small_residuals(q) ||
+    if ((q->merit > 1.0 && q->merit <= 0.875 * rows_before) || !ipm_small_residuals(q) ||
         (q->slope > 1.0 && q->slope <= 0.5 * gradient_before)) {
         return 0;
     }

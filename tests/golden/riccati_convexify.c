@@ -19,11 +19,11 @@ static int riccati_units(golden_solver_t *s, golden_real *unit)
     int k, i, j;
     memset(unit, 0, sizeof unit[0] * GOLDEN_NZS);
     for (k = 0; k < GOLDEN_NS; k++) {
-        for (j = 0; j < GOLDEN_NZS && k * GOLDEN_NUS + j - GOLDEN_NX < GOLDEN_N * GOLDEN_NU; j++) {
+        for (j = 0; j < GOLDEN_NZS && k * GOLDEN_NUS + j - GOLDEN_NXS < GOLDEN_N * GOLDEN_NU; j++) {
             golden_real sum = fabs(stage_Q(s, k)[j][j]);
-            for (i = 0; i < GOLDEN_NX; i++) {
+            for (i = 0; i < GOLDEN_NXS; i++) {
                 const golden_real a = stage_S(s, k)[i][j];
-                const golden_real next = (k + 1 < GOLDEN_NS) ? stage_Q(s, k + 1)[i][i] : s->hessian.Q_N[i][i];
+                const golden_real next = (k + 1 < GOLDEN_NS) ? stage_Q(s, k + 1)[i][i] : stage_Q_N(s)[i][i];
                 sum += a * a * fabs(next);
             }
             unit[j] = (sum > unit[j]) ? sum : unit[j];
@@ -45,7 +45,7 @@ static int riccati_try(golden_solver_t *s, const golden_real *unit, golden_real 
     golden_riccati_t *r = &s->riccati;
     int c, f;
     for (c = 0; c < GOLDEN_N * GOLDEN_NU; c++) {
-        const int j = GOLDEN_NX + c % GOLDEN_NUS, held = s->qp.side[c] != 0;
+        const int j = GOLDEN_NXS + c % GOLDEN_NUS, held = s->qp.side[c] != 0;
         r->fixed[c] = given && held;
         r->diagonal[c / GOLDEN_NUS][j] = (held ? shift + hold : shift) * unit[j];
     }

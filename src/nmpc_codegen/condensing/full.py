@@ -55,9 +55,9 @@ class FullCondensing:
         controls, slacks = problem.N * problem.nu, sum(s >= 0 for s in _slacks(problem))
         return QpShape(1, controls, controls + len(problem.free_initial) + slacks, slacks)
 
-    def refusal(self, problem: Problem) -> str | None:
+    def adapted(self, problem: Problem) -> FullCondensing:
         """It takes every problem of its features."""
-        return None
+        return self
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         return ()

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 from nmpc_codegen.cmodule import Struct, Table
 from nmpc_codegen.component import Counts, Dims, QpShape
-from nmpc_codegen.condensing.stages import embed_cost, free_coupled, stage_tables
-from nmpc_codegen.errors import OptionError
+from nmpc_codegen.condensing.partial import PartialCondensing
+from nmpc_codegen.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.sweep import Routine
@@ -34,14 +34,11 @@ class NoCondensing:
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
-        reason = self.refusal(problem)
-        if reason:
-            raise OptionError(reason)
         return ()
 
-    def refusal(self, problem: Problem) -> str | None:
-        """Why it does not take the problem, beyond its features; None if it does."""
-        return free_coupled(problem, self.name)
+    def adapted(self, problem: Problem) -> NoCondensing | PartialCondensing:
+        """Where stages need copies of components of x_0: blocks of one interval, which have a place for them."""
+        return PartialCondensing(1) if copied_states(problem) else self
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from nmpc_codegen.cmodule import Field, Struct, Table
 from nmpc_codegen.component import Counts, Dims, QpShape
-from nmpc_codegen.condensing.stages import embed_cost, free_coupled, stage_tables
+from nmpc_codegen.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
@@ -47,18 +47,15 @@ class PartialCondensing:
         """ceil(N / block) stages with the controls of a block each."""
         block = self._block(problem.N)
         stages = -(-problem.N // block)
-        return QpShape(stages, block * problem.nu, stages * block * problem.nu)
+        return QpShape(stages, block * problem.nu, stages * block * problem.nu, copies=len(copied_states(problem)))
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
-        reason = self.refusal(problem)
-        if reason:
-            raise OptionError(reason)
         return ()
 
-    def refusal(self, problem: Problem) -> str | None:
-        """Why it does not take the problem, beyond its features; None if it does."""
-        return free_coupled(problem, self.name)
+    def adapted(self, problem: Problem) -> PartialCondensing:
+        """It takes every problem of its features."""
+        return self
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -75,14 +72,14 @@ class PartialCondensing:
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The stages of the QP, and the states inside a block as functions of its variables."""
-        nx, nzs = dims.nx, dims.nzs
+        nx, nxs, nzs = dims.nx, dims.nxs, dims.nzs
         return (
             Struct(
                 "block",
                 "stage of the QP",
                 (
-                    Field("S", (nx, nzs), "[A B] of the block", "data"),
-                    Field("b", (nx,), "gap", "data"),
+                    Field("S", (nxs, nzs), "[A B] of the block", "data"),
+                    Field("b", (nxs,), "gap", "data"),
                     Field("g", (nzs,), "gradient", "data"),
                     Field("Q", (nzs, nzs), "Hessian, lower triangle", "data"),
                 ),
@@ -96,6 +93,8 @@ class PartialCondensing:
                     Field("c", (dims.N, nx), "c_j of every node", "scratch"),
                     Field("Z", (dims.nz, nzs), "[G_j; selection of du]", "scratch"),
                     Field("J", (dims.ng, nzs), "gradients of the rows", "data"),
+                    Field("Q_N", (nxs, nxs), "Hessian of the last stage, lower triangle", "data"),
+                    Field("g_N", (nxs,), "gradient of the last stage", "data"),
                     Field("v", (dims.ng,), "values of the rows at dx_kB = 0, du = 0", "data"),
                 ),
             ),
@@ -103,11 +102,11 @@ class PartialCondensing:
 
     def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
         """Everything but the gradients and values of the rows."""
-        N, nx, nu, nz = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nz))
+        N, nx, nxs, nu, nz = (size.value for size in (dims.N, dims.nx, dims.nxs, dims.nu, dims.nz))
         block = self._block(N)
         forward, hessian = OpCount(), OpCount()
         for k in range(N):
-            width = nx + (k % block) * nu
+            width = nxs + (k % block) * nu
             products = nx * nx * width
             forward += OpCount(add=products, mul=products)
             width += nu

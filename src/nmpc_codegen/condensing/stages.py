@@ -1,4 +1,8 @@
-"""What the condensing components that keep stages share: where QP rows stand in them, and the embedding of bounds."""
+"""What the condensing components that keep stages share: where QP rows stand in them, and the embedding of bounds.
+
+A coupled row stands at x_N. What is given of x_0 moves its bounds; what is free is a state of every stage besides x: a
+copy that does not move (algorithms.md 3).
+"""
 
 from __future__ import annotations
 
@@ -8,15 +12,9 @@ from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.problem import Problem
 
 
-def free_coupled(problem: Problem, name: str) -> str | None:
-    """On stages a coupled row is a terminal row, which needs x_0 to be known: why condensing ``name`` refuses."""
-    if not (problem.coupled_rows and problem.free_initial):
-        return None
-    coupled = ", ".join(row.name for row in problem.rows if row.kind == "coupled")
-    return (
-        f"{problem.name} couples x_0 and x_N ({coupled}) with free_initial components, which condensing {name!r} "
-        "does not support; choose full"
-    )
+def copied_states(problem: Problem) -> tuple[int, ...]:
+    """Free components of x_0 that are carried to x_N, where the coupled rows stand: all if there are coupled rows."""
+    return problem.free_initial if problem.coupled_rows else ()
 
 
 def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
@@ -36,6 +34,8 @@ def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
     return (
         table("stage_first", first, "first QP row of stage k"),
         table("stage_of_row", stage, "stage of QP row m"),
+        table("copied_state", list(copied_states(problem)), "state that copy c is the first value of"),
+        table("is_free", [int(i in problem.free_initial) for i in range(problem.nx)], "1: x_0 is not given"),
         table("stage_state", bounds, "state that QP row m bounds, or -1: general row"),
     )
 

@@ -93,7 +93,7 @@ class RiccatiActiveSet:
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion; the QP and its working set."""
-        nv, ng, nx = dims.nv, dims.ng, dims.nx
+        nv, ng, nx = dims.nv, dims.ng, dims.nxs
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
         history = Size("QP_MAX_ITERATIONS + 1", (self.max_iterations or MAX_ITERATIONS) + 1)

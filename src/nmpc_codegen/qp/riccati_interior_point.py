@@ -36,7 +36,7 @@ MAX_ITERATIONS = 80
 
 def interior_point_struct(dims: Dims) -> Struct:
     """The struct ``ipm`` of the solver: iterate and directions of the method."""
-    nv, ng, nx = dims.nv, dims.ng, dims.nx
+    nv, ng, nx = dims.nv, dims.ng, dims.nxs
     rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
     sides = Size(f"2 * ( {nv.text} + {ng.text} )", 2 * rows.value)
     soft = Size(f"2 * {ng.text}", 2 * ng.value)
@@ -180,7 +180,7 @@ class RiccatiInteriorPoint:
                 Field("upper", (rows,), "upper bounds", "scratch"),
                 Field("penalty", (ng,), "l1 penalty of violating a row; infinite: hard", "keep"),
                 Field("curvature", (ng,), "l2 penalty", "keep"),
-                Field("x", (nodes, dims.nx), "states", "result"),
+                Field("x", (nodes, dims.nxs), "states", "result"),
                 Field("z", (nv,), "controls", "result"),
                 Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                 Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
