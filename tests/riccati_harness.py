@@ -35,7 +35,14 @@ class Shape:
     @property
     def dims(self) -> Any:
         """The members of Dims that the Riccati components look at."""
-        named = {"ns": self.ns, "nx": self.nx, "nus": self.nus, "nzs": self.nx + self.nus, "nf": len(self.free)}
+        named = {
+            "ns": self.ns,
+            "nx": self.nx,
+            "nus": self.nus,
+            "nxs": self.nx,
+            "nzs": self.nx + self.nus,
+            "nf": len(self.free),
+        }
         named |= {"nv": self.ns * self.nus, "ng": len(self.rows)}
         return types.SimpleNamespace(**{name: Size(name.upper(), value) for name, value in named.items()})
 
@@ -73,6 +80,7 @@ static inline test_real (*stage_S(test_solver_t *s, int k))[TEST_NZS] { return s
 static inline test_real *stage_b(test_solver_t *s, int k) { return s->stage.b[k]; }
 static inline test_real *stage_g(test_solver_t *s, int k) { return s->stage.g[k]; }
 static inline test_real (*stage_Q(test_solver_t *s, int k))[TEST_NZS] { return s->hessian.Q[k]; }
+static inline test_real (*stage_Q_N(test_solver_t *s))[TEST_NXS] { return s->hessian.Q_N; }
 static inline const test_real *stage_row(const test_solver_t *s, int m) { return s->stage.J[m]; }
 """
 
@@ -134,6 +142,7 @@ def source(
         "stage_of_row": [k for k, _ in shape.rows],
         "stage_state": [i for _, i in shape.rows],
         "free_state": shape.free,
+        "copied_state": (),
         "is_measured": measured,
         "is_accumulator": [0] * shape.nx,
     }
