@@ -147,6 +147,9 @@ golden_status_t golden_prepare(golden_solver_t *s)
     }
     if (GOLDEN_SHIFT && s->samples > 0 && !s->prepared) {
         golden_shift(s);
+        if (s->failing == 2) { /* states that a shift has integrated from the measured one would be as lost as the plan */
+            start_at(s, all_finite(s->xhat, GOLDEN_NX) ? s->xhat : initial_state);
+        }
     }
     status = prepare_here(s);
     s->prepared = 1;
@@ -327,9 +330,10 @@ static void recover(golden_solver_t *s, golden_status_t status)
 {
     const int solved = status == GOLDEN_OK || status == GOLDEN_RELAXED;
     const int measured = status != GOLDEN_NOT_FINITE && status != GOLDEN_NOT_PREPARED;
-    const int again = s->failing && !solved && measured;
-    s->failing = measured ? !solved : s->failing;
-    if (status == GOLDEN_NUMERICAL_FAILURE || again) {
+    if (measured) {
+        s->failing = solved ? 0 : s->failing ? 2 : 1;
+    }
+    if (status == GOLDEN_NUMERICAL_FAILURE || (measured && s->failing == 2)) {
         start_at(s, all_finite(s->xhat, GOLDEN_NX) ? s->xhat : initial_state);
     } else if (status == GOLDEN_ITERATION_LIMIT || status == GOLDEN_STALLED) {
         condense_init(s);

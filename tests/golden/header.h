@@ -231,7 +231,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
-    int32_t failing; /* the last QP had no solution */
+    int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
     int32_t reference_changed; /* 1: gradients are renewed in feedback */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
     golden_condensed_t condensed; /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0 */

@@ -157,7 +157,7 @@ class RealTimeIteration:
                     Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
                     Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
                     Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
-                    Field("failing", (), "the last QP had no solution", "keep", "int32"),
+                    Field("failing", (), "1: the last QP had no solution, 2: nor had the one before", "keep", "int32"),
                     Field("reference_changed", (), "1: gradients are renewed in feedback", "keep", "int32"),
                 ),
             ),
