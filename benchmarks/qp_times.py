@@ -169,13 +169,13 @@ class Timed:
         return float(self.library.time_condensing(self._pointer(self.memory), REPEATS))
 
 
-def our_times(timed: Timed, recorded: Recorded, *, cold: bool) -> Array:
-    """Times (us) of the QPs of that kind."""
+def our_times(timed: Timed, recorded: Recorded, *, cold: bool, repeats: int = REPEATS) -> Array:
+    """Times (us) of the QPs of that kind, least of the repeats."""
     found = []
     for i in recorded.cold if cold else recorded.warm:
         if not cold:
             timed.solve(recorded.qps[i - 1])
-        found.append(timed.time(recorded.qps[i], cold=cold))
+        found.append(timed.time(recorded.qps[i], cold=cold, repeats=repeats))
     return np.array(found)
 
 
