@@ -297,6 +297,13 @@ def below_bounds(x: Array) -> float:
 # Sizes ----------------------------------------------------------------------------------------------------------------
 
 
+#: Functions whose operations are reported, those of condensing or of stages, as the package has them.
+COUNTED = {
+    "linearize", "condense_hessian", "condense_gradient", "condense_expand",
+    "riccati_factorize", "riccati_backward", "riccati_forward",
+}  # fmt: skip
+
+
 def sizes(report: Report, examples: Sequence[Example] = EXAMPLES) -> None:
     """Exact figures: memory, text of the generated C, operations; and the code that the compiler makes of it."""
     for example in examples:
@@ -307,7 +314,7 @@ def sizes(report: Report, examples: Sequence[Example] = EXAMPLES) -> None:
         report.add(f"{name}_ram_bytes", facts["ram_bytes"], "bytes", profile="exact")
         text = sum(len(sources[f"{name}.{ending}"].encode()) for ending in ("h", "c"))
         report.add(f"{name}_source_bytes", text, "bytes", profile="exact")
-        for part in ("linearize", "condense_hessian", "condense_gradient", "condense_expand"):
+        for part in sorted(COUNTED & facts["operations"].keys()):
             operations = sum(facts["operations"][part].values())
             report.add(f"{name}_{part}_operations", operations, "operations", profile="exact")
         report.add(f"{name}_code_bytes", code_bytes(sources, name), "bytes")
