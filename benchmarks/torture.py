@@ -103,9 +103,11 @@ class Outcome:
         self.first.setdefault(what, f"sample {self.samples}: {detail}")
 
 
-def least_violation(qp: StageQP) -> float:
-    """min t >= 0 such that all hard rows hold up to t and all control bounds hold, by HiGHS; inf: even that fails."""
-    A, value = condensed_rows(qp)
+def least_violation(qp: StageQP, A: Array, value: Array) -> float:
+    """min t >= 0 such that all hard rows hold up to t and all control bounds hold, by HiGHS; inf: even that fails.
+
+    A, value: its condensed rows.
+    """
     hard = np.isinf(qp.rows.l1)
     above, below = hard & np.isfinite(qp.upper), hard & np.isfinite(qp.lower)
     rows = np.vstack([A[above], -A[below]])
@@ -124,9 +126,8 @@ def least_violation(qp: StageQP) -> float:
     return float(answer.x[-1]) if answer.status == 0 else np.nan
 
 
-def rounding(qp: StageQP) -> float:
+def rounding(qp: StageQP, A: Array, value: Array) -> float:
     """What the hard rows are known to in double precision: eps times the largest terms that their values sum up."""
-    A, value = condensed_rows(qp)
     hard = np.isinf(qp.rows.l1)
     range_u = np.maximum(np.abs(qp.lower_u - qp.u), np.abs(qp.upper_u - qp.u)).ravel()
     terms = np.abs(A) @ np.where(np.isfinite(range_u), range_u, 1.0) + np.abs(value)
@@ -137,11 +138,12 @@ def certificate(qp: StageQP) -> str:
     """ "feasible", "infeasible", "undecided", or "not finite": the plan cannot be linearised."""
     if not all(np.all(np.isfinite(a)) for a in (qp.S, qp.b, qp.Q, qp.g, qp.C, qp.c)):
         return "not finite"
-    if not all(np.all(np.isfinite(a)) for a in condensed_rows(qp)):
+    A, value = condensed_rows(qp)
+    if not (np.all(np.isfinite(A)) and np.all(np.isfinite(value))):
         return "not finite"  # the plan grows beyond all numbers over the horizon
-    if rounding(qp) > CONTRADICTION:
+    if rounding(qp, A, value) > CONTRADICTION:
         return "undecided"  # no solver in double precision knows
-    t = least_violation(qp)
+    t = least_violation(qp, A, value)
     if t > CONTRADICTION:
         return "infeasible"
     return "feasible" if t < ROUNDING else "undecided"

@@ -1,4 +1,4 @@
-"""The models of oracles/runge_kutta.py as problems, stated with CasADi, and a discrete map."""
+"""The models of oracles/runge_kutta.py as problems, stated with CasADi, a discrete map, a pendulum with everything."""
 
 from __future__ import annotations
 
@@ -12,6 +12,26 @@ from nmpc_codegen import OCP
 #: N, interval length, and a non-uniform grid.
 LENGTH = 0.3
 GRID = [0.2, 0.3, 0.45]
+
+
+def pendulum_of_everything(name: str, intervals: list[float]) -> OCP:
+    """Least squares, general, integrated and terminal costs, path and terminal rows, a parameter: all curved."""
+    ocp = OCP(name, intervals=intervals)
+    q, w, u = ocp.state("q", initial=0.7), ocp.state("w", initial=-0.2), ocp.control("u")
+    m = ocp.parameter("m", value=1.3)
+    ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w * ca.sqrt(1 + w**2) + u / m})
+    ocp.least_squares(ca.vertcat(q * w, u), weight=[2.0, 0.3], reference=[0.4, 0.1])
+    ocp.stage_cost(ca.exp(q) * w**2 + m * u * q, integrate=True)
+    ocp.stage_cost(ca.cos(w) * u)
+    ocp.terminal_cost(q**4 + m * w**2)
+    ocp.subject_to(-2, q * u, 2, name="power")
+    ocp.subject_to(-9, q**3 + w, 9, at="end", name="gate")
+    return ocp
+
+
+def couple(ocp: OCP) -> None:
+    """A curved coupled row of the pendulum."""
+    ocp.boundary(-5, ocp.at_start(ocp.x[1]) ** 3 + ocp.at_end(ocp.x[0]) ** 2, 5, name="loop")
 
 
 def problem_of(model: str, uniform: bool = True) -> OCP:

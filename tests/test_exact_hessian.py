@@ -30,6 +30,7 @@ from nmpc_codegen.analyse import analyse
 from nmpc_codegen.evaluation import Point, node_data
 from nmpc_codegen.problem import Problem
 from nmpc_codegen.reference import solve_reference
+from tests.models import couple, pendulum_of_everything
 from tests.oracles.exact_hessian import blocks, regularized
 
 Array = np.ndarray
@@ -38,20 +39,11 @@ MIRROR, PROJECT = Mirror(1e-8, "stage"), Project(1e-8, "stage")
 
 def everything(free: bool = True) -> OCP:
     """Least squares, general, integrated and terminal costs, path, terminal, coupled rows, a parameter: all curved."""
-    ocp = OCP("everything", intervals=[0.1, 0.3, 0.2])
-    q, w, u = ocp.state("q", initial=0.7), ocp.state("w", initial=-0.2), ocp.control("u")
-    m = ocp.parameter("m", value=1.3)
-    ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w * ca.sqrt(1 + w**2) + u / m})
-    ocp.least_squares(ca.vertcat(q * w, u), weight=[2.0, 0.3], reference=[0.4, 0.1])
-    ocp.stage_cost(ca.exp(q) * w**2 + m * u * q, integrate=True)
-    ocp.stage_cost(ca.cos(w) * u)
-    ocp.terminal_least_squares(q * w, weight=[3.0])
-    ocp.terminal_cost(q**4 + m * w**2)
-    ocp.subject_to(-2, q * u, 2, name="power")
-    ocp.subject_to(-9, q**3 + w, 9, at="end", name="gate")
+    ocp = pendulum_of_everything("everything", [0.1, 0.3, 0.2])
+    ocp.terminal_least_squares(ocp.x[0] * ocp.x[1], weight=[3.0])
     if free:
-        ocp.free_initial(w)
-    ocp.boundary(-5, ocp.at_start(ocp.x[1]) ** 3 + ocp.at_end(ocp.x[0]) ** 2, 5, name="loop")
+        ocp.free_initial("w")
+    couple(ocp)
     return ocp
 
 

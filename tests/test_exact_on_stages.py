@@ -36,6 +36,7 @@ from nmpc_codegen.compiler import generate
 from nmpc_codegen.linearize import linearize
 from nmpc_codegen.reference import solve_reference
 from tests.c_harness import shared_library
+from tests.models import couple, pendulum_of_everything
 from tests.oracles.stage_qp import Point, Shape, StageQP, recover_lam, residuals, rows_of
 from tests.stage_qp import (
     DYNAMICS,
@@ -342,21 +343,12 @@ def test_closed_loop() -> None:
 
 def curved(free: bool, coupled: bool) -> OCP:
     """All kinds of costs and rows that stages take, and a dynamic system far from linear."""
-    ocp = OCP("curved", intervals=[0.1, 0.3, 0.2, 0.2, 0.4])
-    q, w, u = ocp.state("q", initial=0.7), ocp.state("w", initial=-0.2), ocp.control("u")
-    m = ocp.parameter("m", value=1.3)
-    ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w * ca.sqrt(1 + w**2) + u / m})
-    ocp.least_squares(ca.vertcat(q * w, u), weight=[2.0, 0.3], reference=[0.4, 0.1])
-    ocp.stage_cost(ca.exp(q) * w**2 + m * u * q, integrate=True)
-    ocp.stage_cost(ca.cos(w) * u)
-    ocp.terminal_cost(q**4 + m * w**2)
-    ocp.subject_to(-2, q * u, 2, name="power")
-    ocp.subject_to(-9, q**3 + w, 9, at="end", name="gate")
-    ocp.subject_to(-1.5, u, 1.5)
+    ocp = pendulum_of_everything("curved", [0.1, 0.3, 0.2, 0.2, 0.4])
+    ocp.subject_to(-1.5, ocp.u, 1.5)
     if free:
-        ocp.free_initial(w)
+        ocp.free_initial("w")
     if coupled:
-        ocp.boundary(-5, ocp.at_start(ocp.x[1]) ** 3 + ocp.at_end(ocp.x[0]) ** 2, 5, name="loop")
+        couple(ocp)
     return ocp
 
 

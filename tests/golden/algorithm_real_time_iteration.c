@@ -41,6 +41,11 @@ static void start_at(golden_solver_t *s, const golden_real *x)
     condense_init(s);
 }
 
+static void start_at_measured(golden_solver_t *s)
+{
+    start_at(s, all_finite(s->xhat, GOLDEN_NX) ? s->xhat : initial_state);
+}
+
 /* The plain start: every state at its declared initial value, controls at their reference, multipliers 0. */
 static void algorithm_reset(golden_solver_t *s)
 {
@@ -148,7 +153,7 @@ golden_status_t golden_prepare(golden_solver_t *s)
     if (GOLDEN_SHIFT && s->samples > 0 && !s->prepared) {
         golden_shift(s);
         if (s->failing == 2) { /* states that a shift has integrated from the measured one would be as lost as the plan */
-            start_at(s, all_finite(s->xhat, GOLDEN_NX) ? s->xhat : initial_state);
+            start_at_measured(s);
         }
     }
     status = prepare_here(s);
@@ -334,7 +339,7 @@ static void recover(golden_solver_t *s, golden_status_t status)
         s->failing = solved ? 0 : s->failing ? 2 : 1;
     }
     if (status == GOLDEN_NUMERICAL_FAILURE || (measured && s->failing == 2)) {
-        start_at(s, all_finite(s->xhat, GOLDEN_NX) ? s->xhat : initial_state);
+        start_at_measured(s);
     } else if (status == GOLDEN_ITERATION_LIMIT || status == GOLDEN_STALLED) {
         condense_init(s);
     }

@@ -8,8 +8,8 @@
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
  *   condense_shift     the predicted working set moves by one interval
  * Here: nothing is eliminated, the QP has the stages of the problem.
- * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient of a
- * general row), tables stage_first, stage_of_row, stage_state. */
+ * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient
+ * of a general row), tables stage_first, stage_of_row, stage_state. */
 
 static void qp_init(golden_solver_t *s);
 static golden_status_t qp_factorize(golden_solver_t *s);

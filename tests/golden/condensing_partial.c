@@ -10,10 +10,11 @@
  * Here: blocks of BLOCK intervals become one stage: all states but the first of a block are eliminated,
  *     dx_{kB+j} = G_j (dx_kB, du_kB .. du_{kB+B-1}) + c_j,   [A B] = G_B,  b = c_B,
  *     Q = sum_j Z_j' Q_{kB+j} Z_j,   g = sum_j Z_j' (g_{kB+j} + Q_{kB+j} (c_j, 0)),   Z_j = [G_j; selection of du_{kB+j}].
- * Free components of x_0 that coupled rows read are states of the stages besides dx, as copies that do not move: z = (dx, copies, du).
+ * Where there are coupled rows, the free components of x_0 are states of the stages besides dx, as copies that do not move:
+ * z = (dx, copies, du).
  * Controls beyond the horizon are padded: Hessian 1, no gradient, no bounds, so they stay 0.
- * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient of a
- * general row), tables stage_first, stage_of_row, stage_state. */
+ * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient
+ * of a general row), tables stage_first, stage_of_row, stage_state. */
 
 static void qp_init(golden_solver_t *s);
 static golden_status_t qp_factorize(golden_solver_t *s);
