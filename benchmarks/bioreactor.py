@@ -30,9 +30,9 @@ from nmpc_codegen import (
     build,
     generate,
 )
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.evaluation import CLASSICAL, node_data
-from nmpc_codegen.reference import Reference, ReferenceSolution
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import Reference, ReferenceSolution
+from nmpc_codegen.oracle.trajectory import CLASSICAL, node_data
 
 RK4 = replace(CLASSICAL, steps=example.STEPS)
 EXPECTED = {"a": 3.074, "b": 3.054852}  # g/(L h)
@@ -63,7 +63,7 @@ def condensed(hessian: ExactHessian, shift: str | None = "repeat", unroll: str =
 
 def by_ipopt(ocp: OCP, x0: np.ndarray, x: np.ndarray, u: np.ndarray) -> ReferenceSolution:
     """IPOPT's solution from (x, u)."""
-    problem = analyse(ocp)
+    problem = classify(ocp)
     return Reference(problem, RK4).solve(node_data(problem, x0=x0), x=x, u=u)
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nmpc_codegen.build import PROFILES, find_compiler
-from nmpc_codegen.render import Sources
+from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.runtime.build import PROFILES, find_compiler
 
 DRIVER = Path(__file__).with_name("closed_loop.c")
 

@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from nmpc_codegen import OCP, Options
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.cmodule import CModule
-from nmpc_codegen.linearize import linearize
-from nmpc_codegen.lower import lower
-from nmpc_codegen.render import Sources, render
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import Sources, render
 
 HEADER = Path(__file__).with_name("counting.hpp")
 
@@ -54,7 +54,7 @@ Mismatch = tuple[str, dict[str, int], dict[str, int]]
 
 def count_mismatches(ocp: OCP, options: Options | None = None) -> list[Mismatch]:
     """Functions of the package of ``ocp`` whose stated count differs from the counted one."""
-    module = lower(linearize(analyse(ocp), options or Options()))
+    module = lower(linearize(classify(ocp), options or Options()))
     return mismatches(module, render(module))
 
 

@@ -17,8 +17,8 @@ from benchmarks.report import Report, arguments
 from benchmarks.sensitivities import order_slopes, sensitivity_errors
 from examples.crane import build_ocp
 from nmpc_codegen import Options, build, generate
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.reference import Point, kkt_residuals, node_data, solve_reference
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import Point, kkt_residuals, node_data, solve_reference
 
 X0 = np.array([2.0, 0.0, 0.0, 0.0])
 TIMING = Scenario((0.1, 0.0, 0.1, 0.0), 0.3, 50, amplitude=0.05)
@@ -28,7 +28,7 @@ CASES = {"terminal constraint": True, "terminal weight": False}
 def accuracy(report: Report) -> None:
     """Solution of the NLP against IPOPT's, KKT residuals recomputed in NumPy; benchmarks.md says what equal means."""
     for case, constraint in CASES.items():
-        problem = analyse(build_ocp(constraint))
+        problem = classify(build_ocp(constraint))
         controller = build(build_ocp(constraint), profile="fast")
         ours = controller.solve(X0, tol=1e-10)
         ref = solve_reference(problem, x0=X0)
@@ -74,7 +74,7 @@ def times(report: Report) -> None:
         report.add("crane_failed_steps", t.failed, case=case, n=t.samples)
         report.add("crane_qp_iterations", t.qp_iterations, "per step", case=case, n=t.samples)
         plant = build(ocp).integrate
-        peer = time_sqpmethod(analyse(ocp), plant, TIMING)
+        peer = time_sqpmethod(classify(ocp), plant, TIMING)
         report.add("sqpmethod_total_us", peer.total, "us", case=case, profile="casadi", n=peer.steps)
         report.add("crane_ratio_to_sqpmethod", t.total / peer.total, case=case, n=t.samples)
 

@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.closed_loop import Scenario, pinned_core
-from nmpc_codegen.problem import Array, Problem
-from nmpc_codegen.reference import CLASSICAL, Tableau, interval_map
+from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.oracle.reference import CLASSICAL, Tableau, interval_map
 
 #: Options of each plugin: silent, and a failed QP is not the end of the closed loop.
 QUIET: dict[str, dict[str, Any]] = {

@@ -37,7 +37,7 @@ from benchmarks.qp_times import (
 from benchmarks.report import Report
 from benchmarks.torture import Outcome, Torture, trials
 from nmpc_codegen import FullCondensing, Options, generate
-from nmpc_codegen.qp import DenseActiveSet
+from nmpc_codegen.components.qp import DenseActiveSet
 from tests.stage_qp import solvers
 
 EXAMPLES = ("chain3", "quadrotor", "chain5", "chain7")  # in the order of size

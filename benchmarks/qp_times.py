@@ -22,14 +22,14 @@ from benchmarks.plugins import Formulation, Plugin, condensed_form, point_of, st
 from benchmarks.recorded import read_qp
 from benchmarks.scenarios import EXAMPLES, Example
 from nmpc_codegen import OCP, Options, build
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.build import PROFILES, find_compiler
-from nmpc_codegen.condensing import NoCondensing
-from nmpc_codegen.linearize import linearize
-from nmpc_codegen.lower import lower
-from nmpc_codegen.qp import RiccatiActiveSet
-from nmpc_codegen.render import render
-from nmpc_codegen.status import Status
+from nmpc_codegen.components.condensing import NoCondensing
+from nmpc_codegen.components.qp import RiccatiActiveSet
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.runtime.build import PROFILES, find_compiler
+from nmpc_codegen.runtime.status import Status
 from tests.c_harness import memory_layout
 from tests.oracles.stage_qp import Array, Point, StageQP, distance, residuals
 from tests.stage_qp import write_qp
@@ -82,7 +82,7 @@ def record(name: str, N: int, disturbances: int = 6, samples: int = 20) -> Recor
     example = BY_NAME[name]
     ocp = stretched(example, N)
     exact = Options(example.options.integrator, condensing=NoCondensing(), qp=RiccatiActiveSet())
-    problem, c = analyse(ocp), build(ocp, exact)
+    problem, c = classify(ocp), build(ocp, exact)
     scenario, struct = example.scenario(), c._struct
     rng, x = np.random.default_rng(1), np.array(example.scenario().x0, dtype=float)
     qps, disturbed = [], []
@@ -121,7 +121,7 @@ class Timed:
     """A package with its timing functions, in profile "fast"."""
 
     def __init__(self, name: str, N: int, options: Options) -> None:
-        linearization = linearize(analyse(stretched(BY_NAME[name], N)), options)
+        linearization = linearize(classify(stretched(BY_NAME[name], N)), options)
         self.options = linearization.options
         module = lower(linearization)
         sources = render(module)

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from examples.crane import build_ocp
 from nmpc_codegen import Options, generate
-from nmpc_codegen.build import find_compiler
-from nmpc_codegen.render import Sources
+from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.runtime.build import find_compiler
 
 WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow")
 LANGUAGES = {"C99": ("-x", "c", "-std=c99"), "C++17": ("-x", "c++", "-std=c++17")}

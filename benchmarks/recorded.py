@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nmpc_codegen.problem import Problem
+from nmpc_codegen.frontend.problem import Problem
 from tests.oracles.stage_qp import Array, Rows, Shape, StageQP
 
 

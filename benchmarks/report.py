@@ -13,7 +13,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from nmpc_codegen.build import PROFILES, find_compiler
+from nmpc_codegen.runtime.build import PROFILES, find_compiler
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ import numpy as np
 from benchmarks.closed_loop import Scenario
 from examples import cart_pole, chain, cstr, quadrotor
 from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, GaussNewton, Options, build
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.evaluation import CLASSICAL, Tableau
-from nmpc_codegen.problem import Array
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Array
+from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau
 
 Make = Callable[[], OCP]
 
@@ -120,7 +120,7 @@ def cases(example: Example) -> list[Case]:
 
 def _run_time_data(example: Example) -> dict[str, Any]:
     """References that move linearly along the horizon, and other weights."""
-    problem = analyse(example.make())
+    problem = classify(example.make())
     path, end = problem.path, problem.terminal
     along = np.linspace(0.0, 1.0, problem.N)[:, None]
     return {
@@ -266,7 +266,7 @@ def _chain_disturbance(ocp: OCP) -> None:
 
 @cache
 def _at_rest(n: int) -> tuple[float, ...]:
-    return tuple(analyse(chain.build_ocp(n)).x_initial.tolist())
+    return tuple(classify(chain.build_ocp(n)).x_initial.tolist())
 
 
 @cache

@@ -17,13 +17,13 @@ from benchmarks.kernels import code_bytes, times
 from benchmarks.report import Report
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import OCP, RK4, ExplicitRungeKutta
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.evaluation import Tableau, interval_map
-from nmpc_codegen.integrators import TABLEAUS, Discrete
-from nmpc_codegen.kernel import Kernel, lift
-from nmpc_codegen.problem import Problem
-from nmpc_codegen.products import PANEL
-from nmpc_codegen.sweep import Call, For, LoopedRoutine, Node, Routine, Slice, unroll
+from nmpc_codegen.components.integrators import TABLEAUS, Discrete
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.kernel import Kernel, lift
+from nmpc_codegen.ir.stage_products import PANEL
+from nmpc_codegen.ir.sweep import Call, For, LoopedRoutine, Node, Routine, Slice, unroll
+from nmpc_codegen.oracle.trajectory import Tableau, interval_map
 from tests.c_harness import Routines
 from tests.models import discrete_map, problem_of
 from tests.oracles.jets import Jet, interval, run
@@ -105,7 +105,7 @@ class ErrorCase:
 def error_cases() -> Iterator[ErrorCase]:
     """All examples, tableaus, several numbers of steps, parameters, intervals of different lengths, discrete maps."""
     for name, model in MODELS.items():
-        problem = analyse(model.make())
+        problem = classify(model.make())
         chains = name.startswith("chain")  # a step of theirs as one leaf takes the compiler too long
         for tableau in TABLEAUS:
             full = ("all", "step", "none") if tableau == "RK4" else ("all", "none")
@@ -113,12 +113,12 @@ def error_cases() -> Iterator[ErrorCase]:
             for steps in sorted({1, 2, 3, model.steps}) if name in ("crane", "bioreactor") else (model.steps,):
                 yield ErrorCase(f"{name}, {tableau}, {steps} steps", problem, tableau, steps, unroll)
     for name in ("reactor", "tanks"):
-        problem = analyse(problem_of(name, uniform=False))
+        problem = classify(problem_of(name, uniform=False))
         for tableau in TABLEAUS:
             for dt in problem.dt[:2]:
                 yield ErrorCase(f"{name}, {tableau}, parameters, dt = {dt}", problem, tableau, 2, ("all", "none"), dt)
-    yield ErrorCase("map with a parameter", analyse(discrete_map()))
-    yield ErrorCase("map, economic", analyse(economic_map()))
+    yield ErrorCase("map with a parameter", classify(discrete_map()))
+    yield ErrorCase("map, economic", classify(economic_map()))
 
 
 def economic_map() -> OCP:
@@ -206,7 +206,7 @@ def forward_problem(problem: Problem) -> Problem:
     rates = ca.vertcat(problem.dynamics(stage.x, stage.u, stage.p), stage.cost_rate)
     ocp.dynamics(ca.substitute(rates, ca.vertcat(stage.x, stage.u), ca.vertcat(x, u)))
     ocp.least_squares(u, weight=np.ones(problem.nu))
-    return analyse(ocp)
+    return classify(ocp)
 
 
 def one_program(routine: Routine, sweep_of: LoopedRoutine) -> Kernel:
@@ -225,7 +225,7 @@ SPELLED = {"all": ('unroll="all"', "unrolled"), "none": ("looped", "looped"), "s
 def promise(report: Report) -> None:
     """Exact Hessian over forward sensitivities: time, operations and code; and FOA over TSP."""
     for name, model in MODELS.items():
-        problem = analyse(model.make())
+        problem = classify(model.make())
         forward = forward_problem(problem)
         long = name in ("chain5", "chain7")  # their straight-line programs take the compiler minutes
         spelled = ("none",) if long else ("all", "none", "scalar")
@@ -285,7 +285,7 @@ def explain() -> None:
     The reference stays as [Q14] algorithm 1 has it, one stage after the other; its tapes could be treated alike.
     """
     model = MODELS["bioreactor"]
-    problem = analyse(model.make())
+    problem = classify(model.make())
     component = ExplicitRungeKutta(RK4, model.steps, "none")
     table = Table(title="bioreactor, looped: operations (scalar and vector instructions)")
     for column in ("", *GROUPS, "all"):
@@ -326,7 +326,7 @@ def dense(nz: int) -> Problem:
     M = np.random.default_rng(nz).uniform(0.1, 1, (nz - 1, nz))
     ocp.dynamics(ca.sin(M @ ca.vertcat(x, u)) ** 2)
     ocp.least_squares(ca.vertcat(x, u), weight=np.ones(nz))
-    return analyse(ocp)
+    return classify(ocp)
 
 
 #: Leaves of the propagation, and the buffers that it needs besides derivatives of phi.

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 
 from examples.crane import build_ocp
 from nmpc_codegen import Controller, ExplicitRungeKutta, Options, build
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.integrators import TABLEAUS
-from nmpc_codegen.reference import Tableau, interval_map
+from nmpc_codegen.components.integrators import TABLEAUS
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import Tableau, interval_map
 from tests.oracles.runge_kutta import MODELS, ORDERS, SCHEMES, integrate
 
 UNROLL = ("all", "step", "none")
@@ -40,7 +40,7 @@ def _normwise(value: np.ndarray, expected: np.ndarray) -> float:
 
 def sensitivity_errors() -> Iterator[tuple[str, float, int]]:
     """(case, largest normwise error of S and x_next over random nodes, number of nodes)."""
-    problem = analyse(build_ocp())
+    problem = classify(build_ocp())
     dt = problem.dt[0]
     for scheme, (a, b) in SCHEMES.items():
         for unroll in UNROLL:

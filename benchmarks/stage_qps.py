@@ -20,7 +20,8 @@ import numpy as np
 
 from benchmarks.peers import silent
 from benchmarks.plugins import Plugin, point_of, stage_form
-from nmpc_codegen import Options, Status, condensing, qp
+from nmpc_codegen import Options, Status
+from nmpc_codegen.components import condensing, qp
 from tests.oracles.stage_qp import Shape, StageQP, condition, distance
 from tests.oracles.stage_qp_random import INFEASIBLE, SEMIDEFINITE, kinds_of, random_qp
 from tests.stage_qp import GIVEN_UP, StageSolver, built, solver_options, solvers

@@ -23,8 +23,8 @@ from benchmarks.recorded import read_qp
 from benchmarks.scenarios import QUADROTOR, wrapped
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import OCP, RK4, Controller, ExplicitRungeKutta, Options, RealTimeIteration, Status, build
-from nmpc_codegen.analyse import analyse
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.frontend.classify import classify
 from tests.oracles.stage_qp import Array, StageQP
 from tests.oracles.stage_qp_random import condensed_rows
 
@@ -155,7 +155,7 @@ class Torture:
     def __init__(self, trial: Trial, seed: int = 0) -> None:
         self.trial = trial
         ocp = trial.make()
-        self.problem = analyse(ocp)
+        self.problem = classify(ocp)
         self.c: Controller = build(ocp, trial.options, profile="fast")
         self.struct: Any = self.c._struct  # the oracle reads members that the interface has no names for
         self.rng = np.random.default_rng(seed)

@@ -28,14 +28,22 @@ from benchmarks.report import Report
 from benchmarks.scenarios import CSTR, EXAMPLES, FIGURE_6, FIGURE_6_STEPS, Case, Example, cases
 from examples import cstr
 from nmpc_codegen import Controller, Status, build, generate
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.build import PROFILES, find_compiler
-from nmpc_codegen.evaluation import Tableau, interval_map, kkt_residuals, multiplier_of, node_data, node_rows, row_nodes
-from nmpc_codegen.linearize import linearize
-from nmpc_codegen.lower import lower
-from nmpc_codegen.problem import Array, Problem
-from nmpc_codegen.reference import Data, Point, Reference, ReferenceSolution
-from nmpc_codegen.render import Sources, render
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import Sources, render
+from nmpc_codegen.oracle.reference import Data, Point, Reference, ReferenceSolution
+from nmpc_codegen.oracle.trajectory import (
+    Tableau,
+    interval_map,
+    kkt_residuals,
+    multiplier_of,
+    node_data,
+    node_rows,
+    row_nodes,
+)
+from nmpc_codegen.runtime.build import PROFILES, find_compiler
 
 TOTAL_US = {"cstr": 8.0, "quadrotor": 50.0, "chain5": 600.0}
 PAPER_WORST_US = 404.0  # [H11] 4.2, a CPU of 2011
@@ -77,7 +85,7 @@ def apply(controller: Controller, data: Any) -> None:
 def compare(case: Case, tol: float = 1e-10) -> Comparison:
     """Solve a case by the generated code and by IPOPT, both from the plain start."""
     ocp = case.make()
-    problem = analyse(ocp)
+    problem = classify(ocp)
     controller = build(ocp, case.options, profile="fast")
     apply(controller, case.data)
     controller.reset()
@@ -244,7 +252,7 @@ def peers(report: Report, examples: Sequence[Example] = EXAMPLES, seconds: float
             ocp = example.make()
             plant = build(ocp, example.options, profile="fast").integrate
             peer = time_sqpmethod(
-                analyse(ocp), plant, example.scenario(), example.tableau, qpsol=plugin, seconds=seconds
+                classify(ocp), plant, example.scenario(), example.tableau, qpsol=plugin, seconds=seconds
             )
             slow = peer.total > SLOWEST_PEER
             report.add(f"{key}_us", peer.total, "us", profile="casadi", n=peer.steps)
@@ -308,7 +316,7 @@ def sizes(report: Report, examples: Sequence[Example] = EXAMPLES) -> None:
     """Exact figures: memory, text of the generated C, operations; and the code that the compiler makes of it."""
     for example in examples:
         name = example.name
-        module = lower(linearize(analyse(example.make()), example.options))
+        module = lower(linearize(classify(example.make()), example.options))
         sources = render(module)
         facts = module.metadata["report"]
         report.add(f"{name}_ram_bytes", facts["ram_bytes"], "bytes", profile="exact")

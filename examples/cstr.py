@@ -22,7 +22,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nmpc_codegen import OCP, Controller, Options, RealTimeIteration, build, simulate
-from nmpc_codegen.simulate import Log
+from nmpc_codegen.runtime.simulate import Log
 
 K10, K20, K30 = 1.287e12, 1.287e12, 9.043e9
 E1, E2, E3 = -9758.3, -9758.3, -8560.0

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from nmpc_codegen import OCP, Options
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.build import PROFILES, WARNINGS, find_compiler
-from nmpc_codegen.cmodule import CModule
-from nmpc_codegen.cprint import CStyle
-from nmpc_codegen.linearize import linearize
-from nmpc_codegen.lower import lower
-from nmpc_codegen.render import Sources, render
-from nmpc_codegen.sweep import Routine, print_routine
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.sweep import Routine, print_routine
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import Sources, render
+from nmpc_codegen.runtime.build import PROFILES, WARNINGS, find_compiler
 
 SCALARS = {"double": np.float64, "single": np.float32}
 
@@ -92,7 +92,7 @@ def memory_layout(module: CModule) -> np.dtype:
 
 def module_of(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
     """The pipeline up to the C nouns."""
-    return lower(linearize(analyse(ocp), options or Options()), name)
+    return lower(linearize(classify(ocp), options or Options()), name)
 
 
 class Package:

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from nmpc_codegen.build import find_compiler, load
-from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import BuildError
+from nmpc_codegen.runtime.build import find_compiler, load
+from nmpc_codegen.runtime.controller import Controller
 
 # The same examples in every run: a suite that fails only now and then tells nobody anything. Others are drawn on
 # purpose, with --hypothesis-profile=random.

@@ -12,8 +12,11 @@ import numpy as np
 
 from examples import crane
 from nmpc_codegen import OCP, Controller, ExplicitRungeKutta, Options, build, generate
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.evaluation import (
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.oracle.reference import Reference, ReferenceSolution
+from nmpc_codegen.oracle.trajectory import (
     CLASSICAL,
     Data,
     Point,
@@ -24,9 +27,6 @@ from nmpc_codegen.evaluation import (
     node_rows,
     row_nodes,
 )
-from nmpc_codegen.problem import Problem
-from nmpc_codegen.reference import Reference, ReferenceSolution
-from nmpc_codegen.render import Sources
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +229,7 @@ CASES: dict[str, Case] = {
 
 @cache
 def problem(name: str) -> Problem:
-    return analyse(CASES[name].make())
+    return classify(CASES[name].make())
 
 
 @cache

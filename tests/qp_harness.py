@@ -14,10 +14,10 @@ from pathlib import Path
 import jinja2
 import numpy as np
 
-from nmpc_codegen.cmodule import Size, Struct
-from nmpc_codegen.component import Dims
-from nmpc_codegen.qp import DenseActiveSet
-from nmpc_codegen.tolerances import TOLERANCES, tolerance
+from nmpc_codegen.components.base import Dims
+from nmpc_codegen.components.qp import DenseActiveSet
+from nmpc_codegen.ir.cmodule import Size, Struct
+from nmpc_codegen.lowering.tolerances import TOLERANCES, tolerance
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 STATUSES = (

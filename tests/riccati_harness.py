@@ -17,9 +17,9 @@ import jinja2
 import numpy as np
 from qp_harness import FAST, SCALARS, STATUSES, TEMPLATES, WARNINGS, build_directory, members
 
-from nmpc_codegen.cmodule import Field, Size, Struct
-from nmpc_codegen.riccati import riccati_sizes, riccati_struct
-from nmpc_codegen.tolerances import tolerance
+from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_struct
+from nmpc_codegen.ir.cmodule import Field, Size, Struct
+from nmpc_codegen.lowering.tolerances import tolerance
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen import OCP, Online, Options, condensing, qp
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.build import PROFILES, find_compiler
-from nmpc_codegen.render import render
-from nmpc_codegen.status import Status
+from nmpc_codegen import OCP, Online, Options
+from nmpc_codegen.components import condensing, qp
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.runtime.build import PROFILES, find_compiler
+from nmpc_codegen.runtime.status import Status
 from tests.c_harness import memory_layout, module_of
 from tests.oracles.stage_qp import (
     Array,
@@ -163,7 +164,7 @@ def _sources(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any]]:
     ocp = stage_ocp(shape)
     module = module_of(ocp, options, "stage")
     assert module.value("NQ") == shape.N
-    stated = [(k, kind, index, user - shape.bounded) for k, kind, index, user in analyse(ocp).qp_rows]
+    stated = [(k, kind, index, user - shape.bounded) for k, kind, index, user in classify(ocp).qp_rows]
     rows = rows_of(shape)
     assert stated == list(zip(rows.node, rows.kind, rows.index, rows.user, strict=True))
     return render(module), memory_layout(module)

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 import nmpc_codegen
-from nmpc_codegen.component import SEAMS
+from nmpc_codegen.components.base import SEAMS
 from nmpc_codegen.options import REGISTRIES
 
 ROOT = Path(__file__).parents[1]
@@ -37,7 +37,7 @@ RUNTIME = ("description", "library", "controller", "build", "package", "simulate
 ORDER = (
     *(("errors",), ("tolerances",), ("status",)),
     *(("kernel",), ("cprint",), ("sweep",), ("products",), ("cmodule",)),
-    *(("problem",), ("expression",), ("ocp",), ("analyse",), ("evaluation",), ("reference",)),
+    *(("problem",), ("expression",), ("ocp",), ("classify",), ("evaluation",), ("reference",)),
     *(("component",), ("dimensions",), ("riccati",), tuple(FOLDERS.values()), ("options",)),
     *(("choose",), ("linearize",), ("lower",), ("render",)),
     *((name,) for name in RUNTIME),
@@ -47,15 +47,15 @@ RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 
 #: A stage knows the value it is given and the one it makes, not the stages before.
 BLIND = {
-    "linearize": {"ocp", "expression", "analyse"},
-    "lower": {"ocp", "expression", "analyse", "evaluation", "reference"},
-    "render": {"ocp", "expression", "problem", "analyse", "options", "linearize", "lower"},
+    "linearize": {"ocp", "expression", "classify"},
+    "lower": {"ocp", "expression", "classify", "evaluation", "reference"},
+    "render": {"ocp", "expression", "problem", "classify", "options", "linearize", "lower"},
 }
 
 #: Foreign package -> modules and folders that may import it.
 ONLY_IN = {
     "casadi": {
-        *("ocp", "expression", "analyse", "evaluation", "problem", "linearize", "kernel", "cprint", "sweep"),
+        *("ocp", "expression", "classify", "evaluation", "problem", "linearize", "kernel", "cprint", "sweep"),
         *("reference", "integrators", "hessians"),
     },
     "jinja2": {"render"},
@@ -142,7 +142,7 @@ from nmpc_codegen import open_package, simulate
 controller = open_package({str(tmp_path)!r}, profile="test")
 x0 = [0.1] * controller.dims.nx
 log = simulate(controller, x0, steps=2)
-print(json.dumps([len(log.u), sorted(set(sys.modules) & {{"casadi", "jinja2", "nmpc_codegen.ocp"}})]))
+print(json.dumps([len(log.u), sorted(set(sys.modules) & {{"casadi", "jinja2", "nmpc_codegen.frontend.ocp"}})]))
 """
     search = f"import sys; sys.path.insert(0, {str(SOURCE.parent)!r})\n"
     run = subprocess.run([sys.executable, "-c", search + program], capture_output=True, text=True, check=False)

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmpc_codegen.build import PROFILES, Profile, cache_directory, compile_module, load
 from nmpc_codegen.errors import BuildError, ControllerError, OptionError
+from nmpc_codegen.runtime.build import PROFILES, Profile, cache_directory, compile_module, load
 
 Files = dict[str, str]
-build = sys.modules["nmpc_codegen.build"]  # the name nmpc_codegen.build is the function
+build = sys.modules["nmpc_codegen.runtime.build"]  # the name nmpc_codegen.runtime.build is the function
 SOURCE = Path(str(build.__file__)).parents[1]
 
 pytestmark = pytest.mark.usefixtures("compiler")
@@ -163,8 +163,8 @@ def test_the_runtime_needs_no_casadi(toy_files: Files, tmp_path: Path) -> None:
     (tmp_path / "toy.json").write_text(json.dumps(toy_files))
     program = (
         "import json, sys; sys.modules['casadi'] = None; sys.modules['jinja2'] = None\n"
-        "from nmpc_codegen.build import load\n"
-        "from nmpc_codegen.simulate import simulate\n"
+        "from nmpc_codegen.runtime.build import load\n"
+        "from nmpc_codegen.runtime.simulate import simulate\n"
         "log = simulate(load(json.load(open('toy.json')), 'toy', 'test'), [0.1, 0.0], 3)\n"
         "assert log.x.shape == (4, 2)\n"
     )

@@ -13,8 +13,8 @@ import pytest
 
 from nmpc_codegen import cli
 from nmpc_codegen.cli import apply_setting, compare, load_problem, main
+from nmpc_codegen.components.integrators import RK4, ExplicitRungeKutta, Heun
 from nmpc_codegen.errors import OptionError, ProblemError
-from nmpc_codegen.integrators import RK4, ExplicitRungeKutta, Heun
 from nmpc_codegen.options import REGISTRIES, Options
 
 CART = """\

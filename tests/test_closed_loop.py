@@ -12,11 +12,11 @@ import problems
 import pytest
 
 from nmpc_codegen import OCP, DenseActiveSet, Options, RealTimeIteration, build
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.reference import solve_reference
-from nmpc_codegen.status import Status
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import solve_reference
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.status import Status
 
 FAR = np.array([2.0, 0.0, 0.0, 0.0])  # feasible, six controls at bounds
 INFEASIBLE = np.array([1.0, 0.0, 0.5, 0.0])
@@ -559,7 +559,7 @@ def test_accumulators_start_at_zero_at_every_sample() -> None:
     ocp.accumulator(spent)
     ocp.least_squares(ca.vertcat(x, u), weight=[10.0, 0.01])
     ocp.subject_to(-np.inf, spent, 0.5, at="end")
-    problem = analyse(ocp)
+    problem = classify(ocp)
     reference = solve_reference(problem, x0=[1.0, 0.0])
     assert reference.x[-1, 1] == pytest.approx(0.5)
     for noise in (0.0, 7.0, np.nan):

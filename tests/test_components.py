@@ -9,21 +9,21 @@ from typing import Any
 import pytest
 
 from nmpc_codegen import OptionError, Options
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.cmodule import Field, Macro, Struct, struct_layout
-from nmpc_codegen.component import SEAMS, Component, Dims, refuse_unsupported
-from nmpc_codegen.kernel import OpCount
-from nmpc_codegen.linearize import Linearization, linearize
-from nmpc_codegen.lower import _dims, lower
+from nmpc_codegen.components.base import SEAMS, Component, Dims, refuse_unsupported
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.cmodule import Field, Macro, Struct, struct_layout
+from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.lowering.linearize import Linearization, linearize
+from nmpc_codegen.lowering.lower import _dims, lower
+from nmpc_codegen.lowering.render import render, template_directory
 from nmpc_codegen.options import REGISTRIES, Online
-from nmpc_codegen.render import render, template_directory
-from nmpc_codegen.sweep import Routine
 from tests.models import discrete_map, problem_of
 
 COMPONENTS = [cls for seam in SEAMS for cls in REGISTRIES[seam].values()]
 every_component = pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls.__name__)
 
-#: Every feature that analyse() can find.
+#: Every feature that classify() can find.
 FEATURES = {
     "soft rows",
     "coupled rows",
@@ -43,7 +43,7 @@ def linearization(cls: type) -> Linearization:
     discrete = seam == "integrator" and cls.name == "discrete"  # type: ignore[attr-defined]
     ocp = discrete_map() if discrete else problem_of("reactor", uniform=False)
     ocp.subject_to(-1, ocp.x[0] + ocp.u[0], 1, name="row")
-    return linearize(analyse(ocp), Options(**{seam: cls()}))
+    return linearize(classify(ocp), Options(**{seam: cls()}))
 
 
 def parts(cls: type) -> tuple[Any, Linearization, Dims]:
@@ -190,11 +190,11 @@ def test_online(field: str) -> None:
 
 
 def test_what_is_not_given_is_chosen_and_said() -> None:
-    ode, discrete = (linearize(analyse(ocp), Options()) for ocp in (problem_of("crane"), discrete_map()))
+    ode, discrete = (linearize(classify(ocp), Options()) for ocp in (problem_of("crane"), discrete_map()))
     assert ode.options.integrator.name == "explicit_runge_kutta"
     assert discrete.options.integrator.name == "discrete"
     for lin in (ode, discrete):
         for seam in ("integrator", "condensing", "qp"):
             assert any(choice.startswith(f"{seam}: {getattr(lin.options, seam).name};") for choice in lin.choices)
     given = Options(*(getattr(ode.options, seam) for seam in SEAMS))
-    assert linearize(analyse(problem_of("crane")), given).choices == ()
+    assert linearize(classify(problem_of("crane")), given).choices == ()

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from examples import crane
-from nmpc_codegen import OCP, DenseActiveSet, Options, products
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.problem import Problem
+from nmpc_codegen import OCP, DenseActiveSet, Options
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir import stage_products as products
 from tests.c_harness import Package, module_of
 from tests.oracles.condensing import Condensed, StageData, condense, condense_row, multipliers
 
@@ -101,7 +102,7 @@ def package(name: str, spelling: str) -> Package:
 
 @functools.cache
 def problem(name: str) -> Problem:
-    return analyse(PROBLEMS[name]())
+    return classify(PROBLEMS[name]())
 
 
 def fill(p: Package, name: str, seed: int) -> StageData:

@@ -12,9 +12,9 @@ import problems
 import pytest
 from numpy.typing import NDArray
 
-from nmpc_codegen.build import load
-from nmpc_codegen.controller import ALIGNMENT, Controller, Status
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.controller import ALIGNMENT, Controller, Status
 
 Array = NDArray[np.float64]
 DT = 0.1

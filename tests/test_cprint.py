@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmpc_codegen.cprint import CStyle, comment, print_kernel, signature
-from nmpc_codegen.kernel import Instruction, Kernel, Port
+from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
+from nmpc_codegen.ir.print_c import CStyle, comment, print_kernel, signature
 from tests.c_harness import shared_library
 
 DOUBLE, SINGLE = CStyle("real", False), CStyle("real", True)

@@ -23,8 +23,8 @@ from qp_harness import ENTRY_POINTS, FAST, QP, WARNINGS, qp_dims, source
 
 from benchmarks import qp_random
 from benchmarks.qp_random import wrong_answer, wrong_certificate
+from nmpc_codegen.components.qp import REGISTRY, DenseActiveSet
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.qp import REGISTRY, DenseActiveSet
 
 SIZES = [(1, 0), (4, 2), (10, 4), (23, 9), (60, 20)]
 KINDS = {

@@ -19,7 +19,7 @@ import pytest
 
 from examples.crane import build_ocp
 from nmpc_codegen import OCP, OptionError, build, generate
-from nmpc_codegen.build import WARNINGS
+from nmpc_codegen.runtime.build import WARNINGS
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])

@@ -26,10 +26,10 @@ from nmpc_codegen import (
     Symmetric,
     build,
 )
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.evaluation import Point, node_data
-from nmpc_codegen.problem import Problem
-from nmpc_codegen.reference import solve_reference
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.oracle.reference import solve_reference
+from nmpc_codegen.oracle.trajectory import Point, node_data
 from tests.models import couple, pendulum_of_everything
 from tests.oracles.exact_hessian import blocks, regularized
 
@@ -76,7 +76,7 @@ def mirrored(L: Array) -> Array:
 @pytest.mark.parametrize("scheme", [Symmetric(), ForwardOverAdjoint()], ids=lambda s: s.scheme)
 def test_blocks(scheme: Any, unroll: str) -> None:
     """Every term of the Lagrangian, non-uniform grid, parameters per node."""
-    problem = analyse(everything())
+    problem = classify(everything())
     c = _built(scheme, None, unroll).copy()
     p = np.linspace(0.8, 1.6, 4)
     for k in range(4):
@@ -110,7 +110,7 @@ def test_adjoint_pass_after_reset() -> None:
 @pytest.mark.parametrize("regularization", [MIRROR, PROJECT, Mirror(0.05, "stage"), Project(0.3, "stage")], ids=repr)
 def test_stage_level(regularization: Any) -> None:
     """Blocks of random plans; those that are positive definite keep their values."""
-    problem = analyse(everything())
+    problem = classify(everything())
     c = _built(Symmetric(), regularization, "auto").copy()
     changed = 0
     for seed in range(20):
@@ -255,7 +255,7 @@ def assert_optimal(problem: Problem, controller: Controller, x0: Any, **solver: 
 def test_solutions_equal_those_of_ipopt(free: bool, regularization: Any) -> None:
     """All kinds of costs and rows at once."""
     controller = _built(Symmetric(), regularization, "auto", free).copy()
-    assert_optimal(analyse(everything(free)), controller, [0.7, -0.2])
+    assert_optimal(classify(everything(free)), controller, [0.7, -0.2])
 
 
 def test_quadratic_convergence() -> None:

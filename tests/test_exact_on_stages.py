@@ -30,11 +30,11 @@ from nmpc_codegen import (
     build,
     simulate,
 )
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.build import WARNINGS
 from nmpc_codegen.compiler import generate
-from nmpc_codegen.linearize import linearize
-from nmpc_codegen.reference import solve_reference
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.oracle.reference import solve_reference
+from nmpc_codegen.runtime.build import WARNINGS
 from tests.c_harness import shared_library
 from tests.models import couple, pendulum_of_everything
 from tests.oracles.stage_qp import Point, Shape, StageQP, recover_lam, residuals, rows_of
@@ -367,7 +367,7 @@ def curved(free: bool, coupled: bool) -> OCP:
 )
 def test_solutions_equal_those_of_ipopt(route: str, regularization: Any, free: bool, coupled: bool) -> None:
     """Both levels, x_0 given and in part free."""
-    problem = analyse(curved(free, coupled))
+    problem = classify(curved(free, coupled))
     c = _built(curved, route, regularization, free, coupled).copy()
     ours = c.solve([0.7, -0.2], tol=1e-9)
     assert ours.status == Status.OK
@@ -440,11 +440,11 @@ def test_warnings_of_the_interior_point_route() -> None:
 
 def test_qp_none_looks_at_stages() -> None:
     """The pairs that keep stages are candidates of an exact Hessian too."""
-    chosen = linearize(analyse(cstr.build_ocp()), Options(hessian=ExactHessian()))
+    chosen = linearize(classify(cstr.build_ocp()), Options(hessian=ExactHessian()))
     assert chosen.options.condensing == NoCondensing()
     assert chosen.options.qp == RiccatiActiveSet()
     assert any("full + dense_active_set" in why for why in chosen.choices)
-    few = linearize(analyse(quadratic(3)), Options(hessian=ExactHessian()))
+    few = linearize(classify(quadratic(3)), Options(hessian=ExactHessian()))
     assert isinstance(few.options.condensing, FullCondensing | NoCondensing)
 
 

@@ -21,9 +21,9 @@ from conftest import require_tool
 
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import OCP, Options, build, export, open_package
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.evaluation import CLASSICAL, Tableau, interval_map
-from nmpc_codegen.reference import Reference, node_data
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import Reference, node_data
+from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map
 
 matplotlib.use("Agg")
 
@@ -145,7 +145,7 @@ def test_bioreactor_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 def test_rest_shape_is_at_rest(n: int) -> None:
     """The controls that keep the reference are 0: Phi(reference, 0) is the reference; the chain hangs down."""
     M = n - 2
-    problem = analyse(chain.build_ocp(n))
+    problem = classify(chain.build_ocp(n))
     x = np.asarray(problem.x_initial)
     np.testing.assert_array_equal(problem.path.reference, [*x, 0, 0, 0])
     np.testing.assert_array_equal(problem.terminal.reference, x)
@@ -161,7 +161,7 @@ def test_rest_shape_is_at_rest(n: int) -> None:
 
 def rate(ocp: OCP, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """x' = f(x, u) with the declared parameters."""
-    problem = analyse(ocp)
+    problem = classify(ocp)
     return problem.dynamics(x, u, problem.p_value).full().ravel()
 
 
@@ -253,7 +253,7 @@ def test_run_time_dependencies_are_enough(name: str) -> None:
 
 def pushed(n: int) -> np.ndarray:
     """The chain after five pushes, by the classical scheme of the oracle."""
-    problem = analyse(chain.build_ocp(n))
+    problem = classify(chain.build_ocp(n))
     Phi, x = interval_map(problem, CLASSICAL), np.asarray(problem.x_initial)
     for _ in range(5):
         x = Phi(x, chain.PUSH, [], chain.SAMPLING)[0].full().ravel()
@@ -315,7 +315,7 @@ def test_equal_to_ipopt(name: str) -> None:
     """Both from the plain start; where they find different optima, IPOPT started at ours must return it."""
     case = SOLVED[name]
     ocp, x0 = case.make(), case.x0()
-    problem = analyse(ocp)
+    problem = classify(ocp)
     controller = build(ocp, case.options)
     problems.apply(controller, case.data)
     controller.x[:] = x0
@@ -350,7 +350,7 @@ def test_every_example_states_a_problem(name: str) -> None:
     module: Any = importlib.import_module(f"examples.{name}")
     assert (module.__doc__ or "").strip()
     assert callable(module.main)
-    problem = analyse(module.build_ocp())
+    problem = classify(module.build_ocp())
     assert problem.N >= 1
     assert problem.path.ny >= 1 or problem.path.cost_rate is not None
 

@@ -24,10 +24,10 @@ from hypothesis import strategies as st
 
 import nmpc_codegen
 from nmpc_codegen import cli
-from nmpc_codegen.analyse import analyse
 from nmpc_codegen.errors import NmpcError, ProblemError, ProblemWarning
-from nmpc_codegen.ocp import OCP
-from nmpc_codegen.problem import Problem
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.problem import Problem
 
 NAMES = ["x", "r", "u", "w", "q", "X", "r_0", "r[0]", "int", "1a", "", "ü", None, 3]
 NUMBERS = [
@@ -168,7 +168,7 @@ def test_only_problem_errors(data: st.DataObject) -> None:
             except ProblemError as error:
                 speaks(error)
         try:
-            problem = analyse(ocp)
+            problem = classify(ocp)
         except ProblemError as error:
             speaks(error)
         else:
@@ -183,13 +183,13 @@ def test_mutations_of_a_whole_problem(data: st.DataObject) -> None:
     x, r, u = ocp.state("x"), ocp.state("r", size=2), ocp.control("u")
     ocp.dynamics({x: u, "r": ca.vertcat(r[1], x)})
     ocp.least_squares(ca.vertcat(x, u), 1)
-    consistent(analyse(ocp))
+    consistent(classify(ocp))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ProblemWarning)
         for _ in range(data.draw(st.integers(1, 6))):
             try:
                 call(ocp, data.draw)
-                consistent(analyse(ocp))
+                consistent(classify(ocp))
             except ProblemError as error:
                 speaks(error)
 
@@ -359,6 +359,6 @@ def test_an_exception_inside_the_library_is_not_meant(tmp_path: Path, monkeypatc
     assert all(meant(error, file) for error in errors)
     errors.clear()
     file.write_text(FILE, encoding="utf-8")
-    monkeypatch.setattr(nmpc_codegen.compiler, "analyse", lambda ocp: len(None))  # type: ignore[arg-type]
+    monkeypatch.setattr(nmpc_codegen.compiler, "classify", lambda ocp: len(None))  # type: ignore[arg-type]
     cli.main([str(file), "-o", str(tmp_path / "out")])
     assert [meant(error, file) for error in errors] == [False]

@@ -12,9 +12,9 @@ from conftest import require_tool
 
 from benchmarks import quality
 from nmpc_codegen import Options, RealTimeIteration, generate
-from nmpc_codegen.build import CACHE_VARIABLE, load
 from nmpc_codegen.errors import BuildError
-from nmpc_codegen.status import Status
+from nmpc_codegen.runtime.build import CACHE_VARIABLE, load
+from nmpc_codegen.runtime.status import Status
 
 #: Cases whose C differs in structure; dense_changed differs from dense_weight in data only.
 STRUCTURES = tuple(name for name in problems.CASES if name != "dense_changed")

@@ -13,18 +13,19 @@ from pathlib import Path
 import casadi as ca
 import pytest
 
-from nmpc_codegen import OCP, ExactHessian, ExplicitRungeKutta, Options, products
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.component import SEAMS
-from nmpc_codegen.cprint import CStyle
-from nmpc_codegen.integrators import TABLEAUS, ButcherTableau, Discrete
-from nmpc_codegen.kernel import Instruction, Kernel, Port
-from nmpc_codegen.linearize import Linearization, linearize
-from nmpc_codegen.lower import lower
+from nmpc_codegen import OCP, ExactHessian, ExplicitRungeKutta, Options
+from nmpc_codegen.components.base import SEAMS
+from nmpc_codegen.components.integrators import TABLEAUS, ButcherTableau, Discrete
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir import stage_products as products
+from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
+from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.sweep import print_routine
+from nmpc_codegen.lowering.linearize import Linearization, linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import Sources, context, environment, render
 from nmpc_codegen.options import REGISTRIES
-from nmpc_codegen.problem import Problem
-from nmpc_codegen.render import Sources, context, environment, render
-from nmpc_codegen.sweep import print_routine
 from tests.models import problem_of
 from tests.test_sweep import SWEEP, looped
 
@@ -51,7 +52,7 @@ def stated(discrete: bool) -> Problem:
     ocp.subject_to(-2, x, 2)
     ocp.subject_to(-3, x * u, 3, name="product")
     ocp.subject_to(-4, x * x, 4, at="end", name="square")
-    return analyse(ocp)
+    return classify(ocp)
 
 
 class Program:
@@ -246,7 +247,7 @@ def test_lifted(check) -> None:  # type: ignore[no-untyped-def]
     texts = []
     for unroll in ("all", "none"):
         options = Options(ExplicitRungeKutta(ralston, 2, unroll))  # type: ignore[arg-type]
-        lin = linearize(analyse(problem_of("reactor", uniform=False)), options)
+        lin = linearize(classify(problem_of("reactor", uniform=False)), options)
         texts += [print_routine(r, CStyle("real", False)) for r in lin.routines if r.name == "integrator_interval"]
     check("lifted.c", "\n\n".join(texts) + "\n")
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import OCP, OptionError, Options
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.hessians import GaussNewton
-from nmpc_codegen.kernel import Kernel
-from nmpc_codegen.linearize import Linearization, linearize
+from nmpc_codegen.components.hessians import GaussNewton
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.kernel import Kernel
+from nmpc_codegen.lowering.linearize import Linearization, linearize
 from tests.c_harness import Package, Routines, module_of
 from tests.oracles.runge_kutta import complex_step
 
@@ -81,7 +81,7 @@ def stated(case: Case) -> OCP:
 @functools.cache
 def linearized(name: str) -> Linearization:
     case = CASES[name]
-    return linearize(analyse(stated(case)), Options(hessian=GaussNewton(levenberg_marquardt=case.damping)))
+    return linearize(classify(stated(case)), Options(hessian=GaussNewton(levenberg_marquardt=case.damping)))
 
 
 @functools.cache
@@ -164,7 +164,7 @@ def linear(**more: object) -> Linearization:
     ocp.dynamics(ca.vertcat(x[1], u))
     last = u + 0.1 * x[0] ** 2 if more.get("nonlinear") else p * u
     ocp.least_squares(ca.vertcat(x, last), weight=[1.0, 2.0, 3.0], scale_with_dt=bool(more.get("scaled")))
-    return linearize(analyse(ocp), Options())
+    return linearize(classify(ocp), Options())
 
 
 @pytest.mark.parametrize(
@@ -209,4 +209,4 @@ def test_general_costs_are_refused() -> None:
     ocp = stated(CASES["diagonal"])
     ocp.stage_cost(ca.sin(ocp.u))
     with pytest.raises(OptionError, match="uses general cost, which hessian 'gauss_newton' does not support"):
-        linearize(analyse(ocp), Options())
+        linearize(classify(ocp), Options())

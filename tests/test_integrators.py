@@ -11,12 +11,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from nmpc_codegen import OCP, OptionError
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.integrators import TABLEAUS, ButcherTableau, Discrete, ExplicitRungeKutta
-from nmpc_codegen.integrators.explicit_runge_kutta import interval_sweep
-from nmpc_codegen.kernel import Kernel
-from nmpc_codegen.problem import Problem
-from nmpc_codegen.sweep import LoopedRoutine, straight
+from nmpc_codegen.components.integrators import TABLEAUS, ButcherTableau, Discrete, ExplicitRungeKutta
+from nmpc_codegen.components.integrators.explicit_runge_kutta import interval_sweep
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.kernel import Kernel
+from nmpc_codegen.ir.sweep import LoopedRoutine, straight
 from tests.c_harness import Routines
 from tests.models import GRID, LENGTH, discrete_map, problem_of
 from tests.oracles.runge_kutta import MODELS, ORDERS, POINTS, SCHEMES, Array, complex_step, integrate
@@ -28,7 +28,7 @@ UNROLL = ("all", "step", "none")
 
 @functools.cache
 def stated(model: str, uniform: bool) -> Problem:
-    return analyse(problem_of(model, uniform))
+    return classify(problem_of(model, uniform))
 
 
 def normwise(value: Array, expected: Array) -> float:
@@ -169,7 +169,7 @@ def test_auto_prefers_straight_line_code_of_a_limited_size(monkeypatch: pytest.M
     whole = ExplicitRungeKutta(steps=3, unroll="all").routines(problem)[0]
     auto = ExplicitRungeKutta(steps=3, unroll="auto").routines(problem)[0]
     assert auto == whole
-    limit = "nmpc_codegen.integrators.explicit_runge_kutta.AUTO_INSTRUCTIONS"
+    limit = "nmpc_codegen.components.integrators.explicit_runge_kutta.AUTO_INSTRUCTIONS"
     monkeypatch.setattr(limit, len(whole.instructions) - 1)
     rolled = ExplicitRungeKutta(steps=3, unroll="auto").routines(problem)[0]
     assert isinstance(rolled, LoopedRoutine)
@@ -182,7 +182,7 @@ def test_zero_entries_of_the_tableau_cost_nothing() -> None:
     x, u = ocp.state("x"), ocp.control("u")
     ocp.dynamics({x: u})
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0])
-    interval, _ = ExplicitRungeKutta(steps=1, unroll="all").routines(analyse(ocp))
+    interval, _ = ExplicitRungeKutta(steps=1, unroll="all").routines(classify(ocp))
     assert isinstance(interval, Kernel)
     assert interval.count.call == interval.count.div == 0
     assert {e for o, e, _ in interval.stores if o == 1} == {0, 1}
@@ -207,7 +207,7 @@ def test_a_state_that_vanishes_is_written() -> None:
     x, u = ocp.state("x", size=2), ocp.control("u")
     ocp.dynamics(ca.vertcat(-x[0], u))
     ocp.least_squares(ca.vertcat(x, u), weight=np.ones(3))
-    interval, _ = ExplicitRungeKutta(TABLEAUS["Euler"], 1, "all").routines(analyse(ocp))
+    interval, _ = ExplicitRungeKutta(TABLEAUS["Euler"], 1, "all").routines(classify(ocp))
     x_next, S = np.full(2, 7.0), np.zeros((2, 3))
     Routines({"f": interval}).raw("f", np.array([3.0, 4.0]), np.array([5.0]), np.zeros(1), np.ones(1), x_next, S)
     np.testing.assert_array_equal(x_next, [0.0, 9.0])
@@ -218,7 +218,7 @@ def test_a_state_that_vanishes_is_written() -> None:
 
 
 def test_discrete_map() -> None:
-    problem = analyse(discrete_map())
+    problem = classify(discrete_map())
     interval, step = Discrete().routines(problem)
     x, u, p = np.array([0.4, -0.7]), np.array([0.2, 0.3]), np.array([0.8])
 
@@ -235,7 +235,7 @@ def test_discrete_map() -> None:
 
 def test_maps_and_equations_do_not_mix() -> None:
     with pytest.raises(OptionError, match="discrete map"):
-        ExplicitRungeKutta().routines(analyse(discrete_map()))
+        ExplicitRungeKutta().routines(classify(discrete_map()))
     with pytest.raises(OptionError, match="ordinary differential equation"):
         Discrete().routines(stated("crane", True))
 

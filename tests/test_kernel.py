@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import ProblemError
-from nmpc_codegen.kernel import OPERATIONS, Instruction, Kernel, OpCount, Port, _live, lift, opcode_name
+from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, OpCount, Port, _live, lift, opcode_name
 from tests.c_harness import Routines
 
 x, y = ca.SX.sym("x"), ca.SX.sym("y")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import OCP, ExplicitRungeKutta, OptionError, Options
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.kernel import OpCount
-from nmpc_codegen.linearize import linearize
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.lowering.linearize import linearize
 from tests.c_harness import Package, Routines, module_of
 from tests.models import GRID, LENGTH, problem_of
 from tests.oracles.runge_kutta import MODELS, POINTS, Array, complex_step, integrate
@@ -61,7 +61,7 @@ def rows_problem() -> OCP:
 
 
 def test_general_rows() -> None:
-    problem = analyse(rows_problem())
+    problem = classify(rows_problem())
     routines = {r.name: r for r in linearize(problem, Options()).routines if r.name.endswith("_rows")}
     call = Routines(routines)
     z, p = np.array([0.4, -0.7, 0.9]), np.array([1.5])
@@ -90,7 +90,7 @@ def test_general_rows() -> None:
 
 def test_no_rows() -> None:
     """Zero rows are routines too: no instruction, no store."""
-    lin = linearize(analyse(problem_of("crane")), Options())
+    lin = linearize(classify(problem_of("crane")), Options())
     for name in ("path_rows", "terminal_rows"):
         assert lin.count(name) == OpCount()
         routine = next(r for r in lin.routines if r.name == name)
@@ -101,4 +101,4 @@ def test_a_feature_that_no_component_takes_is_refused() -> None:
     ocp = rows_problem()
     ocp.stage_cost(ocp.x[0] * ocp.u)
     with pytest.raises(OptionError, match="general cost"):
-        linearize(analyse(ocp), Options())
+        linearize(classify(ocp), Options())

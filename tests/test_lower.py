@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import Options, ProblemError
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.cmodule import CModule, Field, Size, Struct, check_prefix, struct_layout
-from nmpc_codegen.linearize import linearize
-from nmpc_codegen.lower import lower
-from nmpc_codegen.problem import Problem
-from nmpc_codegen.render import render
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import CModule, Field, Size, Struct, check_prefix, struct_layout
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import render
 from tests import problems
 from tests.c_harness import memory_layout, shared_library
 
@@ -170,5 +170,5 @@ def test_metadata_is_json_and_agrees_with_the_structs() -> None:
 
 
 def test_lowering_is_pure() -> None:
-    lin = linearize(analyse(problems.path_rows()), Options())
+    lin = linearize(classify(problems.path_rows()), Options())
     assert render(lower(lin)) == render(lower(lin))

@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen.analyse import analyse
 from nmpc_codegen.errors import ProblemError, ProblemWarning
-from nmpc_codegen.expression import C_KEYWORDS
-from nmpc_codegen.ocp import OCP
+from nmpc_codegen.frontend.checks import C_KEYWORDS
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
 
 
 class Given:
@@ -117,9 +117,9 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
         lambda g: (g.ocp.dynamics({"x": 0}), g.ocp.dynamics([0, 0, 0])),
         "the derivative of 'x' is given twice",
     ),
-    "missing": (lambda g: (g.ocp.dynamics({"r": g.r}), analyse(g.ocp)), "OCP 'plant': the derivative of x is missing"),
+    "missing": (lambda g: (g.ocp.dynamics({"r": g.r}), classify(g.ocp)), "OCP 'plant': the derivative of x is missing"),
     "missing next": (
-        lambda g: (g.ocp.dynamics({"x": 0}, discrete=True), analyse(g.ocp)),
+        lambda g: (g.ocp.dynamics({"x": 0}, discrete=True), classify(g.ocp)),
         "the next value of r[0], r[1] is missing",
     ),
     "mixed": (
@@ -200,9 +200,9 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     ),
     "stage cost vector": (lambda g: g.ocp.stage_cost(g.r), "stage_cost must be a scalar, got 2 elements"),
     "terminal cost control": (lambda g: g.ocp.terminal_cost(g.u * g.x), "terminal_cost contains the control 'u'"),
-    "no cost": (lambda g: (g.ocp.dynamics([0, 0, 0]), analyse(g.ocp)), "OCP 'plant' has no cost; use least_squares"),
+    "no cost": (lambda g: (g.ocp.dynamics([0, 0, 0]), classify(g.ocp)), "OCP 'plant' has no cost; use least_squares"),
     "quadrature of a map": (
-        lambda g: (g.ocp.dynamics([0, 0, 0], discrete=True), g.ocp.stage_cost(g.x, integrate=True), analyse(g.ocp)),
+        lambda g: (g.ocp.dynamics([0, 0, 0], discrete=True), g.ocp.stage_cost(g.x, integrate=True), classify(g.ocp)),
         "a discrete map has no quadrature",
     ),
     # rows
@@ -236,11 +236,11 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     ),
     "node N control": (lambda g: g.ocp.subject_to(0, g.x * g.u, 1, at=range(5)), "contains a control, and node 4"),
     "given x_0": (
-        lambda g: (g.ocp.subject_to(0, g.x, 1, at="start"), analyse(g.complete())),
+        lambda g: (g.ocp.subject_to(0, g.x, 1, at="start"), classify(g.complete())),
         "row 'x_start' constrains states alone at node 0, where x_0 is given",
     ),
     "given x_0, list": (
-        lambda g: (g.ocp.subject_to(0, g.x * g.q, 1, at=[0, 2]), analyse(g.complete())),
+        lambda g: (g.ocp.subject_to(0, g.x * g.q, 1, at=[0, 2]), classify(g.complete())),
         "row 'row_0' constrains states alone at node 0",
     ),
     "soft scalar": (lambda g: g.ocp.subject_to(0, g.x, 1, soft=1e3), "soft must be None or (l1, l2), got '1000.0'"),
@@ -279,13 +279,13 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     "free nothing": (lambda g: g.ocp.free_initial(), "free_initial names no state; declared are: x, r[0], r[1]"),
     "free unknown": (lambda g: g.ocp.free_initial("y"), "free_initial: 'y' is no state"),
     "free accumulator": (
-        lambda g: (g.ocp.free_initial(g.x), g.ocp.accumulator(g.x), analyse(g.complete())),
+        lambda g: (g.ocp.free_initial(g.x), g.ocp.accumulator(g.x), classify(g.complete())),
         "state 'x' cannot be both free_initial and accumulator",
     ),
-    "nothing": (lambda g: analyse(OCP("a", T=1, N=1)), "OCP 'a' has no state"),
-    "no control": (lambda g: (lambda o: (o.state("x"), analyse(o)))(OCP("a", T=1, N=1)), "OCP 'a' has no control"),
+    "nothing": (lambda g: classify(OCP("a", T=1, N=1)), "OCP 'a' has no state"),
+    "no control": (lambda g: (lambda o: (o.state("x"), classify(o)))(OCP("a", T=1, N=1)), "OCP 'a' has no control"),
     "parameters in C": (
-        lambda g: (g.ocp.parameter("Q"), analyse(g.complete())),
+        lambda g: (g.ocp.parameter("Q"), classify(g.complete())),
         "parameter names 'q' and 'Q' are both Q in C",
     ),
 }
@@ -342,7 +342,7 @@ def test_a_refused_call_changes_nothing() -> None:
         with pytest.raises(ProblemError):
             wrong()
     g.ocp.subject_to(0, g.x * g.u, 1)
-    problem = analyse(g.complete())
+    problem = classify(g.complete())
     assert [row.name for row in problem.rows] == ["row_0"]
     assert problem.nx == 3
     assert problem.free_initial == ()
@@ -353,7 +353,7 @@ def test_a_refused_call_changes_nothing() -> None:
 
 def right_hand_side(ocp: OCP, at: tuple[Any, Any, Any]) -> np.ndarray[Any, Any]:
     ocp.least_squares(ocp.u, 1)
-    return np.asarray(analyse(ocp).dynamics(*at)).ravel()
+    return np.asarray(classify(ocp).dynamics(*at)).ravel()
 
 
 AT = (np.array([0.3, -0.7, 1.1]), np.array([0.5]), np.array([2.0]))
@@ -430,7 +430,7 @@ def test_bounds_of_every_form() -> None:
     g.ocp.subject_to(-np.inf, g.u, ca.DM(1))
     g.ocp.subject_to([-1, -2], g.r, np.array([[1.0], [2.0]]), name="box")
     g.ocp.subject_to(ca.SX(0), g.x * g.u, np.float32(3))
-    rows = analyse(g.complete()).rows
+    rows = classify(g.complete()).rows
     bounds = [(r.name, r.lower, r.upper) for r in rows]
     assert bounds == [("u", -np.inf, 1), ("box[0]", -1, 1), ("box[1]", -2, 2), ("row_0", 0, 3)]
 
@@ -444,7 +444,7 @@ def test_weights_of_every_form() -> None:
     g.ocp.least_squares(g.x * g.q, 5)
     g.ocp.terminal_least_squares(g.r, 0)
     g.ocp.dynamics([0, 0, 0])
-    problem = analyse(g.ocp)
+    problem = classify(g.ocp)
     expected = np.zeros((5, 5))
     expected[:2, :2] = dense
     expected[2:, 2:] = np.diag([3, 4, 5])
@@ -472,7 +472,7 @@ def test_weight_with_round_off_is_accepted_and_symmetric() -> None:
 
 def analyse_weight(g: Given) -> Any:
     g.ocp.dynamics([0, 0, 0])
-    return analyse(g.ocp).path.weight
+    return classify(g.ocp).path.weight
 
 
 def test_same_symbol_in_two_terms_gets_two_names() -> None:
@@ -480,7 +480,7 @@ def test_same_symbol_in_two_terms_gets_two_names() -> None:
     g.ocp.least_squares(g.u, 1)
     g.ocp.least_squares(g.u, 2, reference=1)
     g.ocp.dynamics([0, 0, 0])
-    problem = analyse(g.ocp)
+    problem = classify(g.ocp)
     assert problem.path.y_names == ("u", "y_1")
     assert problem.control_reference == (0,)
 

@@ -30,10 +30,10 @@ from nmpc_codegen import (
     generate,
     open_package,
 )
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.controller import Controller
-from nmpc_codegen.reference import Reference, ReferenceSolution, node_data
-from nmpc_codegen.status import Status
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import Reference, ReferenceSolution, node_data
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.status import Status
 
 LAYOUTS = ("fixed", "shared", "node")
 KINDS = ("reference", "weight", "bounds", "parameter")
@@ -66,7 +66,7 @@ NODES = {"u": range(N), "w": range(1, N + 1), "effort": range(N), "slow": range(
 
 @cache
 def oracle() -> Reference:
-    return Reference(analyse(stated()))
+    return Reference(classify(stated()))
 
 
 @cache
@@ -275,7 +275,7 @@ def test_hessian_is_constant_only_where_its_data_are_shared(online: Online, bloc
     if online.weight == "node":
         c.set_weight([3.0, 0.1], node=2)
         data["W"] = np.array([np.diag([3.0, 0.1] if k == 2 else [1.0, 0.5]) for k in range(4)])
-    problem = analyse(linear())
+    problem = classify(linear())
     expected = Reference(problem).solve(node_data(problem, x0=[1.0], **data))
     found = c.solve([1.0], tol=1e-11)
     assert found.status == Status.OK
@@ -316,7 +316,7 @@ def test_declared_dense_weight_per_node() -> None:
     c = build(ocp, Options(online=Online(weight="node")), "test")
     W = np.array([DENSE + np.diag([0.2 * k, 0, 0]) for k in range(N)])
     c.set_weight(W)
-    reference = Reference(analyse(ocp))
+    reference = Reference(classify(ocp))
     assert_equal(c, reference.solve(node_data(reference.problem, x0=X0, W=W)))
     with pytest.raises(ControllerError, match=r"weight of node 3 is not positive semidefinite"):
         c.set_weight(np.array([W[0], W[0], W[0], -W[0], W[0]]))
@@ -525,7 +525,7 @@ import sys
 sys.modules["casadi"] = sys.modules["jinja2"] = None
 import numpy as np
 from nmpc_codegen import open_package
-from nmpc_codegen.simulate import simulate
+from nmpc_codegen.runtime.simulate import simulate
 c = open_package(sys.argv[1])
 if c.description.online["bounds"] == "node":
     c.set_bounds("u", -0.1, 0.1, node=0)

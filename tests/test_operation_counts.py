@@ -13,14 +13,15 @@ from collections.abc import Callable
 import pytest
 
 from benchmarks.counting import CLASSES, count_mismatches, counting_header, mismatches
-from nmpc_codegen import OCP, DenseActiveSet, ExplicitRungeKutta, GaussNewton, Options, RealTimeIteration, products
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.integrators import TABLEAUS
-from nmpc_codegen.kernel import OpCount
-from nmpc_codegen.linearize import linearize
-from nmpc_codegen.lower import lower
+from nmpc_codegen import OCP, DenseActiveSet, ExplicitRungeKutta, GaussNewton, Options, RealTimeIteration
+from nmpc_codegen.components.integrators import TABLEAUS
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir import stage_products as products
+from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import REGISTRIES
-from nmpc_codegen.render import render
 from tests import problems
 from tests.c_harness import module_of
 from tests.models import discrete_map, problem_of
@@ -121,5 +122,5 @@ def test_the_counting_scalar_replaces_the_type_in_both_precisions() -> None:
 
 def test_lower_states_the_same_counts_twice() -> None:
     """lower() is a pure function: asking again changes nothing."""
-    lin = linearize(analyse(problem_of("crane")), Options())
+    lin = linearize(classify(problem_of("crane")), Options())
     assert lower(lin).metadata == lower(lin).metadata

@@ -27,8 +27,8 @@ from nmpc_codegen import (
     build,
     generate,
 )
-from nmpc_codegen.cmodule import TAKEN_PREFIXES
-from nmpc_codegen.component import SEAMS
+from nmpc_codegen.components.base import SEAMS
+from nmpc_codegen.ir.cmodule import TAKEN_PREFIXES
 from nmpc_codegen.options import REGISTRIES
 
 

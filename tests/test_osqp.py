@@ -9,7 +9,7 @@ import problems
 import pytest
 
 from nmpc_codegen import OptionError, Options, Osqp, build, export, generate, open_package
-from nmpc_codegen.status import Status
+from nmpc_codegen.runtime.status import Status
 
 OPTIONS = Options(qp=Osqp())
 

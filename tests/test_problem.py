@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen.analyse import analyse
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.ocp import OCP
-from nmpc_codegen.problem import Problem, Row
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.problem import Problem, Row
 
 N = 4
 PATH, LATER, ALL, END = (0, 1, 2, 3), (1, 2, 3, 4), (0, 1, 2, 3, 4), (4,)
@@ -34,7 +34,7 @@ class Model:
 
     def problem(self) -> Problem:
         self.ocp.least_squares(self.ocp.u, 1)
-        return analyse(self.ocp)
+        return classify(self.ocp)
 
 
 def stated(*statements: Callable[[Model], Any], intervals: int = N) -> tuple[Row, ...]:
@@ -264,7 +264,7 @@ def test_least_squares_alone_has_no_general_cost() -> None:
 def test_terminal_cost_alone_is_a_cost() -> None:
     m = Model()
     m.ocp.terminal_least_squares(m.x, 1)
-    problem = analyse(m.ocp)
+    problem = classify(m.ocp)
     assert problem.path.ny == 0
     assert problem.control_reference == (-1, -1, -1)
 
@@ -306,7 +306,7 @@ def test_discrete_map_has_unit_intervals_unless_given() -> None:
         x, u = ocp.state("x"), ocp.control("u")
         ocp.dynamics({x: x + u}, discrete=True)
         ocp.least_squares(u, 1)
-        problem = analyse(ocp)
+        problem = classify(ocp)
         assert problem.discrete
         assert problem.dt == dt
 
@@ -316,10 +316,10 @@ def test_analyse_twice_and_after_a_change() -> None:
     m = Model()
     before = m.problem()
     m.ocp.subject_to(-1, m.u, 1)
-    after = analyse(m.ocp)
+    after = classify(m.ocp)
     assert len(before.rows) == 0
     assert len(after.rows) == 1
-    assert [str(r) for r in analyse(m.ocp).rows] == [str(r) for r in after.rows]
+    assert [str(r) for r in classify(m.ocp).rows] == [str(r) for r in after.rows]
 
 
 def test_row_on_given_initial_state_says_how_to_go_on() -> None:
@@ -341,7 +341,7 @@ def test_crane_with_every_kind_of_statement() -> None:
     ocp.subject_to(-0.5, phi, 0.5, soft=(1e3, 1e2), name="swing")
     ocp.boundary(0, ocp.at_start(ocp.x) - ocp.at_end(ocp.x), 0, soft=None)
     ocp.free_initial(p, v)
-    problem = analyse(ocp)
+    problem = classify(ocp)
     named = {row.name: row for row in problem.rows}
     assert list(named)[:6] == ["a", "p_end", "v_end", "phi_end", "omega_end", "swing"]
     assert named["swing"].nodes == tuple(range(1, 10))

@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen.analyse import analyse
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.ocp import OCP
-from nmpc_codegen.problem import Problem
-from nmpc_codegen.reference import (
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.oracle.reference import (
     CLASSICAL,
     Data,
     Point,
@@ -39,7 +39,7 @@ def crane(terminal_constraint: bool = True) -> Problem:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return analyse(module.build_ocp(terminal_constraint))
+    return classify(module.build_ocp(terminal_constraint))
 
 
 # Published and measured figures --------------------------------------------------------------------------------------
@@ -89,7 +89,7 @@ def cart_pole() -> Problem:
     ocp.least_squares(ca.vertcat(ocp.x, F), [1e3, 1e3, 0.01, 0.01, 0.01])
     ocp.terminal_least_squares(ocp.x, [1e3, 1e3, 0.01, 0.01])
     ocp.subject_to(-80, F, 80)
-    return analyse(ocp)
+    return classify(ocp)
 
 
 def test_cart_pole_swing_up() -> None:
@@ -120,7 +120,7 @@ def cstr() -> Problem:
     ocp.terminal_least_squares(ocp.x, 10 * Q, reference=STEADY_X)
     ocp.subject_to([3, -9000], ocp.u, [35, 0])
     ocp.subject_to([98, 92], ca.vertcat(th, thK), np.inf)
-    return analyse(ocp)
+    return classify(ocp)
 
 
 STEADY_X = (2.1402105, 1.0903044, 114.1910844, 112.9065929)
@@ -163,7 +163,7 @@ def bioreactor(equality: bool) -> Problem:
     orbit = ca.vertcat(X, S, P)
     ocp.boundary(0, ocp.at_start(orbit) - ocp.at_end(orbit), 0)
     ocp.free_initial(X, S, P)
-    return analyse(ocp)
+    return classify(ocp)
 
 
 def test_bioreactor_orbits() -> None:
@@ -202,7 +202,7 @@ def test_linear_quadratic_regulator() -> None:
     ocp.dynamics({"x": A @ x + B @ u}, discrete=True)
     ocp.least_squares(ca.vertcat(x, u), [2, 1, 1])
     ocp.terminal_least_squares(x, 3)
-    solution = solve_reference(analyse(ocp))
+    solution = solve_reference(classify(ocp))
     P, gains = 3 * np.eye(2), []
     cost_to_go = [P]
     for _ in range(N):
@@ -230,7 +230,7 @@ def test_soft_row(l1: float, l2: float, kind: str) -> None:
         ocp.subject_to(0, -x, np.inf, soft=(l1, l2))
     else:
         ocp.subject_to(-np.inf, x, 0, soft=(l1, l2))
-    problem = analyse(ocp)
+    problem = classify(ocp)
     solution = solve_reference(problem)
     s = max(0.0, 3 - l1) / (1 + l2)
     assert solution.success
@@ -246,7 +246,7 @@ def test_soft_equality_is_soft_on_both_sides() -> None:
     for target, sign in ((0.0, -1), (6.0, 1)):
         ocp = integrator_map()
         ocp.subject_to(target, ocp.x, target, at="end", soft=(1, 1))
-        solution = solve_reference(analyse(ocp))
+        solution = solve_reference(classify(ocp))
         assert solution.u[0, 0] == pytest.approx(sign * 2.0, abs=1e-9)  # s = (3 - 1)/(1 + 1) = 1
         assert solution.mu_x[1, 0] == pytest.approx(-sign * 2.0, abs=1e-9)
 
@@ -261,7 +261,7 @@ def test_signs_of_multipliers(upper: bool) -> None:
         ocp.dynamics({x: u}, discrete=True)
         ocp.least_squares(u, 1, reference=5 * s)
         ocp.subject_to(-2, 2 * u, 2) if general else ocp.subject_to(-1, u, 1)
-        solution = solve_reference(analyse(ocp))
+        solution = solve_reference(classify(ocp))
         np.testing.assert_allclose(solution.mu if general else solution.mu_u, (2 if general else 4) * s, atol=1e-8)
 
 
@@ -270,7 +270,7 @@ def test_terminal_equality_and_dynamics_multipliers() -> None:
     N = 3
     ocp = integrator_map(N)
     ocp.subject_to(0, ocp.x, 0, at="end")
-    solution = solve_reference(analyse(ocp))
+    solution = solve_reference(classify(ocp))
     np.testing.assert_allclose(solution.u, -1.0, atol=1e-10)
     np.testing.assert_allclose(solution.lam, 1.0, atol=1e-9)
     np.testing.assert_allclose(solution.mu_x[:, 0], [0, 0, 0, 1.0], atol=1e-9)
@@ -283,7 +283,7 @@ def test_free_initial_state_and_coupled_row() -> None:
     ocp.least_squares(x, 1, reference=1)
     ocp.boundary(0, ocp.at_start(x) + ocp.at_end(x), 0)
     ocp.free_initial(x)
-    solution = solve_reference(analyse(ocp))
+    solution = solve_reference(classify(ocp))
     assert solution.x[0, 0] == pytest.approx(0.2, abs=1e-10)
     assert solution.u[0, 0] == pytest.approx(-0.4, abs=1e-10)
     assert solution.eta[0] == pytest.approx(0.4, abs=1e-10)
@@ -293,7 +293,7 @@ def test_free_initial_state_and_coupled_row() -> None:
 def test_accumulators_start_at_zero() -> None:
     ocp = integrator_map()
     ocp.accumulator("x")
-    problem = analyse(ocp)
+    problem = classify(ocp)
     np.testing.assert_array_equal(node_data(problem, x0=[7.0]).x0, [0.0])
 
 
@@ -310,7 +310,7 @@ def test_cost_terms_and_their_scaling() -> None:
     ocp.stage_cost(u**2, integrate=True)
     ocp.terminal_cost(q * x)
     ocp.terminal_least_squares(x, 4)
-    problem = analyse(ocp)
+    problem = classify(ocp)
     X, U = np.array([[1.0], [2.0], [3.0]]), np.array([[5.0], [7.0]])
     expected = 3.0 * 3 + 4 * 9 / 2
     for k in range(2):
@@ -327,7 +327,7 @@ def test_data_of_every_node() -> None:
     ocp.dynamics({x: x + u}, discrete=True)
     ocp.least_squares(ca.vertcat(u, x), [1, 0])
     ocp.subject_to(-100, q * u, 100, name="row")
-    problem = analyse(ocp)
+    problem = classify(ocp)
     W = np.array([np.diag([1.0, 0]), np.diag([2.0, 0]), np.diag([3.0, 0])])
     solution = solve_reference(
         problem,
@@ -352,7 +352,7 @@ def test_data_of_every_node() -> None:
 )
 def test_wrong_data(given: dict[str, Any], message: str) -> None:
     with pytest.raises(ProblemError, match=message):
-        node_data(analyse(integrator_map()), **given)
+        node_data(classify(integrator_map()), **given)
 
 
 # The integrator ------------------------------------------------------------------------------------------------------
@@ -365,7 +365,7 @@ def test_order_of_convergence(scheme: Tableau, order: int) -> None:
     x, u = ocp.state("x"), ocp.control("u")
     ocp.dynamics({x: -x + u})
     ocp.stage_cost(x**2, integrate=True)
-    problem = analyse(ocp)
+    problem = classify(ocp)
     exact = np.array([0.5 + 1.5 * np.exp(-1), 0.25 + 1.5 * (1 - np.exp(-1)) + 2.25 / 2 * (1 - np.exp(-2))])
     errors = []
     for steps in (16, 32):
@@ -394,7 +394,7 @@ def everything() -> Problem:
     ocp.subject_to(-0.4, x + v**2, 0.6, name="curved")
     ocp.boundary(-0.1, ocp.at_start(v) - ocp.at_end(v) * ocp.at_end(x), 0.1, soft=(2, 1))
     ocp.free_initial(v)
-    return analyse(ocp)
+    return classify(ocp)
 
 
 def lagrangian(problem: Problem, point: Point, data: Data) -> float:
@@ -480,7 +480,7 @@ def test_ipopt_started_at_the_solution_returns_it() -> None:
 
 
 def test_no_solution_is_reported_as_success_when_nan() -> None:
-    problem = analyse(integrator_map())
+    problem = classify(integrator_map())
     point = solve_reference(problem)
     bad = kkt_residuals(problem, replace(point, x=np.full_like(point.x, np.nan)), node_data(problem))
     assert np.isnan(bad.equality)

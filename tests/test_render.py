@@ -13,7 +13,7 @@ import jinja2
 import pytest
 
 from nmpc_codegen import Options, generate
-from nmpc_codegen.render import Sources, _tidy, context, environment, template_directory
+from nmpc_codegen.lowering.render import Sources, _tidy, context, environment, template_directory
 from tests import problems
 
 ROOT = Path(__file__).parents[1]

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from oracles.riccati import StageProblem, StageQP, constructed, random_problem, residuals
 from riccati_harness import SOLVER, RiccatiQP, Shape, source
 
+from nmpc_codegen.components.qp import REGISTRY, RiccatiActiveSet
+from nmpc_codegen.components.qp.riccati import riccati_sizes
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.qp import REGISTRY, RiccatiActiveSet
-from nmpc_codegen.riccati import riccati_sizes
 
 SHAPES = {
     "smallest": Shape(1, 1, 1),

@@ -12,14 +12,14 @@ import pytest
 
 from examples import bioreactor, cart_pole, chain, crane
 from nmpc_codegen import OCP
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.hessians.stage_cost import integrated_kernels
-from nmpc_codegen.integrators import TABLEAUS, Discrete, ExplicitRungeKutta, derivatives, symmetric
-from nmpc_codegen.integrators.derivatives import Derivatives
-from nmpc_codegen.kernel import Kernel
-from nmpc_codegen.problem import Problem
-from nmpc_codegen.products import pattern
-from nmpc_codegen.sweep import Call, LoopedRoutine, Routine, Slice
+from nmpc_codegen.components.hessians.stage_cost import integrated_kernels
+from nmpc_codegen.components.integrators import TABLEAUS, Discrete, ExplicitRungeKutta, derivatives, symmetric
+from nmpc_codegen.components.integrators.derivatives import Derivatives
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.kernel import Kernel
+from nmpc_codegen.ir.stage_products import pattern
+from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Routine, Slice
 from tests.c_harness import Routines
 from tests.models import GRID, LENGTH, discrete_map, problem_of
 from tests.oracles import jets
@@ -51,7 +51,7 @@ def curved(problem: Problem, component: Any, scheme: str) -> Routine:
 
 @functools.cache
 def stated(model: str, uniform: bool) -> Problem:
-    return analyse(problem_of(model, uniform))
+    return classify(problem_of(model, uniform))
 
 
 @functools.cache
@@ -143,7 +143,7 @@ def economic(uniform: bool) -> Problem:
     """The reactor with that rate, and a cost at the node that the start of a sweep would add."""
     ocp = problem_of("reactor", uniform)
     ocp.stage_cost(ocp.x[0] ** 2 * ocp.u[0] + ca.exp(ocp.x[1]) + ocp.u[1], integrate=True)
-    return analyse(ocp)
+    return classify(ocp)
 
 
 @pytest.mark.parametrize(("steps", "uniform"), GRIDS)
@@ -228,7 +228,7 @@ IN_VECTORS = (
 @pytest.mark.parametrize(("make", "steps", "wide", "staggered"), IN_VECTORS)
 def test_stages_in_vectors(make: Callable[[], OCP], steps: int, wide: bool, staggered: bool) -> None:
     """Against arithmetic with Taylor polynomials, at a point where nothing vanishes."""
-    problem = analyse(make())
+    problem = classify(make())
     builder = symmetric.ThreeSweeps(problem, TABLEAUS["RK4"], steps)
     assert (builder.wide, builder.staggered) == (wide, staggered)
     x = problem.x_initial + np.random.default_rng(1).uniform(-0.1, 0.1, problem.nx)
@@ -249,7 +249,7 @@ def test_stages_in_vectors(make: Callable[[], OCP], steps: int, wide: bool, stag
 
 def test_memory_of_three_sweeps() -> None:
     """Nothing of three sweeps that is kept per stage is larger than n (nx + nx); forward over adjoint keeps n nx nz."""
-    problem = analyse(dense(6))
+    problem = classify(dense(6))
     sizes = {}
     for scheme in SWEEPS:
         routine = curved(problem, ExplicitRungeKutta(steps=2, unroll="none"), scheme)
@@ -301,7 +301,7 @@ def test_linear_dynamics_have_no_curvature(scheme: str) -> None:
     M = np.random.default_rng(0).uniform(-1, 1, (4, 5))
     ocp.dynamics(M @ ca.vertcat(x, u))
     ocp.least_squares(u, weight=[1.0])
-    problem = analyse(ocp)
+    problem = classify(ocp)
     routines = {f"as_{n}": curved(problem, ExplicitRungeKutta(unroll=n), scheme) for n in UNROLL}
     call = Routines(routines)
     expected = np.array(ca.DM.zeros(5, 5))
@@ -319,7 +319,7 @@ def test_products_of_controls(scheme: str) -> None:
     x, u = ocp.state("x"), ocp.control("u", size=2)
     ocp.dynamics({x: u[0] * u[1] + u[0] ** 2 - x})
     ocp.least_squares(u, weight=[1.0, 1.0])
-    problem = analyse(ocp)
+    problem = classify(ocp)
     call = Routines({f"as_{n}": curved(problem, ExplicitRungeKutta(unroll=n), scheme) for n in UNROLL})
     h, growth = 0.25, 0.0
     for _ in range(2):  # RK4 on s' = 1 - s
@@ -338,7 +338,7 @@ def test_products_of_controls(scheme: str) -> None:
 @pytest.mark.parametrize("scheme", SWEEPS)
 def test_discrete_map(scheme: str) -> None:
     """d2 (lam' Phi) itself, from the hand-written Jacobian."""
-    problem = analyse(discrete_map())
+    problem = classify(discrete_map())
     z, p, lam = np.array([0.4, -0.7, 0.2, 0.3]), np.array([0.8]), np.array([0.7, -1.3])
 
     def phi(z: Array) -> Array:

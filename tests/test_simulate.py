@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nmpc_codegen.build import load
-from nmpc_codegen.controller import Controller, Status
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.simulate import LONG_RUN, Trace, simulate
+from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.controller import Controller, Status
+from nmpc_codegen.runtime.simulate import LONG_RUN, Trace, simulate
 
 Array = NDArray[np.float64]
 X0 = np.array([1.0, 0.0])

@@ -22,13 +22,13 @@ from nmpc_codegen import (
     RiccatiInteriorPoint,
     build,
 )
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.evaluation import kkt_residuals, node_data
-from nmpc_codegen.linearize import linearize
-from nmpc_codegen.reference import solve_reference
-from nmpc_codegen.status import Status
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.oracle.reference import solve_reference
+from nmpc_codegen.oracle.trajectory import kkt_residuals, node_data
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.status import Status
 
 
 def pendulum(name: str) -> OCP:
@@ -119,7 +119,7 @@ def controller(case: str, form: str) -> Controller:
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("case", CASES)
 def test_equal_to_ipopt(case: str, form: str) -> None:
-    problem = analyse(CASES[case]())
+    problem = classify(CASES[case]())
     ctrl = controller(case, form)
     ctrl.reset()
     solution = ctrl.solve(problem.x_initial, tol=1e-10, max_iterations=200)
@@ -154,7 +154,7 @@ def test_stages_carry_free_components_to_coupled_rows() -> None:
     stages, condensed = (
         build(periodic(), Options(**FORMS[form]), profile="test") for form in ("active set", "condensed")
     )
-    stated = linearize(analyse(periodic()), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
+    stated = linearize(classify(periodic()), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
     assert stated.options.condensing == PartialCondensing(1)
     assert any("instead of none; coupled rows read free components of x_0" in why for why in stated.choices)
     for xhat in ([0.6, 0.0], [0.5, 0.1], [0.4, -0.2]):

@@ -11,11 +11,11 @@ import pytest
 from problems import CASES
 
 from nmpc_codegen import OCP, GaussNewton, Options, build
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.controller import Controller
-from nmpc_codegen.evaluation import evaluate_cost, kkt_residuals
-from nmpc_codegen.reference import solve_reference
-from nmpc_codegen.status import Solution, Status
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import solve_reference
+from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.status import Solution, Status
 
 MULTIPLIERS = ("lam", "mu_x", "mu_u", "mu", "mu_N")
 
@@ -184,7 +184,7 @@ def test_convex_rows_make_the_disc_converge() -> None:
     """The curvature of an active convex row, which plain Gauss-Newton lacks: equal to IPOPT in a few iterations."""
     ocp = problems.disc()
     solution = build(ocp, Options(hessian=GaussNewton(convex_rows=True))).solve((1.0, 0.0), tol=1e-8)
-    reference = solve_reference(analyse(ocp), x0=[1.0, 0.0])
+    reference = solve_reference(classify(ocp), x0=[1.0, 0.0])
     assert solution.status == Status.OK
     assert solution.iterations <= 15
     np.testing.assert_allclose(solution.u, reference.u, atol=1e-6)
@@ -229,7 +229,7 @@ def free_start(rows: bool, N: int = 6) -> OCP:
 @pytest.mark.parametrize("N", [1, 6])
 def test_free_components_of_the_initial_state(rows: bool, N: int) -> None:
     ocp = free_start(rows, N)
-    reference = solve_reference(analyse(ocp), x0=[0.8, 0.1])
+    reference = solve_reference(classify(ocp), x0=[0.8, 0.1])
     assert reference.success
     c = build(ocp)
     solution = c.solve((0.8, 0.1), tol=1e-9)
@@ -263,7 +263,7 @@ def test_all_of_the_initial_state_free() -> None:
     ocp.free_initial("phi")
     c = build(ocp)
     first = c.solve((0.8, 0.1), tol=1e-9)
-    reference = solve_reference(analyse(ocp), x0=[0.8, 0.1])
+    reference = solve_reference(classify(ocp), x0=[0.8, 0.1])
     assert first.status == Status.OK
     assert relative(first.x, reference.x) <= 1e-6
     np.testing.assert_allclose(c.solve((-0.3, 1.0), tol=1e-9).x, first.x, atol=1e-6)

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen.cprint import CStyle
-from nmpc_codegen.kernel import Kernel, OpCount, Port
-from nmpc_codegen.sweep import (
+from nmpc_codegen.ir.kernel import Kernel, OpCount, Port
+from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.sweep import (
     Affine,
     Call,
     For,

@@ -9,7 +9,6 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import (
     BuildError,
     ControllerError,
@@ -18,15 +17,16 @@ from nmpc_codegen.errors import (
     ProblemError,
     ProblemWarning,
 )
-from nmpc_codegen.package import open_package
-from nmpc_codegen.simulate import Log, simulate
-from nmpc_codegen.status import Status
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.package import open_package
+from nmpc_codegen.runtime.simulate import Log, simulate
+from nmpc_codegen.runtime.status import Status
 
 if TYPE_CHECKING:
-    from nmpc_codegen.algorithms import RealTimeIteration
     from nmpc_codegen.compiler import Package, export, generate
-    from nmpc_codegen.condensing import FullCondensing, NoCondensing, PartialCondensing
-    from nmpc_codegen.hessians import (
+    from nmpc_codegen.components.algorithms import RealTimeIteration
+    from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
+    from nmpc_codegen.components.hessians import (
         ExactHessian,
         ForwardOverAdjoint,
         GaussNewton,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         Project,
         Symmetric,
     )
-    from nmpc_codegen.integrators import (
+    from nmpc_codegen.components.integrators import (
         RK4,
         SSPRK3,
         ButcherTableau,
@@ -45,23 +45,23 @@ if TYPE_CHECKING:
         Heun,
         Midpoint,
     )
-    from nmpc_codegen.ocp import OCP
+    from nmpc_codegen.components.qp import DenseActiveSet, Osqp, RiccatiActiveSet, RiccatiInteriorPoint
+    from nmpc_codegen.frontend.ocp import OCP
     from nmpc_codegen.options import Online, Options
-    from nmpc_codegen.qp import DenseActiveSet, Osqp, RiccatiActiveSet, RiccatiInteriorPoint
 
 _HOMES = {
-    "algorithms": ("RealTimeIteration",),
+    "components.algorithms": ("RealTimeIteration",),
     "compiler": ("Package", "export", "generate"),
-    "condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
-    "hessians": (
+    "components.condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
+    "components.hessians": (
         *("ExactHessian", "ForwardOverAdjoint", "GaussNewton", "IdentityHessian", "Mirror", "Project", "Symmetric"),
     ),
-    "integrators": (
+    "components.integrators": (
         *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
     ),
-    "ocp": ("OCP",),
+    "frontend.ocp": ("OCP",),
     "options": ("Online", "Options"),
-    "qp": ("DenseActiveSet", "Osqp", "RiccatiActiveSet", "RiccatiInteriorPoint"),
+    "components.qp": ("DenseActiveSet", "Osqp", "RiccatiActiveSet", "RiccatiInteriorPoint"),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -120,7 +120,7 @@ def build(
 ) -> Controller:
     """Generate, compile and load a controller; see nmpc_codegen.compiler.build.
 
-    Defined here, not loaded on first use: the module nmpc_codegen.build would hide it.
+    Defined here, not loaded on first use: the module nmpc_codegen.runtime.build would hide it.
     """
     controller: Controller = import_module(f"{__name__}.compiler").build(ocp, options, profile, lanes, name)
     return controller

@@ -22,9 +22,9 @@ from nmpc_codegen.errors import NmpcError, OptionError, ProblemError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from nmpc_codegen.controller import Solution
-    from nmpc_codegen.ocp import OCP
+    from nmpc_codegen.frontend.ocp import OCP
     from nmpc_codegen.options import Options
+    from nmpc_codegen.runtime.controller import Solution
 
 #: Variation points, in the order in which --list-options shows them.
 SEAMS = ("integrator", "hessian", "condensing", "qp", "algorithm")
@@ -155,7 +155,7 @@ def load_problem(path: Path) -> tuple[OCP, Options]:
 
 def _stated(names: Mapping[str, Any], path: Path) -> Any:
     """What the file states: an OCP, or a pair (OCP, Options)."""
-    from nmpc_codegen.ocp import OCP
+    from nmpc_codegen.frontend.ocp import OCP
 
     for function in ("problem", "build_ocp"):
         if function == "build_ocp" and isinstance(names.get("ocp"), OCP):
@@ -290,7 +290,7 @@ def _first_line(cls: Any) -> str:
 
 def _run(arguments: argparse.Namespace, console: Console) -> int:
     from nmpc_codegen.compiler import export
-    from nmpc_codegen.package import open_package
+    from nmpc_codegen.runtime.package import open_package
 
     ocp, options = load_problem(Path(arguments.problem))
     for seam in ("hessian", "qp"):
@@ -309,7 +309,7 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     if arguments.check:
         passed = check(ocp, options, folder, name, console)
     if arguments.simulate is not None:
-        from nmpc_codegen.simulate import simulate
+        from nmpc_codegen.runtime.simulate import simulate
 
         controller = open_package(str(folder), name=name)
         log = simulate(controller, controller.description.x_initial, arguments.simulate)
@@ -355,13 +355,13 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, console: Console)
     IPOPT starts as the generated code does; if it ends elsewhere (another local optimum) it starts once more at the
     generated code's solution, which it must then return.
     """
-    from nmpc_codegen.analyse import analyse
-    from nmpc_codegen.build import load
-    from nmpc_codegen.reference import Reference, node_data
+    from nmpc_codegen.frontend.classify import classify
+    from nmpc_codegen.oracle.reference import Reference, node_data
+    from nmpc_codegen.runtime.build import load
 
     files = {f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")}
     controller = load(files, name, "verify", warnings_as_errors=True)
-    problem = analyse(ocp)
+    problem = classify(ocp)
     solution = controller.solve(problem.x_initial, CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS)
     nlp = Reference(problem, *_tableau(options))
     data = node_data(problem)
@@ -380,7 +380,7 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, console: Console)
 
 def _tableau(options: Options) -> tuple[Any, ...]:
     """The integrator as plain numbers for the reference; nothing for a discrete map or the default."""
-    from nmpc_codegen.reference import Tableau
+    from nmpc_codegen.oracle.reference import Tableau
 
     scheme = getattr(options.integrator, "tableau", None)
     if scheme is None:

@@ -1,6 +1,6 @@
 """The compiler on one screen.
 
-    OCP --analyse--> Problem --linearize--> Linearization --lower--> CModule --render--> Sources --build--> Controller
+    OCP --classify--> Problem --linearize--> Linearization --lower--> CModule --render--> Sources --build--> Controller
     (user, mutable)  (frozen: what)         (frozen: which functions) (frozen: C nouns)  (path -> text)   (NumPy views)
 
 Every stage is a pure function from frozen values to a frozen value; only OCP (before) and Controller (after) mutate.
@@ -15,15 +15,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nmpc_codegen.analyse import analyse
-from nmpc_codegen.build import load
-from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.linearize import linearize
-from nmpc_codegen.lower import lower
-from nmpc_codegen.ocp import OCP
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.options import Options
-from nmpc_codegen.render import Sources, render
+from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.controller import Controller
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
     """
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
-    problem = analyse(ocp)
+    problem = classify(ocp)
     linearization = linearize(problem, options or Options())
     module = lower(linearization, name)
     sources = render(module)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from nmpc_codegen import algorithms, condensing, hessians, integrators, qp
-from nmpc_codegen.algorithms import RealTimeIteration
-from nmpc_codegen.component import SEAMS, Component
+from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
+from nmpc_codegen.components.algorithms import RealTimeIteration
+from nmpc_codegen.components.base import SEAMS, Component
+from nmpc_codegen.components.hessians import GaussNewton
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.hessians import GaussNewton
 
 REGISTRIES: dict[str, dict[str, Any]] = {
     "integrator": dict(integrators.REGISTRY),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen.evaluation import (
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.oracle.trajectory import (
     CLASSICAL,
     Data,
     Point,
@@ -15,7 +16,6 @@ from nmpc_codegen.evaluation import (
     node_rows,
     scaled_weight,
 )
-from nmpc_codegen.problem import Problem
 
 Array = np.ndarray
 

@@ -1,0 +1,116 @@
+"""Full condensing in O(N^2): eliminates dx_1 .. dx_N, keeps dx_0 apart.
+
+    dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k
+
+Columns are propagated forward, one backward sweep per column forms the lower triangle of the condensed Hessian
+(algorithms.md 3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from nmpc_codegen.components.base import Counts, Dims, QpShape
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.stage_products import PANEL
+from nmpc_codegen.ir.sweep import Routine
+
+
+def _panels(width: int) -> int:
+    return -(-width // PANEL) * PANEL
+
+
+def _slacks(problem: Problem) -> tuple[int, ...]:
+    """Variable that is the slack of every QP row, or -1: rows with a quadratic penalty have one."""
+    first = problem.N * problem.nu + len(problem.free_initial)
+    soft = [problem.rows[row].soft for _, _, _, row in problem.qp_rows]
+    needs = [penalty is not None and penalty[1] > 0 for penalty in soft]
+    return tuple(first + sum(needs[:m]) if need else -1 for m, need in enumerate(needs))
+
+
+def _columns(dims: Dims) -> int:
+    """Columns of G_k: dx_0 and all controls."""
+    return dims.nx.value + dims.N.value * dims.nu.value
+
+
+@dataclass(frozen=True)
+class FullCondensing:
+    """Eliminate all states but the first; the QP has N nu variables and the free components of x_0."""
+
+    seam: ClassVar[str] = "condensing"
+    name: ClassVar[str] = "full"
+    template: ClassVar[str] = "condensing/full.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
+    gives: ClassVar[str] = "condensed"
+    columns: ClassVar[bool] = True
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+    )
+
+    def qp_shape(self, problem: Problem) -> QpShape:
+        """One stage with all controls; variables are the controls, the free components of x_0 and the slacks."""
+        controls, slacks = problem.N * problem.nu, sum(s >= 0 for s in _slacks(problem))
+        return QpShape(1, controls, controls + len(problem.free_initial) + slacks, slacks)
+
+    def adapted(self, problem: Problem) -> FullCondensing:
+        """It takes every problem of its features."""
+        return self
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        return ()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Nothing to choose between."""
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """The slack of every row."""
+        return (Table("row_slack", "int", _slacks(problem), "slack variable of QP row m, or -1"),)
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return (("LDG", _panels(_columns(dims)), "columns of G_k: NX + N NU, rounded up to PANEL"),)
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """Sensitivities of the condensed states and what the feedback phase needs."""
+        ldg = Size("LDG", _panels(_columns(dims)))
+        nodes = Size("N + 1", dims.N.value + 1)
+        return (
+            Struct(
+                "condensed",
+                "dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0",
+                (
+                    Field("G", (nodes, dims.nx, ldg), "columns: dx_0, then du_0 .. du_{N-1}", "data"),
+                    Field("c", (nodes, dims.nx), "free response of the gaps b_k", "data"),
+                    Field("W", (Size("2", 2), dims.nx, ldg), "W_k of the backward sweep", "scratch"),
+                    Field("T", (dims.nu, ldg), "one block row of the condensed Hessian", "scratch"),
+                    Field("g", (dims.nv,), "condensed gradient at dx_0 = 0", "data"),
+                    Field("Hx", (dims.nv, dims.nx), "coupling of the controls to dx_0", "data"),
+                    Field("Ax", (dims.ng, dims.nx), "coupling of the rows to dx_0", "data"),
+                    Field("v", (dims.ng,), "values of the rows at du = 0, dx_0 = 0", "data"),
+                ),
+            ),
+        )
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """All but condense_rows, which leaves out zeros of the row gradients; columns are padded to PANEL."""
+        N, nx, nu, nf, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf, dims.ng))
+
+        def panels(first: int, step: int, nodes: int) -> int:
+            return sum(_panels(first + k * step) // PANEL for k in range(nodes))
+
+        hessian = known["condense_forward_columns"] * panels(nx, nu, N)
+        hessian += known["condense_terminal_columns"] * panels(nx + N * nu, 0, 1)
+        hessian += known["condense_backward_columns"] * panels(nx + nu, nu, N)
+        hessian += OpCount(add=nu * (nu + 1) // 2) * N
+        gradient = (known["state_step"] + known["adjoint_step"]) * N + known["terminal_adjoint"]
+        rows = N * nu + ng
+        return {
+            "condense_hessian": hessian,
+            "condense_gradient": gradient,
+            "condense_embed": OpCount(add=nx + 2, mul=nx) * rows + OpCount(add=nx, mul=nx) * nf,
+            "condense_expand": known["state_step"] * N,
+        }

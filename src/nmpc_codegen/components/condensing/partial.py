@@ -1,0 +1,119 @@
+"""Partial condensing: blocks of intervals become one stage of the QP (algorithms.md 3).
+
+dx_{kB+j} = G_j (dx_kB, du_kB, ..., du_{kB+B-1}) + c_j,   j = 0 .. B
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from nmpc_codegen.components.base import Counts, Dims, QpShape
+from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Field, Struct, Table
+from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.sweep import Routine
+
+
+@dataclass(frozen=True)
+class PartialCondensing:
+    """Eliminate all states but every ``block``-th: ceil(N / block) stages with block nu controls each.
+
+    A block longer than the horizon is the horizon; a shorter last one is padded with controls that stay 0.
+    """
+
+    block: int = 2
+
+    seam: ClassVar[str] = "condensing"
+    name: ClassVar[str] = "partial"
+    template: ClassVar[str] = "condensing/partial.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
+    gives: ClassVar[str] = "stages"
+    columns: ClassVar[bool] = False
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+    )
+
+    def __post_init__(self) -> None:
+        if isinstance(self.block, bool) or not isinstance(self.block, int) or self.block < 1:
+            raise OptionError(f"PartialCondensing.block: {self.block!r} is not a positive integer")
+
+    def _block(self, N: int) -> int:
+        return min(self.block, N)
+
+    def qp_shape(self, problem: Problem) -> QpShape:
+        """ceil(N / block) stages with the controls of a block each."""
+        block = self._block(problem.N)
+        stages = -(-problem.N // block)
+        return QpShape(stages, block * problem.nu, stages * block * problem.nu, copies=len(copied_states(problem)))
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """No function of the model is called."""
+        return ()
+
+    def adapted(self, problem: Problem) -> PartialCondensing:
+        """It takes every problem of its features."""
+        return self
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Nothing to choose between."""
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """Where the rows stand in the stages."""
+        return stage_tables(problem, self._block(problem.N))
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        """The length of a block."""
+        return (("BLOCK", self._block(dims.N.value), "intervals of a stage of the QP"),)
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """The stages of the QP, and the states inside a block as functions of its variables."""
+        nx, nxs, nzs = dims.nx, dims.nxs, dims.nzs
+        return (
+            Struct(
+                "block",
+                "stage of the QP",
+                (
+                    Field("S", (nxs, nzs), "[A B] of the block", "data"),
+                    Field("b", (nxs,), "gap", "data"),
+                    Field("g", (nzs,), "gradient", "data"),
+                    Field("Q", (nzs, nzs), "Hessian, lower triangle", "data"),
+                ),
+                shape=(dims.ns,),
+            ),
+            Struct(
+                "blocks",
+                "states inside a block, and the rows",
+                (
+                    Field("G", (dims.N, nx, nzs), "dx_{kB+j} = G_j (dx_kB, du) + c_j of every node", "scratch"),
+                    Field("c", (dims.N, nx), "c_j of every node", "scratch"),
+                    Field("Z", (dims.nz, nzs), "[G_j; selection of du]", "scratch"),
+                    Field("J", (dims.ng, nzs), "gradients of the rows", "data"),
+                    Field("Q_N", (nxs, nxs), "Hessian of the last stage, lower triangle", "data"),
+                    Field("g_N", (nxs,), "gradient of the last stage", "data"),
+                    Field("v", (dims.ng,), "values of the rows at dx_kB = 0, du = 0", "data"),
+                ),
+            ),
+        )
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """Everything but the gradients and values of the rows."""
+        N, nx, nxs, nu, nz = (size.value for size in (dims.N, dims.nx, dims.nxs, dims.nu, dims.nz))
+        block = self._block(N)
+        forward, hessian = OpCount(), OpCount()
+        for k in range(N):
+            width = nxs + (k % block) * nu
+            products = nx * nx * width
+            forward += OpCount(add=products, mul=products)
+            width += nu
+            products = nz * nz * width + nz * width * (width + 1) // 2
+            hessian += OpCount(add=products, mul=products)
+        return {
+            "condense_matrices": forward + hessian,
+            "condense_embed": embed_cost(dims),
+            "condense_expand": known["state_step"] * N,
+        }

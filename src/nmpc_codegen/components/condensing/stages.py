@@ -1,0 +1,47 @@
+"""What the condensing components that keep stages share: where QP rows stand in them, and the embedding of bounds.
+
+A coupled row stands at x_N. What is given of x_0 moves its bounds; what is free is a state of every stage besides x: a
+copy that does not move (algorithms.md 3).
+"""
+
+from __future__ import annotations
+
+from nmpc_codegen.components.base import Dims
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.ir.kernel import OpCount
+
+
+def copied_states(problem: Problem) -> tuple[int, ...]:
+    """Free components of x_0 that are carried to x_N, where the coupled rows stand: all if there are coupled rows."""
+    return problem.free_initial if problem.coupled_rows else ()
+
+
+def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
+    """Tables of the QP rows for stages of ``block`` intervals.
+
+    A bound of the first state of a block, or of x_N, is a bound of the stage's state; every other row is general.
+    """
+    N = problem.N
+    stages = -(-N // block)
+    stage = [stages if k == N else k // block for k, _, _, _ in problem.qp_rows]
+    bounds = [index if kind == 0 and (k == N or k % block == 0) else -1 for k, kind, index, _ in problem.qp_rows]
+    first = [sum(at < k for at in stage) for k in range(stages + 2)]
+
+    def table(name: str, values: list[int], doc: str) -> Table:
+        return Table(name, "int", tuple(values), doc)
+
+    return (
+        table("stage_first", first, "first QP row of stage k"),
+        table("stage_of_row", stage, "stage of QP row m"),
+        table("copied_state", list(copied_states(problem)), "state that copy c is the first value of"),
+        table("is_free", [int(i in problem.free_initial) for i in range(problem.nx)], "1: x_0 is not given"),
+        table("stage_state", bounds, "state that QP row m bounds, or -1: general row"),
+    )
+
+
+def embed_cost(dims: Dims) -> OpCount:
+    """Two bounds per control and row, and E_0 dx_0 of the coupled rows."""
+    rows = dims.N.value * dims.nu.value + dims.ng.value
+    coupled = dims.ne.value * dims.nx.value
+    return OpCount(add=2 * rows + coupled, mul=coupled)

@@ -1,0 +1,250 @@
+"""Exact Hessian of the Lagrangian, stage by stage, with the multipliers of the last QP.
+
+    Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k) / d(x_k, u_k)^2,   Q_N = d2 (l_N + mu_N' h_N + eta' r) / dx_N^2
+
+Q_0 has d2 (eta' r) / dx_0^2 too; mixed derivatives of r in x_0 and x_N are left out. l_k holds least squares, general
+costs and the integral of cost rates. x_next, [A_k B_k], the gradient and Q_k come from one sweep ([Q14]
+section IV). The first time an adjoint pass gives lam.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.components.hessians.regularization import Mirror, Project, Regularization
+from nmpc_codegen.components.hessians.stage_cost import StageCost, integrated_kernels, slices, stage_cost
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
+from nmpc_codegen.ir.stage_products import Pattern, irreducible_blocks, pattern
+from nmpc_codegen.ir.sweep import Call, Routine, Slice
+
+# Sweeps of Jacobi rotations, and QL iterations per eigenvalue, before a decomposition is taken as it is.
+MAX_SWEEPS = 12
+MAX_QL = 30
+
+# Shifts of the Hessian on stages, each four times the one before.
+MAX_SHIFTS = 24
+
+# Blocks decomposed at once: for a small one, as many as fill vector registers.
+LANES = ((8, 8), (16, 4))
+
+
+@dataclass(frozen=True)
+class Symmetric:
+    """Three sweeps: forward, adjoint, forward with a symmetric recursion of the Hessian ([Q14] algorithm 2)."""
+
+    scheme: ClassVar[str] = "symmetric"
+
+
+@dataclass(frozen=True)
+class ForwardOverAdjoint:
+    """Forward mode over the adjoint, the stages' sensitivities stored ([Q14] algorithm 1)."""
+
+    scheme: ClassVar[str] = "forward_over_adjoint"
+
+
+_REGULARIZATIONS: dict[str, Regularization | None] = {"project": Project(), "mirror": Mirror(), "none": None}
+_SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {cls.scheme: cls() for cls in (Symmetric, ForwardOverAdjoint)}
+
+
+@dataclass(frozen=True)
+class ExactHessian:
+    """Exact second derivatives; ``levenberg_marquardt`` >= 0 is added to the diagonal of every block.
+
+    regularization: Project(floor, level), Mirror(floor, level) or None: what is done if the QP would not be convex.
+    sweep: Symmetric() or ForwardOverAdjoint(), how second derivatives of the dynamics are propagated.
+    """
+
+    regularization: Regularization | None = field(default_factory=Project)
+    sweep: Symmetric | ForwardOverAdjoint = field(default_factory=Symmetric)
+    levenberg_marquardt: float = 0.0
+
+    seam: ClassVar[str] = "hessian"
+    name: ClassVar[str] = "exact"
+    template: ClassVar[str] = "hessians/exact.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ("integrator",)
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
+    )
+
+    def __post_init__(self) -> None:
+        if isinstance(self.regularization, str) and self.regularization in _REGULARIZATIONS:
+            object.__setattr__(self, "regularization", _REGULARIZATIONS[self.regularization])
+        if isinstance(self.sweep, str) and self.sweep in _SWEEPS:
+            object.__setattr__(self, "sweep", _SWEEPS[self.sweep])
+        if not isinstance(self.regularization, Project | Mirror | None):
+            raise OptionError(
+                f"regularization: {self.regularization!r}; expected Project(...), Mirror(...), None or one of "
+                f"{', '.join(_REGULARIZATIONS)}"
+            )
+        if not isinstance(self.sweep, Symmetric | ForwardOverAdjoint):
+            raise OptionError(
+                f"sweep: {self.sweep!r}; expected Symmetric(), ForwardOverAdjoint() or one of {', '.join(_SWEEPS)}"
+            )
+        lm = self.levenberg_marquardt
+        if isinstance(lm, bool) or not isinstance(lm, int | float) or not (math.isfinite(lm) and lm >= 0):
+            raise OptionError(f"levenberg_marquardt: {lm!r}; expected a finite number >= 0")
+
+    @property
+    def level(self) -> str:
+        """Where it regularises: "stage", "reduced" or "nowhere"."""
+        return "nowhere" if self.regularization is None else self.regularization.level
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """Cost and gradient of both stages, Hessian of the terminal one; those that integrate are joint ones."""
+        path, terminal = stage_cost(problem.path, "path"), stage_cost(problem.terminal, "terminal")
+        kernels: list[Routine] = []
+        if problem.path.cost_rate is None:
+            kernels += [path.cost_kernel(), path.gradient_kernel()]
+        return (*kernels, terminal.cost_kernel(), terminal.gradient_kernel(), *self._ends(problem, terminal))
+
+    def _ends(self, problem: Problem, cost: StageCost) -> tuple[Routine, Routine]:
+        """The terminal block, and what the coupled rows add to the first one."""
+        nx, nz, ne = problem.nx, problem.nx + problem.nu, problem.coupled_rows
+        x_0, eta, Q_0 = ca.SX.sym("x_0", nx), ca.SX.sym("eta", ne), ca.SX.sym("Q_0", nz * nz)
+        x_N = cost.inputs[0]
+        r = ca.dot(eta, problem.coupled(x_0, x_N)) if ne else ca.SX(0)
+        first, last = (ca.sparsify(ca.tril(ca.hessian(r, x)[0])) for x in (x_0, x_N))
+        Q = ca.sparsify(cost.hessian + last + self._damping(nx))
+        ports = [Port("first", nx, doc="x_0"), Port("eta", ne, doc="multipliers of the coupled rows")]
+        terminal = lift(
+            ca.Function("hessian", [*cost.inputs, cost.yref, cost.W, cost.mu, x_0, eta], [Q]),
+            "terminal_hessian",
+            "Q = d2 (l + mu' h + eta' r) / dx_N^2, lower triangle",
+            [*cost.ports, *cost.data_ports, cost.mu_port, *ports],
+            [Port("Q", nx, nx)],
+        )
+        total = ca.SX(nz, nz)
+        for i, j in zip(*first.sparsity().get_triplet(), strict=True):
+            total[i, j] = Q_0[i * nz + j] + first[i, j]
+        initial = lift(
+            ca.Function("initial", [x_0, x_N, eta, Q_0], [total]),
+            "initial_hessian",
+            "Q = Q_0 + d2 (eta' r) / dx_0^2, entries that change",
+            [ports[0], Port("last", nx, doc="x_N"), ports[1], Port("block", nz * nz, doc="Q_0")],
+            [Port("Q", nz, nz)],
+        )
+        return self._completed(terminal), initial
+
+    def joint_routines(self, problem: Problem, integrator: Any) -> tuple[Routine, ...]:
+        """path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q); path_cost and path_gradient that integrate."""
+        cost = stage_cost(problem.path, "path")
+        more = (*cost.data_ports, cost.mu_port)
+        exact = integrator.curved(problem, self.sweep.scheme, "path_exact", self._start(cost), more)
+        initial = self._ends(problem, stage_cost(problem.terminal, "terminal"))[1]
+        return (*integrated_kernels(problem, integrator), self._completed(exact, pattern(initial, "Q")))
+
+    def _start(self, cost: StageCost) -> Call:
+        """g and Q of the node's own cost and rows."""
+        Q = ca.densify(cost.hessian + self._damping(cost.nz))
+        symbols = [*cost.inputs, cost.yref, cost.W, cost.mu]
+        leaf = ca.Function("node", symbols, [ca.densify(cost.gradient), ca.vec(Q.T)])
+        outs = (Slice("g", cost.nz), Slice("Q", cost.nz**2))
+        return Call(leaf, slices(*cost.ports, *cost.data_ports, cost.mu_port), outs)
+
+    def _damping(self, n: int) -> Any:
+        """The Levenberg-Marquardt term, unless it follows after a regularisation of the block."""
+        if self.level == "stage" or not self.levenberg_marquardt:
+            return ca.DM(n, n)
+        return self.levenberg_marquardt * ca.DM.eye(n)
+
+    def _completed(self, routine: Routine, more: Pattern = frozenset()) -> Routine:
+        """With zeros stored in the entries ``more``, and in all that a regularisation of the block may fill."""
+        if not isinstance(routine, Kernel):
+            return routine
+        return routine.with_zeros("Q", sorted(self._block(pattern(routine, "Q") | more, routine.outputs[-1].rows)))
+
+    def _block(self, lower: Pattern, n: int) -> Pattern:
+        """What is nonzero after the regularisation."""
+        return filled(lower, n) if self.level == "stage" else lower
+
+    def patterns(self, routines: Mapping[str, Routine]) -> tuple[Pattern, Pattern]:
+        """Nonzeros of Q and Q_N, lower triangles."""
+        path, first, last = (
+            frozenset((r, c) for r, c in pattern(routines[name], "Q") if r >= c)
+            for name in ("path_exact", "initial_hessian", "terminal_hessian")
+        )
+        nz, nx = (routines[name].outputs[-1].rows for name in ("path_exact", "terminal_hessian"))
+        return self._block(path | first, nz), self._block(last, nx)
+
+    @property
+    def convexify(self) -> str:
+        """What the Riccati recursion does about an indefinite reduced Hessian."""
+        return "riccati/convexify.c.jinja" if self.level == "reduced" else "riccati/as_given.c.jinja"
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What becomes of an indefinite Hessian."""
+        if self.level == "stage":
+            return "hessians/jacobi.c.jinja", "hessians/regularize_stage.c.jinja"
+        if self.level == "reduced":
+            return "hessians/eigen.c.jinja", "hessians/regularize_reduced.c.jinja"
+        return ("hessians/regularize_nothing.c.jinja",)
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""
+        if self.regularization is None:
+            return ()
+        values = (float(self.regularization.floor), float(self.levenberg_marquardt))
+        return (Table("regularization", "real", values, "smallest eigenvalue, relative; what is added to all of them"),)
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        if self.regularization is None:
+            return ()
+        mirror = (
+            "MIRROR",
+            int(self.regularization.mirrors),
+            "1: negative eigenvalues change sign, 0: become the floor",
+        )
+        if self.level == "stage":
+            return (
+                mirror,
+                ("LANES", _lanes(dims.nz.value), "blocks that are decomposed at once"),
+                ("MAX_SWEEPS", MAX_SWEEPS, "sweeps of Jacobi rotations"),
+            )
+        return (
+            mirror,
+            ("MAX_QL", MAX_QL, "QL iterations per eigenvalue"),
+            ("MAX_SHIFTS", MAX_SHIFTS, "shifts of the Hessian that are tried"),
+        )
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """Hessian blocks, lower triangles in the order z = (x, u), and the scratch of their decomposition."""
+        blocks = (
+            Field("Q", (dims.nq, dims.nz, dims.nz), "path blocks", "data"),
+            Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
+        )
+        scratch: tuple[Field, ...] = (
+            Field("adjoint", (), "1: lam comes from an adjoint pass", "scratch", "int32"),
+            Field("changed", (), "1: entries of Q beyond its pattern are nonzero", "scratch", "int32"),
+        )
+        if self.level == "stage":
+            nodes, lanes = Size("N + 1", dims.N.value + 1), Size("LANES", _lanes(dims.nz.value))
+            square = Size("NZ * NZ", dims.nz.value**2)
+            scratch += (
+                Field("scale", (nodes,), "largest absolute entry of the block", "scratch"),
+                Field("A", (square, lanes), "blocks of one size, one per lane; then diagonal", "scratch"),
+                Field("V", (square, lanes), "their eigenvectors", "scratch"),
+            )
+        return (Struct("hessian", "Hessian blocks, lower triangles, z = (x, u)", (*blocks, *scratch)),)
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """The terminal block; the work of a regularisation depends on the data."""
+        return {} if self.level == "stage" else {"hessian": known["terminal_hessian"]}
+
+
+def _lanes(nz: int) -> int:
+    return next((lanes for size, lanes in LANES if nz <= size), 1)
+
+
+def filled(lower: Pattern, n: int) -> Pattern:
+    """Lower triangles of the irreducible blocks, full, the diagonal everywhere."""
+    return frozenset((r, c) for block in irreducible_blocks(lower, n) for r in block for c in block if r >= c)

@@ -1,0 +1,134 @@
+"""Gauss-Newton Hessian of least-squares costs.
+
+    l = 1/2 (y - yref)' W (y - yref),   gradient J' W (y - yref),   Hessian J' W J,   J = dy / d(x, u)
+
+([H11] section 2.2, algorithms.md 3). Only the lower triangle of the Hessian is formed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.components.hessians.stage_cost import weight_matrix
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem, Stage
+from nmpc_codegen.ir.cmodule import Field, Struct, Table
+from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
+from nmpc_codegen.ir.stage_products import Pattern, pattern
+from nmpc_codegen.ir.sweep import Routine
+
+
+@dataclass(frozen=True)
+class GaussNewton:
+    """Gauss-Newton Hessian; ``levenberg_marquardt`` >= 0 is added to its diagonal.
+
+    ``convex_rows`` adds sum_i mu_i d2 h_i of the general rows at every node where it is positive semidefinite, with the
+    multipliers of the last QP: discs and other convex rows need it to converge.
+    """
+
+    convex_rows: bool = False
+    levenberg_marquardt: float = 0.0
+
+    seam: ClassVar[str] = "hessian"
+    name: ClassVar[str] = "gauss_newton"
+    template: ClassVar[str] = "hessians/gauss_newton.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ()
+    convexify: ClassVar[str] = "riccati/as_given.c.jinja"
+    supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "accumulators"})
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.convex_rows, bool):
+            raise OptionError(f"convex_rows: {self.convex_rows!r}; expected True or False")
+        lm = self.levenberg_marquardt
+        if isinstance(lm, bool) or not isinstance(lm, int | float) or not (math.isfinite(lm) and lm >= 0):
+            raise OptionError(f"levenberg_marquardt: {lm!r}; expected a finite number >= 0")
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """cost, gradient and hessian of the path and of the terminal stage."""
+        return (*self._stage(problem.path, "path"), *self._stage(problem.terminal, "terminal"))
+
+    def _stage(self, stage: Stage, name: str) -> tuple[Kernel, ...]:
+        z = ca.vertcat(stage.x, stage.u)
+        nz, ny = int(z.numel()), stage.ny
+        yref, W, weight, nw = ca.SX.sym("yref", ny), *weight_matrix(stage)
+        residual = stage.y - yref
+        J = ca.jacobian(stage.y, z) if ny else ca.SX(0, nz)
+        weighted = weight @ residual
+        hessian = ca.sparsify(ca.tril(J.T @ weight @ J + self.levenberg_marquardt * ca.DM.eye(nz)))
+        mu = ca.SX.sym("mu", stage.nh)
+        curvature = ca.sparsify(ca.tril(ca.hessian(ca.dot(mu, stage.h), z)[0])) if stage.nh else ca.SX(nz, nz)
+        if self.convex_rows:  # entries that only the rows have are stored as zeros, for add_rows() to add to
+            hessian = ca.project(hessian, hessian.sparsity().unite(curvature.sparsity()))
+        terminal = not stage.nu
+        args = [stage.x, stage.p] if terminal else [stage.x, stage.u, stage.p, stage.dt]
+        ports = [Port("x", stage.nx), Port("p", int(stage.p.numel()))]
+        if not terminal:
+            ports = [ports[0], Port("u", stage.nu), ports[1], Port("dt", 1)]
+        Wp = Port("W", nw, doc="diagonal of the weight" if stage.diagonal_weight else "weight, row-major")
+        yp = Port("yref", ny)
+
+        def kernel(suffix: str, doc: str, more: list[Any], more_ports: list[Port], value: Any, out: Port) -> Kernel:
+            function = ca.Function(suffix, args + more, [ca.densify(value) if suffix == "cost" else value])
+            return lift(function, f"{name}_{suffix}", doc, ports + more_ports, [out])
+
+        gradient = ca.sparsify(J.T @ weighted) if ny else ca.SX(nz, 1)
+        cost = ca.dot(residual, weighted) / 2 if ny else ca.SX(1, 1)
+        kernels = (
+            kernel("cost", "l = 1/2 (y - yref)' W (y - yref)", [yref, W], [yp, Wp], cost, Port("l", 1)),
+            kernel("gradient", "g = J' W (y - yref)", [yref, W], [yp, Wp], gradient, Port("g", nz)),
+            kernel("hessian", "Q = J' W J, lower triangle", [W], [Wp], hessian, Port("Q", nz, nz)),
+        )
+        if not self.convex_rows:
+            return kernels
+        function = ca.Function("curvature", [*args[: 2 if terminal else 3], mu], [curvature])
+        doc = "M = sum_i mu_i d2 h_i, lower triangle"
+        curved = [*ports[: 2 if terminal else 3], Port("mu", stage.nh)]
+        return (*kernels, lift(function, f"{name}_curvature", doc, curved, [Port("M", nz, nz)]))
+
+    def joint_routines(self, problem: Problem, integrator: Any) -> tuple[Routine, ...]:
+        """None: least squares live at the nodes."""
+        return ()
+
+    def patterns(self, routines: Mapping[str, Routine]) -> tuple[Pattern, Pattern]:
+        """Nonzeros of Q and Q_N, lower triangles."""
+        return pattern(routines["path_hessian"], "Q"), pattern(routines["terminal_hessian"], "Q")
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What becomes of the curvature of the rows."""
+        rows = "hessians/convex_rows.c.jinja" if self.convex_rows else "hessians/flat_rows.c.jinja"
+        return ("hessians/first_order.c.jinja", rows, "hessians/regularize_nothing.c.jinja")
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return ()
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """Hessian blocks, lower triangles in the order z = (x, u)."""
+        return (
+            Struct(
+                "hessian",
+                "Hessian blocks, lower triangles, z = (x, u)",
+                (
+                    Field(
+                        "Q", (dims.nq, dims.nz, dims.nz), "path blocks; one for all nodes where it is constant", "data"
+                    ),
+                    Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
+                ),
+            ),
+        )
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """All blocks that hessian() forms; with convex rows the count depends on the data."""
+        if self.convex_rows:
+            return {}
+        return {"hessian": known["path_hessian"] * dims.nq.value + known["terminal_hessian"]}

@@ -1,0 +1,132 @@
+"""The cost of a node as expressions, and its kernels.
+
+    l = 1/2 (y - yref)' W (y - yref) + general cost at the node
+
+Weights and references are inputs, as they can change at run time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from nmpc_codegen.frontend.problem import Problem, Stage
+from nmpc_codegen.ir.kernel import Kernel, Port, lift
+from nmpc_codegen.ir.sweep import Call, Routine, Slice
+
+
+@dataclass(frozen=True, eq=False)
+class StageCost:
+    """Symbols and expressions of one stage; z = (x, u).
+
+    ``inputs`` and ``ports``: x, u, p, dt, at the terminal stage x, p; ``data`` and ``data_ports``: yref, W.
+    """
+
+    name: str
+    inputs: tuple[Any, ...]
+    ports: tuple[Port, ...]
+    yref: Any
+    W: Any
+    data_ports: tuple[Port, Port]
+    mu: Any
+    z: Any
+    value: Any
+    rows: Any  # mu' h
+
+    @property
+    def nz(self) -> int:
+        return int(self.z.numel())
+
+    @property
+    def gradient(self) -> Any:
+        """d l / dz."""
+        return ca.sparsify(ca.gradient(self.value, self.z))
+
+    @property
+    def hessian(self) -> Any:
+        """Lower triangle of d2 (l + mu' h) / dz^2."""
+        return ca.sparsify(ca.tril(ca.hessian(self.value + self.rows, self.z)[0]))
+
+    @property
+    def mu_port(self) -> Port:
+        return Port("mu", int(self.mu.numel()), doc="multipliers of the general rows")
+
+    def kernel(self, suffix: str, doc: str, value: Any, out: Port, *, mu: bool = False) -> Kernel:
+        """value(inputs, yref, W[, mu]) as the routine <stage>_<suffix>."""
+        symbols = [*self.inputs, self.yref, self.W, *([self.mu] if mu else [])]
+        ports = [*self.ports, *self.data_ports, *([self.mu_port] if mu else [])]
+        return lift(ca.Function(suffix, symbols, [value]), f"{self.name}_{suffix}", doc, ports, [out])
+
+    def cost_kernel(self) -> Kernel:
+        """<stage>_cost -> l."""
+        return self.kernel("cost", "l = cost of the node", ca.densify(self.value), Port("l", 1))
+
+    def gradient_kernel(self) -> Kernel:
+        """<stage>_gradient -> g."""
+        return self.kernel("gradient", "g = dl / dz", self.gradient, Port("g", self.nz))
+
+
+def stage_cost(stage: Stage, name: str) -> StageCost:
+    """The cost of a stage of the problem; ``name`` is "path" or "terminal"."""
+    yref, (W, matrix, nw) = ca.SX.sym("yref", stage.ny), weight_matrix(stage)
+    residual = stage.y - yref
+    value = ca.dot(residual, matrix @ residual) / 2 if stage.ny else ca.SX(0)
+    if stage.cost is not None:
+        value = value + stage.cost
+    mu = ca.SX.sym("mu", stage.nh)
+    terminal = not stage.nu
+    x, p = Port("x", stage.nx), Port("p", int(stage.p.numel()))
+    return StageCost(
+        name=name,
+        inputs=(stage.x, stage.p) if terminal else (stage.x, stage.u, stage.p, stage.dt),
+        ports=(x, p) if terminal else (x, Port("u", stage.nu), p, Port("dt", 1)),
+        yref=yref,
+        W=W,
+        data_ports=(
+            Port("yref", stage.ny),
+            Port("W", nw, doc="diagonal of the weight" if stage.diagonal_weight else "weight, row-major"),
+        ),
+        mu=mu,
+        z=ca.vertcat(stage.x, stage.u),
+        value=ca.SX(value),
+        rows=ca.dot(mu, stage.h) if stage.nh else ca.SX(0),
+    )
+
+
+def integrated_kernels(problem: Problem, integrator: Any) -> tuple[Routine, ...]:
+    """path_cost and path_gradient of a problem with an integrated cost, from the scheme of its dynamics; else none."""
+    if problem.path.cost_rate is None:
+        return ()
+    cost = stage_cost(problem.path, "path")
+    arguments, symbols = slices(*cost.ports, *cost.data_ports), [*cost.inputs, cost.yref, cost.W]
+    value = Call(ca.Function("node_cost", symbols, [ca.densify(cost.value)]), arguments, (Slice("l", 1),))
+    leaf = ca.Function("node_gradient", symbols, [ca.densify(cost.gradient)])
+    gradient = Call(leaf, arguments, (Slice("g", cost.nz),))
+    return (
+        integrator.integrated_cost(problem, "path_cost", value, cost.data_ports),
+        integrator.integrated_gradient(problem, "path_gradient", gradient, cost.data_ports),
+    )
+
+
+def slices(*ports: Port) -> tuple[Slice, ...]:
+    """The whole of every port."""
+    return tuple(Slice(p.name, p.size) for p in ports)
+
+
+def weight_matrix(stage: Stage) -> tuple[Any, Any, int]:
+    """(symbol, matrix, length): a diagonal weight is carried as its diagonal, others row-major; rows scaled by dt."""
+    ny = stage.ny
+    if stage.diagonal_weight:
+        symbol = ca.SX.sym("W", ny)
+        matrix = ca.diag(symbol) if ny else ca.SX(0, 0)
+    else:
+        symbol = ca.SX.sym("W", ny * ny)
+        matrix = ca.reshape(symbol, ny, ny)
+        matrix = ca.tril(matrix.T) + ca.tril(matrix.T, False).T
+    scales = [stage.dt if scaled else ca.SX(1) for scaled in stage.scale_with_dt]
+    for i, a in enumerate(scales):
+        for j, b in enumerate(scales):
+            matrix[i, j] = matrix[i, j] * (a if a is b else ca.sqrt(a * b))
+    return symbol, matrix, int(symbol.numel())

@@ -1,0 +1,241 @@
+"""Derivatives of a right-hand side as leaves of sweeps, and what is structurally zero or known in them.
+
+    F = (f, l)(x, u, p): the dynamics, and below them the rate of an integrated cost, if there is one
+    F_z = dF / d(x, u),   H(kappa) = d2 (kappa' F) / d(x, u)^2, lower triangle
+
+What F_z and H share is evaluated once per stage point and kept ("tape"); H is finished as soon as kappa is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, lift
+
+Entry = tuple[int, int]
+
+# A tape of at most so many numbers per component of (x, u) is kept at every stage; a longer one is evaluated anew.
+TAPE_PER_COMPONENT = 8
+
+# A column of S is written as a function of time alone if it reaches at most so many components.
+CLOSED_STATES = 3
+
+
+class Derivatives:
+    """F, F_z and H of one problem with their zero patterns.
+
+    Attributes:
+        nF: rows of F, nx or nx + 1.
+        jacobian: nonzeros (i, j) of F_z, in the order of its values.
+        hessian: nonzeros (r, c), r >= c, of H, each with the position of its value among ``values`` different ones.
+        curved: rows of F that are not linear in (x, u).
+        tape: numbers kept per stage point; the first ``slopes`` of them are those that F_z needs.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        stage = problem.path
+        self.x, self.u, self.p = stage.x, stage.u, stage.p
+        self.nx, self.nu, self.np = stage.nx, stage.nu, problem.np
+        self.nz = self.nx + self.nu
+        f = problem.dynamics(self.x, self.u, self.p)
+        self.F = f if stage.cost_rate is None else ca.vertcat(f, stage.cost_rate)
+        self.nF = int(self.F.numel())
+        z = ca.vertcat(self.x, self.u)
+        self._kappa = ca.SX.sym("kappa", self.nF)
+        Fz = ca.sparsify(ca.jacobian(self.F, z))
+        self.jacobian: list[Entry] = list(zip(*Fz.sparsity().get_triplet(), strict=True))
+        self.constants = [v.is_constant() for v in Fz.nonzeros()]
+        self.Fz_values = Fz.nonzeros()
+        H, self._kernel = self._cheapest(z)
+        stored = [v for o, _, v in self._kernel.stores if o == 2]
+        self._values_of_H = list(dict.fromkeys(stored))
+        where = {v: n for n, v in enumerate(self._values_of_H)}
+        entries = zip(*H.sparsity().get_triplet(), strict=True)
+        self.hessian: dict[Entry, int] = {e: where[v] for e, v in zip(entries, stored, strict=True)}
+        self.values = len(where)
+        read = {i.args for i in self._kernel.instructions if i.opcode == ca.OP_INPUT}
+        self.curved = [i for i in range(self.nF) if (3, i) in read]
+        self._split()
+
+    def _cheapest(self, z: Any) -> tuple[Any, Kernel]:
+        """Three ways to write H; the one whose program with f and F_z has the fewest operations."""
+        L = ca.dot(self._kappa, self.F)
+        terms = [self._kappa[i] * ca.tril(ca.hessian(self.F[i], z)[0]) for i in range(self.nF)]
+        forward = ca.jacobian(ca.jacobian(self.F, z).T @ self._kappa, z)
+        candidates = [ca.tril(ca.hessian(L, z)[0]), sum(terms[1:], terms[0]), ca.tril(forward)]
+        values = [v for v, constant in zip(self.Fz_values, self.constants, strict=True) if not constant]
+        found = []
+        for H in map(ca.sparsify, candidates):
+            outputs = [self.F[: self.nx], ca.vertcat(ca.SX(0, 1), *values), ca.vertcat(ca.SX(0, 1), *H.nonzeros())]
+            found.append((H, _lifted([self.x, self.u, self.p, self._kappa], outputs)))
+        return min(found, key=lambda c: c[1].count.total)
+
+    def _split(self) -> None:
+        """Which values of the program are kept: what F_z consists of, and what is known before kappa is."""
+        k = self._kernel
+        late: list[bool] = []
+        kept: dict[int, None] = dict.fromkeys(v for o, _, v in k.stores if o == 1)
+        self.slopes = len(kept)
+        for ins in k.instructions:
+            known = ins.opcode not in OPERATIONS
+            late.append(ins.args[0] == 3 if ins.opcode == ca.OP_INPUT else not known and any(late[a] for a in ins.args))
+            if not known and late[-1]:
+                for a in ins.args:
+                    if not late[a] and k.instructions[a].opcode in OPERATIONS:
+                        kept[a] = None
+        self._late, self._kept = late, list(kept)
+        self.tape = len(kept)
+
+    @property
+    def keeps_tape(self) -> bool:
+        """True if the tape of every stage is stored, False if it is evaluated anew from the stage point."""
+        return self.tape <= TAPE_PER_COMPONENT * self.nz
+
+    def _values(self, inputs: Sequence[Any], preset: dict[int, Any]) -> Any:
+        """A lookup of the values of the program for the given inputs, evaluated on demand."""
+        k, known = self._kernel, dict(preset)
+
+        def value(index: int) -> Any:
+            if index not in known:
+                ins = k.instructions[index]
+                if ins.opcode == ca.OP_INPUT:
+                    known[index] = inputs[ins.args[0]][ins.args[1]]
+                elif ins.opcode == ca.OP_CONST:
+                    known[index] = ca.SX(ins.constant)
+                elif len(ins.args) == 1:
+                    known[index] = ca.SX.unary(ins.opcode, value(ins.args[0]))
+                else:
+                    known[index] = ca.SX.binary(ins.opcode, value(ins.args[0]), value(ins.args[1]))
+            return known[index]
+
+        return value
+
+    # Leaves ----------------------------------------------------------------------------------------------------------
+
+    def leaf_value(self) -> Any:
+        """K = f(X, u, p)."""
+        return ca.Function("f", [self.x, self.u, self.p], [self.F[: self.nx]], ["x", "u", "p"], ["K"])
+
+    def leaf_tape(self, length: int, value: bool = True) -> Any:
+        """(K,) tape[:length] at a stage point."""
+        entry = self._values([self.x, self.u, self.p], {})
+        tape = _column([entry(v) for v in self._kept[:length]])
+        if value:
+            return ca.Function("taped_f", [self.x, self.u, self.p], [self._K(entry), tape], ["x", "u", "p"], ["K", "t"])
+        name = "tape" if length == self.tape else "slopes"
+        return ca.Function(name, [self.x, self.u, self.p], [tape], ["x", "u", "p"], ["t"])
+
+    @cached_property
+    def functions(self) -> list[int]:
+        """Values of functions of math.h that the tape consists of: what compilers do not evaluate in vectors."""
+        found, todo = set(), list(self._kept)
+        while todo:
+            index = todo.pop()
+            ins = self._kernel.instructions[index]
+            if index not in found and ins.opcode in OPERATIONS:
+                found.add(index)
+                todo += ins.args
+        return sorted(v for v in found if OPERATIONS[self._kernel.instructions[v].opcode].count == "call")
+
+    def leaf_value_and_functions(self) -> Any:
+        """K, and the values of ``functions``."""
+        entry = self._values([self.x, self.u, self.p], {})
+        values = _column([entry(v) for v in self.functions])
+        return ca.Function("f", [self.x, self.u, self.p], [self._K(entry), values], ["x", "u", "p"], ["K", "m"])
+
+    def leaf_tape_of_functions(self) -> Any:
+        """The tape from the values of ``functions``: arithmetic alone."""
+        values = ca.SX.sym("m", len(self.functions))
+        preset = {v: values[n] for n, v in enumerate(self.functions)}
+        entry = self._values([self.x, self.u, self.p], preset)
+        tape = _column([entry(v) for v in self._kept])
+        return ca.Function("tape", [self.x, self.u, self.p, values], [tape], ["x", "u", "p", "m"], ["t"])
+
+    def _K(self, entry: Any) -> Any:
+        K = ca.SX.zeros(self.nx)
+        for o, e, v in self._kernel.stores:
+            if o == 0:
+                K[e] = entry(v)
+        return K
+
+    def Fz(self, tape: Any) -> Any:
+        """F_z as an SX matrix in the symbols of a tape; constant entries are numbers."""
+        stored = iter([v for o, _, v in self._kernel.stores if o == 1])
+        where = {v: tape[n] for n, v in enumerate(self._kept[: self.slopes])}
+        matrix = ca.SX(self.nF, self.nz)
+        for (i, j), constant, value in zip(self.jacobian, self.constants, self.Fz_values, strict=True):
+            matrix[i, j] = value if constant else where[next(stored)]
+        return matrix
+
+    def leaf_hessian(self) -> Any:
+        """The values of H from the stage point, its tape, and kappa of the curved rows."""
+        tape, kappa = ca.SX.sym("t", self.tape), ca.SX.sym("kappa", len(self.curved))
+        full = ca.SX.zeros(self.nF)
+        for n, i in enumerate(self.curved):
+            full[i] = kappa[n]
+        entry = self._values([self.x, self.u, self.p, full], {v: tape[n] for n, v in enumerate(self._kept)})
+        H = _column([entry(v) for v in self._values_of_H])
+        return ca.Function(
+            "curvature", [self.x, self.u, self.p, tape, kappa], [H], ["x", "u", "p", "t", "kappa"], ["H"]
+        )
+
+    # Structure -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def needed(self) -> list[int]:
+        """States that F depends on."""
+        return sorted({j for _, j in self.jacobian if j < self.nx})
+
+    @cached_property
+    def curved_states(self) -> list[int]:
+        """States that enter F not linearly: rows of H."""
+        return sorted({j for e in self.hessian for j in e if j < self.nx})
+
+    @cached_property
+    def curved_controls(self) -> list[int]:
+        """Controls (0 .. nu - 1) that do."""
+        return sorted({j - self.nx for e in self.hessian for j in e if j >= self.nx})
+
+    def closed(self, column: int) -> bool:
+        """True if that column of d x(t) / d(x, u) depends on time alone.
+
+        All that it sets in motion is linear with constant coefficients, and few.
+        """
+        constant: dict[int, bool] = {}
+        rows: dict[int, list[int]] = {}
+        for (i, j), is_constant in zip(self.jacobian, self.constants, strict=True):
+            constant[j] = constant.get(j, True) and is_constant
+            rows.setdefault(j, []).append(i)
+        reached, todo = set(), [column]
+        while todo:
+            j = todo.pop()
+            if j in reached:
+                continue
+            if not constant.get(j, True):
+                return False
+            reached.add(j)
+            if len(reached) > CLOSED_STATES:
+                return False
+            todo += [i for i in rows.get(j, []) if i < self.nx]
+        return True
+
+
+def _column(values: list[Any]) -> Any:
+    return ca.vertcat(ca.SX(0, 1), *values)
+
+
+def _lifted(inputs: list[Any], outputs: list[Any]) -> Kernel:
+    dense = [ca.densify(o) for o in outputs]
+    ports = [Port(f"i{n}", int(s.numel())) for n, s in enumerate(inputs)]
+    return lift(
+        ca.Function("joint", inputs, dense),
+        "joint",
+        "",
+        ports,
+        [Port(f"o{n}", int(o.numel())) for n, o in enumerate(dense)],
+    )

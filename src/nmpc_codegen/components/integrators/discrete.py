@@ -1,0 +1,91 @@
+"""Discrete maps x+ = Phi(x, u, p) pass through; their Jacobian is one straight-line kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.ir.kernel import OpCount, Port, lift
+from nmpc_codegen.ir.sweep import Call, Routine
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """The dynamics are already a map from node to node; nothing to choose."""
+
+    seam: ClassVar[str] = "integrator"
+    name: ClassVar[str] = "discrete"
+    template: ClassVar[str] = "integrators/discrete.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ()
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"soft rows", "coupled rows", "free initial state", "general cost", "accumulators"}
+    )
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
+        if not problem.discrete:
+            raise OptionError(
+                f"integrator: {problem.name} is an ordinary differential equation; expected ExplicitRungeKutta(...)"
+            )
+        x, u, p = problem.path.x, problem.path.u, problem.path.p
+        dt = ca.SX.sym("dt")
+        phi = ca.densify(problem.dynamics(x, u, p))
+        S = ca.sparsify(ca.jacobian(phi, ca.vertcat(x, u)))
+        ports = (Port("x", problem.nx), Port("u", problem.nu), Port("p", problem.np))
+        out = Port("x_next", problem.nx)
+        interval = ca.Function("interval", [x, u, p, dt], [phi, S])
+        step = ca.Function("step", [x, u, p, dt], [phi])
+        return (
+            lift(
+                interval,
+                "integrator_interval",
+                "x_next = Phi(x, u, p); S = d x_next / d(x, u)",
+                (*ports, Port("dt", 1)),
+                (out, Port("S", problem.nx, problem.nx + problem.nu)),
+            ),
+            lift(step, "integrator_step", "x_next = Phi(x, u, p)", (*ports, Port("h", 1)), (out,)),
+        )
+
+    def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` fills g and Q from all inputs but lam, and
+        d2 (lam' Phi) / d(x, u)^2 is added, lower triangle. A map has no steps, so every ``scheme`` is the same.
+        """
+        x, u, p, lam, dt = problem.path.x, problem.path.u, problem.path.p, ca.SX.sym("lam", problem.nx), ca.SX.sym("dt")
+        z, nz = ca.vertcat(x, u), problem.nx + problem.nu
+        phi = ca.densify(problem.dynamics(x, u, p))
+        known = {"x": x, "u": u, "p": p, "dt": dt} | {port.name: ca.SX.sym(port.name, port.size) for port in more}
+        g, Q = start.leaf.call([known[s.buffer] for s in start.ins])
+        H = ca.tril(ca.reshape(Q, nz, nz).T) + ca.tril(ca.hessian(ca.dot(lam, phi), z)[0])
+        values = [phi, ca.sparsify(ca.jacobian(phi, z)), ca.densify(g), ca.sparsify(H)]
+        ports = (Port("x", problem.nx), Port("u", problem.nu), Port("p", problem.np), Port("dt", 1))
+        return lift(
+            ca.Function(name, [*known.values(), lam], values),
+            name,
+            "x_next = Phi(x, u, p), S = d x_next / d(x, u); g, Q = gradient, Hessian of cost + lam' Phi + mu' h",
+            (*ports, *more, Port("lam", problem.nx)),
+            (Port("x_next", problem.nx), Port("S", problem.nx, nz), Port("g", nz), Port("Q", nz, nz)),
+        )
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Nothing to choose between."""
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return (("STEPS", 1, "evaluations of the map per interval"),)
+
+    def structs(self, dims: Dims) -> tuple[Any, ...]:
+        return ()
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        return {}

@@ -1,0 +1,540 @@
+"""What the schemes for second-order sensitivities of explicit Runge-Kutta methods share.
+
+    H = d2 (lam' Phi + integral of the cost rate) / d(x, u)^2
+
+Both add to buffers Q (nz x nz, lower triangle) and g (nz), which the node's own cost has filled, and yield x_next and
+S = d x_next / d(x, u) by the way. Stage i of a step has the adjoint kappa_i = h b_i lam + h sum_j a_ji Xbar_j,
+Xbar_i = F_x' kappa_i, where lam += sum_i Xbar_i from step to step. Columns of S that depend on time alone are written
+out; the others are kept packed, in rows of a multiple of PANEL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from itertools import zip_longest
+from typing import Any
+
+import casadi as ca
+
+from nmpc_codegen.components.integrators.derivatives import Derivatives
+from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.kernel import Port, lift
+from nmpc_codegen.ir.stage_products import PANEL
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, unroll
+
+# Longest tape with which the sweeps are staggered: the code of their loops is written two times.
+STAGGERED_TAPE = 32
+
+Local = tuple[str, int]
+Groups = Sequence[Sequence[Node]]
+
+
+class Builder:
+    """Slices and leaves that both schemes share."""
+
+    def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int, staggered: bool = True) -> None:
+        self.d = d = Derivatives(problem)
+        # Calls of functions take more than staggering would hide; with a long tape there is work enough in one step.
+        self.staggered = staggered and steps > 1 and not d.functions and d.tape <= STAGGERED_TAPE
+        self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
+        self.nx, self.nu, self.nz, self.nF = d.nx, d.nu, d.nz, d.nF
+        self.columns = [j for j in range(d.nz) if not d.closed(j)]
+        self.state_columns = sum(j < d.nx for j in self.columns)
+        self.controls = self.columns[self.state_columns :]
+        self.ld = -(-len(self.columns) // PANEL) * PANEL
+        self.fixed_length = problem.dt[0] / steps if problem.uniform else None
+        self.rows = [*d.curved_states, *(d.nx + j for j in d.curved_controls)]  # of H
+        self.forced = sorted({i for i, j in d.jacobian if j >= d.nx})  # rows of F with controls
+        kernel = lift(d.leaf_hessian(), "h", "", self._hessian_ports(), [Port("H", d.values)])
+        reads = {i.args[0] for i in kernel.instructions if i.opcode == ca.OP_INPUT}
+        self.keeps_points = not d.keeps_tape or 0 in reads or (self.wide and self.staggered)
+
+    def _hessian_ports(self) -> list[Port]:
+        d = self.d
+        sizes = (("x", d.nx), ("u", d.nu), ("p", d.np), ("t", d.tape), ("kappa", len(d.curved)))
+        return [Port(name, size) for name, size in sizes]
+
+    # Slices ----------------------------------------------------------------------------------------------------------
+
+    @property
+    def wide(self) -> bool:
+        """Stages of a step side by side, component by component: tapes and curvatures are evaluated in vectors."""
+        return False
+
+    def kept(self, buffer: str, stage: int, size: int, kept: bool = True, length: int | None = None) -> Slice:
+        """What belongs to one stage of one step, in a buffer over all of them or in a single place."""
+        if self.wide:
+            offset = Affine(stage, (("step", self.stages * size),) if kept else ())
+            return Slice(buffer, size if length is None else length, offset, self.stages)
+        if not kept:
+            return Slice(buffer, length or size)
+        return Slice(buffer, length or size, Affine(stage * size, (("step", self.stages * size),)))
+
+    def point(self, stage: int) -> Slice:
+        """Stage point."""
+        return self.kept("Xs", stage, self.nx, self.keeps_points)
+
+    def tape(self, stage: int, length: int | None = None) -> Slice:
+        """Tape of a stage."""
+        return self.kept("tape", stage, self.d.tape, self.d.keeps_tape, length)
+
+    @property
+    def keeps_kappa(self) -> bool:
+        """The adjoints of all stages are stored: a later sweep uses them."""
+        return False
+
+    def kappa(self, stage: int) -> Slice:
+        """Adjoints of the curved rows of a stage."""
+        size = len(self.d.curved)
+        if self.wide:
+            return self.kept("kappa", stage, size, self.keeps_kappa)
+        terms = (("step", self.stages * size),) if self.keeps_kappa else ()
+        return Slice("kappa", size, Affine(stage * size, terms))
+
+    def column(self, buffer: str, rows: int, block: int = 0, index: str = "c") -> Slice:
+        """Column ``index`` of a matrix of packed columns; ``block``: of the block-th matrix of so many rows."""
+        return Slice(buffer, rows, Affine(block * rows * self.ld, ((index, 1),)), self.ld)
+
+    def columnwise(self, leaf: Any, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
+        """The leaf for every packed column."""
+        return For("c", 0, self.ld, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
+
+    @property
+    def up(self) -> tuple[Slice, Slice]:
+        return Slice("u", self.nu), Slice("p", self.d.np)
+
+    def locals(self) -> tuple[Local, ...]:
+        """Buffers of both schemes."""
+        n, d, s = self.steps * self.stages, self.d, self.stages
+        once = s if self.wide else 1
+        return (
+            *(("h", 1), ("X", self.nx), ("K", s * self.nx), ("Xs", (n if self.keeps_points else once) * self.nx)),
+            *(("tape", (n if d.keeps_tape else 1) * d.tape), ("adj", self.nx), ("Xbar", s * self.nx)),
+            *(("M", (n if self.staggered else s) * len(d.functions)), ("Hs", once * d.values)),
+            *(("Sx", self.nF * self.ld), ("Ks", s * self.nF * self.ld)),
+            *(("Fu", len(self.forced) * self.ld), ("E", len(self.controls) * self.ld)),
+        )
+
+    # Leaves ----------------------------------------------------------------------------------------------------------
+
+    def combination(self, name: str, coefficients: Sequence[Fraction], size: int) -> Any:
+        """y = x + h sum_j c_j K_j."""
+        x, h = ca.SX.sym("x", size), ca.SX.sym("h")
+        slopes = [ca.SX.sym(f"K{j}", size) for j, c in enumerate(coefficients) if c]
+        names = ["x", "h", *(f"K{j}" for j in range(len(slopes)))]
+        return ca.Function(name, [x, h, *slopes], [combine(x, h, slopes, coefficients)], names, ["y"])
+
+    def later(self, stage: int) -> list[int]:
+        """Stages whose point depends on K_stage."""
+        return [j for j in range(stage + 1, self.stages) if self.tableau.a[j][stage]]
+
+    def adjoint_of_slope(self, stage: int, value: Any, h: Any, bars: dict[int, Any]) -> Any:
+        """h b_i value + h sum_j a_ji Xbar_j over later stages j."""
+        later = [j for j in self.later(stage) if j in bars]
+        coefficients = (self.tableau.b[stage], *(self.tableau.a[j][stage] for j in later))
+        slopes = [value, *(bars[j] for j in later)][0 if coefficients[0] else 1 :]
+        return combine(ca.SX.zeros(*value.shape), h, slopes, coefficients)
+
+    def leaf_backward(self, stage: int) -> Any:
+        """kappa_i of the curved rows and Xbar_i = F_x' kappa_i; kappa of an integrated cost is h b_i."""
+        d, h, adj = self.d, ca.SX.sym("h"), ca.SX.sym("adj", self.nx)
+        tape = ca.SX.sym("t", d.slopes)
+        bars = {j: ca.SX.sym(f"Xbar{j}", self.nx) for j in self.later(stage)}
+        kappa = self.adjoint_of_slope(stage, adj, h, bars)
+        if self.nF > self.nx:
+            kappa = ca.vertcat(kappa, h * float(self.tableau.b[stage]))
+        bar = d.Fz(tape)[:, : self.nx].T @ kappa
+        wanted = ca.vertcat(ca.SX(0, 1), *(kappa[i] for i in d.curved))
+        names = ["adj", "h", "t", *(f"Xbar{j}" for j in bars)]
+        return ca.Function(f"backward_{stage}", [adj, h, tape, *bars.values()], [wanted, bar], names, ["kappa", "Xbar"])
+
+    @property
+    def forcing_varies(self) -> bool:
+        """F_u depends on the stage point."""
+        return any(j >= self.nx and not c for (_, j), c in zip(self.d.jacobian, self.d.constants, strict=True))
+
+    def linear_forcing(self) -> Any:
+        """Constant entries of [0 F_u], rows ``forced`` and packed columns, which leave out closed forms."""
+        rows = ca.SX.zeros(len(self.forced), self.ld)
+        for (i, j), constant, value in zip(self.d.jacobian, self.d.constants, self.d.Fz_values, strict=True):
+            if j in self.controls and constant:
+                rows[self.forced.index(i), self.columns.index(j)] = value
+        return ca.vec(rows.T)
+
+    def forcing(self, Fu: Any, tape: Any, units: Any) -> Any:
+        """One column of [0 F_u]: constant entries from a table, the others times the unit rows of the controls."""
+        column = ca.SX(self.nF, 1)
+        for n, i in enumerate(self.forced):
+            column[i] = Fu[n]
+        matrix = self.d.Fz(tape)
+        varying: dict[int, dict[Any, Any]] = {}
+        for (i, j), constant in zip(self.d.jacobian, self.d.constants, strict=True):
+            if j >= self.nx and not constant:
+                key = str(matrix[i, j])
+                value, unit = varying.setdefault(i, {}).get(key, (matrix[i, j], 0))
+                varying[i][key] = (value, unit + units[self.controls.index(j)])
+        for i, terms in varying.items():
+            column[i] += sum((value * unit for value, unit in terms.values()), ca.SX(0))
+        return column
+
+    def curvature_forcing(self, H: Any, units: Any) -> Any:
+        """One column of [0 H_u]: rows of H."""
+        terms: dict[tuple[int, int], Any] = {}
+        for (r, c), n in self.d.hessian.items():
+            for row, j in {(r, c), (c, r)}:
+                if j >= self.nx:
+                    at = (self.rows.index(row), n)
+                    terms[at] = terms.get(at, 0) + units[self.controls.index(j)]
+        column = ca.SX(len(self.rows), 1)
+        for (row, n), unit in terms.items():
+            column[row] += H[n] * unit
+        return column
+
+    def full_hessian(self, values: Any) -> Any:
+        """H as a symmetric matrix of its values."""
+        full = ca.SX(self.nz, self.nz)
+        for (r, c), n in self.d.hessian.items():
+            full[r, c] = full[c, r] = values[n]
+        return full
+
+    # Parts of the sweeps ---------------------------------------------------------------------------------------------
+
+    def start(self) -> list[Node]:
+        """h, X = x, S = [I 0], constant forcing."""
+        dt = ca.SX.sym("dt")
+        h = dt / self.steps if self.fixed_length is None else ca.SX(self.fixed_length)
+        identity = ca.SX.zeros(self.nF * self.ld)
+        for c, j in enumerate(self.columns[: self.state_columns]):
+            identity[j * self.ld + c] = 1
+        nodes: list[Node] = [
+            Call(ca.Function("step_length", [dt], [h], ["dt"], ["h"]), (Slice("dt", 1),), (Slice("h", 1),)),
+            Call(copy("copy_x", self.nx), (Slice("x", self.nx),), (Slice("X", self.nx),)),
+            Call(constant("identity", identity), (), (Slice("Sx", self.nF * self.ld),)),
+        ]
+        if self.d.curved_controls or self.forcing_varies:
+            units = ca.SX.zeros(len(self.controls) * self.ld)
+            for n in range(len(self.controls)):
+                units[n * self.ld + self.state_columns + n] = 1
+            nodes.append(Call(constant("units", units), (), (Slice("E", units.numel()),)))
+        value = self.linear_forcing()
+        nodes.append(Call(constant("forcing", value), (), (Slice("Fu", value.numel()),)))
+        return nodes
+
+    def evaluate(self, stage: int) -> list[Node]:
+        """Stage point and K_i, with the tape where it is kept."""
+        nodes: list[Node] = []
+        coefficients, state, h = self.tableau.a[stage], Slice("X", self.nx), Slice("h", 1)
+        point = self.point(stage)
+        if any(coefficients):
+            slopes = [Slice("K", self.nx, Affine(j * self.nx)) for j, c in enumerate(coefficients) if c]
+            leaf = self.combination(f"point_{stage}", coefficients, self.nx)
+            nodes.append(Call(leaf, (state, h, *slopes), (point,)))
+        else:
+            nodes.append(Call(copy("copy_x", self.nx), (state,), (point,)))
+        K = Slice("K", self.nx, Affine(stage * self.nx))
+        if self.wide:
+            functions = self.kept("M", stage, len(self.d.functions), self.staggered)
+            nodes.append(Call(self.d.leaf_value_and_functions(), (point, *self.up), (K, functions), inline=True))
+        elif self.d.keeps_tape:
+            nodes.append(Call(self.d.leaf_tape(self.d.tape), (point, *self.up), (K, self.tape(stage))))
+        else:
+            nodes.append(Call(self.d.leaf_value(), (point, *self.up), (K,)))
+        return nodes
+
+    def update(self) -> Call:
+        """X += h sum b_i K_i."""
+        b, state = self.tableau.b, Slice("X", self.nx)
+        slopes = [Slice("K", self.nx, Affine(j * self.nx)) for j, c in enumerate(b) if c]
+        return Call(self.combination("update", b, self.nx), (state, Slice("h", 1), *slopes), (state,))
+
+    def slope(self, stage: int, rows: list[int], target: Slice) -> For:
+        """Columns of K_i' = F_x Z + [0 F_u]; the given rows of Z go to ``target``."""
+        d, coefficients = self.d, self.tableau.a[stage]
+        tape, s, h = ca.SX.sym("t", d.slopes), ca.SX.sym("s", self.nF), ca.SX.sym("h")
+        Fu, units = ca.SX.sym("Fu", len(self.forced)), ca.SX.sym("E", len(self.controls))
+        slopes = [ca.SX.sym(f"K{j}", self.nF) for j, c in enumerate(coefficients) if c]
+        Z = combine(s, h, slopes, coefficients)[: self.nx]
+        K = d.Fz(tape)[:, : self.nx] @ Z + self.forcing(Fu, tape, units)
+        names = ["t", "s", "h", "Fu", "E", *(f"K{j}" for j in range(len(slopes)))]
+        leaf = ca.Function(f"slope_{stage}", [tape, s, h, Fu, units, *slopes], [K, Z[rows]], names, ["Ks", "Z"])
+        ins = [self.tape(stage, d.slopes), self.column("Sx", self.nF), Slice("h", 1)]
+        ins += [self.column("Fu", len(self.forced)), self.column("E", len(self.controls))]
+        ins += [self.column("Ks", self.nF, j) for j, a in enumerate(coefficients) if a]
+        return self.columnwise(leaf, ins, (self.column("Ks", self.nF, stage), target))
+
+    def update_columns(self) -> For:
+        """The same for the sensitivities."""
+        b, S = self.tableau.b, self.column("Sx", self.nF)
+        slopes = [self.column("Ks", self.nF, j) for j, c in enumerate(b) if c]
+        return self.columnwise(self.combination("update_columns", b, self.nF), (S, Slice("h", 1), *slopes), (S,))
+
+    def again(self, stage: int, length: int) -> list[Node]:
+        """The first ``length`` numbers of a tape that is not kept."""
+        if self.d.keeps_tape or not length:
+            return []
+        return [Call(self.d.leaf_tape(length, value=False), (self.point(stage), *self.up), (self.tape(stage, length),))]
+
+    def backward(self) -> list[Node]:
+        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i; one leaf where the tapes are kept."""
+        stages = range(self.stages)
+        adj, h = ca.SX.sym("adj", self.nx), ca.SX.sym("h")
+        if not self.d.keeps_tape:
+            nodes = [n for i in reversed(stages) for n in (*self.again(i, self.d.slopes), self._backward_stage(i))]
+            bars = [ca.SX.sym(f"Xbar{i}", self.nx) for i in stages]
+            slices = [Slice("Xbar", self.nx, Affine(i * self.nx)) for i in stages]
+            leaf = ca.Function("update_adjoint", [adj, *bars], [sum(bars, adj)])
+            return [*nodes, Call(leaf, (Slice("adj", self.nx), *slices), (Slice("adj", self.nx),))]
+        tapes = [ca.SX.sym(f"t{i}", self.d.slopes) for i in stages]
+        found: dict[int, Any] = {}
+        kappas: dict[int, Any] = {}
+        for i in reversed(stages):
+            kappas[i], found[i] = self.leaf_backward(i)(adj, h, tapes[i], *(found[j] for j in self.later(i)))
+        outputs = [*(kappas[i] for i in stages), sum(found.values(), adj)]
+        leaf = ca.Function("backward", [adj, h, *tapes], outputs)
+        ins = (Slice("adj", self.nx), Slice("h", 1), *(self.tape(i, self.d.slopes) for i in stages))
+        return [Call(leaf, ins, (*(self.kappa(i) for i in stages), Slice("adj", self.nx)))]
+
+    def _backward_stage(self, stage: int) -> Call:
+        """kappa_i and Xbar_i."""
+        bars = [Slice("Xbar", self.nx, Affine(j * self.nx)) for j in self.later(stage)]
+        ins = (Slice("adj", self.nx), Slice("h", 1), self.tape(stage, self.d.slopes), *bars)
+        outs = (self.kappa(stage), Slice("Xbar", self.nx, Affine(stage * self.nx)))
+        return Call(self.leaf_backward(stage), ins, outs)
+
+    def stagewise(self, leaf: Any, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
+        """The leaf for every stage of a step."""
+        return For("s", 0, self.stages, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
+
+    def lane(self, buffer: str, size: int, kept: bool = True) -> Slice:
+        """What belongs to stage s."""
+        terms = (("s", 1), ("step", self.stages * size)) if kept else (("s", 1),)
+        return Slice(buffer, size, Affine(0, terms), self.stages)
+
+    def tapes(self) -> For:
+        """The tapes of a step."""
+        d = self.d
+        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.up, self.lane("M", len(d.functions), self.staggered))
+        return self.stagewise(d.leaf_tape_of_functions(), ins, (self.lane("tape", d.tape),))
+
+    def curvatures(self) -> For:
+        """The values of H of a step."""
+        d = self.d
+        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.up, self.lane("tape", d.tape))
+        kappa = self.lane("kappa", len(d.curved), self.keeps_kappa)
+        return self.stagewise(d.leaf_hessian(), (*ins, kappa), (self.lane("Hs", d.values, False),))
+
+    def hessian_values(self, stage: int) -> Slice:
+        """The values of H_i."""
+        return self.kept("Hs", stage, self.d.values, kept=False)
+
+    def curvature(self, stage: int) -> Call:
+        """The values of H_i."""
+        d, H = self.d, Slice("Hs", self.d.values)
+        point = self.point(stage) if self.keeps_points else Slice("X", self.nx)
+        return Call(d.leaf_hessian(), (point, *self.up, self.tape(stage), self.kappa(stage)), (H,))
+
+    def loop(self, first: Groups, second: Groups = (), down: bool = False) -> list[Node]:
+        """``first`` and ``second``, groups of nodes, for every step. Staggered: ``second`` follows one step behind.
+
+        ``first`` is a chain of operations that wait for each other; what it leaves idle ``second`` of the step before
+        fills, group by group, for processors do not look further ahead.
+        """
+        if not (self.staggered and second):
+            return [For("step", 0, self.steps, tuple(n for group in (*first, *second) for n in group), down)]
+        begin, end, behind = (self.steps - 1, 0, 1) if down else (0, self.steps - 1, -1)
+        both: list[Node] = []
+        for ours, others in zip_longest(first, second, fillvalue=()):
+            both += [*ours, *(shifted(node, behind) for node in others)]
+        return [
+            *(fixed(node, begin) for group in first for node in group),
+            For("step", 0 if down else 1, self.steps - 1, tuple(both), down),
+            *(fixed(node, end) for group in second for node in group),
+        ]
+
+    # Results ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def runs(self) -> list[tuple[int, int, int]]:
+        """(packed column, column, length) of runs of neighbours, states and controls apart."""
+        found: list[list[int]] = []
+        for c, j in enumerate(self.columns):
+            if found and found[-1][1] + found[-1][2] == j and j != self.nx:
+                found[-1][2] += 1
+            else:
+                found.append([c, j, 1])
+        return [(c, j, n) for c, j, n in found]
+
+    def results(self) -> list[Node]:
+        """x_next, S, and the gradient of the integrated cost, which is added to g."""
+        nz, runs = self.nz, self.runs
+        nodes: list[Node] = [Call(copy("copy_x", self.nx), (Slice("X", self.nx),), (Slice("x_next", self.nx),))]
+        rows = tuple(
+            Call(copy(f"copy_{n}", n), (_row("Sx", n, c, self.ld),), (_row("S", n, j, nz),)) for c, j, n in runs
+        )
+        nodes.append(For("i", 0, self.nx, rows))
+        for j in range(nz):
+            if j not in self.columns:
+                nodes += self._closed_column(j)
+        if self.nF > self.nx:
+            for c, j, n in runs:
+                here = Slice("g", n, Affine(j))
+                nodes.append(Call(addition(n), (here, Slice("Sx", n, Affine(self.nx * self.ld + c))), (here,)))
+        return nodes
+
+    def _closed_column(self, j: int) -> list[Node]:
+        """Column j of S, a function of h alone."""
+        h, h_slice = ca.SX.sym("h"), Slice("h", 1)
+        Fx = self.d.Fz(ca.SX.sym("t", self.d.slopes))[:, : self.nx]
+        forcing = ca.SX(self.nF, 1) if j < self.nx else self.d.Fz(ca.SX.sym("t", self.d.slopes))[:, j]
+        s = ca.SX.zeros(self.nF)
+        if j < self.nx:
+            s[j] = 1
+        for _ in range(self.steps):
+            slopes: list[Any] = []
+            for i in range(self.stages):
+                used = [k for k, a in zip(slopes, self.tableau.a[i], strict=False) if a]
+                point = combine(s, h, used, self.tableau.a[i])
+                slopes.append(_constants_only(Fx, point[: self.nx]) + forcing)
+            s = combine(s, h, [k for k, b in zip(slopes, self.tableau.b, strict=True) if b], self.tableau.b)
+        leaf = ca.Function(f"column_{j}", [h], [s[: self.nx]], ["h"], ["s"])
+        nodes: list[Node] = [Call(leaf, (h_slice,), (Slice("S", self.nx, Affine(j), self.nz),))]
+        if self.nF > self.nx and not s[self.nx].is_zero():
+            g, here = ca.SX.sym("g"), Slice("g", 1, Affine(j))
+            nodes.append(Call(ca.Function(f"slope_{j}", [g, h], [g + s[self.nx]]), (here, h_slice), (here,)))
+        return nodes
+
+    def add_block(self, buffer: str, row: int, run_rows: tuple[int, int], columns: tuple[int, int, int]) -> Node:
+        """Q[j + i][columns] += buffer[row + i][columns], i < n, for a run of n rows (first row j of Q)."""
+        j, n = run_rows
+        c, k, m = columns
+        target = Slice("Q", 1, Affine(j * self.nz + k, (("i", self.nz), ("c", 1))))
+        source = Slice(buffer, 1, Affine(row * self.ld + c, (("i", self.ld), ("c", 1))))
+        inner = For("c", 0, m, (Call(addition(1), (target, source), (target,), inline=True),))
+        return For("i", 0, n, (inner,))
+
+
+def _row(buffer: str, n: int, offset: int, ld: int) -> Slice:
+    return Slice(buffer, n, Affine(offset, (("i", ld),)))
+
+
+def _constants_only(Fx: Any, s: Any) -> Any:
+    """Fx s, where the columns of Fx that meet nonzeros of s are constant."""
+    total = ca.SX.zeros(Fx.shape[0])
+    for j in range(int(s.numel())):
+        if not s[j].is_zero():
+            total += ca.densify(Fx[:, j]) * s[j]
+    return total
+
+
+def copy(name: str, n: int) -> Any:
+    """y = x."""
+    x = ca.SX.sym("x", n)
+    return ca.Function(name, [x], [x], ["x"], ["y"])
+
+
+def constant(name: str, value: Any) -> Any:
+    """y = value."""
+    return ca.Function(name, [], [value], [], ["y"])
+
+
+def addition(n: int) -> Any:
+    """y = x + a."""
+    x, a = ca.SX.sym("x", n), ca.SX.sym("a", n)
+    return ca.Function(f"add_{n}", [x, a], [x + a], ["x", "a"], ["y"])
+
+
+# Spellings -----------------------------------------------------------------------------------------------------------
+
+
+def fuse_steps(sweep: Sweep) -> Sweep:
+    """The same with the body of every loop over steps unrolled into a leaf of its own."""
+    sizes = dict(sweep.locals) | {p.name: p.size for p in (*sweep.inputs, *sweep.outputs)}
+    loops = [node for node in sweep.body if isinstance(node, For) and node.index == "step"]
+    users = [_slices(node) for node in sweep.body]
+    body: list[Node] = []
+    for node, own in zip(sweep.body, users, strict=True):
+        if node in loops:
+            others = {s.buffer for found in users if found is not own for s, _ in found}
+            node = For("step", node.start, node.count, (_fused(node, own, others, sizes, len(body)),), node.down)
+        body.append(node)
+    used = {s.buffer for node in body for s, _ in _slices(node)}
+    kept = tuple(local for local in sweep.locals if local[0] in used)
+    return Sweep(sweep.name, sweep.doc, sweep.inputs, sweep.outputs, kept, tuple(body))
+
+
+def _slices(node: Node) -> list[tuple[Slice, bool]]:
+    """(slice, written) of all calls of a node, in their order."""
+    if isinstance(node, For):
+        return [found for inner in node.body for found in _slices(inner)]
+    return [(s, False) for s in node.ins] + [(s, True) for s in node.outs]
+
+
+def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: dict[str, int], number: int) -> Call:
+    """One pass of the loop as a leaf on what the rest of the sweep sees: whole buffers, or their part of a step."""
+    written = dict.fromkeys(s.buffer for s, out in own if out)
+    first: dict[str, bool] = {}
+    for s, out in own:
+        first.setdefault(s.buffer, out)
+    part: dict[str, int] = {}
+    for s, _ in own:
+        step = dict(s.offset.terms).get("step", 0)
+        part[s.buffer] = max(part.get(s.buffer, 0), step)
+    visible = [b for b in first if b in others or (b in sizes and not first[b])]
+    slices = {b: Slice(b, part[b], Affine(0, (("step", part[b]),))) if part[b] else Slice(b, sizes[b]) for b in visible}
+    ports = {b: Port(f"{b}_0", slices[b].size) for b in visible}
+    load: tuple[Node, ...] = tuple(
+        Call(copy(f"load_{b}", s.size), (Slice(ports[b].name, s.size),), (Slice(b, s.size),)) for b, s in slices.items()
+    )
+    outs = [b for b in visible if b in written]
+    inner = tuple((b, part[b] or sizes[b]) for b in first if b not in outs)
+    results = tuple(Port(b, slices[b].size) for b in outs)
+    body = (*load, For("step", 0, 1, loop.body))
+    once = Sweep(f"step_{number}", "one step", tuple(ports.values()), results, inner, body)
+    return Call(unroll(once), tuple(slices.values()), tuple(slices[b] for b in outs))
+
+
+def expand_steps(sweep: Sweep) -> Sweep:
+    """The same with loops over steps written out and every leaf printed in its place; loops over columns stay."""
+    body: list[Node] = []
+    for node in sweep.body:
+        if isinstance(node, For) and node.index == "step":
+            for value in node.values({}):
+                body += [_at_step(inner, value) for inner in node.body]
+        else:
+            body.append(_at_step(node, 0))
+    return Sweep(sweep.name, sweep.doc, sweep.inputs, sweep.outputs, sweep.locals, tuple(body))
+
+
+def _at_step(node: Node, step: int) -> Node:
+    return fixed(node, step, inline=True)
+
+
+def fixed(node: Node, step: int, inline: bool = False) -> Node:
+    """The node at one step; ``inline`` prints all of its leaves in their place."""
+
+    def at(s: Slice) -> Slice:
+        terms = tuple(t for t in s.offset.terms if t[0] != "step")
+        constant = s.offset.constant + step * dict(s.offset.terms).get("step", 0)
+        return Slice(s.buffer, s.size, Affine(constant, terms), s.stride)
+
+    return _mapped(node, at, inline)
+
+
+def shifted(node: Node, by: int) -> Node:
+    """The node as it is ``by`` steps later."""
+
+    def later(s: Slice) -> Slice:
+        constant = s.offset.constant + by * dict(s.offset.terms).get("step", 0)
+        return Slice(s.buffer, s.size, Affine(constant, s.offset.terms), s.stride)
+
+    return _mapped(node, later)
+
+
+def _mapped(node: Node, change: Callable[[Slice], Slice], inline: bool = False) -> Node:
+    if isinstance(node, For):
+        body = tuple(_mapped(n, change, inline) for n in node.body)
+        return For(node.index, node.start, node.count, body, node.down)
+    ins, outs = tuple(map(change, node.ins)), tuple(map(change, node.outs))
+    return Call(node.leaf, ins, outs, node.inline or inline)

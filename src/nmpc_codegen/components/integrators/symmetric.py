@@ -1,0 +1,166 @@
+"""Three sweeps with a symmetric third one (TSP, [Q14] algorithm 2): only the lower triangle is formed, nothing of size
+nz x nz is stored per stage.
+
+    H = sum over stages of Z_i' d2(kappa_i' F) Z_i,   Z_i = [S_i; 0 I]
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from nmpc_codegen.components.integrators.derivatives import TAPE_PER_COMPONENT
+from nmpc_codegen.components.integrators.second_order import Builder, Local, constant, copy
+from nmpc_codegen.ir.stage_products import PANEL
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
+
+# Up to so many panels of rows have a loop each, with its own bounds.
+WRITTEN_PANELS = 3
+
+# Tapes of up to so many numbers are evaluated for all stages of a step at once; f is written out at every stage then.
+LONGEST_TAPE = 128
+
+# So many factors of the rows of one panel are held in registers.
+FACTORS = 12
+
+
+class ThreeSweeps(Builder):
+    """Points forward, adjoints backward, sensitivities and Hessian forward.
+
+    Where the curved rows of S of all stages are few, they are kept as the first sweep passes, which then propagates S
+    too; what is left of the third sweep joins the second, for the order of the sum is arbitrary. Tapes and H depend on
+    one stage alone: where they are worth it, those of a step are evaluated in one loop over its stages, which compilers
+    turn into vector instructions, as they do with loops over columns.
+    """
+
+    @property
+    def wide(self) -> bool:
+        """The terms of the sum do not depend on each other: those of a step are evaluated together."""
+        return self.d.keeps_tape and self.nz < self.d.tape <= LONGEST_TAPE
+
+    @property
+    def merged(self) -> bool:
+        """True: two sweeps that keep the curved rows of Z."""
+        return self.d.keeps_tape and len(self.d.curved_states) * self.ld <= TAPE_PER_COMPONENT * self.nz
+
+    @property
+    def keeps_kappa(self) -> bool:
+        """The adjoints of all stages are stored for the third sweep."""
+        return not self.merged or self.staggered
+
+    def body(self) -> list[Node]:
+        """All nodes, from the inputs x, u, p, dt, lam to x_next, S, and what is added to g and Q."""
+        loops = self._two() if self.merged else self._three()
+        nodes = [*self.start(), *loops, *self.results()]
+        if self.rows:
+            pairs = [(row, column) for row in self.runs for column in self.runs if column[1] <= row[1]]
+            nodes += [self.add_block("H", a, (j, n), column) for (a, j, n), column in pairs]
+        return nodes
+
+    def _two(self) -> list[Node]:
+        stages = range(self.stages)
+        slopes: list[list[Node]] = [[self._slope(i)] for i in stages]
+        if self.wide:
+            slopes[0].insert(0, self.tapes())
+        slopes[-1].append(self.update_columns())
+        nodes = self.loop(self._points(), slopes)
+        if self.rows:
+            bends = [self._bend(i) for i in stages]
+            if self.wide:
+                bends[0].insert(0, self.curvatures())
+            nodes += [*self._clear(), *self.loop([self.backward()], bends, down=True)]
+        return nodes
+
+    def _three(self) -> list[Node]:
+        nodes = self.loop(self._points(), [[self.tapes()]] if self.wide else [])
+        if self.rows:
+            nodes += [*self._clear(), *self.loop([self.backward()], down=True)]
+        third: list[Node] = [self.curvatures()] if self.rows and self.wide else []
+        for i in range(self.stages):
+            third += [*self.again(i, self.d.tape), self._slope(i), *(self._bend(i) if self.rows else ())]
+        return [*nodes, *self.loop([(*third, self.update_columns())])]
+
+    def _points(self) -> list[list[Node]]:
+        """Stage points and slopes, stage by stage, and the end of the step."""
+        groups = [self.evaluate(i) for i in range(self.stages)]
+        groups[-1].append(self.update())
+        return groups
+
+    def _clear(self) -> list[Node]:
+        """adj = lam, H = 0."""
+        size = self.ld**2
+        return [
+            Call(copy("copy_x", self.nx), (Slice("lam", self.nx),), (Slice("adj", self.nx),)),
+            Call(constant("clear", ca.SX.zeros(size)), (), (Slice("H", size),)),
+        ]
+
+    def _curved(self, stage: int, column: tuple[tuple[str, int], ...] = (("c", 1),)) -> Slice:
+        """A column of the curved rows of Z."""
+        size = len(self.d.curved_states) * self.ld
+        if not self.merged:
+            return Slice("Z", len(self.d.curved_states), Affine(stage % self.group * size, column), self.ld)
+        terms = (*column, ("step", self.stages * size))
+        return Slice("Z", len(self.d.curved_states), Affine(stage * size, terms), self.ld)
+
+    def _slope(self, stage: int) -> For:
+        return self.slope(stage, self.d.curved_states, self._curved(stage))
+
+    def _bend(self, stage: int) -> list[Node]:
+        """HZ = H [Z; 0 I], curved rows, and what it adds to the result as soon as its group of stages is complete."""
+        d = self.d
+        H, Z, units = ca.SX.sym("H", d.values), ca.SX.sym("Z", len(d.curved_states)), ca.SX.sym("E", len(self.controls))
+        value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
+        leaf = ca.Function("bend", [H, Z, units], [value], ["H", "Z", "E"], ["HZ"])
+        ins = (self.hessian_values(stage), self._curved(stage), self.column("E", len(self.controls)))
+        bend = self.columnwise(leaf, ins, (self.column("HZ", len(self.rows), stage % self.group),))
+        first = stage - stage % self.group
+        complete = stage + 1 == min(first + self.group, self.stages)
+        own = () if self.wide else (self.curvature(stage),)
+        return [*own, bend, *(self._accumulate(range(first, stage + 1)) if complete else ())]
+
+    @property
+    def group(self) -> int:
+        """Stages whose terms are added up together: as many factors as fit into registers."""
+        return max(1, min(self.stages, FACTORS // max(1, len(self.d.curved_states))))
+
+    def _accumulate(self, stages: range) -> list[Node]:
+        """H += sum_i Z_i' (HZ)_i, every row in panels of PANEL columns up to the diagonal; the rows of the controls."""
+        states, n = len(self.d.curved_states), len(stages)
+        nodes: list[Node] = []
+        if states:
+            q, w = ca.SX.sym("q"), ca.SX.sym("w", n * len(self.rows))
+            z = [ca.SX.sym(f"z{i}", states) for i in range(n)]
+            total = sum((ca.dot(z[i], w[i * len(self.rows) : i * len(self.rows) + states]) for i in range(n)), q)
+            leaf = ca.Function(f"accumulate_{n}", [q, w, *z], [total])
+            panels = self.ld // PANEL
+            for first in range(panels) if panels <= WRITTEN_PANELS else ():
+                here = Slice("H", 1, Affine(0, (("i", self.ld), ("c", 1))))
+                Z = [self._curved(i, (("i", 1),)) for i in stages]
+                row = Call(leaf, (here, self.column("HZ", n * len(self.rows)), *Z), (here,), inline=True)
+                rows = min(PANEL, len(self.columns) - PANEL * first)
+                nodes.append(For("i", PANEL * first, rows, (For("c", 0, PANEL * (first + 1), (row,)),)))
+            if panels > WRITTEN_PANELS:
+                here = Slice("H", 1, Affine(0, (("i", PANEL * self.ld), ("j", self.ld), ("b", PANEL), ("c", 1))))
+                HZ = Slice("HZ", n * len(self.rows), Affine(0, (("b", PANEL), ("c", 1))), self.ld)
+                Z = [self._curved(i, (("i", PANEL), ("j", 1))) for i in stages]
+                row = Call(leaf, (here, HZ, *Z), (here,), inline=True)
+                blocks = For("b", 0, Affine(1, (("i", 1),)), (For("c", 0, PANEL, (row,)),))
+                nodes.append(For("i", 0, panels, (For("j", 0, PANEL, (blocks,)),)))
+        for m, j in enumerate(self.d.curved_controls):
+            here = Slice("H", 1, Affine(self.columns.index(self.nx + j) * self.ld, (("c", 1),)))
+            terms = [Slice("HZ", 1, Affine((i * len(self.rows) + states + m) * self.ld, (("c", 1),))) for i in range(n)]
+            symbols = [ca.SX.sym(f"a{i}") for i in range(n + 1)]
+            leaf = ca.Function(f"sum_{n}", symbols, [sum(symbols[1:], symbols[0])])
+            nodes.append(self.columnwise(leaf, (here, *terms), (here,)))
+        return nodes
+
+    def buffers(self) -> tuple[Local, ...]:
+        """All local buffers."""
+        n = self.steps * self.stages
+        return (
+            *self.locals(),
+            *(("kappa", (n if self.keeps_kappa else self.stages) * len(self.d.curved)), ("H", self.ld**2)),
+            *(
+                ("Z", (n if self.merged else self.group) * len(self.d.curved_states) * self.ld),
+                ("HZ", self.group * len(self.rows) * self.ld),
+            ),
+        )

@@ -1,0 +1,153 @@
+"""Dense dual active-set solver for the condensed QP.
+
+    min 1/2 z'Hz + g'z   s.t.  lower <= (z, A z) <= upper
+
+Goldfarb and Idnani (1983) in the coordinates of H = L D L', with an orthonormal basis of the working set. The
+factorisation at the predicted working set belongs to the preparation phase, two substitutions to the feedback phase.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.ir.kernel import OpCount
+
+if TYPE_CHECKING:
+    from nmpc_codegen.components.base import Counts, Dims
+    from nmpc_codegen.frontend.problem import Problem
+    from nmpc_codegen.ir.sweep import Routine
+
+
+@dataclass(frozen=True)
+class DenseActiveSet:
+    """Options of the dense active-set solver.
+
+    ``max_iterations``: changes of the working set allowed in one feedback phase; None: 10 (NV + NG) + 50.
+    """
+
+    seam: ClassVar[str] = "qp"
+    name: ClassVar[str] = "dense_active_set"
+    template: ClassVar[str] = "qp/dense_active_set.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ()
+    takes: ClassVar[str] = "condensed"
+    automatic: ClassVar[bool] = True
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+    )
+
+    max_iterations: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.max_iterations is None:
+            return
+        cap = self.max_iterations
+        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
+            raise OptionError(f"DenseActiveSet.max_iterations: {cap!r} is not a positive integer or None")
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """No function of the model is called."""
+        return ()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Nothing to choose between."""
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        """The iteration cap."""
+        cap = 10 * (dims.nv.value + dims.ng.value) + 50 if self.max_iterations is None else self.max_iterations
+        return (
+            ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one feedback phase"),
+            ("QP_MAX_PROXIMAL_STEPS", 200, "cap on the proximal steps for a semidefinite Hessian"),
+        )
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """The QP: data, result, factors and working set."""
+        nv, ng, ld = dims.nv, dims.ng, dims.ld
+        rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+        return (
+            Struct(
+                "qp",
+                "condensed QP and its active-set factorisation",
+                (
+                    Field("H", (ld, ld), "Hessian (lower triangle); then D, L and L' of L D L'", "scratch"),
+                    Field("A", (ng, ld), "general rows", "scratch"),
+                    Field("g", (nv,), "gradient", "scratch"),
+                    Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
+                    Field("upper", (rows,), "upper bounds", "scratch"),
+                    Field("z", (nv,), "minimiser", "result"),
+                    Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
+                    Field("inverse", (ld,), "D^{-1/2}", "scratch"),
+                    Field("Q", (ld, ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
+                    Field("R", (ld, ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
+                    Field("R_inverse", (ld,), "inverse diagonal of R", "scratch"),
+                    Field("lam", (ld,), "multipliers of the members", "scratch"),
+                    Field("y0", (ld,), "unconstrained minimiser, y = D^{1/2} L'z", "scratch"),
+                    Field("y", (ld,), "minimiser on the working set", "scratch"),
+                    Field("x", (ld,), "z of y", "scratch"),
+                    Field("m", (ld,), "normal of the row under consideration, in y", "scratch"),
+                    Field("v", (ld,), "its part outside the span of the working set", "scratch"),
+                    Field("d", (ld,), "its coefficients in the basis", "scratch"),
+                    Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
+                    Field("scale", (), "|y0|", "scratch"),
+                    Field("shift", (), "part of |y0| that the saturated rows may have", "scratch"),
+                    Field("penalty", (rows,), "l1 penalty of violating a row; infinite: hard", "keep"),
+                    Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
+                    Field("proximal", (ld,), "diagonal E added to a semidefinite Hessian", "scratch"),
+                    Field("weight", (ld,), "its entries where they are needed", "scratch"),
+                    Field("center", (ld,), "centre of the proximal term", "scratch"),
+                    Field("direction", (ld,), "direction of the last proximal step", "scratch"),
+                    Field("total", (), "s'(H + E)s of it; 0: no conjugate direction follows", "scratch"),
+                    Field("step", (), "length of the proximal step", "scratch"),
+                    Field("work", (ld,), "rows in the working set, in the order of the basis", "scratch", "int32"),
+                    Field(
+                        "side", (rows,), "+-1: member at upper, lower bound; +-2: saturated; else 0", "keep", "int32"
+                    ),
+                    Field("snapshot", (rows,), "an earlier side, to recognise cycles", "scratch", "int32"),
+                    Field("nw", (), "members of the working set", "scratch", "int32"),
+                    Field("factorized", (), "qp_factorize has succeeded", "scratch", "int32"),
+                    Field("semidefinite", (), "a pivot of H may be zero, E is not zero", "scratch", "int32"),
+                    Field("face", (), "changes when the direction was set", "scratch", "int32"),
+                    Field("elastic", (), "a general row has a finite penalty", "scratch", "int32"),
+                    Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
+                    Field("changes", (), "rows that entered or left the working set in it", "result", "int32"),
+                    Field("dropped", (), "equalities left out as redundant", "result", "int32"),
+                    Field("relaxed", (), "elastic rows that are violated", "result", "int32"),
+                ),
+            ),
+        )
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """Operations of the functions whose count depends on sizes alone (padded columns included)."""
+        n = dims.ld.value
+        panels = n // 4
+        # Per panel b: entries to the right of it, and to the left.
+        right = sum(n - 4 * k - 4 for k in range(panels))
+        block = OpCount(add=6, mul=6, other=4)
+        scale = OpCount(mul=n)
+        substitution = block * panels + OpCount(add=4, mul=4) * right
+        return {
+            "qp_factorize_hessian": _factorization(dims),
+            "qp_forward": substitution + scale,
+            "qp_backward": substitution + scale,
+        }
+
+
+def _factorization(dims: Dims) -> OpCount:
+    """L D L' of a positive definite H, panel by panel."""
+    n, ld = dims.nv.value, dims.ld.value
+    total = OpCount(sqrt=ld)
+    for b in range(0, ld, 4):
+        total += OpCount(add=13, mul=20, div=4)
+        total += OpCount(add=6, mul=10) * (ld - b - 4)
+        for i in range(b + 4, n):
+            lanes = -(-(i + 1 - b - 4) // 4) * 4
+            total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4, other=4)
+    return total

@@ -1,0 +1,189 @@
+"""OSQP on the condensed QP, through the osqp package's own code generation: foreign code, an oracle for build().
+
+    min 1/2 z'Hz + g'z   s.t.  lower <= (z, A z) <= upper
+
+The generated solver keeps one static workspace, so that all copies of a controller share it; every call loads all data
+anew, and the answer depends on nothing else but the starting point.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.ir.kernel import OpCount
+
+if TYPE_CHECKING:
+    from nmpc_codegen.components.base import Counts, Dims
+    from nmpc_codegen.frontend.problem import Problem
+    from nmpc_codegen.ir.sweep import Routine
+
+
+@dataclass(frozen=True)
+class Osqp:
+    """Options of OSQP: iterations allowed, and the absolute and relative tolerance ``eps`` of its residuals."""
+
+    max_iterations: int = 20_000
+    eps: float = 1e-9
+
+    seam: ClassVar[str] = "qp"
+    name: ClassVar[str] = "osqp"
+    template: ClassVar[str] = "qp/osqp.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ()
+    takes: ClassVar[str] = "condensed"
+    automatic: ClassVar[bool] = False
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "free initial state", "coupled rows"}
+    )
+
+    def __post_init__(self) -> None:
+        cap = self.max_iterations
+        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
+            raise OptionError(f"Osqp.max_iterations: {cap!r} is not a positive integer")
+        number = isinstance(self.eps, int | float) and not isinstance(self.eps, bool)
+        if not (number and math.isfinite(self.eps) and self.eps > 0):
+            raise OptionError(f"Osqp.eps: {self.eps!r}; expected a finite number > 0")
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """No function of the model is called."""
+        return ()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Nothing to choose between."""
+        return ()
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        """Entries of the two matrices in OSQP's compressed columns."""
+        n = dims.nv.value
+        return (
+            ("OSQP_P", n * (n + 1) // 2, "upper triangle of H by columns"),
+            ("OSQP_A", n * (1 + dims.ng.value), "(I; A) by columns"),
+        )
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """The QP as the condensing fills it, and as OSQP reads it."""
+        nv, ng, ld = dims.nv, dims.ng, dims.ld
+        rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+        entries = {name: Size(name, value) for name, value, _ in self.sizes(dims)}
+        return (
+            Struct(
+                "qp",
+                "condensed QP, solved by OSQP",
+                (
+                    Field("H", (ld, ld), "Hessian (lower triangle)", "scratch"),
+                    Field("A", (ng, ld), "general rows", "scratch"),
+                    Field("Q", (ld, ld), "workspace of the regularisation", "scratch"),
+                    Field("g", (nv,), "gradient", "scratch"),
+                    Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
+                    Field("upper", (rows,), "upper bounds", "scratch"),
+                    Field("penalty", (rows,), "infinite: every row is hard", "keep"),
+                    Field("z", (nv,), "minimiser", "result"),
+                    Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
+                    Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
+                    Field("P_x", (entries["OSQP_P"],), "upper triangle of H by columns", "scratch"),
+                    Field("A_x", (entries["OSQP_A"],), "(I; A) by columns", "scratch"),
+                    Field("side", (rows,), "not used: OSQP has no working set", "scratch", "int32"),
+                    Field("iterations", (), "iterations of the last qp_solve", "result", "int32"),
+                    Field("changes", (), "always 0", "result", "int32"),
+                    Field("dropped", (), "always 0", "result", "int32"),
+                    Field("relaxed", (), "always 0", "result", "int32"),
+                ),
+            ),
+        )
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """Foreign code is not counted."""
+        return {}
+
+    def foreign_sources(self, prefix: str, precision: str, nv: int, ng: int) -> Mapping[str, str]:
+        """OSQP's embedded C for dense matrices of this size: path below osqp/ -> text, and our wrapper around it.
+
+        Raises:
+            OptionError: single precision; the embedded code is generated in double.
+        """
+        if precision != "double":
+            raise OptionError("qp 'osqp' clashes with precision='single': its embedded code is in double precision")
+        with tempfile.TemporaryDirectory(prefix="osqp-") as temporary:
+            self._generate(Path(temporary), prefix, nv, ng)
+            files = {
+                f"osqp/{path.relative_to(temporary).as_posix()}": path.read_text(encoding="utf-8")
+                for path in sorted(Path(temporary).rglob("*.[ch]"))
+                if path.name != "emosqp.c"
+            }
+        names = {"prefix": prefix, "rows": nv + ng, "columns": nv, "P": nv * (nv + 1) // 2, "A": nv * (1 + ng)}
+        files[f"osqp/{prefix}_osqp.c"] = WRAPPER % names
+        return {path: _without_dates(text) for path, text in files.items()}
+
+    def _generate(self, folder: Path, prefix: str, nv: int, ng: int) -> None:
+        import osqp  # foreign and slow to load: only where it is used
+        import scipy.sparse as sparse
+
+        P = sparse.csc_matrix(np.triu(np.full((nv, nv), 1e-3)) + nv * np.eye(nv))
+        A = sparse.vstack([sparse.identity(nv), sparse.csc_matrix(np.ones((ng, nv)))], format="csc")
+        solver = osqp.OSQP()
+        solver.setup(
+            *(P, np.zeros(nv), A, -np.ones(nv + ng), np.ones(nv + ng)),
+            verbose=False,
+            eps_abs=self.eps,
+            eps_rel=self.eps,
+            eps_prim_inf=1e-8,
+            eps_dual_inf=1e-8,
+            max_iter=self.max_iterations,
+            adaptive_rho_interval=25,
+            check_termination=10,
+        )
+        solver.codegen(str(folder), parameters="matrices", prefix=f"{prefix}_", force_rewrite=True)
+
+
+def _without_dates(text: str) -> str:
+    """The same C without the lines that say when it was generated."""
+    return "\n".join(line for line in text.splitlines() if "autogenerated by OSQP on" not in line) + "\n"
+
+
+#: The only file that calls OSQP; infinite bounds are spelled as OSQP spells them.
+WRAPPER = """#include "osqp.h"
+#include "%(prefix)s_workspace.h"
+
+#include <string.h>
+
+int %(prefix)s_osqp_solve(const double *P, const double *A, const double *g, const double *lower, const double *upper,
+    double *z, double *mult, double *certificate, int *iterations);
+
+int %(prefix)s_osqp_solve(const double *P, const double *A, const double *g, const double *lower, const double *upper,
+    double *z, double *mult, double *certificate, int *iterations)
+{
+    static OSQPFloat l[%(rows)d], u[%(rows)d];
+    OSQPSolver *solver = &%(prefix)s_solver;
+    int c;
+    for (c = 0; c < %(rows)d; c++) {
+        l[c] = (lower[c] < -OSQP_INFTY) ? -OSQP_INFTY : lower[c];
+        u[c] = (upper[c] > OSQP_INFTY) ? OSQP_INFTY : upper[c];
+    }
+    if (osqp_update_data_mat(solver, P, OSQP_NULL, %(P)d, A, OSQP_NULL, %(A)d) != 0 ||
+        osqp_update_data_vec(solver, g, l, u) != 0 || osqp_warm_start(solver, z, mult) != 0 ||
+        osqp_solve(solver) != 0) {
+        return 0;
+    }
+    *iterations = (int)solver->info->iter;
+    if (solver->info->status_val == OSQP_PRIMAL_INFEASIBLE) {
+        memcpy(certificate, solver->solution->prim_inf_cert, sizeof(double) * %(rows)d);
+        return OSQP_PRIMAL_INFEASIBLE;
+    }
+    memcpy(z, solver->solution->x, sizeof(double) * %(columns)d);
+    memcpy(mult, solver->solution->y, sizeof(double) * %(rows)d);
+    return (int)solver->info->status_val;
+}
+"""

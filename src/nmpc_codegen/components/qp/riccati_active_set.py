@@ -1,0 +1,155 @@
+"""Active-set solver on the Riccati recursion: time linear in the horizon, warm-started.
+
+    min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + 1/2 x_NS'Q_NS x_NS + g_NS'x_NS   s.t.  x_{k+1} = S_k z_k + b_k,
+    lower <= (u, rows) <= upper
+
+The recursion at the predicted working set belongs to the preparation phase; if the set holds, the feedback phase is one
+forward substitution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from nmpc_codegen.components.qp.riccati import TEMPLATES, riccati_cost, riccati_sizes, riccati_struct
+from nmpc_codegen.components.qp.riccati_interior_point import CORE, interior_point_struct
+from nmpc_codegen.components.qp.riccati_interior_point import MAX_ITERATIONS as INTERIOR_POINT_ITERATIONS
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.ir.kernel import OpCount
+
+if TYPE_CHECKING:
+    from nmpc_codegen.components.base import Counts, Dims
+    from nmpc_codegen.frontend.problem import Problem
+    from nmpc_codegen.ir.sweep import Routine
+
+
+#: Working sets that are tried where no cap is given.
+MAX_ITERATIONS = 50
+
+#: The parts of the method.
+PARTS = (
+    "qp/riccati_active_set_working_set.c.jinja",
+    "qp/riccati_active_set_refine.c.jinja",
+    "qp/riccati_active_set_iterate.c.jinja",
+    "qp/riccati_active_set_fall_back.c.jinja",
+)
+
+
+@dataclass(frozen=True)
+class RiccatiActiveSet:
+    """Options of the Riccati active-set solver.
+
+    ``max_iterations``: working sets that are tried in one feedback phase; None: 50.
+    """
+
+    seam: ClassVar[str] = "qp"
+    name: ClassVar[str] = "riccati_active_set"
+    template: ClassVar[str] = "qp/riccati_active_set.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ("condensing",)
+    takes: ClassVar[str] = "stages"
+    automatic: ClassVar[bool] = True
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+    )
+
+    max_iterations: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.max_iterations is None:
+            return
+        cap = self.max_iterations
+        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
+            raise OptionError(f"RiccatiActiveSet.max_iterations: {cap!r} is not a positive integer or None")
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """No function of the model is called."""
+        return ()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The recursion and the parts of the method."""
+        return (*TEMPLATES, *CORE, *PARTS)
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        """Leading dimensions and caps."""
+        return (
+            *riccati_sizes(dims),
+            (
+                "QP_MAX_ITERATIONS",
+                self.max_iterations or MAX_ITERATIONS,
+                "cap on the working sets of one feedback phase",
+            ),
+            ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
+            ("IPM_MAX_ITERATIONS", INTERIOR_POINT_ITERATIONS, "cap on its iterations"),
+            ("IPM_WARM_START", 0, "it starts cold"),
+            ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
+        )
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """The recursion; the QP and its working set."""
+        nv, ng, nx = dims.nv, dims.ng, dims.nxs
+        rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+        nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+        history = Size("QP_MAX_ITERATIONS + 1", (self.max_iterations or MAX_ITERATIONS) + 1)
+        return (
+            riccati_struct(dims),
+            interior_point_struct(dims),
+            Struct(
+                "qp",
+                "working set of the stage QP",
+                (
+                    Field("lower", (rows,), "lower bounds of controls, then of rows", "scratch"),
+                    Field("upper", (rows,), "upper bounds", "scratch"),
+                    Field("penalty", (ng,), "l1 penalty of violating a row; infinite: hard", "keep"),
+                    Field("curvature", (ng,), "l2 penalty", "keep"),
+                    Field("x", (nodes, nx), "minimiser: states", "result"),
+                    Field("z", (nv,), "minimiser: controls", "result"),
+                    Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
+                    Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
+                    Field("lam", (nodes, nx), "multipliers of the dynamics while refining", "scratch"),
+                    Field("dx", (nodes, nx), "correction of x", "scratch"),
+                    Field("dz", (nv,), "correction of z", "scratch"),
+                    Field("target", (rows,), "bounds of the members that the vectors were made with", "scratch"),
+                    Field("center", (ng,), "multipliers of the members that the vectors were made with", "scratch"),
+                    Field("value", (ng,), "values of the rows", "scratch"),
+                    Field("root", (ng,), "root of the curvature of the cost along a row", "scratch"),
+                    Field("weight", (ng,), "weight of a row as a member", "scratch"),
+                    Field("scale", (dims.nzs,), "largest entry of every component of (x, u)", "scratch"),
+                    Field("size", (dims.nzs,), "largest terms of the components of the gradient", "scratch"),
+                    Field("residual", (), "what is left on the working set, relative", "scratch"),
+                    Field("largest_mult", (), "largest multiplier of a row", "scratch"),
+                    Field("largest", (), "largest multiplier of a row over its root", "scratch"),
+                    Field(
+                        "side",
+                        (rows,),
+                        "+-1: member at upper, lower bound; +-2: soft, violated; else 0",
+                        "keep",
+                        "int32",
+                    ),
+                    Field("raised", (ng,), "how often the weight was raised", "keep", "int32"),
+                    Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
+                    Field("scaled", (), "1: root is known", "keep", "int32"),
+                    Field("rough", (), "1: it has errors beyond rounding", "scratch", "int32"),
+                    Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
+                    Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
+                    Field("stale_vectors", (), "last stage whose vectors are out of date, or -1", "scratch", "int32"),
+                    Field("factorized", (), "1: the recursion stands, 2: its matrices do", "scratch", "int32"),
+                    Field("iterations", (), "changes of the working set in the last qp_solve", "result", "int32"),
+                    Field("changes", (), "rows that entered or left it", "result", "int32"),
+                    Field("refinements", (), "corrections in the last qp_solve", "result", "int32"),
+                    Field("exact", (), "1: the result is the minimiser on side[], to rounding", "result", "int32"),
+                    Field("dropped", (), "equalities left out as redundant", "result", "int32"),
+                    Field("relaxed", (), "soft rows that are violated", "result", "int32"),
+                ),
+            ),
+        )
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """The recursion and its substitutions: a warm-started sample takes one of each."""
+        return riccati_cost(dims)

@@ -1,0 +1,200 @@
+"""Riccati interior point solver for the stage QP.
+
+    min sum_k 1/2 z_k'Q_k z_k + g_k'z_k   s.t.  x_{k+1} = S_k z_k + b_k,   lower <= (u, J z) <= upper,   z = (x, u)
+
+Mehrotra (1992) predictor-corrector; every iteration is one Riccati recursion and two substitutions, so its cost is
+linear in the number of stages.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from nmpc_codegen.components.qp.riccati import RECURSION, riccati_sizes, riccati_struct
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.ir.kernel import OpCount
+
+if TYPE_CHECKING:
+    from nmpc_codegen.components.base import Counts, Dims
+    from nmpc_codegen.frontend.problem import Problem
+    from nmpc_codegen.ir.sweep import Routine
+
+#: Templates of the method itself, for solvers that fall back on it; the first includes the others.
+CORE = (
+    "qp/riccati_interior_point_core.c.jinja",
+    "qp/riccati_interior_point_rows.c.jinja",
+    "qp/riccati_interior_point_start.c.jinja",
+    "qp/riccati_interior_point_certificate.c.jinja",
+    "qp/riccati_interior_point_iterate.c.jinja",
+)
+
+#: Cap on the iterations where none is given.
+MAX_ITERATIONS = 80
+
+
+def interior_point_struct(dims: Dims) -> Struct:
+    """The struct ``ipm`` of the solver: iterate and directions of the method."""
+    nv, ng, nx = dims.nv, dims.ng, dims.nxs
+    rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+    sides = Size(f"2 * ( {nv.text} + {ng.text} )", 2 * rows.value)
+    soft = Size(f"2 * {ng.text}", 2 * ng.value)
+    nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+    sizes = {name: Size(name, value) for name, value, _ in riccati_sizes(dims)}
+    ldx, ldu = sizes["LDX"], sizes["LDU"]
+    return Struct(
+        "ipm",
+        "interior point iterate of the stage QP",
+        (
+            Field("gradient", (nodes, dims.nzs), "g + Q z of the stages", "scratch"),
+            Field("dx", (nodes, nx), "direction of the states", "scratch"),
+            Field("du", (nv,), "direction of the controls", "scratch"),
+            Field("v", (rows,), "values of the rows", "scratch"),
+            Field("origin", (rows,), "values of the rows at the first point", "scratch"),
+            Field("dv", (rows,), "their direction", "scratch"),
+            Field("before", (rows,), "multipliers of the QP before", "scratch"),
+            Field("y", (rows,), "multipliers of equations", "scratch"),
+            Field("reach", (rows,), "how far one half unit of cost moves a row", "keep"),
+            Field("stiffness", (rows,), "weights of equations", "scratch"),
+            Field("weight", (rows,), "weights of the rows", "scratch"),
+            Field(
+                "proximal", (dims.nzs,), "share of the diagonal of a singular Hessian that is added to it", "scratch"
+            ),
+            Field("force", (rows,), "multipliers after a step that leaves v as it is", "scratch"),
+            Field("ray", (rows,), "weights of a contradiction", "scratch"),
+            Field("covariance", (ldx, ldx), "of the states of a stage under unit noise", "scratch"),
+            Field("product", (ldx, ldx), "covariance times (A + B K)'", "scratch"),
+            Field("closed", (ldx, ldx), "(A + B K)'", "scratch"),
+            Field("push", (ldu, ldx), "(B G)'", "scratch"),
+            Field("noise", (ldu, dims.nus), "G', G G' = M_uu^{-1}", "scratch"),
+            Field("bound", (sides,), "bound of a side", "scratch"),
+            Field("sign", (sides,), "1: upper, -1: lower", "scratch"),
+            Field("t", (sides,), "distance to the bound", "scratch"),
+            Field("lam", (sides,), "multiplier", "scratch"),
+            Field("r", (sides,), "residual of the distance", "scratch"),
+            Field("ratio", (sides,), "t / lam", "scratch"),
+            Field("omega", (sides,), "weight", "scratch"),
+            Field("rho", (sides,), "constant part of the direction", "scratch"),
+            Field("extra", (sides,), "correction of the products t lam", "scratch"),
+            Field("dt", (sides,), "direction of t", "scratch"),
+            Field("dlam", (sides,), "direction of lam", "scratch"),
+            Field("e", (soft,), "violation of a soft side", "scratch"),
+            Field("kappa", (soft,), "multiplier of e >= 0", "scratch"),
+            Field("r_e", (soft,), "residual of l1 + l2 e = lam + kappa", "scratch"),
+            Field("compliance", (soft,), "1 / (l2 + kappa / e)", "scratch"),
+            Field("extra_e", (soft,), "correction of the products e kappa", "scratch"),
+            Field("de", (soft,), "direction of e", "scratch"),
+            Field("dkappa", (soft,), "direction of kappa", "scratch"),
+            *_progress(sides, rows),
+        ),
+    )
+
+
+def _progress(sides: Size, rows: Size) -> tuple[Field, ...]:
+    """What the struct ``ipm`` has besides vectors of numbers."""
+    return (
+        Field("mu", (), "mean of t lam and e kappa", "scratch"),
+        Field("unit", (), "largest cost of a single row", "scratch"),
+        Field("primal", (), "largest relative residual of the rows", "scratch"),
+        Field("merit", (), "residuals of the rows and products, relative to their tolerance", "scratch"),
+        Field("slope", (), "gradient of the Lagrangian, relative to its tolerance", "scratch"),
+        Field("step", (), "length of the last step", "scratch"),
+        Field("slow", (), "primal when the last step was stretched", "scratch"),
+        Field("stiffening", (), "by how much the regularisation of the rows is divided", "scratch"),
+        Field("stiffest", (), "limit of it", "scratch"),
+        Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
+        Field("least_pivot", (), "added to pivots that are zero", "scratch"),
+        Field("row", (sides,), "row of a side", "scratch", "int32"),
+        Field("kind", (rows,), "0: inequality, 1: equation, 2: fixed control", "scratch", "int32"),
+        Field("sides", (), "finite bounds of inequalities", "scratch", "int32"),
+        Field("hard", (), "hard ones among them, which come first", "scratch", "int32"),
+        Field("warm", (), "the multipliers of the QP before are used", "scratch", "int32"),
+        Field("solved", (), "the last QP was solved", "keep", "int32"),
+        Field("closed_gaps", (), "how often the gaps of the dynamics have been closed", "scratch", "int32"),
+        Field("stretched", (), "the next step is stretched towards the equations", "scratch", "int32"),
+        Field("probing", (), "violated inequalities end the iterations", "scratch", "int32"),
+        Field("ready", (), "the first factorisation stands", "scratch", "int32"),
+    )
+
+
+@dataclass(frozen=True)
+class RiccatiInteriorPoint:
+    """Options of the interior point solver.
+
+    ``max_iterations``: factorisations allowed in one feedback phase. ``warm_start``: begin near the multipliers of the
+    previous QP.
+    """
+
+    max_iterations: int = MAX_ITERATIONS
+    warm_start: bool = True
+
+    seam: ClassVar[str] = "qp"
+    name: ClassVar[str] = "riccati_interior_point"
+    template: ClassVar[str] = "qp/riccati_interior_point.c.jinja"
+    needs: ClassVar[tuple[str, ...]] = ("condensing",)
+    takes: ClassVar[str] = "stages"
+    automatic: ClassVar[bool] = False
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+    )
+
+    def __post_init__(self) -> None:
+        cap = self.max_iterations
+        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
+            raise OptionError(f"RiccatiInteriorPoint.max_iterations: {cap!r} is not a positive integer")
+        if not isinstance(self.warm_start, bool):
+            raise OptionError(f"RiccatiInteriorPoint.warm_start: {self.warm_start!r} is not a bool")
+
+    def routines(self, problem: Problem) -> tuple[Routine, ...]:
+        """No function of the model is called."""
+        return ()
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The recursion and the method."""
+        return (*RECURSION, *CORE)
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """No tables."""
+        return ()
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        """Leading dimensions of the recursion, the iteration cap, the warm start."""
+        return (
+            *riccati_sizes(dims),
+            ("IPM_MAX_ITERATIONS", self.max_iterations, "cap on the interior point iterations of one QP"),
+            ("IPM_WARM_START", int(self.warm_start), "1: start near the multipliers of the previous QP"),
+        )
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """The recursion, the method, the QP."""
+        nv, ng = dims.nv, dims.ng
+        rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+        nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+        qp = Struct(
+            "qp",
+            "bounds and results of the stage QP",
+            (
+                Field("lower", (rows,), "lower bounds of controls, then of rows", "scratch"),
+                Field("upper", (rows,), "upper bounds", "scratch"),
+                Field("penalty", (ng,), "l1 penalty of violating a row; infinite: hard", "keep"),
+                Field("curvature", (ng,), "l2 penalty", "keep"),
+                Field("x", (nodes, dims.nxs), "states", "result"),
+                Field("z", (nv,), "controls", "result"),
+                Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
+                Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
+                Field(
+                    "side", (rows,), "+-1: active at upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"
+                ),
+                Field("iterations", (), "iterations of the last qp_solve", "result", "int32"),
+                Field("changes", (), "rows that became active or inactive in it", "result", "int32"),
+                Field("dropped", (), "0: redundant equations stay", "result", "int32"),
+                Field("relaxed", (), "soft rows that are violated", "result", "int32"),
+            ),
+        )
+        return (riccati_struct(dims), interior_point_struct(dims), qp)
+
+    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+        """None so far."""
+        return {}

@@ -1,0 +1,226 @@
+"""What the user writes, turned into checked values: names, numbers, CasADi columns. Every failure is a ProblemError."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.problem import Array
+from nmpc_codegen.ir.kernel import OPERATIONS
+
+_KEYWORDS = """
+    alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class compl
+    complex concept const consteval constexpr constinit const_cast continue co_await co_return co_yield decltype default
+    delete do double dynamic_cast else enum explicit export extern false float for friend goto if imaginary inline int
+    long mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public register
+    reinterpret_cast requires restrict return short signed sizeof static static_assert static_cast struct switch
+    template this thread_local throw true try typedef typeid typename typeof typeof_unqual union unsigned using virtual
+    void volatile wchar_t while xor xor_eq"""
+C_KEYWORDS = frozenset(_KEYWORDS.split())
+
+#: Operations of a CasADi SX Function that have a C spelling.
+C_OPERATIONS = frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}
+
+#: Operations whose derivative is zero or jumps somewhere.
+NONSMOOTH = {
+    getattr(ca, f"OP_{name}"): word
+    for name, word in {
+        "LT": "<", "LE": "<=", "EQ": "==", "NE": "!=", "NOT": "not", "AND": "and", "OR": "or", "FLOOR": "floor",
+        "CEIL": "ceil", "FMOD": "fmod", "REMAINDER": "remainder", "FABS": "fabs", "SIGN": "sign",
+        "COPYSIGN": "copysign", "IF_ELSE_ZERO": "if_else", "FMIN": "fmin", "FMAX": "fmax",
+    }.items()
+}  # fmt: skip
+
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def quote(value: Any) -> str:
+    """Short text of a value for an error message."""
+    try:
+        text = " ".join(str(value).split())
+    except Exception:  # a foreign object may fail in any way when it is printed
+        text = f"<{type(value).__name__}>"
+    return f"'{text}'" if len(text) <= 60 else f"'{text[:57]}...'"
+
+
+def identifier(name: Any, what: str) -> str:
+    """Return ``name`` if it is an identifier of C and C++ that is not reserved, else raise ProblemError."""
+    if not isinstance(name, str):
+        raise ProblemError(f"{what}: name must be a string, got {type(name).__name__} {quote(name)}")
+    if not _IDENTIFIER.fullmatch(name):
+        raise ProblemError(
+            f"{what}: name {quote(name)} is no C identifier (a letter, then letters, digits and underscores)"
+        )
+    if name in C_KEYWORDS:
+        raise ProblemError(f"{what}: name '{name}' is a keyword of C or C++; choose another one, e.g. '{name}_'")
+    return name
+
+
+def duplicate(names: Iterable[str]) -> tuple[str, str] | None:
+    """First two names that are equal, or None."""
+    seen: dict[str, str] = {}
+    for name in names:
+        if name in seen:
+            return seen[name], name
+        seen[name] = name
+    return None
+
+
+def integer(value: Any, what: str, minimum: int) -> int:
+    """A whole number of at least ``minimum``."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise ProblemError(f"{what} must be an integer >= {minimum}, got {type(value).__name__} {quote(value)}")
+    if value < minimum:
+        raise ProblemError(f"{what} must be an integer >= {minimum}, got {value}")
+    return int(value)
+
+
+def flag(value: Any, what: str) -> bool:
+    """True or False and nothing else."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ProblemError(f"{what} must be True or False, got {type(value).__name__} {quote(value)}")
+    return bool(value)
+
+
+def numbers(value: Any, what: str) -> Array:
+    """A float array of any shape; a CasADi DM becomes dense. NaN is refused, infinities are not."""
+    if isinstance(value, (ca.SX, ca.MX)):
+        if isinstance(value, ca.MX) or not value.is_constant():
+            raise ProblemError(f"{what} must be numbers, got the expression {quote(value)}")
+        value = ca.DM(value)
+    if isinstance(value, ca.DM):
+        value = value.full()
+    try:
+        if np.asarray(value).dtype.kind not in "biufO":
+            raise TypeError
+        array = np.array(value, dtype=float)
+    except Exception as error:  # foreign objects may raise anything here
+        raise ProblemError(f"{what} must be numbers, got {type(value).__name__} {quote(value)}") from error
+    if np.isnan(array).any():
+        raise ProblemError(f"{what} must be numbers, got NaN in {quote(value)}")
+    return array
+
+
+def vector(value: Any, size: int, what: str, *, finite: bool = True) -> Array:
+    """An array of shape (size,); a scalar is repeated."""
+    array = numbers(value, what)
+    if array.ndim == 0 or array.shape == (1, 1):
+        array = np.full(size, array.item())
+    elif array.shape == (size, 1):
+        array = array[:, 0]
+    if array.shape != (size,):
+        expected = "a scalar" if size == 1 else f"a scalar or {size} values"
+        raise ProblemError(f"{what} has shape {array.shape}, expected {expected}")
+    if finite and not np.isfinite(array).all():
+        raise ProblemError(f"{what} must be finite, got {quote(value)}")
+    return array
+
+
+def weight_matrix(value: Any, size: int, what: str) -> Array:
+    """A symmetric positive semidefinite matrix (size, size); a scalar or vector is its diagonal.
+
+    Semidefinite up to round-off: no eigenvalue below -1e-12 times the largest magnitude.
+    """
+    array = numbers(value, what)
+    if array.shape != (size, size):
+        try:
+            array = np.diag(vector(array, size, what))
+        except ProblemError as error:
+            if np.isfinite(array).all():
+                raise ProblemError(
+                    f"{what} has shape {array.shape}, expected ({size}, {size}), or {size} diagonal values, or a scalar"
+                ) from error
+            raise
+    if not np.isfinite(array).all():
+        raise ProblemError(f"{what} must be finite, got {quote(value)}")
+    scale = float(np.abs(array).max(initial=0.0))
+    if scale == 0.0:
+        return array
+    unit = array / scale
+    if np.abs(unit - unit.T).max() > 1e-12:
+        i, j = np.unravel_index(np.abs(unit - unit.T).argmax(), array.shape)
+        raise ProblemError(
+            f"{what} must be symmetric, but entry [{i}, {j}] is {array[i, j]:g} and [{j}, {i}] is {array[j, i]:g}"
+        )
+    unit = unit / 2 + unit.T / 2
+    smallest = float(np.linalg.eigvalsh(unit).min())
+    if smallest < -1e-12:
+        raise ProblemError(f"{what} must be positive semidefinite, but has the eigenvalue {smallest * scale:g}")
+    return array if np.array_equal(array, array.T) else np.asarray(unit * scale)
+
+
+def column(value: Any, what: str, symbols: dict[str, Any]) -> Any:
+    """A dense SX column from an SX, DM, number, array, list of these, or MX expression.
+
+    The symbols of an MX expression stand for the declared signals of the same name and size (``symbols``).
+    """
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        value = list(value) if value.ndim == 1 else value
+    if isinstance(value, (list, tuple)):
+        if any(isinstance(item, (list, tuple)) for item in value):
+            raise ProblemError(f"{what} must be a scalar or a column, got nested lists {quote(value)}")
+        return ca.vertcat(ca.SX(0, 1), *(column(item, what, symbols) for item in value))
+    if isinstance(value, ca.MX):
+        value = _expanded(value, what, symbols)
+    if not isinstance(value, ca.SX):
+        array = numbers(value, f"{what}: value")
+        if array.ndim > 2:
+            raise ProblemError(f"{what} has shape {array.shape}, expected a scalar or a column")
+        value = ca.SX(ca.DM(array))
+    if value.shape[1] != 1:
+        hint = " (transpose it)" if value.shape[0] == 1 else ""
+        raise ProblemError(f"{what} has shape {value.shape}, expected a scalar or a column{hint}")
+    return ca.densify(value)
+
+
+def _expanded(value: Any, what: str, symbols: dict[str, Any]) -> Any:
+    """SX form of an MX expression."""
+    free = ca.symvar(value)
+    for s in free:
+        if s.name() not in symbols:
+            raise ProblemError(f"{what} contains the unknown symbol '{s.name()}'{known(symbols)}")
+        if s.shape != symbols[s.name()].shape:
+            raise ProblemError(
+                f"{what}: the MX symbol '{s.name()}' has shape {s.shape}, declared was {symbols[s.name()].shape}"
+            )
+    try:
+        return ca.Function("expression", free, [value]).expand()(*(symbols[s.name()] for s in free))
+    except Exception as error:  # CasADi raises RuntimeError, NotImplementedError or worse, depending on the node
+        raise ProblemError(
+            f"{what} = {quote(value)} cannot be expanded to scalar operations, so it has no C; write it with SX"
+        ) from error
+
+
+def known(names: Iterable[str]) -> str:
+    """List of the declared names, to end an error message with."""
+    listed = ", ".join(names)
+    return f"; declared are: {listed}" if listed else "; nothing is declared yet"
+
+
+def operations(expression: Any) -> set[int]:
+    """CasADi opcodes of an SX expression; also refuses constants that are not finite by returning OP_LOW."""
+    f = ca.Function("expression", ca.symvar(expression), [expression])
+    found: set[int] = set()
+    for i in range(f.n_instructions()):
+        op = f.instruction_id(i)
+        found.add(op)
+        if op == ca.OP_CONST and not np.isfinite(f.instruction_constant(i)):
+            found.add(ca.OP_LOW)
+    return found
+
+
+def check_operations(expression: Any, what: str) -> set[int]:
+    """Raise ProblemError unless every operation has C and every constant is finite; return the opcodes."""
+    found = operations(expression)
+    if ca.OP_LOW in found:
+        raise ProblemError(f"{what} = {quote(expression)} contains a constant that is not finite (inf or nan)")
+    foreign = found - C_OPERATIONS
+    if foreign:
+        word = "a function call (interpolant, callback, external)" if ca.OP_CALL in foreign else "an operation"
+        raise ProblemError(f"{what} = {quote(expression)} contains {word} that has no C; write it with SX operations")
+    return found

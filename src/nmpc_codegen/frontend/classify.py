@@ -1,0 +1,289 @@
+"""OCP -> Problem: what the user stated, classified and frozen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.ocp import OCP, At, Element, Soft
+from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, c_identifier, symbols
+
+
+def classify(ocp: OCP) -> Problem:
+    """The frozen problem that ``ocp`` states now; the OCP may be changed and analysed again.
+
+    Raises:
+        ProblemError: something is missing (state, control, derivative, cost), or a row constrains a given x_0.
+    """
+    _require(ocp)
+    rows, path_h, terminal_h = _classify_rows(ocp)
+    path = _stage(ocp, path_h, rows, terminal=False)
+    terminal = _stage(ocp, terminal_h, rows, terminal=True)
+    f = ca.vertcat(*(ocp.derivatives[i] for i in range(path.nx)))
+    x, u, p, _ = symbols(path.nx, path.nu, ocp.p.numel())
+    dynamics = ca.Function("f", [x, u, p], _moved(ocp, [f], x, u, p), ["x", "u", "p"], ["f"])
+    dt = (1.0,) * ocp.N if ocp.dt is None else ocp.dt
+    return Problem(
+        name=ocp.name,
+        N=ocp.N,
+        dt=dt,
+        states=_signals(ocp.states),
+        controls=_signals(ocp.controls),
+        parameters=_signals(ocp.parameters),
+        dynamics=dynamics,
+        discrete=bool(ocp.discrete),
+        path=path,
+        terminal=terminal,
+        coupled=_coupled(ocp),
+        rows=rows,
+        free_initial=tuple(sorted(ocp.free)),
+        control_reference=_control_reference(ocp),
+        features=_features(ocp, rows),
+        accumulators=tuple(sorted(ocp.accumulators)),
+        cyclic=tuple(sorted(ocp.cyclic_states)),
+    )
+
+
+def _require(ocp: OCP) -> None:
+    """Refuse an OCP that lacks a part."""
+    if not ocp.states:
+        raise ProblemError(f"OCP '{ocp.name}' has no state; declare one with ocp.state(name)")
+    if not ocp.controls:
+        raise ProblemError(f"OCP '{ocp.name}' has no control, so there is nothing to optimise; use ocp.control(name)")
+    names = [e for s in _signals(ocp.states) for e in s.elements]
+    missing = [name for i, name in enumerate(names) if i not in ocp.derivatives]
+    if missing:
+        word = "next value" if ocp.discrete else "derivative"
+        raise ProblemError(f"OCP '{ocp.name}': the {word} of {', '.join(missing)} is missing; use ocp.dynamics")
+    if not ocp.residuals and not ocp.costs:
+        raise ProblemError(
+            f"OCP '{ocp.name}' has no cost; use least_squares, terminal_least_squares, stage_cost or terminal_cost"
+        )
+    if ocp.discrete and any(c.integrate for c in ocp.costs):
+        raise ProblemError("stage_cost(integrate=True) needs continuous dynamics; a discrete map has no quadrature")
+    both = sorted(ocp.free & ocp.accumulators)
+    if both:
+        raise ProblemError(f"state '{names[both[0]]}' cannot be both free_initial and accumulator (reset to 0)")
+    parameters = [s.name for s in _signals(ocp.parameters)]
+    _no_macro_clash("parameter", parameters)
+
+
+def _no_macro_clash(what: str, names: list[str]) -> None:
+    """C spells enumerators in upper case, so names may not differ in case only."""
+    seen: dict[str, str] = {}
+    for name in names:
+        key = c_identifier(name).upper()
+        if key in seen:
+            raise ProblemError(f"{what} names '{seen[key]}' and '{name}' are both {key} in C; rename one")
+        seen[key] = name
+
+
+def _signals(declared: list[Any]) -> tuple[Signal, ...]:
+    return tuple(d.signal for d in declared)
+
+
+def _moved(ocp: OCP, expressions: list[Any], x: Any, u: Any, p: Any) -> list[Any]:
+    """The expressions with the symbols of the OCP replaced by x, u, p (u empty: they contain no control)."""
+    old = ca.vertcat(ocp.x, ocp.p) if u.numel() == 0 else ca.vertcat(ocp.x, ocp.u, ocp.p)
+    new = ca.vertcat(x, p) if u.numel() == 0 else ca.vertcat(x, u, p)
+    return [ca.densify(e) for e in ca.substitute(expressions, [old], [new])]
+
+
+# Rows ----------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Scalar:
+    """One stated scalar row, taken apart."""
+
+    name: str
+    expression: Any
+    element: Element | None  # what it is, if it is a bare symbol
+    coupled: bool
+    nodes: tuple[int, ...]
+    lower: float
+    upper: float
+    soft: Soft
+    on_path: bool
+
+
+def _classify_rows(ocp: OCP) -> tuple[tuple[Row, ...], list[Any], list[Any]]:
+    """Rows in the order of their statement, and the general rows of the path and of the terminal stage."""
+    scalars = [_take_apart(ocp, s, i) for s in ocp.statements for i in range(len(s.names))]
+    bound_nodes = _simple_bounds(ocp, scalars)
+    rows: list[Row] = []
+    path_h: list[Any] = []
+    terminal_h: list[Any] = []
+    coupled = 0
+    for i, s in enumerate(scalars):
+        nodes, index, index_terminal = s.nodes, -1, -1
+        kind: RowKind
+        if s.coupled:
+            kind, index, coupled = "coupled", coupled, coupled + 1
+        elif i in bound_nodes:
+            assert s.element is not None
+            kind = "control" if s.element.kind == "control" else "state"
+            index, nodes = s.element.index, bound_nodes[i]
+        else:
+            kind = "general"
+            if nodes[0] < ocp.N:
+                index = len(path_h)
+                path_h.append(s.expression)
+            if nodes[-1] == ocp.N:
+                index_terminal = len(terminal_h)
+                terminal_h.append(s.expression)
+        rows.append(Row(s.name, kind, index, index_terminal, nodes, s.lower, s.upper, s.soft))
+    return tuple(rows), path_h, terminal_h
+
+
+def _take_apart(ocp: OCP, statement: Any, i: int) -> _Scalar:
+    h, name = statement.expression[i], statement.names[i]
+    bounds = float(statement.lower[i]), float(statement.upper[i])
+    if statement.at is None:
+        return _Scalar(name, h, None, True, (0, ocp.N), *bounds, statement.soft, False)
+    elements = [e for e in map(ocp.element, ca.symvar(h)) if e is not None]
+    on_states = all(e.kind != "control" for e in elements)
+    free = any(e.kind == "state" and e.index in ocp.free for e in elements)
+    path = _path_nodes(ocp, on_states, free)
+    nodes = _nodes(ocp, statement.at, path)
+    if on_states and not free and nodes[0] == 0:
+        raise ProblemError(
+            f"row '{name}' constrains states alone at node 0, where x_0 is given; "
+            "leave node 0 out, or let the solver choose them with ocp.free_initial(...)"
+        )
+    return _Scalar(name, h, ocp.element(h), False, nodes, *bounds, statement.soft, nodes == path)
+
+
+def _path_nodes(ocp: OCP, on_states: bool, free: bool) -> tuple[int, ...]:
+    """With a control: 0..N-1. States alone: 1..N, and 0 if one of them is free there."""
+    if not on_states:
+        return tuple(range(ocp.N))
+    return tuple(range(0 if free else 1, ocp.N + 1))
+
+
+def _nodes(ocp: OCP, at: At, path: tuple[int, ...]) -> tuple[int, ...]:
+    if at == "path":
+        return path
+    if at == "start":
+        return (0,)
+    if at == "end":
+        return (ocp.N,)
+    assert isinstance(at, tuple)
+    return at
+
+
+def _simple_bounds(ocp: OCP, scalars: list[_Scalar]) -> dict[int, tuple[int, ...]]:
+    """Which scalars become simple bounds, and at which nodes.
+
+    Controls: the first hard row over the whole path. States: path rows first, then the others as stated, each if its
+    nodes are still without a bound. A hard equality at the end takes node N away from the path row of its state.
+    """
+    bounds: dict[int, tuple[int, ...]] = {}
+    controls: set[int] = set()
+    taken: dict[int, set[int]] = {}
+    replaced: set[int] = set()
+    bare = [(i, s, s.element) for i, s in enumerate(scalars) if s.element is not None]
+    for i, s, element in bare:
+        if element.kind == "control" and s.on_path and s.soft is None and element.index not in controls:
+            controls.add(element.index)
+            bounds[i] = s.nodes
+        elif _end_equality(ocp, s) and element.kind == "state" and element.index not in replaced:
+            replaced.add(element.index)
+            taken.setdefault(element.index, set()).add(ocp.N)
+            bounds[i] = s.nodes
+    for on_path in (True, False):
+        for i, s, element in bare:
+            if element.kind != "state" or s.on_path != on_path or i in bounds:
+                continue
+            used = taken.setdefault(element.index, set())
+            nodes = s.nodes[:-1] if on_path and element.index in replaced else s.nodes
+            if not used & set(nodes):
+                used.update(nodes)
+                bounds[i] = nodes
+    return bounds
+
+
+def _end_equality(ocp: OCP, s: _Scalar) -> bool:
+    return s.nodes == (ocp.N,) and s.lower == s.upper and s.soft is None
+
+
+# Stages --------------------------------------------------------------------------------------------------------------
+
+
+def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], *, terminal: bool) -> Stage:
+    x, u, p, dt = symbols(ocp.x.numel(), 0 if terminal else ocp.u.numel(), ocp.p.numel())
+    residuals = [r for r in ocp.residuals if r.terminal == terminal]
+    costs = [c for c in ocp.costs if c.terminal == terminal]
+    nodal = [c.expression * (dt if c.scale_with_dt else 1) for c in costs if not c.integrate]
+    rates = [c.expression for c in costs if c.integrate]
+    empty = ca.SX(0, 1)
+    stacked = ca.vertcat(empty, *(r.y for r in residuals))
+    y, general, cost, rate = _moved(
+        ocp, [stacked, ca.vertcat(empty, *h), ca.SX(sum(nodal)), ca.SX(sum(rates))], x, u, p
+    )
+    positions = [(row.index_terminal if terminal else row.index, row) for row in rows if row.kind == "general"]
+    return Stage(
+        x=x,
+        u=u,
+        p=p,
+        dt=dt,
+        y=y,
+        y_names=tuple(n for r in residuals for n in r.names),
+        reference=_frozen(np.concatenate([np.zeros(0), *(r.reference for r in residuals)])),
+        weight=_block_diagonal([r.weight for r in residuals]),
+        scale_with_dt=tuple(r.scale_with_dt for r in residuals for _ in r.names),
+        cost=cost if nodal else None,
+        h=general,
+        h_names=tuple(row.name for position, row in positions if position >= 0),
+        cost_rate=rate if rates else None,
+    )
+
+
+def _frozen(array: Array) -> Array:
+    array.flags.writeable = False
+    return array
+
+
+def _block_diagonal(blocks: list[Array]) -> Array:
+    n = sum(b.shape[0] for b in blocks)
+    W, at = np.zeros((n, n)), 0
+    for b in blocks:
+        W[at : at + b.shape[0], at : at + b.shape[0]] = b
+        at += b.shape[0]
+    return _frozen(W)
+
+
+def _coupled(ocp: OCP) -> Any:
+    r = [s.expression for s in ocp.statements if s.at is None]
+    if not r:
+        return None
+    x0, xN = ca.SX.sym("x_0", ocp.x.numel()), ca.SX.sym("x_N", ocp.x.numel())
+    old, new = ca.vertcat(ocp.x_start, ocp.x_end), ca.vertcat(x0, xN)
+    return ca.Function("r", [x0, xN], [ca.densify(ca.substitute(ca.vertcat(*r), old, new))], ["x_0", "x_N"], ["r"])
+
+
+def _control_reference(ocp: OCP) -> tuple[int, ...]:
+    """For every control the position in y of the first residual that is this very control, or -1."""
+    found = [-1] * ocp.u.numel()
+    y = ca.vertcat(ca.SX(0, 1), *(r.y for r in ocp.residuals if not r.terminal))
+    for i in range(y.numel()):
+        element = ocp.element(y[i])
+        if element is not None and element.kind == "control" and found[element.index] < 0:
+            found[element.index] = i
+    return tuple(found)
+
+
+def _features(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
+    used = {
+        "soft rows": any(r.soft is not None for r in rows),
+        "coupled rows": any(r.kind == "coupled" for r in rows),
+        "free initial state": bool(ocp.free),
+        "general cost": bool(ocp.costs),
+        "integrated cost": any(c.integrate for c in ocp.costs),
+        "accumulators": bool(ocp.accumulators),
+    }
+    return frozenset(name for name, is_used in used.items() if is_used)

@@ -1,0 +1,578 @@
+"""What the user writes: an optimal control problem as CasADi expressions with names. It knows no algorithm."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.errors import ProblemError, ProblemWarning
+from nmpc_codegen.frontend.checks import (
+    NONSMOOTH,
+    check_operations,
+    column,
+    duplicate,
+    flag,
+    identifier,
+    integer,
+    known,
+    numbers,
+    quote,
+    vector,
+    weight_matrix,
+)
+from nmpc_codegen.frontend.problem import Array, Signal, c_identifier
+
+__all__ = ["OCP"]
+
+Kind = Literal["state", "control", "parameter", "start", "end"]
+At = Literal["path", "start", "end"] | tuple[int, ...]
+Soft = tuple[float, float] | None
+
+_NODE: tuple[Kind, ...] = ("state", "control", "parameter")
+
+
+@dataclass(frozen=True, eq=False)
+class Declared:
+    """A declared signal and its SX symbol."""
+
+    signal: Signal
+    symbol: Any
+
+
+@dataclass(frozen=True)
+class Element:
+    """One scalar symbol: what it is, its position in the stacked vector of its kind, its name."""
+
+    kind: Kind
+    index: int
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """1/2 (y - reference)' weight (y - reference) at every path node, or at the terminal node."""
+
+    y: Any
+    names: tuple[str, ...]
+    reference: Array
+    weight: Array
+    scale_with_dt: bool
+    terminal: bool
+
+
+@dataclass(frozen=True, eq=False)
+class GeneralCost:
+    """A scalar cost at every path node, integrated along every interval, or at the terminal node."""
+
+    expression: Any
+    integrate: bool
+    scale_with_dt: bool
+    terminal: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """Scalar rows lower <= expression <= upper as stated; ``at`` is None for a coupled condition."""
+
+    lower: Array
+    expression: Any
+    upper: Array
+    at: At | None
+    soft: Soft
+    names: tuple[str, ...]
+
+
+class OCP:
+    """An optimal control problem over N intervals:
+
+        min   sum_{k<N} l_k(x_k, u_k, p_k) + l_N(x_N, p_N)
+        s.t.  x_0 = xhat,  x' = f(x, u, p) on every interval (or x_{k+1} = f(x_k, u_k, p_k)),
+              lower <= h(x_k, u_k, p_k) <= upper,   lower <= r(x_0, x_N) <= upper
+
+    Args:
+        name: C identifier; prefix of the generated C.
+        T: length of the horizon (s), divided into N equal intervals.
+        N: number of intervals. Without T and intervals: a discrete map with dt = 1.
+        intervals: lengths of the intervals (s), instead of T.
+
+    Raises:
+        ProblemError: the problem is stated wrongly; the message names the thing and what was expected.
+    """
+
+    def __init__(self, name: str, *, T: float | None = None, N: int | None = None, intervals: Any = None) -> None:
+        self.name = identifier(name, "OCP")
+        self.N, self.dt = _grid(self.name, T, N, intervals)
+        self.states: list[Declared] = []
+        self.controls: list[Declared] = []
+        self.parameters: list[Declared] = []
+        self.derivatives: dict[int, Any] = {}  # position in x -> SX
+        self.discrete: bool | None = None
+        self.residuals: list[Residual] = []
+        self.costs: list[GeneralCost] = []
+        self.statements: list[Statement] = []
+        self.free: set[int] = set()
+        self.accumulators: set[int] = set()
+        self.cyclic_states: set[int] = set()
+        self._symbols: dict[str, Any] = {}
+        self._elements: dict[int, Element] = {}
+        self._start: list[Any] = []
+        self._end: list[Any] = []
+        self._unnamed = 0
+
+    def __repr__(self) -> str:
+        sizes = f"nx={self.x.numel()}, nu={self.u.numel()}"
+        return f"OCP({self.name!r}, N={self.N}, {sizes})"
+
+    # Signals ---------------------------------------------------------------------------------------------------------
+
+    def state(self, name: str, *, size: int | None = None, unit: str = "", initial: Any = 0.0) -> Any:
+        """Declare a state; returns its SX symbol, a scalar, or a column of ``size`` elements name[0], name[1], ...
+
+        ``initial`` is the x_0 of --check, --simulate, main.c and the test vectors.
+        """
+        symbol = self._declare("state", self.states, name, size, unit, initial, "initial")
+        for which, kind in ((self._start, "start"), (self._end, "end")):
+            twin = ca.SX.sym(f"{name}_{kind}", symbol.numel())
+            which.append(twin)
+            for i, element in enumerate(self.states[-1].signal.elements):
+                offset = self.states[-1].signal.offset
+                self._elements[twin[i].element_hash()] = Element(kind, offset + i, element)  # type: ignore[arg-type]
+        return symbol
+
+    def control(self, name: str, *, size: int | None = None, unit: str = "") -> Any:
+        """Declare a control; returns its SX symbol. Constant on every interval."""
+        return self._declare("control", self.controls, name, size, unit, 0.0, "value")
+
+    def parameter(self, name: str, *, value: Any = 0.0, size: int | None = None, unit: str = "") -> Any:
+        """Declare online data that can be changed at run time; returns its SX symbol."""
+        return self._declare("parameter", self.parameters, name, size, unit, value, "value")
+
+    @property
+    def x(self) -> Any:
+        """All states declared so far, SX (nx,)."""
+        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.states))
+
+    @property
+    def u(self) -> Any:
+        """All controls declared so far, SX (nu,)."""
+        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.controls))
+
+    @property
+    def p(self) -> Any:
+        """All parameters declared so far, SX (np,)."""
+        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.parameters))
+
+    @property
+    def x_start(self) -> Any:
+        """The symbols of x_0 that at_start() puts in, SX (nx,)."""
+        return ca.vertcat(ca.SX(0, 1), *self._start)
+
+    @property
+    def x_end(self) -> Any:
+        """The symbols of x_N that at_end() puts in, SX (nx,)."""
+        return ca.vertcat(ca.SX(0, 1), *self._end)
+
+    def _declare(
+        self, kind: Kind, to: list[Declared], name: str, size: int | None, unit: str, value: Any, word: str
+    ) -> Any:
+        what = f"{kind} {quote(name)}"
+        identifier(name, what)
+        if not isinstance(unit, str):
+            raise ProblemError(f"{what}: unit must be a string, got {type(unit).__name__} {quote(unit)}")
+        n = 1 if size is None else integer(size, f"{what}: size", 1)
+        values = tuple(float(v) for v in vector(value, n, f"{what}: {word}"))
+        signal = Signal(name, n, unit, values, sum(d.signal.size for d in to), size is None)
+        earlier = [d.signal for d in (*self.states, *self.controls, *self.parameters)]
+        taken = {c_identifier(e): s.name for s in earlier for e in (*s.elements, s.name)}
+        for element in (*signal.elements, name):
+            if c_identifier(element) in taken:
+                other = taken[c_identifier(element)]
+                raise ProblemError(f"{what}: the name '{element}' clashes with '{other}', declared before")
+        symbol = ca.SX.sym(name) if size is None else ca.SX.sym(name, n)
+        to.append(Declared(signal, symbol))
+        self._symbols[name] = symbol
+        for i, element in enumerate(signal.elements):
+            self._elements[symbol[i].element_hash()] = Element(kind, signal.offset + i, element)
+        return symbol
+
+    # Dynamics --------------------------------------------------------------------------------------------------------
+
+    def dynamics(self, rhs: Any, *, discrete: bool = False) -> None:
+        """State the derivatives x' = f(x, u, p), or the next states x_{k+1} = f(x_k, u_k, p_k) if ``discrete``.
+
+        Args:
+            rhs: {state symbol or name: expression}, in one call or several, or a column in declaration order.
+            discrete: the expressions are the states at the next node.
+        """
+        discrete = flag(discrete, "dynamics: discrete")
+        if not discrete and self.dt is None:
+            raise ProblemError(
+                f"OCP '{self.name}' was given N only, so its dynamics must be discrete: "
+                "give T= or intervals=, or dynamics(..., discrete=True)"
+            )
+        if self.discrete is not None and discrete != self.discrete:
+            raise ProblemError("dynamics: discrete and continuous dynamics cannot be mixed")
+        if not self.states:
+            raise ProblemError("dynamics: no state is declared; declare states with ocp.state(name) first")
+        given = self._by_name(rhs) if isinstance(rhs, Mapping) else self._in_order(rhs)
+        for index, expression in given.items():
+            self._warn_nonsmooth(self._state_names()[index], expression)
+        self.discrete = discrete
+        self.derivatives.update(given)
+
+    def _state_names(self) -> list[str]:
+        return [e for d in self.states for e in d.signal.elements]
+
+    def _in_order(self, rhs: Any) -> dict[int, Any]:
+        nx = self.x.numel()
+        f = self._expression(rhs, "dynamics", _NODE)
+        if f.numel() != nx:
+            raise ProblemError(f"dynamics has {f.numel()} elements, expected {nx}: one per state, in declaration order")
+        if self.derivatives:
+            name = self._state_names()[min(self.derivatives)]
+            raise ProblemError(f"dynamics: the derivative of '{name}' is given twice")
+        return {i: f[i] for i in range(nx)}
+
+    def _by_name(self, rhs: Mapping[Any, Any]) -> dict[int, Any]:
+        given: dict[int, Any] = {}
+        names = self._state_names()
+        for key, value in rhs.items():
+            where = self._components(key, "dynamics: key")
+            what = f"dynamics: derivative of {quote(key)}"
+            f = self._expression(value, what, _NODE)
+            if f.numel() != len(where):
+                raise ProblemError(f"{what} has {f.numel()} elements, expected {len(where)}")
+            for i, index in enumerate(where):
+                if index in given or index in self.derivatives:
+                    raise ProblemError(f"dynamics: the derivative of '{names[index]}' is given twice")
+                given[index] = f[i]
+        return given
+
+    def _components(self, which: Any, what: str) -> list[int]:
+        """Positions in x that a state symbol, a column of state symbols, or a name stands for."""
+        names = self._state_names()
+        if isinstance(which, str):
+            for d in self.states:
+                if which == d.signal.name:
+                    return list(range(d.signal.offset, d.signal.offset + d.signal.size))
+            if which in names:
+                return [names.index(which)]
+            raise ProblemError(f"{what} {quote(which)} is no state{known(names)}")
+        if not isinstance(which, ca.SX):
+            raise ProblemError(f"{what} {quote(which)} must be the symbol or the name of a state{known(names)}")
+        found = [self._element(which[i]) for i in range(which.numel())]
+        if not found or any(e is None or e.kind != "state" for e in found):
+            raise ProblemError(f"{what} {quote(which)} is no state{known(names)}")
+        return [e.index for e in found if e is not None]
+
+    def _warn_nonsmooth(self, name: str, expression: Any) -> None:
+        found = sorted({NONSMOOTH[op] for op in check_operations(expression, "dynamics") if op in NONSMOOTH})
+        if found:
+            warnings.warn(
+                f"dynamics of '{name}' contain {', '.join(found)}: derivatives jump or vanish there, "
+                "and Newton-type iterations may stall",
+                ProblemWarning,
+                stacklevel=3,
+            )
+
+    # Cost ------------------------------------------------------------------------------------------------------------
+
+    def least_squares(
+        self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None, scale_with_dt: bool = False
+    ) -> None:
+        """Add 1/2 (y - reference)' W (y - reference) at the nodes 0..N-1; several calls add up.
+
+        Args:
+            expr: y(x, u, p), column (ny,).
+            weight: W, symmetric positive semidefinite (ny, ny); a vector or scalar is its diagonal.
+            reference: (ny,) or scalar, zero unless given; can be changed at run time.
+            names: one name per element; default the symbol, else y_i.
+            scale_with_dt: multiply the weight by the length of the interval.
+        """
+        self._residual("least_squares", expr, weight, reference, names, scale_with_dt, _NODE)
+
+    def terminal_least_squares(self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None) -> None:
+        """Add 1/2 (y - reference)' W (y - reference) at node N, y(x, p); never scaled. See least_squares()."""
+        self._residual("terminal_least_squares", expr, weight, reference, names, False, ("state", "parameter"))
+
+    def _residual(
+        self, what: str, expr: Any, weight: Any, reference: Any, names: Any, scale: Any, kinds: tuple[Kind, ...]
+    ) -> None:
+        terminal = "control" not in kinds
+        y = self._expression(expr, f"{what}: expression", kinds)
+        ny = y.numel()
+        if ny == 0:
+            raise ProblemError(f"{what}: the expression is empty")
+        earlier = [n for r in self.residuals if r.terminal == terminal for n in r.names]
+        found = self._residual_names(what, y, names, earlier)
+        W = weight_matrix(weight, ny, f"{what}: weight")
+        yref = np.zeros(ny) if reference is None else vector(reference, ny, f"{what}: reference")
+        self.residuals.append(Residual(y, found, yref, W, flag(scale, f"{what}: scale_with_dt"), terminal))
+
+    def _residual_names(self, what: str, y: Any, names: Any, earlier: list[str]) -> tuple[str, ...]:
+        if names is None:
+            found: list[str] = []
+            for i in range(y.numel()):
+                element = self._element(y[i])
+                taken = element is None or element.name in earlier or element.name in found
+                found.append(f"y_{len(earlier) + i}" if element is None or taken else element.name)
+        else:
+            found = _names(names, y.numel(), f"{what}: names")
+        clash = duplicate(c_identifier(n) for n in [*earlier, *found])
+        if clash:
+            raise ProblemError(f"{what}: the name '{clash[1]}' is used twice; give other names=")
+        return tuple(found)
+
+    def stage_cost(self, expr: Any, *, integrate: bool = False, scale_with_dt: bool = True) -> None:
+        """Add a general cost l(x, u, p), a scalar.
+
+        At the nodes 0..N-1, multiplied by dt_k if ``scale_with_dt``; or, if ``integrate``, as the integral over every
+        interval by the Runge-Kutta scheme of the dynamics, which is never scaled again.
+        """
+        l = self._scalar(expr, "stage_cost", _NODE)  # noqa: E741
+        integrate, scale = flag(integrate, "stage_cost: integrate"), flag(scale_with_dt, "stage_cost: scale_with_dt")
+        self.costs.append(GeneralCost(l, integrate, scale and not integrate, False))
+
+    def terminal_cost(self, expr: Any) -> None:
+        """Add a general cost l_N(x, p) at node N, a scalar; never scaled."""
+        l = self._scalar(expr, "terminal_cost", ("state", "parameter"))  # noqa: E741
+        self.costs.append(GeneralCost(l, False, False, True))
+
+    def _scalar(self, expr: Any, what: str, kinds: tuple[Kind, ...]) -> Any:
+        l = self._expression(expr, what, kinds)  # noqa: E741
+        if l.numel() != 1:
+            raise ProblemError(f"{what} must be a scalar, got {l.numel()} elements")
+        return l
+
+    # Constraints -----------------------------------------------------------------------------------------------------
+
+    def subject_to(
+        self, lower: Any, expr: Any, upper: Any, *, at: Any = "path", soft: Any = None, name: str | None = None
+    ) -> None:
+        """Add the rows lower <= expr <= upper.
+
+        Args:
+            lower: number, or one per row; -inf allowed; equal to upper: an equality.
+            upper: number, or one per row; +inf allowed.
+            expr: h(x, u, p), column. Elements that are a bare state or control become simple bounds.
+            at: "path": with a control nodes 0..N-1, else 1..N (0 too for free states); "start": node 0; "end": node N;
+                or an iterable of nodes.
+            soft: (l1, l2): slack s >= 0 per side with cost l1 s + 1/2 l2 s^2.
+            name: default the symbol, else row_i; several rows are name[i]; at="start"/"end" appends _start/_end.
+        """
+        what = f"subject_to {quote(name)}" if name is not None else "subject_to"
+        nodes = self._at(at, what)
+        h = self._expression(expr, f"{what}: expression", _NODE)
+        suffix = f"_{nodes}" if nodes in ("start", "end") else ""
+        for i in range(h.numel()):
+            kinds = self._kinds(h[i])
+            if not kinds & {"state", "control"}:
+                raise ProblemError(
+                    f"{what}: {quote(h[i])} depends on no state and no control; the order is lower, expression, upper"
+                )
+            last = nodes == "end" or (isinstance(nodes, tuple) and self.N in nodes)
+            if last and "control" in kinds:
+                raise ProblemError(
+                    f"{what}: {quote(h[i])} contains a control, and node {self.N} (the end) has none; "
+                    f"use at='path' or nodes 0..{self.N - 1}"
+                )
+        self._add_rows(lower, h, upper, nodes, soft, name, suffix, what)
+
+    def boundary(self, lower: Any, expr: Any, upper: Any, *, soft: Any = None, name: str | None = None) -> None:
+        """Add the coupled rows lower <= r(x_0, x_N) <= upper, e.g. periodicity: at_start(x) - at_end(x).
+
+        Arguments as in subject_to(); the expression is written with at_start() and at_end().
+        """
+        what = f"boundary {quote(name)}" if name is not None else "boundary"
+        r = self._expression(expr, f"{what}: expression", ("start", "end"))
+        for i in range(r.numel()):
+            kinds = self._kinds(r[i])
+            if "end" not in kinds:
+                raise ProblemError(
+                    f"{what}: {quote(r[i])} does not depend on the end of the horizon; use at_end(), or subject_to"
+                )
+        self._add_rows(lower, r, upper, None, soft, name, "", what)
+
+    def at_start(self, expr: Any) -> Any:
+        """The expression in the states at node 0, for boundary()."""
+        return ca.substitute(self._expression(expr, "at_start", ("state",)), self.x, self.x_start)
+
+    def at_end(self, expr: Any) -> Any:
+        """The expression in the states at node N, for boundary()."""
+        return ca.substitute(self._expression(expr, "at_end", ("state",)), self.x, self.x_end)
+
+    def _add_rows(
+        self, lower: Any, h: Any, upper: Any, at: At | None, soft: Any, name: str | None, suffix: str, what: str
+    ) -> None:
+        n = h.numel()
+        if n == 0:
+            raise ProblemError(f"{what}: the expression is empty")
+        lb, ub = (vector(v, n, f"{what}: {w}", finite=False) for v, w in ((lower, "lower"), (upper, "upper")))
+        for i in range(n):
+            if lb[i] > ub[i]:
+                raise ProblemError(f"{what}: row {i} has lower {lb[i]:g} > upper {ub[i]:g}")
+            if lb[i] == np.inf or ub[i] == -np.inf:
+                raise ProblemError(f"{what}: row {i} has bounds {lb[i]:g}, {ub[i]:g}, which nothing can satisfy")
+        penalty = _penalty(soft, what)
+        names, unnamed = self._row_names(h, name, suffix, what)
+        self._unnamed += unnamed
+        self.statements.append(Statement(lb, h, ub, at, penalty, names))
+
+    def _row_names(self, h: Any, name: str | None, suffix: str, what: str) -> tuple[tuple[str, ...], int]:
+        """Names of the rows and how many of them are row_i."""
+        n, unnamed = h.numel(), 0
+        if name is not None:
+            identifier(name, what)
+            names = [name] if n == 1 else [f"{name}[{i}]" for i in range(n)]
+        else:
+            names = []
+            for i in range(n):
+                element = self._element(h[i])
+                if element is None or element.kind not in ("state", "control"):
+                    names.append(f"row_{self._unnamed + unnamed}")
+                    unnamed += 1
+                else:
+                    names.append(element.name)
+        names = [f"{row}{suffix}" for row in names]
+        taken = {c_identifier(row).upper(): row for s in self.statements for row in s.names}
+        for row in names:
+            key = c_identifier(row).upper()
+            if key in taken:
+                raise ProblemError(
+                    f"{what}: the row name '{row}' clashes with '{taken[key]}' (both are ROW_{key} in C); give name="
+                )
+            taken[key] = row
+        return tuple(names), unnamed
+
+    def _at(self, at: Any, what: str) -> At:
+        if isinstance(at, str):
+            if at not in ("path", "start", "end"):
+                raise ProblemError(f"{what}: at={at!r}, expected 'path', 'start', 'end' or an iterable of nodes")
+            return at  # type: ignore[return-value]
+        if not isinstance(at, Iterable):
+            raise ProblemError(f"{what}: at={quote(at)}, expected 'path', 'start', 'end' or an iterable of nodes")
+        try:
+            listed = list(at)
+        except Exception as error:
+            raise ProblemError(f"{what}: at={quote(at)} is no iterable of nodes") from error
+        nodes = sorted({integer(k, f"{what}: node in at=", 0) for k in listed})
+        if not nodes:
+            raise ProblemError(f"{what}: at= names no node")
+        if nodes[-1] > self.N:
+            raise ProblemError(f"{what}: node {nodes[-1]} in at= is out of range 0..{self.N}")
+        return tuple(nodes)
+
+    # Initial state ---------------------------------------------------------------------------------------------------
+
+    def free_initial(self, *states: Any) -> None:
+        """Components of x_0 that the solver chooses; xhat is their initial guess. Symbols or names."""
+        self.free.update(self._listed(states, "free_initial"))
+
+    def accumulator(self, *states: Any) -> None:
+        """States that are reset to 0 at every sample, e.g. running averages; their xhat is ignored."""
+        self.accumulators.update(self._listed(states, "accumulator"))
+
+    def cyclic(self, *states: Any) -> None:
+        """States that grow forever, e.g. a position; left out of steady state, semidefinite program and LQR."""
+        self.cyclic_states.update(self._listed(states, "cyclic"))
+
+    def _listed(self, states: tuple[Any, ...], what: str) -> list[int]:
+        if not states:
+            raise ProblemError(f"{what} names no state{known(self._state_names())}")
+        return [i for s in states for i in self._components(s, f"{what}:")]
+
+    # Inspection of expressions ---------------------------------------------------------------------------------------
+
+    def _expression(self, value: Any, what: str, kinds: tuple[Kind, ...]) -> Any:
+        """Checked dense SX column that contains only symbols of the given kinds."""
+        expression = column(value, what, self._symbols)
+        for symbol in ca.symvar(expression):
+            element = self._element(symbol)
+            if element is None:
+                raise ProblemError(
+                    f"{what} contains the unknown symbol '{symbol.name()}'{known(self._symbols)}"
+                    if symbol.name() not in self._symbols
+                    else f"{what} contains a symbol '{symbol.name()}' that was not declared in this OCP"
+                )
+            if element.kind not in kinds:
+                raise ProblemError(f"{what} contains {_misplaced(element, kinds)}")
+        check_operations(expression, what)
+        return expression
+
+    def _element(self, scalar: Any) -> Element | None:
+        """What a bare symbol is; None for any other expression and for foreign symbols."""
+        if not scalar.is_scalar() or not scalar.is_symbolic():
+            return None
+        return self._elements.get(scalar.element_hash())
+
+    def element(self, scalar: Any) -> Element | None:
+        """Kind, position and name of a bare declared symbol, or None."""
+        return self._element(scalar)
+
+    def _kinds(self, scalar: Any) -> set[str]:
+        return {e.kind for e in map(self._element, ca.symvar(scalar)) if e is not None}
+
+
+def _misplaced(element: Element, kinds: tuple[Kind, ...]) -> str:
+    """What is wrong with a symbol that does not belong into this expression."""
+    if element.kind in ("start", "end"):
+        return f"at_{element.kind}({element.name}), which belongs into boundary() only"
+    if kinds == ("start", "end"):
+        return f"the {element.kind} '{element.name}'; write at_start(...) or at_end(...) of states"
+    return f"the {element.kind} '{element.name}'; only these may occur: {', '.join(kinds)}"
+
+
+def _grid(name: str, T: Any, N: Any, intervals: Any) -> tuple[int, tuple[float, ...] | None]:
+    """Number of intervals and their lengths; None if only N was given."""
+    what = f"OCP '{name}'"
+    if intervals is not None:
+        if T is not None:
+            raise ProblemError(f"{what}: give T or intervals, not both")
+        dt = numbers(intervals, f"{what}: intervals")
+        if dt.ndim != 1 or dt.size < 1 or not np.isfinite(dt).all() or (dt <= 0).any():
+            raise ProblemError(f"{what}: intervals must be positive lengths in s, got {quote(intervals)}")
+        if N is not None and integer(N, f"{what}: N", 1) != dt.size:
+            raise ProblemError(f"{what}: N = {N}, but {dt.size} intervals are given")
+        return dt.size, tuple(float(d) for d in dt)
+    if N is None:
+        raise ProblemError(f"{what}: give T and N, or intervals, or N for a discrete map")
+    count = integer(N, f"{what}: N", 1)
+    if T is None:
+        return count, None
+    length = numbers(T, f"{what}: T")
+    if length.ndim != 0 or not np.isfinite(length) or not length > 0 or not length / count > 0:
+        raise ProblemError(f"{what}: T must be a positive length in s, got {quote(T)}")
+    return count, (float(length) / count,) * count
+
+
+def _penalty(soft: Any, what: str) -> Soft:
+    """(l1, l2) of a soft row."""
+    if soft is None:
+        return None
+    if not isinstance(soft, (tuple, list, np.ndarray)) or len(soft) != 2:
+        raise ProblemError(f"{what}: soft must be None or (l1, l2), got {quote(soft)}")
+    l1, l2 = (float(v) for v in vector(soft, 2, f"{what}: soft"))
+    if l1 < 0 or l2 < 0 or l1 + l2 == 0:
+        raise ProblemError(f"{what}: soft=(l1, l2) must be nonnegative and not both zero, got ({l1:g}, {l2:g})")
+    return l1, l2
+
+
+_ELEMENT = re.compile(r"([^\[\]]*)(\[[0-9]+\])?")
+
+
+def _names(names: Any, size: int, what: str) -> list[str]:
+    """One name per element; a single string for several elements is name[i]."""
+    if isinstance(names, str):
+        names = [names] if size == 1 else [f"{names}[{i}]" for i in range(size)]
+    if not isinstance(names, (list, tuple)) or len(names) != size:
+        raise ProblemError(f"{what} must be {size} strings, got {quote(names)}")
+    for name in names:
+        match = _ELEMENT.fullmatch(name) if isinstance(name, str) else None
+        identifier(match.group(1) if match else name, what)
+    return list(names)

@@ -1,0 +1,1 @@
+"""The languages between the stages of the compiler: kernels, sweeps, stage products, C nouns."""

@@ -1,0 +1,97 @@
+"""Prints Kernels and numbers as C, in the working precision."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import casadi as ca
+
+from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port
+
+if TYPE_CHECKING:
+    from nmpc_codegen.ir.kernel import Instruction
+
+
+@dataclass(frozen=True)
+class CStyle:
+    """Spelling of types, literals and functions: ``real`` is the typedef, ``single`` picks 0.5f and sinf."""
+
+    real: str
+    single: bool
+
+    def literal(self, value: float) -> str:
+        """A C literal that reads back to the same number, e.g. ``0.1`` or ``0.1f``."""
+        text = repr(float(value))
+        if "." not in text and "e" not in text:
+            text += ".0"
+        return text + ("f" if self.single else "")
+
+    def function(self, name: str) -> str:
+        """Name of a function of math.h in the working precision."""
+        return name + ("f" if self.single else "")
+
+
+def signature(name: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], style: CStyle) -> str:
+    """``static void name(const real *x, ..., real *y)``."""
+    arguments = [f"const {style.real} *{p.name}" for p in inputs] + [f"{style.real} *{p.name}" for p in outputs]
+    return f"static void {name}({', '.join(arguments)})"
+
+
+def comment(doc: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], extra: str) -> str:
+    """Block comment with the formula, the ports and the operation count."""
+    lines = [f"/* {doc}"]
+    for port in (*inputs, *outputs):
+        shape = f"{port.rows} x {port.cols}" if port.cols else f"{port.rows}"
+        lines.append(f" *   {port.name} [{shape}]" + (f": {port.doc}" if port.doc else ""))
+    lines.append(f" * {extra} */")
+    return "\n".join(lines)
+
+
+def print_kernel(kernel: Kernel, style: CStyle) -> str:
+    """The whole C function."""
+    count = ", ".join(f"{v} {k}" for k, v in kernel.count.as_dict().items() if v) or "no operations"
+    lines = [comment(kernel.doc, kernel.inputs, kernel.outputs, count)]
+    lines += [signature(kernel.name, kernel.inputs, kernel.outputs, style), "{"]
+    lines += print_body(
+        kernel,
+        style,
+        lambda port, element: f"{kernel.inputs[port].name}[{element}]",
+        lambda port, element: f"{kernel.outputs[port].name}[{element}]",
+    )
+    used = {ins.args[0] for ins in kernel.instructions if ins.opcode == ca.OP_INPUT}
+    stored = {o for o, _, _ in kernel.stores}
+    unused = [p.name for i, p in enumerate(kernel.inputs) if i not in used]
+    unused += [p.name for i, p in enumerate(kernel.outputs) if i not in stored]
+    return "\n".join([*lines, *(f"    (void){name};" for name in unused), "}"])
+
+
+def print_body(
+    kernel: Kernel, style: CStyle, load: Callable[[int, int], str], store: Callable[[int, int], str]
+) -> list[str]:
+    """Loads, one statement per operation, stores; ``load`` and ``store`` spell element e of a port."""
+    names: list[str] = []
+    loads, body = [], []
+    for index, ins in enumerate(kernel.instructions):
+        if ins.opcode == ca.OP_INPUT:
+            port, element = ins.args
+            names.append(f"{kernel.inputs[port].name}_{element}")
+            loads.append(f"    const {style.real} {names[-1]} = {load(port, element)};")
+        elif ins.opcode == ca.OP_CONST:
+            text = style.literal(ins.constant)
+            names.append(f"({text})" if text.startswith("-") else text)
+        else:
+            names.append(f"t{index}")
+            body.append(f"    const {style.real} {names[-1]} = {_expression(ins, names, style)};")
+    return loads + body + [f"    {store(o, e)} = {names[v]};" for o, e, v in kernel.stores]
+
+
+def _expression(ins: Instruction, names: list[str], style: CStyle) -> str:
+    operation = OPERATIONS[ins.opcode]
+    return operation.c.format(
+        *(names[a] for a in ins.args),
+        fn=style.function(operation.function) if operation.function else "",
+        one=style.literal(1.0),
+        zero=style.literal(0.0),
+    )

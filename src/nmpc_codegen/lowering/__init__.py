@@ -1,0 +1,1 @@
+"""Problem and options -> text: linearise, choose, decide every size and name, render."""

@@ -1,0 +1,44 @@
+"""Problem and shape of its QP -> the sizes that components share."""
+
+from __future__ import annotations
+
+from nmpc_codegen.components.base import Dims, QpShape
+from nmpc_codegen.frontend.problem import Problem, Stage
+from nmpc_codegen.ir.cmodule import Size
+from nmpc_codegen.ir.stage_products import PANEL
+
+
+def dimensions(problem: Problem, shape: QpShape, constant_hessian: bool) -> Dims:
+    """Every shared size; ``constant_hessian``: one path Hessian block serves all nodes."""
+    p = problem
+    sizes = {
+        "N": p.N,
+        "NX": p.nx,
+        "NU": p.nu,
+        "NZ": p.nx + p.nu,
+        "NP": p.np,
+        "NY": p.path.ny,
+        "NY_N": p.terminal.ny,
+        "NW": _weight_entries(p.path),
+        "NW_N": _weight_entries(p.terminal),
+        "NH": p.path.nh,
+        "NH_N": p.terminal.nh,
+        "NR": len(p.rows),
+        "NQ": 1 if constant_hessian else p.N,
+        "NF": len(p.free_initial),
+        "NE": p.coupled_rows,
+        "NS": shape.stages,
+        "NUS": shape.controls,
+        "NXS": p.nx + shape.copies,
+        "NZS": p.nx + shape.copies + shape.controls,
+        "NV": shape.variables,
+        "NSL": shape.slacks,
+        "NG": len(p.qp_rows),
+        "LDV": -(-shape.variables // PANEL) * PANEL,
+    }
+    fields = {"LDV": "ld", "NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
+    return Dims(**{fields.get(name, name.lower()): Size(name, value) for name, value in sizes.items()})
+
+
+def _weight_entries(stage: Stage) -> int:
+    return stage.ny if stage.diagonal_weight else stage.ny**2

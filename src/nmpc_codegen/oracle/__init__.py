@@ -1,0 +1,1 @@
+"""Independent judges: cost, rows and KKT residuals of any trajectory, and IPOPT's solution of the same NLP."""

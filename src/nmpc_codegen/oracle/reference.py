@@ -1,0 +1,286 @@
+"""The optimal control problem as a nonlinear program, solved by IPOPT: the oracle of --check, tests and benchmarks.
+
+Direct multiple shooting in CasADi, written apart from the code generator. Signs of multipliers, data of the nodes, and
+the KKT residuals that judge a solution without IPOPT: evaluation.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.oracle.trajectory import (
+    CLASSICAL,
+    Data,
+    Point,
+    Residuals,
+    Tableau,
+    evaluate_cost,
+    interval_map,
+    kkt_residuals,
+    multiplier_of,
+    node_cost,
+    node_data,
+    node_rows,
+    row_nodes,
+    scaled_weight,
+    shaped,
+)
+
+__all__ = [
+    "CLASSICAL",
+    "Data",
+    "Point",
+    "Reference",
+    "ReferenceSolution",
+    "Residuals",
+    "Tableau",
+    "control_start",
+    "evaluate_cost",
+    "interval_map",
+    "kkt_residuals",
+    "node_data",
+    "solve_reference",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceSolution(Point):
+    """A point returned by IPOPT."""
+
+    cost: float
+    success: bool
+    status: str
+    iterations: int
+    residuals: Residuals = field(repr=False)
+
+
+# The nonlinear program ------------------------------------------------------------------------------------------------
+
+#: What IPOPT says when it stands at a solution but cannot reach its own tolerance because of round-off.
+_AT_ROUND_OFF = frozenset({"Search_Direction_Becomes_Too_Small", "Solved_To_Acceptable_Level", "Restoration_Failed"})
+
+
+class Reference:
+    """The nonlinear program of a problem, built once and solved for any data.
+
+    Args:
+        problem: the problem.
+        integrator: Runge-Kutta tableau as plain arrays; ignored by discrete maps, which have no integrator.
+        tol: tolerance of IPOPT.
+    """
+
+    def __init__(self, problem: Problem, integrator: Tableau = CLASSICAL, *, tol: float = 1e-12) -> None:
+        self.problem, self.integrator = problem, integrator
+        nx, nu, N = problem.nx, problem.nu, problem.N
+        self._x = [ca.MX.sym(f"x_{k}", nx) for k in range(N + 1)]
+        self._u = [ca.MX.sym(f"u_{k}", nu) for k in range(N)]
+        self._slack: list[Any] = []
+        self._g: list[Any] = []
+        self._general: list[tuple[int, int, int]] = []  # (row, node, slack side: 0 none, -1 lower, 1 upper) of g
+        self._data = _symbolic_data(problem)
+        Phi = interval_map(problem, integrator)
+        cost = self._cost_and_dynamics(Phi)
+        cost += self._add_rows()
+        z = ca.vertcat(*self._x, *self._u, *self._slack)
+        small = N * Phi.n_instructions() < 50_000
+        options = {
+            "print_time": False,
+            "expand": small,
+            "ipopt": {
+                "print_level": 0,
+                "sb": "yes",
+                "tol": tol,
+                "constr_viol_tol": tol,
+                "compl_inf_tol": tol,
+                "bound_relax_factor": 0.0,
+                "acceptable_iter": 0,
+                "max_iter": 1000,
+                "fixed_variable_treatment": "make_constraint",
+            },
+        }
+        nlp = {"x": z, "p": self._data.stacked, "f": cost, "g": ca.vertcat(*self._g)}
+        self._solver = ca.nlpsol("reference", "ipopt", nlp, options)
+
+    def _cost_and_dynamics(self, Phi: Any) -> Any:
+        problem, d = self.problem, self._data
+        node, node_N = node_cost(problem.path), node_cost(problem.terminal)
+        given = [i for i in range(problem.nx) if i not in problem.free_initial]
+        self._g.append(ca.vertcat(ca.MX(0, 1), *(d.x0[i] - self._x[0][i] for i in given)))
+        cost = node_N(self._x[-1], ca.MX(0, 1), d.p[-1], 0, d.yref_N, d.W_N)
+        for k in range(problem.N):
+            x_next, q = Phi(self._x[k], self._u[k], d.p[k], problem.dt[k])
+            self._g.append(x_next - self._x[k + 1])
+            cost += q + node(self._x[k], self._u[k], d.p[k], problem.dt[k], d.yref[k], d.W[k])
+        return cost
+
+    def _add_rows(self) -> Any:
+        """Append general and soft rows to g; return the penalty of the slacks."""
+        problem = self.problem
+        h, h_N, N = node_rows(problem.path), node_rows(problem.terminal), problem.N
+        path = [h(self._x[k], self._u[k], self._data.p[k]) for k in range(N)]
+        end = h_N(self._x[N], ca.MX(0, 1), self._data.p[N])
+        coupled: Any = None if problem.coupled is None else problem.coupled(self._x[0], self._x[N])
+        penalty: Any = 0
+        for i, row in enumerate(problem.rows):
+            if row.soft is None and row.kind in ("control", "state"):
+                continue
+            for k in row_nodes(row):
+                if row.kind == "coupled":
+                    value = coupled[row.index]
+                elif row.kind == "state":
+                    value = self._x[k][row.index]
+                else:
+                    value = end[row.index_terminal] if k == N else path[k][row.index]
+                if row.soft is None:
+                    self._g.append(value)
+                    self._general.append((i, k, 0))
+                    continue
+                s = ca.MX.sym("s", 2)
+                self._slack.append(s)
+                self._g.extend((value + s[0], value - s[1]))
+                self._general.extend(((i, k, -1), (i, k, 1)))
+                penalty += ca.sum1(row.soft[0] * s + row.soft[1] / 2 * s * s)
+        return penalty
+
+    def solve(self, data: Data, *, x: Any = None, u: Any = None) -> ReferenceSolution:
+        """Solve for the given data.
+
+        Args:
+            data: see node_data().
+            x: initial guess (N+1, nx) or (nx,); default x_k = x0.
+            u: initial guess (N, nu) or (nu,); default the control reference, 0 where there is none.
+        """
+        problem = self.problem
+        lbx, ubx, lbg, ubg = self._bounds(data)
+        x_guess = shaped("x", data.x0 if x is None else x, (problem.N + 1, problem.nx))
+        u_guess = shaped("u", control_start(problem, data) if u is None else u, (problem.N, problem.nu))
+        slack = np.zeros(2 * len(self._slack))
+        found = self._solver(
+            x0=np.concatenate([x_guess.ravel(), u_guess.ravel(), slack]),
+            p=self._data.values(problem, data),
+            lbx=lbx,
+            ubx=ubx,
+            lbg=lbg,
+            ubg=ubg,
+        )
+        return self._solution(found, data)
+
+    def _bounds(self, data: Data) -> tuple[Array, Array, Array, Array]:
+        problem = self.problem
+        N, nx, nu = problem.N, problem.nx, problem.nu
+        count = (N + 1) * nx + N * nu
+        lbx = np.concatenate([np.full(count, -np.inf), np.zeros(2 * len(self._slack))])
+        ubx = np.full(lbx.size, np.inf)
+        for i, row in enumerate(problem.rows):
+            if row.soft is None and row.kind in ("control", "state"):
+                for k in row.nodes:
+                    at = k * nx + row.index if row.kind == "state" else (N + 1) * nx + k * nu + row.index
+                    lbx[at], ubx[at] = data.lower[k, i], data.upper[k, i]
+        gaps = N * nx + nx - len(problem.free_initial)
+        low, high = [0.0] * gaps, [0.0] * gaps
+        for i, k, side in self._general:
+            low.append(-np.inf if side > 0 else data.lower[k, i])
+            high.append(np.inf if side < 0 else data.upper[k, i])
+        return lbx, ubx, np.array(low), np.array(high)
+
+    def _solution(self, found: Mapping[str, Any], data: Data) -> ReferenceSolution:
+        problem = self.problem
+        N, nx, nu = problem.N, problem.nx, problem.nu
+        split = (N + 1) * nx, (N + 1) * nx + N * nu
+        z, lam_z, lam_g = (found[key].full().ravel() for key in ("x", "lam_x", "lam_g"))
+        free = len(problem.free_initial)
+        lam = np.zeros((N + 1, nx))
+        lam[0, [i for i in range(nx) if i not in problem.free_initial]] = lam_g[: nx - free]
+        lam[1:] = lam_g[nx - free : nx - free + N * nx].reshape(N, nx)
+        point = Point(
+            x=z[: split[0]].reshape(N + 1, nx),
+            u=z[split[0] : split[1]].reshape(N, nu),
+            lam=lam,
+            mu_x=lam_z[: split[0]].reshape(N + 1, nx).copy(),
+            mu_u=lam_z[split[0] : split[1]].reshape(N, nu).copy(),
+            mu=np.zeros((N, problem.path.nh)),
+            mu_N=np.zeros(problem.terminal.nh),
+            eta=np.zeros(sum(r.kind == "coupled" for r in problem.rows)),
+        )
+        for (i, k, _), multiplier in zip(self._general, lam_g[nx - free + N * nx :], strict=True):
+            where, index = multiplier_of(problem, point, problem.rows[i], k)
+            where[index] += multiplier
+        residuals = kkt_residuals(problem, point, data, self.integrator)
+        stats = self._solver.stats()
+        status = str(stats["return_status"])
+        scale = max(1.0, float(np.abs(point.lam).max(initial=0.0)))
+        success = bool(stats["success"]) or (status in _AT_ROUND_OFF and residuals.worst <= 1e-9 * scale)
+        return ReferenceSolution(
+            **vars(point),
+            cost=float(found["f"]),
+            success=success,
+            status=status,
+            iterations=int(stats["iter_count"]),
+            residuals=residuals,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Symbols:
+    """Data as symbols of the program."""
+
+    x0: Any
+    p: list[Any]
+    yref: list[Any]
+    yref_N: Any
+    W: list[Any]
+    W_N: Any
+
+    @property
+    def stacked(self) -> Any:
+        parts = [self.x0, *self.p, *self.yref, self.yref_N, *self.W, self.W_N]
+        return ca.vertcat(*(ca.vec(part) for part in parts))
+
+    @staticmethod
+    def values(problem: Problem, data: Data) -> Array:
+        """Numbers in the order of ``stacked``; W is symmetric, so rows and columns need no care."""
+        W = [scaled_weight(problem, data.W[k], k).ravel() for k in range(problem.N)]
+        return np.concatenate(
+            [data.x0, data.p.ravel(), data.yref.ravel(), data.yref_N, *W, data.W_N.ravel()], dtype=float
+        )
+
+
+def _symbolic_data(problem: Problem) -> _Symbols:
+    N, ny, ny_N = problem.N, problem.path.ny, problem.terminal.ny
+    sym = ca.MX.sym
+    return _Symbols(
+        x0=sym("x0", problem.nx),
+        p=[sym(f"p_{k}", problem.np) for k in range(N + 1)],
+        yref=[sym(f"yref_{k}", ny) for k in range(N)],
+        yref_N=sym("yref_N", ny_N),
+        W=[sym(f"W_{k}", ny, ny) for k in range(N)],
+        W_N=sym("W_N", ny_N, ny_N),
+    )
+
+
+def control_start(problem: Problem, data: Data) -> Array:
+    """Controls of the plain start, (N, nu): the control reference, 0 where there is none."""
+    u = np.zeros((problem.N, problem.nu))
+    for j, at in enumerate(problem.control_reference):
+        if at >= 0:
+            u[:, j] = data.yref[:, at]
+    return u
+
+
+def solve_reference(
+    problem: Problem,
+    integrator: Tableau = CLASSICAL,
+    *,
+    tol: float = 1e-12,
+    x_guess: Any = None,
+    u_guess: Any = None,
+    **data: Any,
+) -> ReferenceSolution:
+    """Build the nonlinear program and solve it once; ``data`` as in node_data() (x0, p, yref, ..., bounds)."""
+    return Reference(problem, integrator, tol=tol).solve(node_data(problem, **data), x=x_guess, u=u_guess)

@@ -1,0 +1,357 @@
+"""Data of every node, and what a trajectory is worth: cost, rows, KKT residuals.
+
+Evaluates a Problem with CasADi Functions of single nodes and NumPy sums, apart from the code generator and from IPOPT:
+its own Runge-Kutta from a tableau given as plain arrays, residuals from Jacobians stage by stage.
+
+    L = sum l_k + lam_0'(xhat - x_0) + lam_{k+1}'(Phi_k - x_{k+1}) + mu_k'h_k + mu_N'h_N + mu_x'x + mu_u'u + eta'r,
+
+multipliers of bounded quantities positive at the upper bound, negative at the lower.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
+
+
+@dataclass(frozen=True, eq=False)
+class Tableau:
+    """Explicit Runge-Kutta scheme: A (s, s) strictly lower triangular, b (s,), equal ``steps`` per interval."""
+
+    A: tuple[tuple[float, ...], ...]
+    b: tuple[float, ...]
+    steps: int = 1
+
+
+CLASSICAL = Tableau(((0, 0, 0, 0), (0.5, 0, 0, 0), (0, 0.5, 0, 0), (0, 0, 1, 0)), (1 / 6, 1 / 3, 1 / 3, 1 / 6), 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Everything that may change at run time, given for every node."""
+
+    x0: Array  # (nx,)
+    p: Array  # (N+1, np)
+    yref: Array  # (N, ny)
+    yref_N: Array  # (ny_N,)
+    W: Array  # (N, ny, ny), not yet scaled by dt
+    W_N: Array  # (ny_N, ny_N)
+    lower: Array  # (N+1, rows); of a coupled row entry 0
+    upper: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Primal and dual variables; x (N+1, nx), u (N, nu)."""
+
+    x: Array
+    u: Array
+    lam: Array  # (N+1, nx)
+    mu_x: Array  # (N+1, nx)
+    mu_u: Array  # (N, nu)
+    mu: Array  # (N, nh)
+    mu_N: Array  # (nh_N,)
+    eta: Array  # (nr,)
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """KKT residuals in the maximum norm."""
+
+    stationarity: float
+    equality: float
+    inequality: float
+    complementarity: float
+
+    @property
+    def worst(self) -> float:
+        """The largest of the four; NaN if one is."""
+        return float(np.max([self.stationarity, self.equality, self.inequality, self.complementarity]))
+
+
+def node_data(
+    problem: Problem,
+    *,
+    x0: Any = None,
+    p: Any = None,
+    yref: Any = None,
+    yref_N: Any = None,
+    W: Any = None,
+    W_N: Any = None,
+    bounds: Mapping[str, tuple[Any, Any]] | None = None,
+) -> Data:
+    """Data of every node; what is not given is what the problem declares.
+
+    Args:
+        problem: the problem.
+        x0: (nx,); entries of accumulators are ignored.
+        p: (np,) or (N+1, np), or {name: value}.
+        yref: (ny,) or (N, ny).
+        yref_N: (ny_N,).
+        W: (ny,) diagonal, (ny, ny), or (N, ny, ny).
+        W_N: (ny_N,) diagonal or (ny_N, ny_N).
+        bounds: {row name: (lower, upper)}, each a number or (N+1,).
+
+    Raises:
+        ProblemError: a shape does not fit, or a name is unknown.
+    """
+    N, path, end = problem.N, problem.path, problem.terminal
+    x = shaped("x0", problem.x_initial if x0 is None else x0, (problem.nx,))
+    x[list(problem.accumulators)] = 0.0
+    lower = np.tile([r.lower for r in problem.rows], (N + 1, 1)).reshape(N + 1, -1)
+    upper = np.tile([r.upper for r in problem.rows], (N + 1, 1)).reshape(N + 1, -1)
+    names = [r.name for r in problem.rows]
+    for name, (low, high) in (bounds or {}).items():
+        if name not in names:
+            raise ProblemError(f"bounds: no row is named '{name}'; rows are: {', '.join(names)}")
+        lower[:, names.index(name)] = low
+        upper[:, names.index(name)] = high
+    return Data(
+        x0=x,
+        p=shaped("p", _parameters(problem, p), (N + 1, problem.np)),
+        yref=shaped("yref", path.reference if yref is None else yref, (N, path.ny)),
+        yref_N=shaped("yref_N", end.reference if yref_N is None else yref_N, (end.ny,)),
+        W=shaped("W", _square(path.weight if W is None else W), (N, path.ny, path.ny)),
+        W_N=shaped("W_N", _square(end.weight if W_N is None else W_N), (end.ny, end.ny)),
+        lower=lower,
+        upper=upper,
+    )
+
+
+def shaped(what: str, value: Any, shape: tuple[int, ...]) -> Array:
+    try:
+        return np.array(np.broadcast_to(np.asarray(value, dtype=float), shape))
+    except ValueError as error:
+        raise ProblemError(f"{what} has shape {np.shape(value)}, expected {shape} or one row of it") from error
+
+
+def _square(W: Any) -> Array:
+    W = np.asarray(W, dtype=float)
+    return np.diag(W) if W.ndim == 1 else W
+
+
+def _parameters(problem: Problem, p: Any) -> Any:
+    if not isinstance(p, Mapping):
+        return problem.p_value if p is None else p
+    values = problem.p_value
+    for name, value in p.items():
+        found = [s for s in problem.parameters if s.name == name]
+        if not found:
+            raise ProblemError(f"p: no parameter is named '{name}'")
+        values[found[0].offset : found[0].offset + found[0].size] = value
+    return values
+
+
+# Functions of one interval or node ------------------------------------------------------------------------------------
+
+
+def interval_map(problem: Problem, integrator: Tableau = CLASSICAL) -> Any:
+    """CasADi Function (x, u, p, dt) -> (Phi, q): state at the end of an interval, integral of the cost rate.
+
+    X_i = x + h sum_j a_ij K_j, K_i = f(X_i, u, p), x+ = x + h sum_i b_i K_i, h = dt / steps.
+    """
+    s = problem.path
+    if problem.discrete:
+        end = problem.dynamics(s.x, s.u, s.p)
+        return ca.Function("Phi", [s.x, s.u, s.p, s.dt], [end, ca.SX(1, 1)])
+    rate = ca.SX(0) if s.cost_rate is None else s.cost_rate
+    quadrature = ca.Function("rate", [s.x, s.u, s.p], [rate])
+    A, b = np.asarray(integrator.A, dtype=float), np.asarray(integrator.b, dtype=float)
+    h = s.dt / integrator.steps
+    x, q = s.x, ca.SX(0)
+    for _ in range(integrator.steps):
+        K: list[Any] = []
+        L: list[Any] = []
+        for i in range(len(b)):
+            X = x
+            for j in range(i):
+                X = X + h * A[i, j] * K[j]
+            K.append(problem.dynamics(X, s.u, s.p))
+            L.append(quadrature(X, s.u, s.p))
+        for i in range(len(b)):
+            x, q = x + h * b[i] * K[i], q + h * b[i] * L[i]
+    return ca.Function("Phi", [s.x, s.u, s.p, s.dt], [x, q])
+
+
+def node_cost(stage: Stage) -> Any:
+    """Function (x, u, p, dt, yref, W) -> 1/2 |y - yref|^2_W + general cost at the node."""
+    yref, W = ca.SX.sym("yref", stage.ny), ca.SX.sym("W", stage.ny, stage.ny)
+    r = stage.y - yref
+    cost = ca.SX(0) if stage.cost is None else stage.cost
+    if stage.ny:
+        cost = cost + ca.dot(r, W @ r) / 2
+    return ca.Function("l", [stage.x, stage.u, stage.p, stage.dt, yref, W], [cost])
+
+
+def node_rows(stage: Stage) -> Any:
+    return ca.Function("h", [stage.x, stage.u, stage.p], [stage.h])
+
+
+def scaled_weight(problem: Problem, W: Array, k: int) -> Array:
+    """W with the rows of scale_with_dt multiplied by dt_k; a mixed entry gets the geometric mean."""
+    s = np.where(np.array(problem.path.scale_with_dt, dtype=bool), problem.dt[k], 1.0)
+    return np.asarray(W * np.where(s[:, None] == s[None, :], s[:, None], np.sqrt(s[:, None] * s[None, :])))
+
+
+def evaluate_cost(problem: Problem, x: Any, u: Any, data: Data, integrator: Tableau = CLASSICAL) -> float:
+    """Cost of a trajectory x (N+1, nx), u (N, nu): all terms of the problem and the penalties of violated soft rows."""
+    Phi, cost, cost_N = interval_map(problem, integrator), node_cost(problem.path), node_cost(problem.terminal)
+    x, u = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
+    total = float(cost_N(x[-1], ca.DM(0, 1), data.p[-1], 0.0, data.yref_N, data.W_N))
+    for k in range(problem.N):
+        total += float(Phi(x[k], u[k], data.p[k], problem.dt[k])[1])
+        W = scaled_weight(problem, data.W[k], k)
+        total += float(cost(x[k], u[k], data.p[k], problem.dt[k], data.yref[k], W))
+    value = _row_values(problem, data)
+    for i, row in enumerate(problem.rows):
+        if row.soft is None:
+            continue
+        for k in row_nodes(row):
+            v = value(row, k, x, u)
+            for s in (max(0.0, v - data.upper[k, i]), max(0.0, data.lower[k, i] - v)):
+                total += row.soft[0] * s + row.soft[1] * s * s / 2
+    return total
+
+
+def row_nodes(row: Row) -> tuple[int, ...]:
+    """Nodes at which a row stands in the program; a coupled row stands there once."""
+    return (0,) if row.kind == "coupled" else row.nodes
+
+
+def _row_values(problem: Problem, data: Data) -> Callable[[Row, int, Array, Array], float]:
+    """A function (row, k, x, u) -> value of the row."""
+    h, h_N, N = node_rows(problem.path), node_rows(problem.terminal), problem.N
+
+    def value(row: Row, k: int, x: Array, u: Array) -> float:
+        if row.kind == "control":
+            return float(u[k, row.index])
+        if row.kind == "state":
+            return float(x[k, row.index])
+        if row.kind == "coupled":
+            return float(problem.coupled(x[0], x[N])[row.index])
+        if k == N:
+            return float(h_N(x[N], ca.DM(0, 1), data.p[N])[row.index_terminal])
+        return float(h(x[k], u[k], data.p[k])[row.index])
+
+    return value
+
+
+def multiplier_of(problem: Problem, point: Point, row: Row, k: int) -> tuple[Array, tuple[int, ...]]:
+    """Where the multiplier of a row at node k lives."""
+    if row.kind == "control":
+        return point.mu_u, (k, row.index)
+    if row.kind == "state":
+        return point.mu_x, (k, row.index)
+    if row.kind == "coupled":
+        return point.eta, (row.index,)
+    return (point.mu_N, (row.index_terminal,)) if k == problem.N else (point.mu, (k, row.index))
+
+
+# Optimality -----------------------------------------------------------------------------------------------
+
+
+def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tableau = CLASSICAL) -> Residuals:
+    """KKT residuals of a point, stage by stage; IPOPT takes no part.
+
+    stationarity: gradients of L in x_k, u_k (and lam_0 of free components of x_0, which must vanish);
+    equality: gaps, x_0 - xhat included; inequality: violation of hard rows, equalities included;
+    complementarity: multiplier times distance to the bound of its sign; for soft rows also the slack's conditions.
+    """
+    N = problem.N
+    x, u = point.x, point.u
+    (Phi, Phi_z), *others = _jacobians(problem, integrator)
+    cost_z, h_z, cost_N, h_N, coupled_z = (jacobian for _, jacobian in others)
+    grad_x = np.array(point.mu_x, dtype=float) - point.lam
+    grad_u = np.array(point.mu_u, dtype=float)
+    given = [i for i in range(problem.nx) if i not in problem.free_initial]
+    gaps = [(data.x0 - x[0])[given]]
+    for k in range(N):
+        end, _ = Phi(x[k], u[k], data.p[k], problem.dt[k])
+        gaps.append(end.full().ravel() - x[k + 1])
+        AB, q = (J.full() for J in Phi_z(x[k], u[k], data.p[k], problem.dt[k]))
+        W = scaled_weight(problem, data.W[k], k)
+        cost_gradient = cost_z(x[k], u[k], data.p[k], problem.dt[k], data.yref[k], W).full()
+        CD = h_z(x[k], u[k], data.p[k]).full()
+        grad = AB.T @ point.lam[k + 1] + (q + cost_gradient).ravel() + CD.T @ point.mu[k]
+        grad_x[k] += grad[: problem.nx]
+        grad_u[k] += grad[problem.nx :]
+    empty = ca.DM(0, 1)
+    grad_x[N] += cost_N(x[N], empty, data.p[N], 0.0, data.yref_N, data.W_N).full().ravel()
+    grad_x[N] += h_N(x[N], empty, data.p[N]).full().T @ point.mu_N
+    if problem.coupled is not None:
+        E = coupled_z(x[0], x[N]).full().T @ point.eta
+        grad_x[0] += E[: problem.nx]
+        grad_x[N] += E[problem.nx :]
+    violation, slackness = _row_residuals(problem, point, data)
+    free = point.lam[0, list(problem.free_initial)]
+    return Residuals(
+        stationarity=_norm(np.concatenate([grad_x.ravel(), grad_u.ravel(), free])),
+        equality=_norm(np.concatenate(gaps)),
+        inequality=violation,
+        complementarity=slackness,
+    )
+
+
+def _norm(values: Array) -> float:
+    """Maximum norm; NaN stays NaN."""
+    return float(np.abs(values).max(initial=0.0))
+
+
+@lru_cache(maxsize=8)
+def _jacobians(problem: Problem, integrator: Tableau) -> tuple[tuple[Any, Any], ...]:
+    """Interval map, cost and rows of the path, cost and rows of the terminal stage, coupled rows: (value, Jacobian)."""
+    nodes = [f(stage) for stage in (problem.path, problem.terminal) for f in (node_cost, node_rows)]
+    coupled = (None, None) if problem.coupled is None else _with_jacobian(problem.coupled)
+    return (_with_jacobian(interval_map(problem, integrator)), *map(_with_jacobian, nodes), coupled)
+
+
+def _with_jacobian(f: Any) -> tuple[Any, Any]:
+    """A Function and the Function of the Jacobians of its outputs in its first two inputs."""
+    inputs = [ca.SX.sym(f.name_in(i), f.sparsity_in(i)) for i in range(f.n_in())]
+    outputs = f.call(inputs)
+    z = ca.vertcat(inputs[0], inputs[1])
+    return f, ca.Function("with_jacobian", inputs, [ca.jacobian(o, z) for o in outputs])
+
+
+def _row_residuals(problem: Problem, point: Point, data: Data) -> tuple[float, float]:
+    """Violation of hard rows, and complementarity of all rows."""
+    value = _row_values(problem, data)
+    violation, slackness = [0.0], [0.0]
+    for i, row in enumerate(problem.rows):
+        for k in row_nodes(row):
+            v = value(row, k, point.x, point.u)
+            where, index = multiplier_of(problem, point, row, k)
+            mu = float(where[index])
+            low, high = float(data.lower[k, i]), float(data.upper[k, i])
+            for excess, m in ((v - high, max(mu, 0.0)), (low - v, max(-mu, 0.0))):
+                if row.soft is None:
+                    violation.append(excess)
+                    slackness.append(_product(m, excess))
+                else:
+                    slackness.append(_soft_product(m, excess, *row.soft))
+    return float(np.max(violation)), float(np.max(slackness))
+
+
+def _product(m: float, distance: float) -> float:
+    """|m distance|; a multiplier of a bound at infinity counts itself."""
+    if m == 0.0:
+        return 0.0
+    return m if np.isinf(distance) else abs(m * distance)
+
+
+def _soft_product(m: float, excess: float, l1: float, l2: float) -> float:
+    """Conditions of min_s l1 s + l2/2 s^2, s >= max(0, excess), at s = max(0, excess) with multiplier m of excess <= s.
+
+    nu = l1 + l2 s - m >= 0 is the multiplier of s >= 0: nu s = 0 and m (excess - s) = 0.
+    """
+    s = max(0.0, excess)
+    nu = l1 + l2 * s - m
+    return float(np.max([abs(nu * s), max(0.0, -nu), _product(m, excess - s)]))

@@ -1,0 +1,1 @@
+"""Compile, load and run C packages; knows neither CasADi nor jinja2."""

@@ -1,0 +1,307 @@
+"""Compile a C package and load it: compiler profiles, cffi, content-hash cache. The only importer of cffi.
+
+    texts of <name>.h, <name>.c, <name>.json  --cffi, two compilations side by side-->  module  -->  Controller
+
+The module is made in a temporary directory and moved into the cache under a key that holds everything it depends on:
+the texts, the profile's flags, the compiler with its version, its target and what -march=native means on this machine,
+cffi and Python. A cache directory may therefore be shared between processes and between machines.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.machinery
+import importlib.util
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from pathlib import Path
+from types import ModuleType
+
+import cffi
+from filelock import FileLock
+from platformdirs import user_cache_dir
+
+from nmpc_codegen.errors import BuildError, OptionError
+from nmpc_codegen.runtime.compiled import Library
+from nmpc_codegen.runtime.controller import Controller
+
+CACHE_VARIABLE = "NMPC_CODEGEN_CACHE"
+BEGIN, END = "/* begin declarations */", "/* end declarations */"
+WARNINGS = (
+    *("-std=c99", "-pedantic", "-Wall", "-Wextra"),
+    *("-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"),
+)
+SHOWN_LINES = 20
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Compiler flags of the package's .c; every reported number names its profile."""
+
+    name: str
+    flags: tuple[str, ...]
+
+
+_FAST = ("-O2", "-fno-math-errno", "-fno-trapping-math")
+
+PROFILES: dict[str, Profile] = {
+    p.name: p
+    for p in (
+        Profile("test", ("-std=c99", "-O1", "-ffp-contract=off")),
+        Profile("fast", (*_FAST, "-march=native", "-ffp-contract=fast")),
+        Profile("verify", (*_FAST, "-ffp-contract=off")),
+    )
+}
+
+
+def get_profile(profile: str | Profile) -> Profile:
+    """The profile of that name; a Profile passes through.
+
+    Raises:
+        OptionError: there is no such profile.
+    """
+    if isinstance(profile, Profile):
+        return profile
+    if profile not in PROFILES:
+        raise OptionError(f"profile is {profile!r}; allowed: {', '.join(PROFILES)}, or a Profile(name, flags)")
+    return PROFILES[profile]
+
+
+def check_lanes(lanes: int | None) -> None:
+    """Refuse a number of SIMD lanes other than 1 (None: chosen, 1)."""
+    if lanes not in (None, 1) or isinstance(lanes, bool):
+        raise OptionError(f"lanes is {lanes!r}; only one shooting node at a time is supported: None or 1")
+
+
+def cache_directory() -> Path:
+    """Where compiled controllers are kept: $NMPC_CODEGEN_CACHE, else the user's cache directory."""
+    override = os.environ.get(CACHE_VARIABLE)
+    return Path(override) if override else Path(user_cache_dir("nmpc_codegen"))
+
+
+def load(
+    files: Mapping[str, str],
+    name: str,
+    profile: str | Profile = "fast",
+    *,
+    lanes: int | None = None,
+    warnings_as_errors: bool = False,
+) -> Controller:
+    """Compile a package (or take it from the cache) and return an initialised controller.
+
+    Args:
+        files: path -> text; <name>.h, <name>.c, <name>.json and foreign code in folders are used, others ignored.
+        name: name and C prefix of the package.
+        profile: name of a profile in PROFILES, or a Profile.
+        lanes: shooting nodes evaluated at once; None or 1.
+        warnings_as_errors: compile the package's .c with every warning that the project forbids.
+
+    Raises:
+        OptionError: no such profile or number of lanes.
+        BuildError: no compiler, no Python.h, or the compiler refuses the code.
+        ControllerError: the struct is not laid out as the description says.
+    """
+    check_lanes(lanes)
+    chosen = get_profile(profile)
+    missing = [f"{name}.{ext}" for ext in ("h", "c", "json") if f"{name}.{ext}" not in files]
+    if missing:
+        raise BuildError(f"the package {name!r} lacks {', '.join(missing)}")
+    sources = {path: files[path] for path in (f"{name}.h", f"{name}.c", f"{name}.json")}
+    sources |= {path: text for path, text in files.items() if "/" in path}
+    extra = WARNINGS if warnings_as_errors else ()
+    module = _import(name, compile_module(sources, name, (*chosen.flags, *extra)))
+    return Controller(Library(name, sources, chosen, module.ffi, module.lib, load))
+
+
+def compile_module(files: Mapping[str, str], name: str, flags: Sequence[str]) -> Path:
+    """Path of the extension module for these texts and flags, compiled unless the cache holds it."""
+    compiler = find_compiler()
+    key = _key(files, name, flags, compiler)
+    module = f"_nmpc_{name}_{key}"
+    folder = cache_directory()
+    target = folder / f"{module}{_suffix()}"
+    if target.exists():
+        return target
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(folder / f"{module}.lock")
+        lock.acquire()
+    except OSError as error:
+        raise BuildError(f"cannot write to the cache {folder}: {error}; set {CACHE_VARIABLE}") from error
+    try:
+        if not target.exists():
+            _compile(files, name, flags, compiler, module, target)
+    finally:
+        lock.release()
+    return target
+
+
+def find_compiler() -> tuple[str, ...]:
+    """The C compiler as a command: $CC, else gcc, cc or clang on the path.
+
+    Raises:
+        BuildError: there is none; says what to install.
+    """
+    wanted = shlex.split(os.environ.get("CC", ""))
+    if wanted:
+        if shutil.which(wanted[0]) is None:
+            raise BuildError(f"CC is {os.environ['CC']!r}, but there is no program {wanted[0]!r} on the path")
+        return tuple(wanted)
+    for command in ("gcc", "cc", "clang"):
+        if shutil.which(command):
+            return (command,)
+    raise BuildError(
+        "no C compiler (gcc, cc or clang) on the path: install one with 'apt install gcc', 'dnf install gcc' or "
+        "'xcode-select --install' ('brew install gcc'), or name one in the environment variable CC"
+    )
+
+
+def _key(files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...]) -> str:
+    """First 32 hex digits of the SHA-256 of everything that the module depends on."""
+    digest = hashlib.sha256()
+    parts = [name, *(text for path in sorted(files) if not path.endswith(".json") for text in (path, files[path]))]
+    parts += [*compiler, *flags, _identity(compiler, tuple(flags), os.environ.get("PATH", ""))]
+    parts += [cffi.__version__, sys.version, platform.machine(), _suffix()]
+    for part in parts:
+        data = part.encode()
+        digest.update(b"%d:" % len(data) + data)
+    return digest.hexdigest()[:32]
+
+
+@lru_cache
+def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> str:
+    """Version and target of the compiler, and its flags with -march=native resolved for this machine.
+
+    ``-###`` prints the command that the driver would run; gcc and clang both know it. ``path`` keys the cache only.
+    """
+    command = [*compiler, *flags, "-###", "-E", "-x", "c", os.devnull]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.returncode != 0:
+        raise BuildError(f"'{' '.join(command)}' failed:\n{_head(result.stderr)}")
+    return result.stderr
+
+
+def _suffix() -> str:
+    return str(sysconfig.get_config_var("EXT_SUFFIX") or ".so")
+
+
+def _compile(
+    files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], module: str, target: Path
+) -> None:
+    """Compile package and wrapper side by side, link them and move the module into place."""
+    includes = _python_includes()
+    with tempfile.TemporaryDirectory(prefix=f"{name}-", dir=target.parent) as temporary:
+        folder = Path(temporary)
+        for path, text in files.items():
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_text(text, encoding="utf-8")
+        common = [*compiler, "-c", "-fPIC", "-fvisibility=hidden"]
+        package = subprocess.Popen(
+            [*common, *flags, f"{name}.c", "-o", "package.o"], cwd=folder, stderr=subprocess.PIPE, text=True
+        )
+        try:
+            _write_wrapper(files[f"{name}.h"], name, module, folder / "wrapper.c")
+            wrapper = [*common, "-O1", "-w", *includes, "wrapper.c", "-o", "wrapper.o"]
+            second = subprocess.run(wrapper, cwd=folder, capture_output=True, text=True, check=False)
+        finally:
+            _, errors = package.communicate()
+        if package.returncode != 0:
+            raise BuildError(_refused(compiler, f"{name}.c", errors, folder, target))
+        if second.returncode != 0:
+            raise BuildError(_refused(compiler, f"the wrapper of {name}", second.stderr, folder, target))
+        foreign = _compile_foreign(files, flags, compiler, folder, target)
+        link = [*compiler, *_link_flags(), "package.o", "wrapper.o", *foreign, "-o", "module", "-lm"]
+        linked = subprocess.run(link, cwd=folder, capture_output=True, text=True, check=False)
+        if linked.returncode != 0:
+            raise BuildError(_refused(compiler, f"linking {name}", linked.stderr, folder, target))
+        os.replace(folder / "module", target)
+
+
+def _compile_foreign(
+    files: Mapping[str, str], flags: Sequence[str], compiler: tuple[str, ...], folder: Path, target: Path
+) -> list[str]:
+    """Object files of the code in subfolders, without our warnings."""
+    includes = sorted({f"-I{Path(path).parent}" for path in files if "/" in path})
+    allowed = [flag for flag in flags if not flag.startswith(("-W", "-pedantic", "-std"))]
+    objects = []
+    for path in sorted(p for p in files if "/" in p and p.endswith(".c")):
+        objects.append(f"{path[:-2].replace('/', '_')}.o")
+        command = [*compiler, "-c", "-fPIC", "-fvisibility=hidden", *allowed, "-w", *includes, path, "-o", objects[-1]]
+        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if run.returncode != 0:
+            raise BuildError(_refused(compiler, path, run.stderr, folder, target))
+    return objects
+
+
+def _python_includes() -> list[str]:
+    """-I flags for Python.h."""
+    folders = {sysconfig.get_path("include"), sysconfig.get_path("platinclude")}
+    if not any((Path(folder) / "Python.h").exists() for folder in folders):
+        raise BuildError(
+            f"Python.h is not in {' or '.join(sorted(folders))}: install the headers of Python with "
+            "'apt install python3-dev', 'dnf install python3-devel' or 'brew install python'"
+        )
+    return [f"-I{folder}" for folder in sorted(folders)]
+
+
+def _link_flags() -> list[str]:
+    return ["-bundle", "-undefined", "dynamic_lookup"] if sys.platform == "darwin" else ["-shared"]
+
+
+def _write_wrapper(header: str, name: str, module: str, path: Path) -> None:
+    """The C file that makes the package a Python module, from the declarations of its header."""
+    ffi = cffi.FFI()
+    try:
+        ffi.cdef(declarations(header, name))
+    except cffi.CDefError as error:
+        raise BuildError(f"cffi cannot parse the declarations of {name}.h: {error}") from error
+    ffi.set_source(module, f'#include "{name}.h"', compiler_verbose=0)
+    ffi.emit_c_code(str(path))
+
+
+def declarations(header: str, name: str) -> str:
+    """The part of a header that cffi parses, between its two marker comments."""
+    _, begin, rest = header.partition(BEGIN)
+    inside, end, _ = rest.partition(END)
+    if not begin or not end:
+        raise BuildError(f"{name}.h has no lines '{BEGIN}' and '{END}'")
+    return inside
+
+
+def _refused(compiler: tuple[str, ...], what: str, output: str, folder: Path, target: Path) -> str:
+    """Keep the sources of a failed compilation and say where they are."""
+    kept = target.parent / "failed" / target.name.split(".")[0]
+    shutil.rmtree(kept, ignore_errors=True)
+    shutil.copytree(folder, kept)
+    return f"{' '.join(compiler)} refuses {what} (sources kept in {kept}):\n{_head(output)}"
+
+
+def _head(output: str) -> str:
+    lines = output.strip().splitlines()
+    more = [f"... {len(lines) - SHOWN_LINES} more lines"] if len(lines) > SHOWN_LINES else []
+    return "\n".join([*lines[:SHOWN_LINES], *more])
+
+
+@cache
+def _import(name: str, path: Path) -> ModuleType:
+    """Load an extension module under its unique name, once per process."""
+    module_name = path.name.split(".")[0]
+    loader = importlib.machinery.ExtensionFileLoader(module_name, str(path))
+    spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)
+    if spec is None:
+        raise BuildError(f"cannot load the compiled package {name} from {path}")
+    try:
+        module = importlib.util.module_from_spec(spec)
+        loader.exec_module(module)
+    except ImportError as error:
+        raise BuildError(f"cannot load the compiled package {name} from {path}: {error}") from error
+    return module

@@ -1,0 +1,589 @@
+"""A compiled controller: NumPy views on the C struct, and the calls of the C package.
+
+    u0 = step(xhat) = prepare(); feedback(xhat)
+
+Everything a controller knows stands in the struct, which lives in a 64-byte aligned byte array owned here: copying,
+pickling and saving are copies of bytes. One controller per thread; C calls release the GIL.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from time import perf_counter_ns
+from typing import IO, Any, Literal, NoReturn, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime.compiled import Library
+from nmpc_codegen.runtime.package_description import Dimensions, Names
+from nmpc_codegen.runtime.status import Kkt, Solution, Stats, Status
+
+__all__ = ["Controller", "Kkt", "Library", "Solution", "Stats", "Status"]
+
+ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
+EVERY_NODE = -1  # <NAME>_ALL of the C package
+
+Array = NDArray[Any]
+OnFailure = Literal["status", "raise"]
+
+
+class Controller:
+    """One controller with its memory. Made by build() or open_package(), initialised and ready to step.
+
+    The arrays x, u, lam, mu_x, mu_u, mu, mu_N are views on the current iterate and may be written: an initial guess.
+    """
+
+    def __init__(self, library: Library) -> None:
+        self._library = library
+        self.description = library.description
+        self.dims: Dimensions = self.description.dims
+        self.names: Names = self.description.names
+        self._real = self.description.real
+        self._memory = _aligned(library.dtype.itemsize)
+        self._struct: NDArray[np.void] = self._memory.view(library.dtype).reshape(())
+        self._s = library.ffi.from_buffer(f"{library.name}_solver_t *", self._memory)
+        self._xhat, self._xhat_c = self._buffer(self.dims.nx)
+        self._u0, self._u0_c = self._buffer(self.dims.nu)
+        self._prepare_c = library.function("prepare")
+        self._feedback_c = library.function("feedback")
+        self._prepare_ns = 0
+        self._feedback_ns = 0
+        self._expect(self._call("init", self._s), "init")
+
+    # -- the real-time iteration ------------------------------------------------------------------------------------
+
+    def step(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
+        """prepare() and feedback(xhat).
+
+        Args:
+            xhat: measured state, shape (nx,). A NaN is not an error here: the status is NOT_FINITE, the control safe.
+            on_failure: "status" leaves the outcome in ``status``; "raise" raises unless it is OK.
+
+        Returns:
+            Control to apply, shape (nu,): a fresh array, finite and inside its bounds whatever the status.
+        """
+        self._measure(xhat)
+        start = perf_counter_ns()
+        prepared = self._prepare_c(self._s)
+        middle = perf_counter_ns()
+        status = self._feedback_c(self._s, self._xhat_c, self._u0_c)
+        self._feedback_ns = perf_counter_ns() - middle
+        self._prepare_ns = middle - start
+        if prepared:
+            status = prepared
+            self._struct["status"] = prepared
+        if on_failure != "status":
+            self._judge(status, "step", on_failure)
+        return self._u0.copy()
+
+    def prepare(self, on_failure: OnFailure = "status") -> Status:
+        """Everything that can be done before the state is known: linearise, condense, factorise."""
+        start = perf_counter_ns()
+        status = self._prepare_c(self._s)
+        self._prepare_ns = perf_counter_ns() - start
+        return self._judge(status, "prepare", on_failure)
+
+    def feedback(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
+        """Solve the prepared problem for the measured state (nx,); the control (nu,), as step() returns it."""
+        self._measure(xhat)
+        start = perf_counter_ns()
+        status = self._feedback_c(self._s, self._xhat_c, self._u0_c)
+        self._feedback_ns = perf_counter_ns() - start
+        self._judge(status, "feedback", on_failure)
+        return self._u0.copy()
+
+    def solve(self, xhat: ArrayLike, tol: float = 1e-8, max_iterations: int = 100) -> Solution:
+        """Iterate to convergence from the current iterate, with globalisation.
+
+        Args:
+            xhat: initial state, shape (nx,).
+            tol: largest KKT residual that counts as solved, > 0.
+            max_iterations: SQP iterations, >= 1.
+        """
+        if not is_positive(tol):
+            raise ControllerError(f"tol is {tol!r}; expected a positive number")
+        if not _is_integer(max_iterations) or max_iterations < 1:
+            raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
+        self._measure(xhat)
+        start = perf_counter_ns()
+        status = Status(self._call("solve", self._s, self._xhat_c, float(tol), int(max_iterations)))
+        elapsed = perf_counter_ns() - start
+        parts = {n: self._optional(n).copy() for n in ("x", "u", "lam", "mu_x", "mu_u", "mu", "mu_N", "eta")}
+        iterations = self.stats.sqp_iterations
+        return Solution(status, **parts, cost=self.cost, kkt=self.kkt(), iterations=iterations, time_ns=elapsed)
+
+    def reset(self) -> None:
+        """Back to the plain start; references, weights, parameters and bounds stay."""
+        self._expect(self._call("reset", self._s), "reset")
+
+    def shift(self) -> None:
+        """Move the plan one interval ahead."""
+        self._expect(self._call("shift", self._s), "shift")
+
+    # -- what is solved ---------------------------------------------------------------------------------------------
+
+    def set_reference(self, y: ArrayLike | Mapping[str, float], node: int | None = None) -> None:
+        """Reference of the path residual.
+
+        Args:
+            y: (ny,); or (N, ny), one row per node; or {name of a residual: value}, which leaves the others as they are.
+            node: 0..N-1, or None for every node. With Online(reference="shared") only None, and no (N, ny).
+        """
+        call, shape = "set_reference", (self.dims.ny,)
+        each = self._each_node("reference", "the reference", node)
+        if isinstance(y, Mapping):
+            columns = self._columns(y, self.names.y)
+            current = self._view("yref")
+            for k in range(self.dims.N) if node is None and each else [node]:
+                row = current[self._node(k)] if each else current[0]
+                self._send(call, self._replaced(row, columns), k)
+        elif node is None and _ndim(y) == 2 and each:
+            for k, row in enumerate(self._array("reference", y, (self.dims.N, self.dims.ny))):
+                self._send(call, row, k)
+        else:
+            self._send(call, self._array("reference", y, shape), node)
+
+    def set_terminal_reference(self, y: ArrayLike | Mapping[str, float]) -> None:
+        """Reference of the terminal residual: (ny_N,), or {name: value}."""
+        self._each_node("reference", "the terminal reference")
+        if isinstance(y, Mapping):
+            value = self._replaced(self._view("yref_N"), self._columns(y, self.names.y_N))
+        else:
+            value = self._array("terminal reference", y, (self.dims.ny_N,))
+        self._expect(self._call("set_terminal_reference", self._s, self._pointer(value)), "set_terminal_reference")
+
+    def set_weight(self, W: ArrayLike, node: int | None = None) -> None:
+        """Weight of the path residual, symmetric positive semidefinite.
+
+        Args:
+            W: its diagonal (ny,) or the matrix (ny, ny); or (N, ny, ny), one matrix per node. Entries off the diagonal
+                need a weight that is declared with some, or Online(dense_weight=True).
+            node: 0..N-1, or None for every node. With Online(weight="shared") only None, and no (N, ny, ny).
+        """
+        each, ny = self._each_node("weight", "the weight", node), self.dims.ny
+        dense = self._view("W").ndim == 3
+        if node is None and each and _ndim(W) == 3:
+            matrices = self._array("weight", W, (self.dims.N, ny, ny))
+            checked = [self._weight(f"weight of node {k}", w, ny, dense) for k, w in enumerate(matrices)]
+            for k, one in enumerate(checked):
+                self._send("set_weight", one, k)
+        else:
+            self._send("set_weight", self._weight("weight", W, ny, dense), node)
+
+    def set_terminal_weight(self, W: ArrayLike) -> None:
+        """Weight of the terminal residual: (ny_N,) or (ny_N, ny_N)."""
+        self._each_node("weight", "the terminal weight")
+        value = self._weight("terminal weight", W, self.dims.ny_N, self._view("W_N").ndim == 2)
+        self._expect(self._call("set_terminal_weight", self._s, self._pointer(value)), "set_terminal_weight")
+
+    def set_parameter(self, name: str, value: ArrayLike, node: int | None = None) -> None:
+        """Value of an online parameter.
+
+        Args:
+            name: as declared; a vector parameter is set as a whole.
+            value: a number, or (size,); or one row per node, (N+1, size), with node=None.
+            node: 0..N, or None for every node. With Online(parameter="shared") None or N, and no (N+1, size).
+        """
+        signals = self.description.parameters
+        index = self._lookup(name, [p.name for p in signals], "parameter")
+        size = signals[index].size
+        what = f"parameter {name!r}"
+        each = self._each_node("parameter", what, node, terminal=True)
+        if node is None and _ndim(value) == 2 and each:
+            rows = self._array(what, value, (self.dims.N + 1, size))
+            for k, row in enumerate(rows):
+                self._send("set_parameter", row, k, index)
+            return
+        one = np.reshape(value, (1,)) if size == 1 and _ndim(value) == 0 else value
+        self._send("set_parameter", self._array(what, one, (size,)), node, index)
+
+    def set_bounds(self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None = None) -> None:
+        """Bounds of a row, or of all rows of a vector by its base name.
+
+        Args:
+            name: name of the row, e.g. "swing" or "r[1]"; or "r" for r[0], r[1], ...
+            lower: a number or one per row; -inf: none.
+            upper: likewise; +inf: none.
+            node: a node of the row, or None for all of them. With Online(bounds="shared") None or N.
+        """
+        rows = self._rows(name)
+        self._each_node("bounds", f"the bounds of {name!r}", node, terminal=True)
+        low, high = (self._bound(name, which, v, len(rows)) for which, v in (("lower", lower), ("upper", upper)))
+        if np.any(low > high):
+            raise ControllerError(f"bounds of {name!r}: lower {low.tolist()} above upper {high.tolist()}")
+        k = self._node(node)
+        for row, one_low, one_high in zip(rows, low.tolist(), high.tolist(), strict=True):
+            status = self._call("set_bounds", self._s, row, k, one_low, one_high)
+            self._expect(status, "set_bounds", f"row {self.names.rows[row]!r}, node {node}")
+
+    def path_bounds(self, row: int) -> tuple[float, float]:
+        """Smallest lower and largest upper bound of scalar row number ``row`` over its path nodes, as they are now."""
+        info, layout = self.description.rows[row], self.description.online["bounds"]
+        if layout == "fixed":
+            return info.lower, info.upper
+        nodes = [k for k in info.nodes if k < self.dims.N] if layout == "node" else [0]
+        lower, upper = (self._view(which)[..., nodes, row] for which in ("lower", "upper"))
+        return float(lower.min()), float(upper.max())
+
+    # -- the iterate and what is known about it ---------------------------------------------------------------------
+
+    @property
+    def x(self) -> Array:
+        """States of the plan, (N+1, nx)."""
+        return self._view("x")
+
+    @x.setter
+    def x(self, value: ArrayLike) -> None:
+        self._assign("x", value)
+
+    @property
+    def u(self) -> Array:
+        """Controls of the plan, (N, nu)."""
+        return self._view("u")
+
+    @u.setter
+    def u(self, value: ArrayLike) -> None:
+        self._assign("u", value)
+
+    @property
+    def lam(self) -> Array:
+        """Multipliers of initial condition and dynamics, (N+1, nx)."""
+        return self._view("lam")
+
+    @lam.setter
+    def lam(self, value: ArrayLike) -> None:
+        self._assign("lam", value)
+
+    @property
+    def mu_x(self) -> Array:
+        """Multipliers of state bounds, (N+1, nx)."""
+        return self._view("mu_x")
+
+    @property
+    def mu_u(self) -> Array:
+        """Multipliers of control bounds, (N, nu)."""
+        return self._view("mu_u")
+
+    @property
+    def mu(self) -> Array:
+        """Multipliers of general path rows, (N, nh)."""
+        return self._view("mu")
+
+    @property
+    def mu_N(self) -> Array:
+        """Multipliers of general terminal rows, (nh_N,)."""
+        return self._view("mu_N")
+
+    @property
+    def eta(self) -> Array:
+        """Multipliers of coupled rows; empty without such rows."""
+        return self._optional("eta")
+
+    @property
+    def status(self) -> Status:
+        """Outcome of the last prepare(), feedback(), step() or solve()."""
+        return Status(int(self._struct["status"]))
+
+    @property
+    def stats(self) -> Stats:
+        """Counts, residuals and times of the last call."""
+        counts, kkt = self._struct["stats"], self._struct["kkt"]
+        return Stats(
+            qp_iterations=int(counts["qp_iterations"]),
+            active_set_changes=int(counts["active_set_changes"]),
+            dropped_rows=int(counts["dropped_rows"]),
+            relaxed_rows=int(counts["relaxed_rows"]),
+            sqp_iterations=int(counts["sqp_iterations"]),
+            violated_row=self._violated_row(),
+            violated_node=int(counts["violated_node"]) if self._violated_row() else None,
+            violation=float(counts["violation"]),
+            kkt=Kkt(*(float(kkt[part]) for part in Kkt.__dataclass_fields__)),
+            prepare_ns=self._prepare_ns,
+            feedback_ns=self._feedback_ns,
+        )
+
+    @property
+    def cost(self) -> float:
+        """Cost of the current plan, with the references and weights of now."""
+        return float(self._call("cost", self._s))
+
+    def kkt(self) -> Kkt:
+        """KKT residuals of the current iterate."""
+        out = self._library.ffi.new(f"{self._library.name}_kkt_t *")
+        self._call("kkt", self._s, out)
+        return Kkt(*(float(getattr(out, part)) for part in Kkt.__dataclass_fields__))
+
+    def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
+        """State (nx,) after dt from x (nx,) under constant u (nu,), by the package's own integrator."""
+        start = self._array("x", x, (self.dims.nx,), finite=False)
+        control = self._array("u", u, (self.dims.nu,), finite=False)
+        out, out_c = self._buffer(self.dims.nx)
+        self._call("integrate", self._s, self._pointer(start), self._pointer(control), float(dt), out_c)
+        return out[: self.dims.nx]
+
+    def view(self, path: str) -> Array:
+        """View on any member of the solver struct, in its true shape; dots reach into inner structs ("qp.g")."""
+        return self._view(path)
+
+    @property
+    def profile(self) -> str:
+        """Name of the compiler profile."""
+        return str(self._library.profile.name)
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the solver struct in bytes: all the memory the C package uses, stack apart."""
+        return self._library.dtype.itemsize
+
+    def __repr__(self) -> str:
+        d = self.dims
+        sizes = f"N={d.N}, nx={d.nx}, nu={d.nu}, np={d.np}"
+        return f"<Controller {self._library.name}: {sizes}, {self.profile}, {self.nbytes} bytes, {self.status.name}>"
+
+    # -- copies -----------------------------------------------------------------------------------------------------
+
+    def copy(self) -> Self:
+        """An independent controller in the same state."""
+        twin = type(self)(self._library)
+        twin._memory[:] = self._memory
+        return twin
+
+    __copy__ = copy
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self.copy()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        library = self._library
+        return _restore, (library.reload, dict(library.files), library.name, library.profile, self._memory.tobytes())
+
+    def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
+        """Write the state (the bytes of the struct and what package they belong to) as an .npz archive."""
+        content = {"package": np.array(self._library.fingerprint), "state": np.asarray(self._memory)}
+        if isinstance(file, str | os.PathLike):
+            with Path(file).open("wb") as stream:
+                np.savez(stream, allow_pickle=False, **content)
+        else:
+            np.savez(file, allow_pickle=False, **content)
+
+    def load(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
+        """Take over a state that save() wrote; it must come from the same C package, the profile may differ."""
+        with np.load(file, allow_pickle=False) as archive:
+            if not {"package", "state"} <= set(archive):
+                raise ControllerError(f"{file} is not a state that Controller.save() wrote")
+            package, state = str(archive["package"]), archive["state"]
+        if package != self._library.fingerprint or state.shape != self._memory.shape:
+            raise ControllerError(f"{file} holds the state of another package than this {self._library.name}")
+        self._memory[:] = state
+
+    # -- inner ------------------------------------------------------------------------------------------------------
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        return self._library.function(name)(*arguments)
+
+    def _judge(self, status: int, call: str, on_failure: OnFailure) -> Status:
+        if on_failure == "raise":
+            self._expect(status, call)
+        elif on_failure != "status":
+            raise ControllerError(f"on_failure is {on_failure!r}; allowed: 'status', 'raise'")
+        return Status(status)
+
+    def _expect(self, status: int, call: str, what: str = "") -> None:
+        if status:
+            self._fail(Status(status), call, what)
+
+    def _fail(self, status: Status, call: str, what: str) -> NoReturn:
+        subject = f" ({what})" if what else ""
+        raise ControllerError(
+            f"{self._library.name}.{call}{subject}: {status.name}: {status.meaning}{self._details(status)}"
+        )
+
+    def _details(self, status: Status) -> str:
+        """Which row or state is at fault, in the user's names."""
+        row = self._violated_row()
+        if status in (Status.INFEASIBLE, Status.RELAXED) and row:
+            stats = self.stats
+            return f"; row {row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}"
+        bad = [
+            name
+            for name, value in zip(self.description.names.states, self._xhat, strict=True)
+            if not np.isfinite(value)
+        ]
+        return f"; measured {', '.join(bad)}" if status is Status.NOT_FINITE and bad else ""
+
+    def _violated_row(self) -> str | None:
+        index = int(self._struct["stats"]["violated_row"])
+        return self.description.rows[index].name if index >= 0 else None
+
+    def _buffer(self, size: int) -> tuple[Array, Any]:
+        """An array of max(1, size) numbers for C, cut to size, and its pointer."""
+        whole = np.zeros(max(1, size), dtype=self._real)
+        return whole[:size], self._pointer(whole)
+
+    def _pointer(self, array: Array) -> Any:
+        contiguous = np.ascontiguousarray(array, dtype=self._real).reshape(-1)
+        if contiguous.size == 0:
+            contiguous = np.zeros(1, dtype=self._real)
+        return self._library.ffi.from_buffer(f"{self._library.name}_real[]", contiguous)
+
+    def _measure(self, xhat: ArrayLike) -> None:
+        """Copy the measured state to where C reads it. NaN passes: the C code answers it."""
+        if type(xhat) is np.ndarray and xhat.dtype == self._real and xhat.shape == self._xhat.shape:
+            self._xhat[:] = xhat
+        else:
+            self._xhat[:] = self._array("xhat", xhat, (self.dims.nx,), finite=False)
+
+    def _array(self, what: str, value: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Array:
+        """value as an array of that shape in the working precision."""
+        try:
+            given = np.asarray(value)
+            if np.iscomplexobj(given):
+                raise ControllerError(f"{what} is complex; expected real numbers of shape {shape}")
+            array = given.astype(self._real, copy=False)
+        except (TypeError, ValueError) as error:
+            raise ControllerError(f"{what} is no array of numbers; expected shape {shape}: {error}") from error
+        if array.shape != shape:
+            raise ControllerError(f"{what} has shape {array.shape}; expected {shape}")
+        if finite and not np.all(np.isfinite(array)):
+            raise ControllerError(f"{what} holds a NaN or an infinity: {array.tolist()}")
+        return array
+
+    def _each_node(self, option: str, what: str, node: int | None = None, terminal: bool = False) -> bool:
+        """True if this kind of data is stored for every node; an error if ``node`` has none of its own.
+
+        Args:
+            option: the word of Online.
+            what: is to be set.
+            node: as the caller was given it.
+            terminal: shared data of this kind have a copy for node N.
+        """
+        layout, k = self.description.online[option], self._node(node)
+        if layout == "fixed":
+            raise ControllerError(
+                f'{self._library.name}: {what} cannot be set: it was generated with Online({option}="fixed")'
+            )
+        if layout == "shared" and k != EVERY_NODE and not (terminal and k == self.dims.N):
+            allowed = f"None or {self.dims.N}" if terminal else "None"
+            raise ControllerError(
+                f"{self._library.name}: {what} cannot be set at node {node}; expected node {allowed}: "
+                f'it was generated with Online({option}="shared")'
+            )
+        return layout == "node"
+
+    def _weight(self, what: str, W: ArrayLike, size: int, matrix: bool) -> Array:
+        """W checked and in the form in which the struct stores it: diagonal (size,) or matrix (size, size)."""
+        given = self._array(what, W, (size,) if _ndim(W) == 1 else (size, size)).astype(np.float64)
+        dense = np.diag(given) if given.ndim == 1 else given
+        if not np.array_equal(dense, dense.T):
+            raise ControllerError(f"{what} is not symmetric")
+        scale = float(np.abs(dense).max(initial=0.0))
+        if size and np.linalg.eigvalsh(dense)[0] < -size * np.finfo(np.float64).eps * scale:
+            raise ControllerError(f"{what} is not positive semidefinite")
+        diagonal = np.diag(dense)
+        if matrix:
+            return dense
+        if np.any(dense != np.diag(diagonal)):
+            raise ControllerError(
+                f"{what} has entries off its diagonal; only the diagonal is stored, without Online(dense_weight=True)"
+            )
+        return diagonal
+
+    def _bound(self, name: str, which: str, value: ArrayLike, count: int) -> NDArray[np.float64]:
+        expanded = np.broadcast_to(value, (count,)) if _ndim(value) == 0 else value
+        array = self._array(f"{which} bound of {name!r}", expanded, (count,), finite=False)
+        if np.any(np.isnan(array)):
+            raise ControllerError(f"{which} bound of {name!r} is NaN")
+        return array.astype(np.float64)
+
+    def _node(self, node: int | None) -> int:
+        """Node number for C; None: every node. The range is checked by C, which knows what may be set."""
+        if node is None:
+            return EVERY_NODE
+        if not _is_integer(node) or not 0 <= node <= self.dims.N:
+            raise ControllerError(f"node is {node!r}; expected None or an integer in 0..{self.dims.N}")
+        return int(node)
+
+    def _send(self, call: str, value: Array, node: int | None, *leading: int) -> None:
+        status = self._call(call, self._s, *leading, self._node(node), self._pointer(value))
+        self._expect(status, call, "every node" if node is None else f"node {node}")
+
+    def _lookup(self, name: str, known: Sequence[str], kind: str) -> int:
+        if name not in known:
+            raise ControllerError(f"{self._library.name} has no {kind} {name!r}; there is {', '.join(known) or 'none'}")
+        return known.index(name)
+
+    def _rows(self, name: str) -> list[int]:
+        """Rows of that name, or all rows name[i]."""
+        known = self.names.rows
+        members = [i for i, row in enumerate(known) if row.rpartition("[")[0] == name]
+        return members or [self._lookup(name, known, "row")]
+
+    def _columns(self, values: Mapping[str, float], known: tuple[str, ...]) -> dict[int, float]:
+        found = {self._lookup(name, known, "residual"): (name, value) for name, value in values.items()}
+        return {i: float(self._array(f"reference of {n!r}", v, ())) for i, (n, v) in found.items()}
+
+    def _replaced(self, row: Array, columns: Mapping[int, float]) -> Array:
+        new = row.copy()
+        for index, value in columns.items():
+            new[index] = value
+        return new
+
+    def _view(self, path: str) -> Array:
+        struct, here = "solver", self._struct
+        for part in path.split("."):
+            member = next((m for m in self.description.structs.get(struct, ()) if m.name == part), None)
+            if member is None:
+                raise AttributeError(f"the algorithm of {self._library.name} has no {path!r}")
+            here, struct = here[part], member.type
+            true_shape: Any = (..., *(slice(n) for n in member.shape))
+            here = here[true_shape] if member.shape else here
+        return here
+
+    def _optional(self, name: str) -> Array:
+        """A member that only some algorithms and problems have; empty if it is not there."""
+        try:
+            return self._view(name)
+        except AttributeError:
+            return np.zeros(0, dtype=self._real)
+
+    def _assign(self, name: str, value: ArrayLike) -> None:
+        view = self._view(name)
+        view[...] = self._array(name, value, view.shape)
+
+
+def _restore(reload: Callable[..., Controller], files: Mapping[str, str], name: str, profile: Any, state: bytes) -> Any:
+    """Unpickle: compile again (or take it from the cache) and put the state back."""
+    controller = reload(files, name, profile)
+    controller._memory[:] = np.frombuffer(state, dtype=np.uint8)
+    return controller
+
+
+def _aligned(size: int) -> NDArray[np.uint8]:
+    """A zeroed byte array whose first byte is aligned."""
+    raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
+    start = -raw.ctypes.data % ALIGNMENT
+    return raw[start : start + size]
+
+
+def is_positive(value: object) -> bool:
+    """True for a finite positive number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    return math.isfinite(value) and bool(value > 0)
+
+
+def _ndim(value: ArrayLike) -> int:
+    """Number of dimensions; -1 for what is no array, which is then refused where its shape is checked."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return -1
+
+
+def _is_integer(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
