@@ -1,0 +1,36 @@
+/* The QP's prediction moves by one interval: the row of node k takes that of node k + 1, if it holds there too. */
+static void shift_working_set(solver_t *s)
+{
+    int source[NG + 1], m, next;
+    for (m = 0; m < NG; m++) {
+        source[m] = m;
+        for (next = m + 1; next < NG && row_node[next] <= row_node[m] + 1; next++) {
+            if (row_node[next] > row_node[m] && row_id[next] == row_id[m]) {
+                source[m] = next;
+            }
+        }
+    }
+    condense_shift(s, source);
+}
+
+/* Node k takes what node k + 1 has; the last node and the last interval keep theirs. */
+static void shift_by_one(solver_t *s)
+{
+    int k, i, j;
+    for (k = 0; k < N; k++) {
+        const int from = (k + 1 < N) ? k + 1 : k;
+        for (i = 0; i < NX; i++) {
+            s->x[k][i] = s->x[k + 1][i];
+            s->lam[k][i] = s->lam[k + 1][i];
+            s->mu_x[k][i] = s->mu_x[from][i];
+        }
+        for (j = 0; j < NU; j++) {
+            s->u[k][j] = clip(s->u[from][j], control_lower(s, k, j), control_upper(s, k, j));
+            s->mu_u[k][j] = s->mu_u[from][j];
+        }
+        for (j = 0; j < NH; j++) {
+            s->mu[k][j] = s->mu[from][j];
+        }
+    }
+    shift_working_set(s);
+}

@@ -1,0 +1,92 @@
+/* Seam "condensing", contract: see the functions condense_init, _prepare, _gradient, _rows, _solve, _shift:
+ *   condense_init      once: constant parts
+ *   condense_prepare   preparation: everything that needs neither xhat nor the final bounds, the QP's factorisation included
+ *   condense_gradient  gradients of the nodes have changed, nothing else
+ *   condense_rows      gaps b and values of the rows have changed, no matrix
+ *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
+ *   condense_shift     the predicted working set moves by one interval
+ * Here: nothing is eliminated, the QP has the stages of the problem.
+ * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient
+ * of a general row), tables stage_first, stage_of_row, stage_state. */
+
+static void qp_init(solver_t *s);
+static status_t qp_factorize(solver_t *s);
+static void qp_gradient(solver_t *s);
+static status_t qp_solve(solver_t *s);
+static void qp_shift_working_set(solver_t *s, int n, const int *source);
+
+static inline real_t (*stage_S(solver_t *s, int k))[NZS]
+{
+    return s->node[k].S;
+}
+
+static inline real_t *stage_b(solver_t *s, int k)
+{
+    return s->node[k].b;
+}
+
+static inline real_t *stage_g(solver_t *s, int k)
+{
+    return (k < NS) ? s->node[k].g : s->terminal.g;
+}
+
+static inline real_t (*stage_Q(solver_t *s, int k))[NZS]
+{
+    return s->hessian.Q[NQ == 1 ? 0 : k];
+}
+
+/* The Hessian of the last stage, lower triangle. */
+static inline real_t (*stage_Q_N(solver_t *s))[NXS]
+{
+    return s->hessian.Q_N;
+}
+
+/* Gradient of the general or coupled row m in the variables of its stage. */
+static inline const real_t *stage_row(const solver_t *s, int m)
+{
+    const int k = row_node[m], r = row_index[m];
+    if (row_kind[m] == 2) {
+        return s->coupled.J_N[r];
+    }
+    return (k < N) ? s->node[k].J[r] : s->terminal.J[r];
+}
+
+static void condense_init(solver_t *s)
+{
+    qp_init(s);
+}
+
+/* Constant part of row m in the variables of its stage. */
+static inline real_t stage_row_value(const solver_t *s, int m)
+{
+    return row_constant(s, m);
+}
+
+#include "condensing/embed_stages.c"
+
+static status_t condense_prepare(solver_t *s)
+{
+    memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
+    condense_embed(s);
+    return qp_factorize(s);
+}
+
+static void condense_gradient(solver_t *s)
+{
+    qp_gradient(s);
+}
+
+static void condense_rows(solver_t *s)
+{
+    qp_gradient(s);
+}
+
+static void condense_expand(solver_t *s)
+{
+    memcpy(s->step.dx, s->qp.x, sizeof s->step.dx);
+    memcpy(s->step.du, s->qp.z, sizeof s->step.du);
+    memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
+    memcpy(s->step.mult, s->qp.mult + NV, sizeof s->step.mult[0] * NG);
+}
+
+#include "condensing/solve_stages.c"

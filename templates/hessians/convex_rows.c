@@ -1,0 +1,60 @@
+/* 1 if the lower triangle M (n x n) is positive semidefinite: all pivots of L D L' are
+ * nonnegative, and columns of vanishing pivots vanish, up to rounding. Overwrites M. */
+static int is_semidefinite(real_t *M, int n)
+{
+    real_t scale = R(0);
+    int i, j, k;
+    for (i = 0; i < n; i++) {
+        const real_t d = FABS(M[i * n + i]);
+        scale = (d > scale) ? d : scale;
+    }
+    for (j = 0; j < n; j++) {
+        const real_t d = M[j * n + j];
+        const int vanishes = d <= TOL_SEMIDEFINITE * scale;
+        if (!(d >= -TOL_SEMIDEFINITE * scale)) {
+            return 0;
+        }
+        for (i = j + 1; i < n; i++) {
+            const real_t m = M[i * n + j];
+            if (vanishes && !(FABS(m) <= TOL_SEMIDEFINITE * scale)) {
+                return 0;
+            }
+            for (k = j + 1; k <= i && !vanishes; k++) {
+                M[i * n + k] -= m * M[k * n + j] / d;
+            }
+        }
+    }
+    return 1;
+}
+
+/* Q += M, lower triangles, n x n. */
+static void add_lower(real_t *Q, const real_t *M, int n)
+{
+    int i, j;
+    for (i = 0; i < n; i++) {
+        for (j = 0; j <= i; j++) {
+            Q[i * n + j] += M[i * n + j];
+        }
+    }
+}
+
+/* Q_k += sum_i mu_i d2 h_i where that sum is positive semidefinite, multipliers of the last QP; likewise at N. */
+static void add_rows(solver_t *s)
+{
+    real_t M[NZ * NZ] = {0};
+    real_t copy[NZ * NZ];
+    int k;
+    for (k = 0; k < N; k++) {
+        path_curvature(s->x[k], s->u[k], PARAM(s, k), s->mu[k], M);
+        memcpy(copy, M, sizeof M);
+        if (is_semidefinite(copy, NZ)) {
+            add_lower(&s->hessian.Q[k][0][0], M, NZ);
+        }
+    }
+    memset(M, 0, sizeof M);
+    terminal_curvature(s->x[N], PARAM_N(s), s->mu_N, M);
+    memcpy(copy, M, sizeof M);
+    if (is_semidefinite(copy, NX)) {
+        add_lower(&s->hessian.Q_N[0][0], M, NX);
+    }
+}

@@ -1,0 +1,68 @@
+/* Seam "hessian", contract: expand_node(), hessian() and regularize_reduced() as in gauss_newton.c.jinja.
+ * Here: the exact Hessian of the Lagrangian, Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k), multipliers of the last QP.
+ * While all lam are zero, as after reset, an adjoint pass over the nodes gives them: lam_k = q_k + A_k' lam_{k+1}. */
+
+/* 1 if there are multipliers of the dynamics. */
+static int has_multipliers(const solver_t *s)
+{
+    int k, i;
+    for (k = 1; k <= N; k++) {
+        for (i = 0; i < NX; i++) {
+            if (s->lam[k][i] != R(0)) {
+                return 1;
+            }
+        }
+    }
+    return 0;
+}
+
+/* lam_k = q_k + A_k' lam_{k+1}; that of a free component of x_0 is 0. */
+static void adjoint_node(solver_t *s, int k)
+{
+    const node_t *node = &s->node[k];
+    int i, j;
+    for (i = 0; i < NX; i++) {
+        real_t sum = node->g[i];
+        for (j = 0; j < NX; j++) {
+            sum += node->S[j][i] * s->lam[k + 1][j];
+        }
+        s->lam[k][i] = sum;
+    }
+    for (i = 0; k == 0 && i < NF; i++) {
+        s->lam[0][free_state[i]] = R(0);
+    }
+}
+
+/* Node k into s->node[k] and its block Q_k: x_next, S, g and second derivatives from one sweep. */
+static void expand_node(solver_t *s, int k, real_t *x_next)
+{
+    node_t *node = &s->node[k];
+    if (k == N - 1) {
+        s->hessian.adjoint = !has_multipliers(s);
+        if (s->hessian.adjoint) {
+            memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
+        }
+        if (s->hessian.changed) {
+            memset(s->hessian.Q, 0, sizeof s->hessian.Q);
+            s->hessian.changed = 0;
+        }
+    }
+    path_exact(s->x[k], s->u[k], PARAM(s, k), &interval_length[k], YREF(s, k), WEIGHT(s, k), s->mu[k], s->lam[k + 1],
+        x_next, &node->S[0][0], node->g, &s->hessian.Q[k][0][0]);
+    if (s->hessian.adjoint) {
+        adjoint_node(s, k);
+    }
+}
+
+{% for part in section.parts %}
+{% include part %}
+
+{% endfor %}
+/* What expand_node() has left: the terminal block, and the regularisation. */
+static void hessian(solver_t *s)
+{
+    real_t *Q_0 = &s->hessian.Q[0][0][0];
+    initial_hessian(s->x[0], s->x[N], s->eta, Q_0, Q_0);
+    terminal_hessian(s->x[N], PARAM_N(s), YREF_N(s), WEIGHT_N(s), s->mu_N, s->x[0], s->eta, &s->hessian.Q_N[0][0]);
+    regularize_stages(s);
+}

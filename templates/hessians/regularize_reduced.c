@@ -1,0 +1,44 @@
+/* A reduced Hessian that is not positive definite becomes V f(Lambda) V', f = max(|Lambda|, floor) if MIRROR, else
+ * max(Lambda, floor); floor relative to the largest |Lambda|. */
+static inline int regularize_reduced(real_t *H, int n, int ld, real_t *work)
+{
+    real_t d[LDV], e[LDV], scale = R(0), smallest = R(0);
+    int i, j, k;
+    for (i = 0; i < n; i++) {
+        for (j = 0; j <= i; j++) {
+            const real_t a = FABS(H[i * ld + j]);
+            scale = (a > scale) ? a : scale;
+        }
+    }
+    if (!(scale > R(0)) || !isfinite(scale)) {
+        return 0;
+    }
+    for (i = 0; i < n; i++) {
+        for (j = 0; j <= i; j++) {
+            work[i * ld + j] = work[j * ld + i] = H[i * ld + j] / scale;
+            H[i * ld + j] = R(0);
+        }
+    }
+    decompose(work, d, e, n, ld);
+    for (k = 0; k < n; k++) {
+        smallest = (FABS(d[k]) > smallest) ? FABS(d[k]) : smallest;
+    }
+    smallest *= regularization[0];
+    for (k = 0; k < n; k++) {
+        const real_t a = (MIRROR && d[k] < R(0)) ? -d[k] : d[k];
+        const real_t value = scale * ((a < smallest) ? smallest : a);
+        const real_t *v = work + k * ld;
+        for (i = 0; i < n; i++) {
+            const real_t b = value * v[i];
+            for (j = 0; j <= i; j++) {
+                H[i * ld + j] += b * v[j];
+            }
+        }
+    }
+    return 1;
+}
+
+static inline void regularize_stages(solver_t *s)
+{
+    (void)s;
+}

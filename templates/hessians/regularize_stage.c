@@ -1,0 +1,217 @@
+/* Every block becomes V f(Lambda) V' + lm I, f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor); floor relative
+ * to the largest |Lambda| of the node. Nodes whose blocks are safely positive definite keep them (plus lm I). Irreducible
+ * diagonal blocks are decomposed one by one, those of LANES nodes at once. */
+
+/* The reduced Hessian is convex already. */
+static inline int regularize_reduced(real_t *H, int n, int ld, real_t *work)
+{
+    (void)H;
+    (void)n;
+    (void)ld;
+    (void)work;
+    return 0;
+}
+
+/* Irreducible blocks of Q and Q_N: their rows, and where each begins among these. */
+static const int Q_block_row[NZ] = { {{ m.products.Q_blocks | sum(start=[]) | join(", ") }} };
+static const int Q_block_first[] = { 0{% for n in m.products.Q_block_ends %}, {{ n }}{% endfor %} };
+static const int Q_N_block_row[NX] = { {{ m.products.Q_N_blocks | sum(start=[]) | join(", ") }} };
+static const int Q_N_block_first[] = { 0{% for n in m.products.Q_N_block_ends %}, {{ n }}{% endfor %} };
+
+/* norm[l] = largest |entry| of the lower triangle of matrix l, n x n; its inverse, 0 for a zero matrix. */
+static void block_norms(const real_t *Q, int stride, int n, int nodes, real_t *norm, real_t *inverse)
+{
+    int l, i, j;
+    for (l = 0; l < LANES; l++) {
+        const real_t *q = Q + ((l < nodes) ? l : nodes - 1) * stride;
+        real_t largest = R(0);
+        for (i = 0; i < n; i++) {
+            for (j = 0; j <= i; j++) {
+                const real_t a = FABS(q[i * n + j]);
+                largest = (a > largest) ? a : largest;
+            }
+        }
+        norm[l] = largest;
+        inverse[l] = (largest > R(0)) ? R(1) / largest : R(0);
+    }
+}
+
+/* A = lower triangle of one block of every lane, entries at most 1. */
+static void gather_block(real_t (*A)[LANES], const real_t *Q, int stride, int ld, int nodes, const int *row, int n,
+    const real_t *inverse)
+{
+    int l, i, j;
+    for (l = 0; l < LANES; l++) {
+        const real_t *q = Q + ((l < nodes) ? l : nodes - 1) * stride;
+        for (i = 0; i < n; i++) {
+            for (j = 0; j <= i; j++) {
+                A[i * n + j][l] = q[row[i] * ld + row[j]] * inverse[l];
+            }
+        }
+    }
+}
+
+/* keep[l] = 0 where A - shift I (lower triangle) has a pivot that is not positive; L D L' in W. */
+static void test_block(real_t (*A)[LANES], real_t (*W)[LANES], int n, const real_t *shift, int *keep)
+{
+    int i, j, k, l;
+    for (i = 0; i < n; i++) {
+        for (j = 0; j <= i; j++) {
+            real_t sum[LANES];
+            for (l = 0; l < LANES; l++) {
+                sum[l] = A[i * n + j][l] - ((i == j) ? shift[l] : R(0));
+            }
+            for (k = 0; k < j; k++) { /* W: below the diagonal L D, above it L */
+                for (l = 0; l < LANES; l++) {
+                    sum[l] -= W[i * n + k][l] * W[k * n + j][l];
+                }
+            }
+            for (l = 0; l < LANES; l++) {
+                W[i * n + j][l] = sum[l];
+            }
+            if (j < i) {
+                for (l = 0; l < LANES; l++) {
+                    W[j * n + i][l] = sum[l] / W[j * n + j][l];
+                }
+            }
+        }
+        for (l = 0; l < LANES; l++) {
+            keep[l] &= W[i * n + i][l] > R(0);
+        }
+    }
+}
+
+/* A = V' f(Lambda) V, lower triangle, Lambda on the diagonal of A. */
+static void rebuild_block(real_t (*A)[LANES], real_t (*V)[LANES], int n, const real_t *floor_value)
+{
+    real_t value[NZ][LANES];
+    int i, j, k, l;
+    for (k = 0; k < n; k++) {
+        for (l = 0; l < LANES; l++) {
+            const real_t a = A[k * n + k][l];
+            const real_t b = (MIRROR && a < R(0)) ? -a : a;
+            value[k][l] = (b < floor_value[l]) ? floor_value[l] : b;
+        }
+    }
+    for (i = 0; i < n; i++) {
+        for (j = 0; j <= i; j++) {
+            real_t sum[LANES] = {0};
+            for (k = 0; k < n; k++) {
+                for (l = 0; l < LANES; l++) {
+                    sum[l] += value[k][l] * V[k * n + i][l] * V[k * n + j][l];
+                }
+            }
+            for (l = 0; l < LANES; l++) {
+                A[i * n + j][l] = sum[l];
+            }
+        }
+    }
+}
+
+/* The blocks of the nodes that are not kept go back, all with lm on their diagonal. */
+static void scatter_block(real_t (*A)[LANES], real_t *Q, int stride, int ld, int nodes, const int *row, int n,
+    const real_t *norm, const int *keep)
+{
+    int l, i, j;
+    for (l = 0; l < nodes; l++) {
+        real_t *q = Q + l * stride;
+        for (i = 0; i < n; i++) {
+            for (j = 0; j <= i && !keep[l]; j++) {
+                q[row[i] * ld + row[j]] = A[i * n + j][l] * norm[l];
+            }
+            q[row[i] * ld + row[i]] += regularization[1];
+        }
+    }
+}
+
+/* floor_value of every lane from the eigenvalues of all blocks. */
+static void block_floors(real_t (*A)[LANES], const int *first, int blocks, real_t *floor_value)
+{
+    real_t largest[LANES] = {0};
+    int b, i, l;
+    for (b = 0; b < blocks; b++) {
+        const int n = first[b + 1] - first[b];
+        for (i = 0; i < n; i++) {
+            for (l = 0; l < LANES; l++) {
+                const real_t a = FABS(A[i * n + i][l]);
+                largest[l] = (a > largest[l]) ? a : largest[l];
+            }
+        }
+        A += n * n;
+    }
+    for (l = 0; l < LANES; l++) {
+        floor_value[l] = regularization[0] * largest[l];
+    }
+}
+
+/* Up to LANES matrices of ld rows, stride apart; scale[l]: largest absolute entry. */
+static void regularize_batch(hessian_t *h, real_t *Q, int stride, int ld, int nodes, const int *row, const int *first,
+    int blocks, real_t *scale)
+{
+    real_t norm[LANES], factor[LANES], shift[LANES];
+    int keep[LANES], b, l, at, kept = 1;
+    block_norms(Q, stride, ld, nodes, norm, factor);
+    for (l = 0; l < LANES; l++) {
+        keep[l] = 1;
+        shift[l] = regularization[0] * (real_t)ld;
+    }
+    for (b = 0, at = 0; b < blocks; b++) {
+        const int n = first[b + 1] - first[b];
+        gather_block(h->A + at, Q, stride, ld, nodes, row + first[b], n, factor);
+        test_block(h->A + at, h->V + at, n, shift, keep);
+        at += n * n;
+    }
+    for (l = 0; l < LANES; l++) {
+        factor[l] = regularization[0];
+        kept &= keep[l];
+    }
+    for (b = 0, at = 0; b < blocks && !kept; b++) {
+        const int n = first[b + 1] - first[b];
+        jacobi(h->A + at, h->V + at, n);
+        at += n * n;
+    }
+    if (!kept) {
+        block_floors(h->A, first, blocks, factor);
+    }
+    for (b = 0, at = 0; b < blocks; b++) {
+        const int n = first[b + 1] - first[b];
+        if (!kept) {
+            rebuild_block(h->A + at, h->V + at, n, factor);
+        }
+        scatter_block(h->A + at, Q, stride, ld, nodes, row + first[b], n, norm, keep);
+        at += n * n;
+    }
+    for (l = 0; l < nodes; l++) {
+        scale[l] = norm[l];
+    }
+}
+
+/* A zero matrix takes the scale of the one with the largest entry. */
+static void regularize_zero(real_t *Q, int ld, real_t scale, real_t largest)
+{
+    int i;
+    for (i = 0; i < ld && scale <= R(0); i++) {
+        Q[i * ld + i] += regularization[0] * ((largest > R(0)) ? largest : R(1));
+    }
+}
+
+static void regularize_stages(solver_t *s)
+{
+    hessian_t *h = &s->hessian;
+    real_t largest = R(0);
+    int k;
+    for (k = 0; k < N; k += LANES) {
+        const int nodes = (N - k < LANES) ? N - k : LANES;
+        regularize_batch(h, &h->Q[k][0][0], NZ * NZ, NZ, nodes, Q_block_row, Q_block_first,
+            {{ m.products.Q_blocks | length }}, &h->scale[k]);
+    }
+    regularize_batch(h, &h->Q_N[0][0], 0, NX, 1, Q_N_block_row, Q_N_block_first, {{ m.products.Q_N_blocks | length }},
+        &h->scale[N]);
+    for (k = 0; k <= N; k++) {
+        largest = (h->scale[k] > largest) ? h->scale[k] : largest;
+    }
+    for (k = 0; k < N; k++) {
+        regularize_zero(&h->Q[k][0][0], NZ, h->scale[k], largest);
+    }
+    regularize_zero(&h->Q_N[0][0], NX, h->scale[N], largest);
+}

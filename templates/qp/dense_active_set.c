@@ -1,0 +1,133 @@
+/* ---------------------------------------------------------------------------------------------------------------------
+ * qp: dense dual active-set method
+ *
+ *     min  1/2 z'H z + g'z   s.t.   lower[i] <= z_i <= upper[i],  i < NV;   lower[NV+j] <= A[j] z <= upper[NV+j],  j < NG
+ *
+ *     H z + g + mult[0..NV) + A' mult[NV..NV+NG) = 0,   mult > 0 at an upper bound, < 0 at a lower one, 0 in between
+ *
+ * A row c with a finite penalty[c] >= 0 is elastic: the cost has the term penalty[c] * (violation of the row) in place of the
+ * row, so |mult| <= penalty. Where the multiplier stands at that limit the row is saturated and may be violated.
+ *
+ * Contract of the seam
+ *   qp_init       once: everything zero, all bounds and penalties infinite, empty working set.
+ *   qp_factorize  preparation: H (lower triangle) and A are known, lower and upper hold a prediction. Overwrites H.
+ *                 OK, or NUMERICAL_FAILURE: H not positive semidefinite, data not finite.
+ *   qp_solve      feedback: g, lower, upper and penalty are known. Writes z, mult, iterations, changes, dropped, relaxed.
+ *                 OK; ITERATION_LIMIT, STALLED (a working set came back), INFEASIBLE: z is the last iterate, 0 if bounds cross;
+ *                 NUMERICAL_FAILURE (data not finite, cost unbounded below): z = mult = 0.
+ *   qp_shift_working_set  before qp_factorize: the prediction moves n variables towards the front, and rows as told.
+ * Bounds may be infinite; equality = equal bounds. Redundant consistent equalities get multiplier 0 and are counted in
+ * dropped; elastic rows that are violated, in relaxed. Bounds that cross are INFEASIBLE, of elastic rows too; without
+ * crossed bounds and hard rows the answer is never INFEASIBLE. After INFEASIBLE certificate[] holds weights f, |f| <= 1, with
+ *     sum_c f_c a_c = 0   and   sum_c f_c (upper_c if f_c > 0, lower_c if f_c < 0) < 0       (0 if bounds cross).
+ * side[] is the working set and stays for the warm start (+-1: member at its upper or lower bound, +-2: saturated there); a
+ * caller may edit it before qp_factorize.
+ * Columns NV to LDV of A are zero; those of H, its rows NV to LDV and its upper triangle are not read.
+ *
+ * Method (Goldfarb and Idnani 1983) in the coordinates y = D^{1/2} L'z of H = L D L', L unit lower triangular. There the
+ * cost is 1/2 |y - y0|^2 with y0 = -D^{-1/2} L^{-1} g, and row a is m'y with m = D^{-1/2} L^{-1} a. The rows of the
+ * working set W (nw of them) are kept as M_W' = Q'R: R upper triangular, the rows of Q orthonormal (Daniel, Gragg,
+ * Kaufman and Stewart 1976). With t the active bounds, the minimiser on W is
+ *
+ *     R'w = t,   c = Q y0 - w,   y = y0 - Q'c,   lam = R^{-1} c,   z = L^{-T} D^{-1/2} y
+ *
+ * A saturated row belongs to the cost: y0 = -D^{-1/2} L^{-1} (g + sum_saturated mult_c a_c). The dual problem is then one with
+ * multipliers in [0, penalty], and every step increases its objective as before.
+ *
+ * Where a pivot of H may be zero, H + E with a diagonal E is factorised, E_ii > 0 at these pivots only, and the proximal point
+ * method iterates to the minimiser for H itself.
+ *
+ * Storage: H holds D on its diagonal, L below and L' above; R is stored transposed (row j: coefficients of member j).
+ * Loops run over panels of four, for which every vector and matrix is padded with zeros.
+ * ------------------------------------------------------------------------------------------------------------------ */
+
+#include "qp/dense_active_set_factors.c"
+
+#include "qp/dense_active_set_working_set.c"
+
+#include "qp/dense_active_set_iterate.c"
+
+#include "qp/dense_active_set_proximal.c"
+
+static void qp_init(qp_t *q)
+{
+    for (int i = 0; i < LDV; ++i) {
+        for (int j = 0; j < LDV; ++j) {
+            q->H[i][j] = R(0.0);
+            q->Q[i][j] = R(0.0);
+            q->R[i][j] = R(0.0);
+        }
+        q->inverse[i] = q->R_inverse[i] = q->y0[i] = q->y[i] = q->x[i] = R(0.0);
+        q->m[i] = q->v[i] = q->d[i] = q->lam[i] = R(0.0);
+        q->weight[i] = q->proximal[i] = q->center[i] = q->direction[i] = R(0.0);
+        q->work[i] = 0;
+    }
+    for (int j = 0; j < NG; ++j) {
+        for (int i = 0; i < LDV; ++i) {
+            q->A[j][i] = R(0.0);
+        }
+    }
+    for (int i = 0; i < NV; ++i) {
+        q->g[i] = R(0.0);
+    }
+    for (int c = 0; c < NV + NG; ++c) {
+        q->lower[c] = -(real_t)INFINITY;
+        q->upper[c] = (real_t)INFINITY;
+        q->penalty[c] = (real_t)INFINITY;
+        q->slack[c] = R(0.0);
+        q->snapshot[c] = 0;
+    }
+    q->scale = q->shift = q->total = q->step = R(0.0);
+    q->iterations = q->changes = q->dropped = q->factorized = q->elastic = 0;
+    q->semidefinite = q->face = 0;
+    qp_fail(q, OK);
+}
+
+static status_t qp_factorize(qp_t *q)
+{
+    status_t status = qp_factorize_hessian(q);
+    q->nw = 0;
+    for (int c = 0; c < NV + NG && status == OK; ++c) {
+        if (q->lower[c] >= q->upper[c] && !qp_saturated(q, c)) {
+            status = qp_predict_active(q, c, q->side[c] < 0 ? -1 : 1);
+        }
+    }
+    for (int c = 0; c < NV + NG && status == OK; ++c) {
+        if (q->side[c] != 0 && q->lower[c] < q->upper[c] && !qp_saturated(q, c)) {
+            status = qp_predict_active(q, c, q->side[c]);
+        }
+    }
+    q->factorized = status == OK;
+    return q->factorized ? OK : qp_fail(q, status);
+}
+
+static status_t qp_solve(qp_t *q)
+{
+    status_t status = q->factorized ? qp_take_bounds(q) : NUMERICAL_FAILURE;
+    q->iterations = q->changes = 0;
+    if (status != OK) {
+        return qp_fail(q, status);
+    }
+    if (q->semidefinite) {
+        status = qp_iterate_proximal(q);
+    } else {
+        qp_set_origin(q);
+        status = isfinite(q->scale) ? qp_iterate(q) : NUMERICAL_FAILURE;
+    }
+    if (status == NUMERICAL_FAILURE || !qp_write_result(q)) {
+        return qp_fail(q, NUMERICAL_FAILURE);
+    }
+    return status;
+}
+
+/* Warm start of a shifted problem: the side of control i + n becomes the prediction for control i, the last n keep theirs;
+ * general row j takes that of row source[j] >= j, or none if source[j] < 0. */
+static void qp_shift_working_set(qp_t *q, int n, const int *source)
+{
+    for (int i = 0; i + n < NS * NUS; ++i) {
+        q->side[i] = q->side[i + n];
+    }
+    for (int j = 0; j < NG; ++j) {
+        q->side[NV + j] = source[j] < 0 ? 0 : q->side[NV + source[j]];
+    }
+}

@@ -1,0 +1,96 @@
+/* Seam "qp", contract: qp_init, qp_factorize, qp_solve, qp_shift_working_set on the condensed QP
+ *     min  1/2 z'H z + g'z   s.t.   lower[i] <= z_i <= upper[i],  i < NV;   lower[NV+j] <= A[j] z <= upper[NV+j],  j < NG
+ * Here: OSQP, foreign code in the folder osqp/ with one static workspace: copies of this struct share it, and solves must not
+ * overlap. All data are loaded anew for every solve. */
+
+/* In osqp/API(osqp).c: OSQP's status of the run, 0 if it refused the data. infinity: that of OSQP. */
+int API(osqp_solve)(const double *P, const double *A, const double *g, const double *lower, const double *upper, double *z,
+    double *mult, double *certificate, int *iterations);
+
+static void qp_init(qp_t *q)
+{
+    int c;
+    memset(q, 0, sizeof *q);
+    for (c = 0; c < NV + NG; c++) {
+        q->lower[c] = -(real_t)INFINITY;
+        q->upper[c] = (real_t)INFINITY;
+        q->penalty[c] = (real_t)INFINITY;
+    }
+}
+
+/* The matrices by columns. */
+static status_t qp_factorize(qp_t *q)
+{
+    int i, j, n = 0;
+    for (j = 0; j < NV; j++) {
+        for (i = 0; i <= j; i++) {
+            q->P_x[n++] = q->H[j][i];
+        }
+    }
+    n = 0;
+    for (j = 0; j < NV; j++) {
+        q->A_x[n++] = R(1);
+        for (i = 0; i < NG; i++) {
+            q->A_x[n++] = q->A[i][j];
+        }
+    }
+    return all_finite(q->P_x, OSQP_P) && all_finite(q->A_x, OSQP_A) ? OK : NUMERICAL_FAILURE;
+}
+
+static status_t qp_fail(qp_t *q, status_t status)
+{
+    memset(q->z, 0, sizeof q->z);
+    memset(q->mult, 0, sizeof q->mult);
+    return status;
+}
+
+/* The dual ray of an infeasible QP, scaled to |f| <= 1. */
+static void qp_scale_certificate(qp_t *q)
+{
+    real_t largest = R(0);
+    int c;
+    for (c = 0; c < NV + NG; c++) {
+        const real_t f = FABS(q->certificate[c]);
+        largest = (f > largest) ? f : largest;
+    }
+    for (c = 0; c < NV + NG && largest > R(0); c++) {
+        q->certificate[c] /= largest;
+    }
+}
+
+static status_t qp_solve(qp_t *q)
+{
+    int c, iterations = 0, status, ordered = 1;
+    q->iterations = 0;
+    memset(q->certificate, 0, sizeof q->certificate);
+    for (c = 0; c < NV + NG; c++) {
+        if (isnan(q->lower[c]) || isnan(q->upper[c])) {
+            return qp_fail(q, NUMERICAL_FAILURE);
+        }
+        ordered &= q->lower[c] <= q->upper[c];
+    }
+    if (!ordered || !all_finite(q->g, NV)) {
+        return qp_fail(q, ordered ? NUMERICAL_FAILURE : INFEASIBLE);
+    }
+    status = API(osqp_solve)(q->P_x, q->A_x, q->g, q->lower, q->upper, q->z, q->mult, q->certificate, &iterations);
+    q->iterations = iterations;
+    if (status == 1) {
+        return OK;
+    }
+    if (status == 3) {
+        qp_scale_certificate(q);
+        return INFEASIBLE;
+    }
+    if (status == 2 || status == 7) {
+        return ITERATION_LIMIT;
+    }
+    return qp_fail(q, NUMERICAL_FAILURE);
+}
+
+/* No working set to predict. */
+static void qp_shift_working_set(qp_t *q, int n, const int *source)
+{
+    (void)q;
+    (void)n;
+    (void)source;
+}

@@ -1,0 +1,172 @@
+/* ---------------------------------------------------------------------------------------------------------------------
+ * qp: active set on the Riccati recursion
+ *
+ *     min  sum_{k<NS} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_NS'Q_NS x_NS + g_NS'x_NS,   x_{k+1} = S_k z_k + b_k,   dx_0 given
+ *     s.t. lower <= (u, rows) <= upper
+ *
+ * Contract of the seam
+ *   qp_init       once: everything zero, all bounds and penalties infinite, empty working set.
+ *   qp_factorize  preparation: all but x_0 is known, lower and upper hold a prediction. Recursion at the predicted working set.
+ *   qp_gradient   gradients of the stages changed, matrices did not.
+ *   qp_solve      feedback: dx_0 in step.dx[0], lower, upper, penalty are known. Writes x, z, mult, iterations, changes, relaxed.
+ *                 OK; ITERATION_LIMIT, STALLED (a working set came back), INFEASIBLE; NUMERICAL_FAILURE: x = z = mult = 0.
+ *   qp_shift_working_set  before qp_factorize: the prediction moves n controls towards the front, and rows as told.
+ * Bounds may be infinite; equality = equal bounds. Soft rows (penalty finite) cost penalty v + curvature / 2 v^2 for a
+ * violation v; how many are violated is counted in relaxed.
+ * side[] is the working set and stays for the warm start (+-1: member at its upper or lower bound, +-2: soft and violated); a
+ * caller may edit it before qp_factorize.
+ *
+ * Method: the minimiser on the working set by one Riccati recursion: given controls are eliminated, members that are rows enter
+ * by the method of multipliers, which needs no decision about their rank. Then every side anew from values and signs of
+ * multipliers (primal-dual active set; Hintermueller, Ito, Kunisch 2003); the recursion is repeated from the last stage that
+ * changed down to 0.
+ * ------------------------------------------------------------------------------------------------------------------ */
+
+#include "riccati/kernel.c"
+
+#include "qp/riccati_active_set_working_set.c"
+
+#include "qp/riccati_active_set_refine.c"
+
+#include "qp/riccati_active_set_iterate.c"
+
+#include "qp/riccati_interior_point_core.c"
+
+#include "qp/riccati_active_set_fall_back.c"
+
+static status_t qp_fail(qp_t *q, status_t status)
+{
+    memset(q->x, 0, sizeof q->x);
+    memset(q->z, 0, sizeof q->z);
+    memset(q->mult, 0, sizeof q->mult);
+    memset(q->side, 0, sizeof q->side);
+    q->factorized = q->factorized ? 2 : 0;
+    return status;
+}
+
+static void qp_init(solver_t *s)
+{
+    qp_t *q = &s->qp;
+    int c;
+    memset(q, 0, sizeof *q);
+    riccati_init(s);
+    s->riccati.regularize = 1;
+    for (c = 0; c < NV + NG; c++) {
+        q->lower[c] = -(real_t)INFINITY;
+        q->upper[c] = (real_t)INFINITY;
+    }
+    for (c = 0; c < NG; c++) {
+        q->penalty[c] = (real_t)INFINITY;
+        q->root[c] = R(1);
+    }
+}
+
+/* The last stage with a member, or -1: later factors are those without members. */
+static int qp_last_member(const qp_t *q)
+{
+    int c, m, last = -1;
+    for (c = 0; c < NV; c++) {
+        last = (q->side[c] != 0) ? c / NUS : last;
+    }
+    for (m = 0; m < NG; m++) {
+        const int k = stage_of_row[m];
+        last = (q->side[NV + m] != 0 && k > last) ? k : last;
+    }
+    return last;
+}
+
+static status_t qp_factorize(solver_t *s)
+{
+    qp_t *q = &s->qp;
+    const int plain = riccati_convexify(s);
+    if (!q->scaled) {
+        qp_scale_rows(s);
+    }
+    qp_enter(s);
+    q->stale = plain ? qp_last_member(q) : NS;
+    q->factorized = qp_renew(s);
+    if (!q->factorized) { /* weights and members may be those of a QP in other units */
+        memset(q->side, 0, sizeof q->side);
+        qp_scale_rows(s);
+        qp_enter(s);
+        q->factorized = qp_renew(s);
+    }
+    return q->factorized ? OK : qp_fail(q, NUMERICAL_FAILURE);
+}
+
+static void qp_gradient(solver_t *s)
+{
+    s->qp.stale_vectors = NS;
+}
+
+/* INFEASIBLE if bounds cross, NUMERICAL_FAILURE if one is not a number. */
+static status_t qp_check_bounds(const qp_t *q)
+{
+    status_t status = OK;
+    int c;
+    for (c = 0; c < NV + NG; c++) {
+        if (!(q->lower[c] < (real_t)INFINITY && q->upper[c] > -(real_t)INFINITY)) {
+            return NUMERICAL_FAILURE;
+        }
+        if (q->lower[c] > q->upper[c]) {
+            status = INFEASIBLE;
+        }
+    }
+    return status;
+}
+
+/* 1 if all multipliers are finite: data of a control that is given enter nothing else. */
+static int qp_has_multipliers(const qp_t *q)
+{
+    real_t sum = R(0);
+    int c;
+    for (c = 0; c < NV + NG; c++) {
+        sum += FABS(q->mult[c]);
+    }
+    return isfinite(sum);
+}
+
+static status_t qp_solve(solver_t *s)
+{
+    qp_t *q = &s->qp;
+    status_t status = q->factorized ? qp_check_bounds(q) : NUMERICAL_FAILURE;
+    q->iterations = q->changes = q->refinements = q->dropped = q->relaxed = q->exact = 0;
+    memset(q->certificate, 0, sizeof q->certificate);
+    if (status != OK) {
+        return qp_fail(q, status);
+    }
+    if (q->factorized == 2) {
+        qp_enter(s);
+        q->factorized = 1;
+    }
+    qp_take_bounds(s);
+    q->changes = 0;
+    status = qp_iterate(s, QP_MAX_ITERATIONS);
+    q->exact = 1;
+    if (status != OK) { /* a breakdown that the interior point method does not cure: no minimum, or bad numbers */
+        const status_t next = qp_fall_back(s);
+        status = (status == NUMERICAL_FAILURE && next == ITERATION_LIMIT) ? status : next;
+        status = qp_has_multipliers(q) ? status : NUMERICAL_FAILURE;
+    }
+    if (q->exact && status == OK) {
+        qp_finish(q);
+    }
+    return status == NUMERICAL_FAILURE ? qp_fail(q, status) : status;
+}
+
+/* Warm start of a shifted problem: the side of control c + n becomes the prediction for control c, the last n keep theirs; row m
+ * takes that of row source[m] >= m, or none if source[m] < 0. */
+static inline void qp_shift_working_set(solver_t *s, int n, const int *source)
+{
+    qp_t *q = &s->qp;
+    int c, m;
+    for (c = 0; c + n < NV; c++) {
+        q->side[c] = q->side[c + n];
+        q->mult[c] = q->mult[c + n];
+    }
+    for (m = 0; m < NG; m++) {
+        const int from = NV + source[m];
+        q->side[NV + m] = source[m] < 0 ? 0 : q->side[from];
+        q->mult[NV + m] = source[m] < 0 ? R(0) : q->mult[from];
+    }
+}

@@ -1,0 +1,61 @@
+/* ---------------------------------------------------------------------------------------------------------------------
+ * qp: Riccati interior point method
+ *
+ * Contract of the seam
+ *   qp_init       once: no bounds, nothing known.
+ *   qp_factorize  preparation: matrices are known, lower and upper hold a prediction. OK or NUMERICAL_FAILURE.
+ *   qp_gradient   gradients or gaps have changed, no matrix.
+ *   qp_solve      feedback: dx_0 in step.dx[0], bounds and penalties as they are now. Writes x, z, mult, side, iterations,
+ *                 relaxed. OK; ITERATION_LIMIT; INFEASIBLE: certificate[] holds a contradiction; NUMERICAL_FAILURE.
+ *   qp_shift_working_set  the warm start moves n controls towards the front, and rows as told.
+ * ------------------------------------------------------------------------------------------------------------------ */
+
+#include "riccati/recursion.c"
+
+#include "qp/riccati_interior_point_core.c"
+
+static void qp_init(solver_t *s)
+{
+    int c;
+    memset(&s->qp, 0, sizeof s->qp);
+    riccati_init(s);
+    ipm_init(s);
+    for (c = 0; c < NV + NG; c++) {
+        s->qp.lower[c] = -(real_t)INFINITY;
+        s->qp.upper[c] = (real_t)INFINITY;
+    }
+    for (c = 0; c < NG; c++) {
+        s->qp.penalty[c] = (real_t)INFINITY;
+    }
+}
+
+static status_t qp_factorize(solver_t *s)
+{
+    return ipm_prepare(s, riccati_convexify(s));
+}
+
+static void qp_gradient(solver_t *s)
+{
+    if (s->ipm.ready) {
+        ipm_first_backward(s);
+    }
+}
+
+static status_t qp_solve(solver_t *s)
+{
+    return ipm_solve(s);
+}
+
+static void qp_shift_working_set(solver_t *s, int n, const int *source)
+{
+    int i;
+    for (i = 0; i + n < NV; i++) {
+        s->qp.mult[i] = s->qp.mult[i + n];
+        s->qp.side[i] = s->qp.side[i + n];
+    }
+    for (i = 0; i < NG; i++) {
+        const int from = NV + source[i];
+        s->qp.mult[NV + i] = (source[i] < 0) ? R(0) : s->qp.mult[from];
+        s->qp.side[NV + i] = (source[i] < 0) ? 0 : s->qp.side[from];
+    }
+}

@@ -1,0 +1,412 @@
+/* Contract of this part: predictor-corrector iterations from started sides to the solution. */
+
+/* Multiplier of a soft row that no control moves, 0 of any other row. */
+static real_t ipm_constant_multiplier(const solver_t *s, int c)
+{
+    const ipm_t *q = &s->ipm;
+    const int m = c - NV;
+    real_t violation;
+    if (q->reach[c] > R(0) || !(s->qp.penalty[m] < (real_t)INFINITY)) {
+        return R(0);
+    }
+    violation = ipm_violation(s, c);
+    if (!(violation > R(0))) {
+        return R(0);
+    }
+    violation = s->qp.penalty[m] + s->qp.curvature[m] * violation;
+    return (q->v[c] > s->qp.upper[c]) ? violation : -violation;
+}
+
+/* Multipliers of the rows, without those of fixed controls. */
+static void ipm_net_multipliers(solver_t *s)
+{
+    ipm_t *q = &s->ipm;
+    int i;
+    for (i = 0; i < NV; i++) {
+        s->qp.mult[i] = R(0);
+    }
+    for (i = NV; i < NV + NG; i++) {
+        s->qp.mult[i] = (q->kind[i] == 1) ? q->y[i] : ipm_constant_multiplier(s, i);
+    }
+    for (i = 0; i < q->sides; i++) {
+        s->qp.mult[q->row[i]] += q->sign[i] * q->lam[i];
+    }
+}
+
+/* The unit of the complementarity: what the inequalities cost, 1/2 sum_c mult_c (v_c at the first point - v_c), but no more than
+ * the largest (mult reach)^2 of a row; no less than a small share of the largest (value / reach)^2 of a control, for inequalities
+ * that only touch cost nothing. */
+static real_t ipm_cost_unit(const solver_t *s)
+{
+    const ipm_t *q = &s->ipm;
+    real_t most = R(0), sum = R(0), way = R(0);
+    int c;
+    for (c = 0; c < NV + NG; c++) {
+        const real_t force = FABS(s->qp.mult[c]) * q->reach[c];
+        most = (force > most) ? force : most;
+        sum += s->qp.mult[c] * (q->origin[c] - q->v[c]);
+    }
+    for (c = 0; c < NV; c++) {
+        const real_t v = FABS(q->v[c]);
+        way = (q->kind[c] == 0 && v > way * q->reach[c] && q->reach[c] > R(0)) ? v / q->reach[c] : way;
+    }
+    sum = R(0.5) * FABS(sum);
+    most = (sum < most * most) ? sum : most * most;
+    way *= R(0.00390625);
+    return (most > way * way) ? most : way * way;
+}
+
+/* sum |a_i| |z_i| of row c: what the rounding of its value is relative to. */
+static real_t ipm_terms(solver_t *s, int c)
+{
+    const int m = c - NV, k = (m >= 0) ? stage_of_row[m] : 0;
+    real_t sum = R(0);
+    const real_t *a;
+    int i;
+    if (m < 0 || stage_state[m] >= 0) {
+        return FABS(s->ipm.v[c]);
+    }
+    a = stage_row(s, m);
+    for (i = 0; i < NXS; i++) {
+        sum += FABS(a[i] * s->qp.x[k][i]);
+    }
+    for (i = 0; k < NS && i < NUS; i++) {
+        sum += FABS(a[NXS + i] * s->qp.z[k * NUS + i]);
+    }
+    return sum;
+}
+
+/* |residual| of row c relative to |bound|, the terms of its value and the way that the unit of cost allows, if larger than the one
+ * before. */
+static void ipm_take_residual(solver_t *s, int c, real_t bound, real_t residual, real_t root)
+{
+    ipm_t *q = &s->ipm;
+    const real_t amount = FABS(residual);
+    real_t size = FABS(bound) + FABS(q->v[c]) + root * q->reach[c];
+    if (amount > q->primal * size) {
+        size += ipm_terms(s, c) - FABS(q->v[c]);
+        q->primal = (amount > q->primal * size) ? amount / size : q->primal;
+    }
+}
+
+/* Residuals at the iterate. */
+static void ipm_measure(solver_t *s)
+{
+    ipm_t *q = &s->ipm;
+    real_t root;
+    int i, c;
+    ipm_values(s, s->qp.x, s->qp.z, q->v);
+    ipm_net_multipliers(s);
+    ipm_side_residuals(s);
+    q->unit = ipm_cost_unit(s);
+    q->unit = (q->unit > q->mu) ? q->unit : q->mu;
+    root = SQRT(q->unit);
+    q->primal = R(0);
+    for (i = 0; i < q->sides; i++) {
+        ipm_take_residual(s, q->row[i], q->bound[i], q->r[i], root);
+    }
+    for (c = NV; c < NV + NG; c++) {
+        if (q->stiffness[c] > R(0)) {
+            ipm_take_residual(s, c, s->qp.lower[c], q->v[c] - s->qp.lower[c], root);
+        }
+    }
+}
+
+/* Regularisation keeps a full step from meeting the rows exactly. What it leaves to rows to which others leave little room may not
+ * fall fast enough: then there is less of it. Returns 1 if so. */
+static int ipm_stiffen(ipm_t *q, real_t before)
+{
+    if (q->step > R(0.9) && q->primal > R(2) * TOL_IPM_PRIMAL && q->primal > R(0.125) * before &&
+        q->stiffening < q->stiffest) {
+        q->stiffening *= R(16);
+        return 1;
+    }
+    return 0;
+}
+
+/* 1 / (the longest step that keeps t, lam, e and kappa positive). */
+static real_t ipm_inverse_step(const solver_t *s)
+{
+    const ipm_t *q = &s->ipm;
+    real_t most = R(0);
+    int i;
+    for (i = 0; i < q->sides; i++) {
+        const real_t a = -q->dt[i] / q->t[i], b = -q->dlam[i] / q->lam[i];
+        most = (a > most) ? a : most;
+        most = (b > most) ? b : most;
+    }
+    for (i = 0; i < q->sides - q->hard; i++) {
+        if (q->kappa[i] > R(0)) {
+            const real_t a = -q->de[i] / q->e[i], b = -q->dkappa[i] / q->kappa[i];
+            most = (a > most) ? a : most;
+            most = (b > most) ? b : most;
+        }
+    }
+    return most;
+}
+
+/* Mean of t lam and e kappa after a step of the given length, relative to the present one. */
+static real_t ipm_reduction(const solver_t *s, real_t step)
+{
+    const ipm_t *q = &s->ipm;
+    real_t now = R(0), then = R(0);
+    int i;
+    for (i = 0; i < q->sides; i++) {
+        now += q->t[i] * q->lam[i];
+        then += (q->t[i] + step * q->dt[i]) * (q->lam[i] + step * q->dlam[i]);
+    }
+    for (i = 0; i < q->sides - q->hard; i++) {
+        now += q->e[i] * q->kappa[i];
+        then += (q->e[i] + step * q->de[i]) * (q->kappa[i] + step * q->dkappa[i]);
+    }
+    return then / now;
+}
+
+/* Second-order correction and centring for the products t lam and e kappa: extra = (target - share dt dlam) / lam, and alike for
+ * e. The correction of a direction of which only a short step is possible would do harm: share < 1. */
+static void ipm_correct(solver_t *s, real_t target, real_t share)
+{
+    ipm_t *q = &s->ipm;
+    int i;
+    for (i = 0; i < q->sides; i++) {
+        q->extra[i] = (target - share * q->dt[i] * q->dlam[i]) / q->lam[i];
+    }
+    for (i = 0; i < q->sides - q->hard; i++) {
+        q->extra_e[i] = (q->kappa[i] > R(0)) ? (target - share * q->de[i] * q->dkappa[i]) / q->e[i] : R(0);
+    }
+}
+
+/* All unknowns move. */
+static void ipm_move(solver_t *s, real_t step)
+{
+    ipm_t *q = &s->ipm;
+    int k, i, c;
+    for (k = 0; k <= NS; k++) {
+        for (i = 0; i < NXS; i++) {
+            s->qp.x[k][i] += step * q->dx[k][i];
+        }
+        for (i = 0; k < NS && i < NXS; i++) {
+            s->riccati.b[k][i] *= R(1) - step;
+        }
+    }
+    for (c = 0; c < NV; c++) {
+        s->qp.z[c] += step * q->du[c];
+    }
+    for (c = NV; c < NV + NG; c++) {
+        if (q->kind[c] == 1) {
+            q->y[c] += step * q->weight[c] * ((q->v[c] - s->qp.lower[c]) + q->dv[c]);
+        }
+    }
+    for (i = 0; i < q->sides; i++) {
+        q->t[i] += step * q->dt[i];
+        q->lam[i] += step * q->dlam[i];
+    }
+    for (i = 0; i < q->sides - q->hard; i++) {
+        q->e[i] += step * q->de[i];
+        q->kappa[i] += step * q->dkappa[i];
+    }
+}
+
+/* The share of the way to the boundary that is not gone: little, and less near the solution. An iteration that takes long without
+ * being near it is going round in circles, close to the boundary; a larger distance from there breaks them. */
+static real_t ipm_setback(const solver_t *s)
+{
+    const real_t gap = s->ipm.mu / s->ipm.unit;
+    if (s->qp.iterations > 15 && gap > SQRT(TOL_UNIT)) {
+        return R(0.1);
+    }
+    return (gap > R(5e-4)) ? R(5e-3) : (gap < R(1e-7)) ? R(1e-6) : R(10) * gap;
+}
+
+/* By how much to stretch a direction, d = residual of the equations: d'W d / -d'W dv, the step of steepest ascent of the dual
+ * function. Where equations nearly depend on each other the method of multipliers takes short steps in one direction. */
+static real_t ipm_stretch(const solver_t *s)
+{
+    const ipm_t *q = &s->ipm;
+    real_t gain = R(0), size = R(0);
+    int c;
+    for (c = NV; c < NV + NG; c++) {
+        if (q->kind[c] == 1) {
+            const real_t residual = q->v[c] - s->qp.lower[c];
+            gain += q->weight[c] * residual * residual;
+            size -= q->weight[c] * residual * q->dv[c];
+        }
+    }
+    if (!(q->stretched && gain > size)) {
+        return R(1);
+    }
+    return (gain < R(64) * size) ? gain / size : R(64);
+}
+
+/* One iteration of Mehrotra (1992): affine direction, centring as its success allows, corrected direction. */
+static void ipm_step(solver_t *s)
+{
+    ipm_t *q = &s->ipm;
+    const real_t least = R(0.0009765625) * TOL_IPM_GAP * q->unit;
+    real_t inverse, share, target, way, most;
+    memset(q->extra, 0, sizeof q->extra);
+    memset(q->extra_e, 0, sizeof q->extra_e);
+    ipm_direction(s);
+    if (q->sides == 0) {
+        ipm_move(s, ipm_stretch(s));
+        return;
+    }
+    inverse = ipm_inverse_step(s);
+    share = ipm_reduction(s, (inverse > R(1)) ? R(1) / inverse : R(1));
+    share = (share > R(0)) ? ((share < R(1)) ? share : R(1)) : R(0);
+    target = share * share * share * q->mu;
+    ipm_correct(s, (target > least) ? target : least, (inverse > R(4)) ? R(4) / inverse : R(1));
+    ipm_direction(s);
+    inverse = ipm_inverse_step(s);
+    way = R(1) - ipm_setback(s);
+    most = ipm_stretch(s);
+    q->step = (way < inverse * most) ? way / inverse : most;
+    ipm_move(s, q->step);
+}
+
+/* b = S z + b - x of the next stage at the iterate, whose rounding adds up over the iterations; the largest relative to the
+ * largest value of that state. */
+static real_t ipm_gaps(solver_t *s)
+{
+    real_t most = R(0), size[NXS] = {0}, z[NZS];
+    int k, i;
+    for (k = 0; k <= NS; k++) {
+        for (i = 0; i < NXS; i++) {
+            const real_t x = FABS(s->qp.x[k][i]);
+            size[i] = (x > size[i]) ? x : size[i];
+        }
+    }
+    for (k = 0; k < NS; k++) {
+        real_t (*S)[NZS] = stage_S(s, k);
+        memcpy(z, s->qp.x[k], sizeof s->qp.x[k]);
+        memcpy(z + NXS, s->qp.z + k * NUS, sizeof z[0] * NUS);
+        for (i = 0; i < NXS; i++) {
+            const real_t gap = riccati_dot(S[i], z, NZS) + stage_b(s, k)[i] - s->qp.x[k + 1][i];
+            s->riccati.b[k][i] = gap;
+            most = (FABS(gap) > most * size[i]) ? FABS(gap) / size[i] : most;
+        }
+    }
+    return most;
+}
+
+/* Residuals that are good enough where they fall no more. */
+static inline int ipm_small_residuals(const ipm_t *q)
+{
+    return q->merit <= R(16384) && q->slope <= R(1024);
+}
+
+/* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
+ * Gaps of the dynamics are closed then. */
+static int ipm_converged(solver_t *s)
+{
+    ipm_t *q = &s->ipm;
+    const real_t rows_before = q->merit, gradient_before = q->slope;
+    q->merit = q->primal / TOL_IPM_PRIMAL;
+    if (q->mu > q->merit * TOL_IPM_GAP * q->unit) {
+        q->merit = q->mu / (TOL_IPM_GAP * q->unit);
+    }
+    q->slope = (real_t)INFINITY;
+    if (!(q->merit <= R(16384))) {
+        return 0;
+    }
+    q->slope = ipm_stationarity(s) / TOL_IPM_STATIONARITY;
+    if ((q->merit > R(1) && q->merit <= R(0.875) * rows_before) || !ipm_small_residuals(q) ||
+        (q->slope > R(1) && q->slope <= R(0.5) * gradient_before)) {
+        return 0;
+    }
+    if (q->closed_gaps < 2 && ipm_gaps(s) > TOL_IPM_DYNAMICS) {
+        q->closed_gaps++;
+        return 0;
+    }
+    return 1;
+}
+
+/* Stiff rows drown the gradient in their rounding: once that does not pass, there is less stiffening for good. Returns 1 if so. */
+static int ipm_soften(ipm_t *q, real_t gradient_before)
+{
+    if (q->stiffening > R(1) && q->slope < (real_t)INFINITY && q->slope > R(1024) &&
+        q->slope > R(0.5) * gradient_before) {
+        q->stiffest = R(0.0625) * q->stiffening;
+        q->stiffening = R(1);
+        return 1;
+    }
+    return 0;
+}
+
+/* Stiff rows may be too much for the recursion. 0 if it fails with the regularisation that they began with, too. */
+static int ipm_weigh_and_factorize(solver_t *s)
+{
+    ipm_weigh(s);
+    while (!ipm_factorize(s)) {
+        if (s->ipm.stiffening <= R(1)) {
+            return 0;
+        }
+        s->ipm.stiffening = R(1);
+        ipm_weigh(s);
+    }
+    return 1;
+}
+
+/* 1 if the next step is to be stretched: every other one, where nothing but equations is left that hardly come closer. */
+static int ipm_slow_equations(const ipm_t *q, real_t before)
+{
+    return !q->stretched && q->primal > R(0.875) * before && q->stiffening >= q->stiffest &&
+           q->mu <= R(16384) * TOL_IPM_GAP * q->unit && ipm_any(q, 1);
+}
+
+/* The same before an end with equations that are off by more than rounding; 1 also after a stretched step: another one follows. */
+static int ipm_inexact_equations(ipm_t *q)
+{
+    q->stretched = !q->stretched;
+    if (q->stretched) {
+        q->stretched = ipm_any(q, 1) && q->primal > R(4) * TOL_IPM_PRIMAL && q->primal <= R(0.5) * q->slow;
+        q->slow = q->primal;
+        return q->stretched;
+    }
+    return 1;
+}
+
+/* OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
+static status_t ipm_iterate(solver_t *s)
+{
+    ipm_t *q = &s->ipm;
+    q->closed_gaps = q->stretched = 0;
+    q->merit = q->slope = q->slow = (real_t)INFINITY;
+    q->step = R(1);
+    q->stiffest = R(65536);
+    q->primal = (real_t)INFINITY;
+    for (;;) {
+        const real_t before = q->primal, gradient_before = q->slope;
+        int changed, converged;
+        ipm_measure(s);
+        changed = ipm_stiffen(q, before);
+        ipm_cost_gradient(s);
+        if (!isfinite(q->mu) || !isfinite(q->primal)) {
+            return NUMERICAL_FAILURE;
+        }
+        converged = ipm_converged(s);
+        if (q->probing && q->slope < (real_t)INFINITY && ipm_any_violation(s)) {
+            return OK;
+        }
+        changed |= ipm_soften(q, gradient_before);
+        if (!converged || changed) {
+            q->stretched = ipm_slow_equations(q, before);
+        } else if (!ipm_inexact_equations(q)) {
+            return OK;
+        }
+        if (q->primal > TOL_IPM_PRIMAL && (q->step < R(0.5) || q->primal > R(0.5) * before) &&
+            ipm_infeasible(s)) {
+            return INFEASIBLE;
+        }
+        if (s->qp.iterations >= (q->warm ? IPM_MAX_ITERATIONS / 2 : IPM_MAX_ITERATIONS)) {
+            return ipm_infeasible(s) ? INFEASIBLE : ITERATION_LIMIT;
+        }
+        s->qp.iterations++;
+        if (q->sides > 0 || changed) {
+            if (!ipm_weigh_and_factorize(s)) {
+                return ipm_small_residuals(q) ? OK : NUMERICAL_FAILURE;
+            }
+        }
+        ipm_step(s);
+    }
+}

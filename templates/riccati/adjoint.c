@@ -1,0 +1,17 @@
+/* lam = P_k x + p_k. */
+static void riccati_adjoint(const riccati_t *r, int k, const real_t *x, real_t *lam)
+{
+    memcpy(lam, r->p[k], sizeof lam[0] * NXS);
+    riccati_combine(lam, x, r->P[k][0], LDX, NXS, NXS);
+}
+
+/* h_j + M_j z at stage k, M_j the row of control j. */
+static real_t riccati_control_gradient(const riccati_t *r, int k, int j, const real_t *x, const real_t *u)
+{
+    real_t sum = r->h[k][j] + riccati_dot(r->M[k][j], x, NXS);
+    int i;
+    for (i = 0; i < NUS; i++) {
+        sum += u[i] * ((i < j) ? r->M[k][j][NXS + i] : r->M[k][i][NXS + j]);
+    }
+    return sum;
+}

@@ -1,0 +1,269 @@
+/* The padding of P_k takes part in products. */
+static inline void riccati_clear_padding(real_t (*P)[LDX])
+{
+    int i, j;
+    for (i = 0; i < LDX; i++) {
+        for (j = (i < NXS) ? NXS : 0; j < LDX; j++) {
+            P[i][j] = R(0);
+        }
+    }
+}
+
+/* P_k (lower triangle) and M_u before the cost to go enters: Q_k and the diagonal. */
+static void riccati_load_stage(solver_t *s, int k)
+{
+    riccati_t *r = &s->riccati;
+    real_t (*Q)[NZS] = stage_Q(s, k);
+    real_t (*P)[LDX] = r->P[k];
+    real_t (*M)[LDZ] = r->M[k];
+    int i, j;
+    for (i = 0; i < NXS; i++) {
+        memcpy(P[i], Q[i], sizeof(Q[0][0]) * NXS);
+        P[i][i] += r->diagonal[k][i];
+    }
+    riccati_clear_padding(P);
+    for (j = 0; j < NUS; j++) {
+        memcpy(M[j], Q[NXS + j], sizeof Q[0]);
+        M[j][NXS + j] += r->diagonal[k][NXS + j];
+    }
+}
+
+static void riccati_load_terminal(solver_t *s)
+{
+    riccati_t *r = &s->riccati;
+    int i;
+    for (i = 0; i < NXS; i++) {
+        memcpy(r->P[NS][i], stage_Q_N(s)[i], sizeof r->P[0][0][0] * NXS);
+        r->P[NS][i][i] += r->diagonal[NS][i];
+    }
+    riccati_clear_padding(r->P[NS]);
+}
+
+/* Lower triangle of P += A'B for rows A, B of n entries each. */
+static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
+{
+    int i;
+    for (i = 0; i < LDX; i += 4) {
+        riccati_rows(r->P[k][i], LDX, A + i, LDW, B, LDZ, n, i + 4);
+    }
+}
+
+static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
+{
+    int j;
+    for (j = 0; j < NUS; j += 4) {
+        riccati_rows(r->M[k][j], LDZ, A + NXS + j, LDW, B, LDZ, n, LDZ);
+    }
+}
+
+/* weight a a' of the rows of stage k: state bounds on the diagonal, the others in groups of four. */
+static void riccati_add_weights(solver_t *s, int k)
+{
+    riccati_t *r = &s->riccati;
+    const int width = k < NS ? NZS : NXS;
+    int n = 0, m, i;
+    for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
+        const int state = stage_state[m];
+        const real_t w = r->weight[m];
+        if (w != R(0) && state >= 0) {
+            r->P[k][state][state] += w;
+        } else if (w != R(0)) {
+            const real_t *a = stage_row(s, m);
+            for (i = 0; i < width; i++) {
+                r->W[n][i] = w * a[i];
+                r->T[n][i] = a[i];
+            }
+            n++;
+        }
+        if (n == 4 || (n > 0 && m + 1 == stage_first[k + 1])) {
+            riccati_update_states(r, k, r->W[0], r->T[0], n);
+            if (k < NS) {
+                riccati_update_controls(r, k, r->W[0], r->T[0], n);
+            }
+            n = 0;
+        }
+    }
+}
+
+/* T = P_{k+1} S_k, S_k padded in W. */
+static void riccati_propagate(solver_t *s, int k)
+{
+    riccati_t *r = &s->riccati;
+    real_t (*S)[NZS] = stage_S(s, k);
+    int i;
+    for (i = 0; i < NXS; i++) {
+        memcpy(r->W[i], S[i], sizeof S[0]);
+    }
+    memset(r->T, 0, sizeof r->T);
+    for (i = 0; i < LDX; i += 4) {
+        riccati_rows(r->T[i], LDZ, &r->P[k + 1][0][i], LDX, r->W[0], LDW, NXS, LDZ);
+    }
+}
+
+/* M_uu of the free controls into L (lower triangle), their M_ux into V (T below the states); fixed ones: rows of the identity,
+ * and of zeros. */
+static inline void riccati_load_controls(riccati_t *r, int k)
+{
+    const int32_t *fixed = &r->fixed[k * NUS];
+    int i, j, l;
+    for (j = 0; j < NUS; j++) {
+        const real_t *M = r->M[k][j];
+        real_t *V = r->T[NXS + j];
+        for (l = 0; l < j; l++) {
+            r->L[k][j][l] = (fixed[j] || fixed[l]) ? R(0) : M[NXS + l];
+        }
+        r->L[k][j][j] = fixed[j] ? R(1) : M[NXS + j];
+        for (i = 0; i < LDX; i++) {
+            V[i] = (fixed[j] || i >= NXS) ? R(0) : M[i];
+        }
+    }
+}
+
+/* The pivot d of a matrix whose diagonal entry was `reference`. One that may be zero gets a share of that entry, if this is
+ * asked for. Returns 0 if it is not positive. */
+static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t reference, real_t *added)
+{
+    const real_t unit = SQRT(TOL_UNIT);
+    *added = R(0);
+    if (isfinite(d) && d > TOL_RICCATI_PIVOT * reference) {
+        return d;
+    }
+    if (!r->regularize || !(d >= -unit * FABS(reference) - r->regularize_zero) || !isfinite(reference)) {
+        return R(0);
+    }
+    *added = R(512) * unit * reference + r->regularize_zero;
+    return d + *added;
+}
+
+/* M_uu = L D L',  V = L^{-1} M_ux,  -D^{-1} V into W below the states. 0 if a pivot is not positive. */
+static int riccati_eliminate_controls(riccati_t *r, int k)
+{
+    real_t (*L)[NUS] = r->L[k];
+    real_t (*V)[LDZ] = r->T + NXS;
+    int i, j, l;
+    riccati_load_controls(r, k);
+    for (l = 0; l < NUS; l++) {
+        const int fixed = r->fixed[k * NUS + l];
+        real_t *reference = &r->M[k][l][NXS + l];
+        const real_t pivot = riccati_pivot(r, L[l][l], fixed ? R(0) : *reference, &r->proximal[k][l]);
+        if (!(pivot > R(0))) {
+            return 0;
+        }
+        *reference += r->proximal[k][l];
+        r->inverse[k][l] = R(1) / pivot;
+        for (j = l + 1; j < NUS; j++) {
+            const real_t y = L[j][l];
+            L[j][l] = y * r->inverse[k][l];
+            for (i = l + 1; i <= j; i++) {
+                L[j][i] -= y * L[i][l];
+            }
+            riccati_add(V[j], -L[j][l], V[l], LDX);
+        }
+        for (i = 0; i < LDX; i++) {
+            r->W[NXS + l][i] = -r->inverse[k][l] * V[l][i];
+        }
+    }
+    return 1;
+}
+
+/* L'K = -D^{-1} V. */
+static inline void riccati_gain(riccati_t *r, int k)
+{
+    int j, l;
+    for (j = NUS - 1; j >= 0; j--) {
+        memcpy(r->K[k][j], r->W[NXS + j], sizeof r->K[0][0]);
+        for (l = j + 1; l < NUS; l++) {
+            riccati_add(r->K[k][j], -r->L[k][l][j], r->K[k][l], LDX);
+        }
+    }
+}
+
+/* The upper triangle of P_k from the lower one. */
+static inline void riccati_mirror(real_t (*P)[LDX])
+{
+    int i, j;
+    for (i = 1; i < NXS; i++) {
+        for (j = 0; j < i; j++) {
+            P[j][i] = P[i][j];
+        }
+    }
+}
+
+/* P_k = Q_xx + A'P_{k+1}A - V'D^{-1}V: one product of (A, -D^{-1}V) with (P_{k+1}A, V). */
+static int riccati_stage(solver_t *s, int k)
+{
+    riccati_t *r = &s->riccati;
+    riccati_load_stage(s, k);
+    riccati_add_weights(s, k);
+    riccati_propagate(s, k);
+    riccati_update_controls(r, k, r->W[0], r->T[0], NXS);
+    if (!riccati_eliminate_controls(r, k)) {
+        r->failed = k;
+        return 0;
+    }
+    riccati_gain(r, k);
+    riccati_update_states(r, k, r->W[0], r->T[0], NZS);
+    riccati_mirror(r->P[k]);
+    return 1;
+}
+
+/* Copies of components of x_0 are no variables of their own: P_0 gets their rows and columns where the originals have theirs. */
+static inline void riccati_fold(riccati_t *r)
+{
+    int c, j;
+    for (c = 0; c < NXS - NX; c++) {
+        const int from = NX + c, to = copied_state[c];
+        riccati_add(r->P[0][to], R(1), r->P[0][from], LDX);
+        for (j = 0; j < NXS; j++) {
+            r->P[0][j][to] += r->P[0][j][from];
+            r->P[0][j][from] = R(0);
+        }
+        memset(r->P[0][from], 0, sizeof r->P[0][from]);
+    }
+}
+
+/* L D L' of the block of P_0 that belongs to the free components of x_0; pivots as above. */
+static int riccati_factorize_free(riccati_t *r)
+{
+    int i, j, l;
+    for (l = 0; l < NF; l++) {
+        const real_t reference = r->P[0][free_state[l]][free_state[l]];
+        real_t d = reference;
+        for (j = 0; j < l; j++) {
+            d -= r->F[l][j] * r->F[l][j] * r->F[j][j];
+        }
+        d = riccati_pivot(r, d, reference, &r->proximal_free[l]);
+        if (!(d > R(0))) {
+            r->failed = -1;
+            return 0;
+        }
+        r->F[l][l] = d;
+        for (i = l + 1; i < NF; i++) {
+            real_t y = r->P[0][free_state[i]][free_state[l]];
+            for (j = 0; j < l; j++) {
+                y -= r->F[i][j] * r->F[l][j] * r->F[j][j];
+            }
+            r->F[i][l] = y / d;
+        }
+    }
+    return 1;
+}
+
+/* The recursion from stage last down to 0; last = NS: P_NS too. */
+static int riccati_factorize(solver_t *s, int last)
+{
+    int k = last;
+    if (k == NS) {
+        riccati_load_terminal(s);
+        riccati_add_weights(s, k);
+        riccati_mirror(s->riccati.P[k]);
+        k--;
+    }
+    for (; k >= 0; k--) {
+        if (!riccati_stage(s, k)) {
+            return 0;
+        }
+    }
+    riccati_fold(&s->riccati);
+    return riccati_factorize_free(&s->riccati);
+}

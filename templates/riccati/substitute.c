@@ -1,0 +1,127 @@
+/* Solves L D L'y = y for the free controls; entries of fixed ones are 0 and stay so. */
+static inline void riccati_solve_controls(const riccati_t *r, int k, real_t *y)
+{
+    int i, j;
+    for (j = 1; j < NUS; j++) {
+        for (i = 0; i < j; i++) {
+            y[j] -= r->L[k][j][i] * y[i];
+        }
+    }
+    for (j = NUS - 1; j >= 0; j--) {
+        y[j] *= r->inverse[k][j];
+        for (i = j + 1; i < NUS; i++) {
+            y[j] -= r->L[k][i][j] * y[i];
+        }
+    }
+}
+
+/* w = g_k + S_k'(p_{k+1} + P_{k+1} b_k): gradient at z = 0, controls free. With f the fixed controls:
+ *     feed = -M_uu^{-1} (w_u + M_uf du_f),   p_k = w_x + M_xf du_f + K'(w_u + M_uf du_f) */
+static void riccati_backward_stage(solver_t *s, int k)
+{
+    riccati_t *r = &s->riccati;
+    real_t v[LDX], w[NZS], y[NUS];
+    int i, j, gaps = 0;
+    memcpy(v, r->p[k + 1], sizeof v);
+    for (i = 0; i < NXS; i++) {
+        gaps |= r->b[k][i] < R(0) || !(r->b[k][i] <= R(0));
+    }
+    if (gaps) {
+        riccati_combine(v, r->b[k], r->P[k + 1][0], LDX, NXS, LDX);
+    }
+    memcpy(w, r->g[k], sizeof w);
+    riccati_combine(w, v, stage_S(s, k)[0], NZS, NXS, NZS);
+    memcpy(r->h[k], w + NXS, sizeof r->h[k]);
+    for (j = 0; j < NUS; j++) {
+        if (r->fixed[k * NUS + j]) {
+            const real_t du = r->du[k * NUS + j];
+            riccati_combine(w, &du, r->M[k][j], LDZ, 1, NXS);
+            for (i = 0; i < NUS; i++) {
+                w[NXS + i] += du * ((i < j) ? r->M[k][j][NXS + i] : r->M[k][i][NXS + j]);
+            }
+        }
+    }
+    for (j = 0; j < NUS; j++) {
+        y[j] = r->fixed[k * NUS + j] ? R(0) : w[NXS + j];
+    }
+    memcpy(r->p[k], w, sizeof w[0] * NXS);
+    riccati_combine(r->p[k], y, r->K[k][0], LDX, NUS, LDX);
+    riccati_solve_controls(r, k, y);
+    for (j = 0; j < NUS; j++) {
+        r->feed[k][j] = r->fixed[k * NUS + j] ? r->du[k * NUS + j] : -y[j];
+    }
+}
+
+/* p, feed and h of the stages last .. 0; last = NS: p_NS too. */
+static void riccati_backward(solver_t *s, int last)
+{
+    int k = last;
+    if (k == NS) {
+        memcpy(s->riccati.p[k], s->riccati.g[k], sizeof s->riccati.g[0][0] * NXS);
+        k--;
+    }
+    for (; k >= 0; k--) {
+        riccati_backward_stage(s, k);
+    }
+    for (k = 0; k < NXS - NX; k++) {
+        s->riccati.p[0][copied_state[k]] += s->riccati.p[0][NX + k];
+        s->riccati.p[0][NX + k] = R(0);
+    }
+}
+
+/* Free components of x_0 and their copies: P_ff x_f = -(p_f + P_fm x_m), m the others. */
+static void riccati_solve_free(const riccati_t *r, real_t *x)
+{
+    real_t y[NXS];
+    int f, i;
+    for (f = 0; f < NF; f++) {
+        x[free_state[f]] = R(0);
+    }
+    for (i = NX; i < NXS; i++) {
+        x[i] = R(0);
+    }
+    for (f = 0; f < NF; f++) {
+        y[f] = -r->p[0][free_state[f]] - riccati_dot(r->P[0][free_state[f]], x, NXS);
+        for (i = 0; i < f; i++) {
+            y[f] -= r->F[f][i] * y[i];
+        }
+    }
+    for (f = NF - 1; f >= 0; f--) {
+        y[f] /= r->F[f][f];
+        for (i = f + 1; i < NF; i++) {
+            y[f] -= r->F[i][f] * y[i];
+        }
+    }
+    for (f = 0; f < NF; f++) {
+        x[free_state[f]] = y[f];
+    }
+    for (i = 0; i < NXS - NX; i++) {
+        x[NX + i] = x[copied_state[i]];
+    }
+}
+
+/* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */
+static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
+{
+    const riccati_t *r = &s->riccati;
+    real_t z[LDZ] = {0};
+    int i, j, k;
+    riccati_solve_free(r, x[0]);
+    memcpy(z, x[0], sizeof x[0]);
+    for (k = 0; k < NS; k++) {
+        real_t (*S)[NZS] = stage_S(s, k);
+        for (j = 0; j < NUS; j++) {
+            z[NXS + j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, LDX);
+            u[k * NUS + j] = z[NXS + j];
+        }
+        for (i = 0; i < NXS; i++) {
+            x[k + 1][i] = r->b[k][i] + riccati_dot(S[i], z, NZS);
+        }
+        memcpy(z, x[k + 1], sizeof x[0]);
+    }
+}
+
+static void riccati_init(solver_t *s)
+{
+    memset(&s->riccati, 0, sizeof s->riccati);
+}
