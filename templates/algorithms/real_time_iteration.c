@@ -327,10 +327,18 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     return API(feedback)(s, xhat, u0);
 }
 
-{% for part in section.parts %}
-{% include part %}
+#if SHIFT_RESAMPLE
+#include "algorithms/shift_resample.c"
+#else
+#include "algorithms/shift_by_one.c"
 
-{% endfor %}
+#if SHIFT_PERIODIC
+#include "algorithms/shift_periodic.c"
+#else
+#include "algorithms/shift_repeat.c"
+#endif
+#endif
+
 
 status_t API(shift)(solver_t *s)
 {

@@ -9,7 +9,7 @@
  * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
  * lower <= row - sigma <= upper, cost l2/2 sigma^2, sigma = 0 elastic with penalty l1. */
 
-{% include m.products.columns_template %}
+#include "generated/product_columns.c"
 
 static void qp_init(qp_t *q);
 static status_t qp_factorize(qp_t *q);

@@ -54,10 +54,18 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
     }
 }
 
-{% for part in section.parts %}
-{% include part %}
+#if REGULARIZE_STAGES
+#include "hessians/jacobi.c"
 
-{% endfor %}
+#include "hessians/regularize_stage.c"
+#elif REGULARIZE_REDUCED
+#include "hessians/eigen.c"
+
+#include "hessians/regularize_reduced.c"
+#else
+#include "hessians/regularize_nothing.c"
+#endif
+
 /* What expand_node() has left: the terminal block, and the regularisation. */
 static void hessian(solver_t *s)
 {

@@ -5,10 +5,16 @@
  *                               so, and 1 returned, or 0: it stays as it is; work has the size of H */
 /* Here: Gauss-Newton, Q = J' W J; one block for all nodes where it depends on the weight alone (NQ = 1). */
 
-{% for part in section.parts %}
-{% include part %}
+#include "hessians/first_order.c"
 
-{% endfor %}
+#if CONVEX_ROWS
+#include "hessians/convex_rows.c"
+#else
+#include "hessians/flat_rows.c"
+#endif
+
+#include "hessians/regularize_nothing.c"
+
 static void hessian(solver_t *s)
 {
     int k;

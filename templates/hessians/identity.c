@@ -1,10 +1,10 @@
-/* Seam "hessian", contract: expand_node() and hessian() as in gauss_newton.c.jinja.
+/* Seam "hessian", contract: expand_node() and hessian() as in gauss_newton.c.
  * Here: Q = I at every node. */
 
-{% for part in section.parts %}
-{% include part %}
+#include "hessians/first_order.c"
 
-{% endfor %}
+#include "hessians/regularize_nothing.c"
+
 static void hessian(solver_t *s)
 {
     int k;

@@ -12,11 +12,7 @@ static inline int regularize_reduced(real_t *H, int n, int ld, real_t *work)
     return 0;
 }
 
-/* Irreducible blocks of Q and Q_N: their rows, and where each begins among these. */
-static const int Q_block_row[NZ] = { {{ m.products.Q_blocks | sum(start=[]) | join(", ") }} };
-static const int Q_block_first[] = { 0{% for n in m.products.Q_block_ends %}, {{ n }}{% endfor %} };
-static const int Q_N_block_row[NX] = { {{ m.products.Q_N_blocks | sum(start=[]) | join(", ") }} };
-static const int Q_N_block_first[] = { 0{% for n in m.products.Q_N_block_ends %}, {{ n }}{% endfor %} };
+#include "generated/hessian_blocks.c"
 
 /* norm[l] = largest |entry| of the lower triangle of matrix l, n x n; its inverse, 0 for a zero matrix. */
 static void block_norms(const real_t *Q, int stride, int n, int nodes, real_t *norm, real_t *inverse)
@@ -203,9 +199,9 @@ static void regularize_stages(solver_t *s)
     for (k = 0; k < N; k += LANES) {
         const int nodes = (N - k < LANES) ? N - k : LANES;
         regularize_batch(h, &h->Q[k][0][0], NZ * NZ, NZ, nodes, Q_block_row, Q_block_first,
-            {{ m.products.Q_blocks | length }}, &h->scale[k]);
+            Q_BLOCKS, &h->scale[k]);
     }
-    regularize_batch(h, &h->Q_N[0][0], 0, NX, 1, Q_N_block_row, Q_N_block_first, {{ m.products.Q_N_blocks | length }},
+    regularize_batch(h, &h->Q_N[0][0], 0, NX, 1, Q_N_block_row, Q_N_block_first, Q_N_BLOCKS,
         &h->scale[N]);
     for (k = 0; k <= N; k++) {
         largest = (h->scale[k] > largest) ? h->scale[k] : largest;

@@ -23,4 +23,8 @@
 
 #include "riccati/substitute.c"
 
-{% include m.convexify %}
+#if CONVEXIFY
+#include "riccati/convexify.c"
+#else
+#include "riccati/as_given.c"
+#endif

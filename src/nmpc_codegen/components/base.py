@@ -80,7 +80,7 @@ class Component(Protocol):
 
     seam: ClassVar[str]
     name: ClassVar[str]  # the word of the command line
-    template: ClassVar[str]  # below templates/
+    template: ClassVar[str]  # its part, below templates/
     needs: ClassVar[tuple[str, ...]]  # other seams whose contract it calls
     supports: ClassVar[frozenset[str]]  # problem features it takes
 
@@ -89,8 +89,8 @@ class Component(Protocol):
         ...
 
     @property
-    def parts(self) -> tuple[str, ...]:
-        """Templates that its template includes, where it chooses between several."""
+    def switches(self) -> Mapping[str, int]:
+        """Names that its part tests in `#if` besides the sizes, 1 or 0; they do not stand in the header."""
         ...
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
@@ -111,6 +111,14 @@ class Component(Protocol):
         ``known`` has the counts of what they call: the printed routines and the stage products.
         """
         ...
+
+
+class Defaults:
+    """A component that adds nothing to a package besides its part."""
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        return {}
 
 
 def refuse_unsupported(

@@ -162,14 +162,10 @@ class Setter:
 
 @dataclass(frozen=True)
 class Section:
-    """One section of the .c: its title, template, exact operation count (None: depends on data) and bytes of RAM.
-
-    ``parts`` are templates that the template includes where the component chooses between several.
-    """
+    """One section of the .c: its title, part, exact operation count (None: depends on data) and bytes of RAM."""
 
     title: str
     template: str
-    parts: tuple[str, ...]
     count: OpCount | None
     bytes: int
 
@@ -189,7 +185,7 @@ class CModule:
     layouts: Mapping[str, str]  # reference, weight, bounds, parameter -> fixed, shared, node
     routines: tuple[Routine, ...]
     products: Products
-    convexify: str  # template of riccati_convexify()
+    switches: Mapping[str, int]  # what `#if` in the parts may test besides the sizes
     sections: tuple[Section, ...]
     statuses: tuple[Status, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments

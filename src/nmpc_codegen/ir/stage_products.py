@@ -44,14 +44,9 @@ class Products:
         return len(self.S) + len(self.Q) + len(self.Q_N) <= WRITTEN_OUT
 
     @property
-    def template(self) -> str:
-        """Which of the two spellings is included."""
-        return f"products/{'nonzeros' if self.written_out else 'loops'}.c.jinja"
-
-    @property
-    def columns_template(self) -> str:
-        """The products with columns in the same spelling, for full condensing."""
-        return f"products/{'nonzeros' if self.written_out else 'loops'}_columns.c.jinja"
+    def spelling(self) -> str:
+        """Stem of the templates that print them."""
+        return "nonzeros" if self.written_out else "loops"
 
     @property
     def counts(self) -> dict[str, OpCount]:

@@ -50,7 +50,6 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         Section(
             f"{c.seam}: {c.name}",
             c.template,
-            c.parts,
             _section_count(c.cost(dims, known)),
             sum(layout[s.name][0] * int(np.prod(s_shape(s))) for s in c.structs(dims) if s.name != "solver"),
         )
@@ -69,7 +68,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         layouts=lin.options.online.layouts,
         routines=lin.routines,
         products=products,
-        convexify=lin.options.hessian.convexify,
+        switches={name: value for c in lin.options.components for name, value in c.switches.items()},
         sections=sections,
         statuses=STATUSES,
         signals=(

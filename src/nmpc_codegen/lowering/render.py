@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import jinja2
@@ -13,17 +12,11 @@ import jinja2
 from nmpc_codegen.ir.cmodule import CModule, Field, Table
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import print_routine
-from nmpc_codegen.lowering.tolerances import tolerance
+from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
+from nmpc_codegen.lowering.preamble import preamble
 
 # path -> text of one package
 Sources = dict[str, str]
-
-
-def template_directory() -> Path:
-    """Templates inside the installed package, or at the top of a source checkout."""
-    here = Path(__file__).resolve()
-    packaged = here.parents[1] / "templates"
-    return packaged if packaged.is_dir() else here.parents[3] / "templates"
 
 
 @cache
@@ -40,32 +33,21 @@ def environment() -> jinja2.Environment:
 
 
 def context(prefix: str, precision: str) -> dict[str, Any]:
-    """Names every template may use: prefixes, type, and spelling of literals, functions and tolerances."""
-    style = CStyle(f"{prefix}_real", precision == "single")
-    return {
-        "p": prefix,
-        "P": prefix.upper(),
-        "real": style.real,
-        "lit": style.literal,
-        "fn": style.function,
-        "tol": lambda name: style.literal(tolerance(name, precision)),
-    }
+    """Names every template may use: prefixes, type of the header, and spelling of literals in the unit."""
+    style = unit_style(precision)
+    return {"p": prefix, "P": prefix.upper(), "real": f"{prefix}_real", "lit": style.literal}
+
+
+def unit_style(precision: str) -> CStyle:
+    """How numbers and functions are spelled inside the translation unit."""
+    return CStyle("real_t", precision == "single")
 
 
 def render(module: CModule) -> Sources:
     """All files of the package."""
-    names = context(module.name, module.precision)
-    style = CStyle(names["real"], module.precision == "single")
-    names |= {
-        "m": module,
-        "member": lambda field: _member(field, module),
-        "dim": lambda macro: _dim(macro, module),
-        "values": lambda table: _values(table, style),
-        "print_routine": lambda routine: print_routine(routine, style),
-        **_data(module),
-        "initial": ", ".join(style.literal(v) for s in module.metadata["states"] for v in s["value"]),
-        "dt": style.literal(module.metadata["dt"][0]),
-    }
+    names = _names(module)
+    body = render_unit(module, names)
+    names |= {"body": body, "preamble": preamble(module, body)}
     files = {
         f"{module.name}.h": "solver.h.jinja",
         f"{module.name}.c": "solver.c.jinja",
@@ -78,48 +60,46 @@ def render(module: CModule) -> Sources:
     return sources
 
 
-def _data(module: CModule) -> dict[str, Any]:
-    """Where the templates find the data that may change at run time; fixed ones in their tables.
-
-    yref(k), weight(k), param(k) at the path node k, yref_N, weight_N, param_N at the terminal one: pointers.
-    path_bound("lower", k, row) at a path node, row_bound("lower", k, row) at any: numbers. k and row are C texts.
-    copies("weight"): lowest and highest node that has a copy of its own, and how many copies there are.
-    """
-    layouts, N = module.layouts, f"{module.macro}_N"
-    matrix = "" if module.diagonal_weight else "[0]"
-
-    def member(option: str, text: str, table: str) -> str:
-        return table if layouts[option] == "fixed" else text
-
-    def at(option: str, k: str, shared: str = "0") -> str:
-        return k if layouts[option] == "node" else shared
-
-    def weight(k: str) -> str:
-        text = f"s->W[{at('weight', k)}]{matrix}"
-        return member("weight", f"&{text}[0]" if matrix else text, "default_weight")
-
-    def bound(which: str, index: str, row: str) -> str:
-        return f"{member('bounds', f's->{which}[{index}]', f'default_{which}')}[{row}]"
-
-    return {
-        "yref": lambda k: member("reference", f"s->yref[{at('reference', k)}]", "default_reference"),
-        "yref_N": member("reference", "s->yref_N", "default_terminal_reference"),
-        "weight": weight,
-        "weight_N": member(
-            "weight", "s->W_N" if module.diagonal_weight_N else "&s->W_N[0][0]", "default_terminal_weight"
-        ),
-        "param": lambda k: member("parameter", f"s->p[{at('parameter', k)}]", "default_parameter"),
-        "param_N": member("parameter", f"s->p[{at('parameter', N, '1')}]", "default_parameter"),
-        "path_bound": lambda which, k, row: bound(which, at("bounds", k), row),
-        "row_bound": lambda which, k, row: bound(which, at("bounds", k, f"{k} == {N}"), row),
-        "copies": lambda option: _copies(layouts[option], option in ("reference", "weight"), N),
+def _names(module: CModule) -> dict[str, Any]:
+    style = unit_style(module.precision)
+    return context(module.name, module.precision) | {
+        "m": module,
+        "member": lambda field: _member(field, module),
+        "dim": lambda macro: _dim(macro, module),
+        "values": lambda table: _values(table, style),
+        "print_routine": lambda routine: print_routine(routine, style),
+        "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
+        "initial": ", ".join(style.literal(v) for s in module.metadata["states"] for v in s["value"]),
+        "dt": style.literal(module.metadata["dt"][0]),
     }
 
 
-def _copies(layout: str, path_only: bool, N: str) -> str:
+def render_unit(module: CModule, names: dict[str, Any]) -> str:
+    """The translation unit after its preamble: tables, printed kernels, parts."""
+    sizes = {**{m.name: m.value for m in module.macros}, **module.switches}
+
+    def generated(path: str) -> str:
+        return environment().get_template(_GENERATED[path].format(spelling=module.products.spelling)).render(names)
+
+    def part(path: str) -> str:
+        return resolve(read_part(path, generated), sizes).rstrip("\n")
+
+    return environment().get_template("unit.c.jinja").render(names | {"part": part, "generated": generated})
+
+
+#: What parts include as a file that is generated for the package -> its template.
+_GENERATED = {
+    "generated/products.c": "products/{spelling}.c.jinja",
+    "generated/product_columns.c": "products/{spelling}_columns.c.jinja",
+    "generated/hessian_blocks.c": "products/blocks.c.jinja",
+}
+
+
+def _copies(layout: str, path_only: bool) -> str:
+    """Lowest and highest node that has a copy of its own, and how many copies there are."""
     if layout == "node":
-        return f"0, {N} - 1, {N}" if path_only else f"0, {N}, {N} + 1"
-    return "0, -1, 1" if path_only else f"{N}, {N}, 2"
+        return "0, N - 1, N" if path_only else "0, N, N + 1"
+    return "0, -1, 1" if path_only else "N, N, 2"
 
 
 def _member(field: Field, module: CModule) -> str:

@@ -7,10 +7,11 @@ prepare(): (shift,) linearise, Hessian, condense, factorise. feedback(xhat): emb
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
@@ -23,7 +24,7 @@ MEMORY = 8
 
 
 @dataclass(frozen=True)
-class RealTimeIteration:
+class RealTimeIteration(Defaults):
     """One QP per sample, full step. ``shift``: how the plan moves before every prepare but the first.
 
     None: it stays. "repeat": by one interval, the last control is repeated and the tail integrated. "periodic": by one
@@ -41,7 +42,7 @@ class RealTimeIteration:
 
     seam: ClassVar[str] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
-    template: ClassVar[str] = "algorithms/real_time_iteration.c.jinja"
+    template: ClassVar[str] = "algorithms/real_time_iteration.c"
     needs: ClassVar[tuple[str, ...]] = ("integrator", "hessian", "condensing")
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
@@ -64,13 +65,9 @@ class RealTimeIteration:
             raise OptionError(f"relaxation: {weight!r}; expected a finite number > 0 or None")
 
     @property
-    def parts(self) -> tuple[str, ...]:
-        """Templates that its own one includes; without an option, shift() moves by one interval."""
-        if self.shift == "resample":
-            return ("algorithms/shift_resample.c.jinja",)
-        if self.shift == "periodic":
-            return ("algorithms/shift_by_one.c.jinja", "algorithms/shift_periodic.c.jinja")
-        return ("algorithms/shift_by_one.c.jinja", "algorithms/shift_repeat.c.jinja")
+    def switches(self) -> Mapping[str, int]:
+        """How shift() moves the plan; without an option, by one interval."""
+        return {"SHIFT_RESAMPLE": int(self.shift == "resample"), "SHIFT_PERIODIC": int(self.shift == "periodic")}
 
     def check(self, problem: Problem) -> None:
         """Moving by an interval needs intervals of one length, reading between nodes a differential equation."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import Counts, Dims, QpShape
+from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
@@ -37,12 +37,12 @@ def _columns(dims: Dims) -> int:
 
 
 @dataclass(frozen=True)
-class FullCondensing:
+class FullCondensing(Defaults):
     """Eliminate all states but the first; the QP has N nu variables and the free components of x_0."""
 
     seam: ClassVar[str] = "condensing"
     name: ClassVar[str] = "full"
-    template: ClassVar[str] = "condensing/full.c.jinja"
+    template: ClassVar[str] = "condensing/full.c"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "condensed"
     columns: ClassVar[bool] = True
@@ -60,11 +60,6 @@ class FullCondensing:
         return self
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        return ()
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Nothing to choose between."""
         return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:

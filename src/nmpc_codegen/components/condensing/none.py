@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import Counts, Dims, QpShape
+from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape
 from nmpc_codegen.components.condensing.partial import PartialCondensing
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
@@ -15,12 +15,12 @@ from nmpc_codegen.ir.sweep import Routine
 
 
 @dataclass(frozen=True)
-class NoCondensing:
+class NoCondensing(Defaults):
     """Every shooting interval is a stage of the QP; nothing is eliminated, memory and time are linear in N."""
 
     seam: ClassVar[str] = "condensing"
     name: ClassVar[str] = "none"
-    template: ClassVar[str] = "condensing/none.c.jinja"
+    template: ClassVar[str] = "condensing/none.c"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False
@@ -39,11 +39,6 @@ class NoCondensing:
     def adapted(self, problem: Problem) -> NoCondensing | PartialCondensing:
         """Where stages need copies of components of x_0: blocks of one interval, which have a place for them."""
         return PartialCondensing(1) if copied_states(problem) else self
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Nothing to choose between."""
-        return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Where the rows stand in the stages."""

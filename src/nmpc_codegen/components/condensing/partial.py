@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import Counts, Dims, QpShape
+from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
@@ -18,7 +18,7 @@ from nmpc_codegen.ir.sweep import Routine
 
 
 @dataclass(frozen=True)
-class PartialCondensing:
+class PartialCondensing(Defaults):
     """Eliminate all states but every ``block``-th: ceil(N / block) stages with block nu controls each.
 
     A block longer than the horizon is the horizon; a shorter last one is padded with controls that stay 0.
@@ -28,7 +28,7 @@ class PartialCondensing:
 
     seam: ClassVar[str] = "condensing"
     name: ClassVar[str] = "partial"
-    template: ClassVar[str] = "condensing/partial.c.jinja"
+    template: ClassVar[str] = "condensing/partial.c"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False
@@ -56,11 +56,6 @@ class PartialCondensing:
     def adapted(self, problem: Problem) -> PartialCondensing:
         """It takes every problem of its features."""
         return self
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Nothing to choose between."""
-        return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Where the rows stand in the stages."""

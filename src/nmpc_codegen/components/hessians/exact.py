@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.components.hessians.regularization import Mirror, Project, Regularization
 from nmpc_codegen.components.hessians.stage_cost import StageCost, integrated_kernels, slices, stage_cost
 from nmpc_codegen.errors import OptionError
@@ -56,7 +56,7 @@ _SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {cls.scheme: cls() for cls 
 
 
 @dataclass(frozen=True)
-class ExactHessian:
+class ExactHessian(Defaults):
     """Exact second derivatives; ``levenberg_marquardt`` >= 0 is added to the diagonal of every block.
 
     regularization: Project(floor, level), Mirror(floor, level) or None: what is done if the QP would not be convex.
@@ -69,7 +69,7 @@ class ExactHessian:
 
     seam: ClassVar[str] = "hessian"
     name: ClassVar[str] = "exact"
-    template: ClassVar[str] = "hessians/exact.c.jinja"
+    template: ClassVar[str] = "hessians/exact.c"
     needs: ClassVar[tuple[str, ...]] = ("integrator",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
@@ -176,18 +176,10 @@ class ExactHessian:
         return self._block(path | first, nz), self._block(last, nx)
 
     @property
-    def convexify(self) -> str:
-        """What the Riccati recursion does about an indefinite reduced Hessian."""
-        return "riccati/convexify.c.jinja" if self.level == "reduced" else "riccati/as_given.c.jinja"
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """What becomes of an indefinite Hessian."""
-        if self.level == "stage":
-            return "hessians/jacobi.c.jinja", "hessians/regularize_stage.c.jinja"
-        if self.level == "reduced":
-            return "hessians/eigen.c.jinja", "hessians/regularize_reduced.c.jinja"
-        return ("hessians/regularize_nothing.c.jinja",)
+    def switches(self) -> Mapping[str, int]:
+        """What becomes of an indefinite Hessian, in the blocks or in the reduced Hessian."""
+        reduced = int(self.level == "reduced")
+        return {"REGULARIZE_STAGES": int(self.level == "stage"), "REGULARIZE_REDUCED": reduced, "CONVEXIFY": reduced}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.components.hessians.stage_cost import weight_matrix
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Stage
@@ -25,7 +25,7 @@ from nmpc_codegen.ir.sweep import Routine
 
 
 @dataclass(frozen=True)
-class GaussNewton:
+class GaussNewton(Defaults):
     """Gauss-Newton Hessian; ``levenberg_marquardt`` >= 0 is added to its diagonal.
 
     ``convex_rows`` adds sum_i mu_i d2 h_i of the general rows at every node where it is positive semidefinite, with the
@@ -37,9 +37,8 @@ class GaussNewton:
 
     seam: ClassVar[str] = "hessian"
     name: ClassVar[str] = "gauss_newton"
-    template: ClassVar[str] = "hessians/gauss_newton.c.jinja"
+    template: ClassVar[str] = "hessians/gauss_newton.c"
     needs: ClassVar[tuple[str, ...]] = ()
-    convexify: ClassVar[str] = "riccati/as_given.c.jinja"
     supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "accumulators"})
 
     def __post_init__(self) -> None:
@@ -100,10 +99,9 @@ class GaussNewton:
         return pattern(routines["path_hessian"], "Q"), pattern(routines["terminal_hessian"], "Q")
 
     @property
-    def parts(self) -> tuple[str, ...]:
-        """What becomes of the curvature of the rows."""
-        rows = "hessians/convex_rows.c.jinja" if self.convex_rows else "hessians/flat_rows.c.jinja"
-        return ("hessians/first_order.c.jinja", rows, "hessians/regularize_nothing.c.jinja")
+    def switches(self) -> Mapping[str, int]:
+        """Whether the curvature of rows is added; the Hessian is never indefinite."""
+        return {"CONVEX_ROWS": int(self.convex_rows), "CONVEXIFY": 0}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.components.hessians.stage_cost import integrated_kernels, stage_cost
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Struct, Table
@@ -18,14 +18,13 @@ from nmpc_codegen.ir.sweep import Routine
 
 
 @dataclass(frozen=True)
-class IdentityHessian:
+class IdentityHessian(Defaults):
     """Q_k = I, Q_N = I: no curvature at all. For any cost; convergence is that of steepest descent, if any."""
 
     seam: ClassVar[str] = "hessian"
     name: ClassVar[str] = "identity"
-    template: ClassVar[str] = "hessians/identity.c.jinja"
+    template: ClassVar[str] = "hessians/identity.c"
     needs: ClassVar[tuple[str, ...]] = ("integrator",)
-    convexify: ClassVar[str] = "riccati/as_given.c.jinja"
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
@@ -50,8 +49,9 @@ class IdentityHessian:
         return pattern(routines["path_hessian"], "Q"), pattern(routines["terminal_hessian"], "Q")
 
     @property
-    def parts(self) -> tuple[str, ...]:
-        return ("hessians/first_order.c.jinja", "hessians/regularize_nothing.c.jinja")
+    def switches(self) -> Mapping[str, int]:
+        """The Hessian is never indefinite."""
+        return {"CONVEXIFY": 0}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         return ()

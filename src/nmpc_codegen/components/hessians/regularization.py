@@ -7,7 +7,7 @@ for it. On stages the reduced Hessian is not formed: its diagonal is shifted, in
 
     H + 9/8 s D   (project)      H + 2 s D   (mirror)      s: the smallest of 1e-3 4^n with H + s D positive definite
 
-while the controls of the predicted working set are given (templates/riccati/convexify.c.jinja).
+while the controls of the predicted working set are given (templates/riccati/convexify.c).
 """
 
 from __future__ import annotations

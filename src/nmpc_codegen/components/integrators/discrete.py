@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -16,12 +16,12 @@ from nmpc_codegen.ir.sweep import Call, Routine
 
 
 @dataclass(frozen=True)
-class Discrete:
+class Discrete(Defaults):
     """The dynamics are already a map from node to node; nothing to choose."""
 
     seam: ClassVar[str] = "integrator"
     name: ClassVar[str] = "discrete"
-    template: ClassVar[str] = "integrators/discrete.c.jinja"
+    template: ClassVar[str] = "integrators/discrete.c"
     needs: ClassVar[tuple[str, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "accumulators"}
@@ -71,11 +71,6 @@ class Discrete:
             (*ports, *more, Port("lam", problem.nx)),
             (Port("x_next", problem.nx), Port("S", problem.nx, nz), Port("g", nz), Port("Q", nz, nz)),
         )
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Nothing to choose between."""
-        return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""

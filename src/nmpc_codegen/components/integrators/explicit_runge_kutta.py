@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import casadi as ca
 
-from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.components.integrators.quadrature import Quadrature
 from nmpc_codegen.components.integrators.second_order import expand_steps, fuse_steps
@@ -45,7 +45,7 @@ SCHEMES: dict[str, type[ThreeSweeps] | type[AdjointSweep]] = {
 
 
 @dataclass(frozen=True)
-class ExplicitRungeKutta:
+class ExplicitRungeKutta(Defaults):
     """Explicit Runge-Kutta scheme with ``steps`` equal steps per interval.
 
     unroll: "all" (one straight-line program per interval), "step" (a loop over steps), "none" (loops over steps and
@@ -60,7 +60,7 @@ class ExplicitRungeKutta:
 
     seam: ClassVar[str] = "integrator"
     name: ClassVar[str] = "explicit_runge_kutta"
-    template: ClassVar[str] = "integrators/explicit_runge_kutta.c.jinja"
+    template: ClassVar[str] = "integrators/explicit_runge_kutta.c"
     needs: ClassVar[tuple[str, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
@@ -145,11 +145,6 @@ class ExplicitRungeKutta:
             if len(program.instructions) <= AUTO_INSTRUCTIONS:
                 return program
         return rolled
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Nothing to choose between."""
-        return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from nmpc_codegen.components.base import Defaults
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class DenseActiveSet:
+class DenseActiveSet(Defaults):
     """Options of the dense active-set solver.
 
     ``max_iterations``: changes of the working set allowed in one feedback phase; None: 10 (NV + NG) + 50.
@@ -30,7 +31,7 @@ class DenseActiveSet:
 
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "dense_active_set"
-    template: ClassVar[str] = "qp/dense_active_set.c.jinja"
+    template: ClassVar[str] = "qp/dense_active_set.c"
     needs: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = True
@@ -49,11 +50,6 @@ class DenseActiveSet:
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
-        return ()
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Nothing to choose between."""
         return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from nmpc_codegen.components.base import Defaults
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Osqp:
+class Osqp(Defaults):
     """Options of OSQP: iterations allowed, and the absolute and relative tolerance ``eps`` of its residuals."""
 
     max_iterations: int = 20_000
@@ -36,7 +37,7 @@ class Osqp:
 
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "osqp"
-    template: ClassVar[str] = "qp/osqp.c.jinja"
+    template: ClassVar[str] = "qp/osqp.c"
     needs: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = False
@@ -54,11 +55,6 @@ class Osqp:
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
-        return ()
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """Nothing to choose between."""
         return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:

@@ -16,16 +16,6 @@ if TYPE_CHECKING:
 #: Rows of a product that are computed together.
 BLOCK = 4
 
-RECURSION = (
-    "riccati/recursion.c.jinja",
-    "riccati/products.c.jinja",
-    "riccati/factorize.c.jinja",
-    "riccati/substitute.c.jinja",
-)
-
-#: The recursion and what an active-set solver needs besides it.
-TEMPLATES = ("riccati/kernel.c.jinja", *RECURSION, "riccati/adjoint.c.jinja")
-
 
 def _padded(n: int) -> int:
     return -(-n // BLOCK) * BLOCK

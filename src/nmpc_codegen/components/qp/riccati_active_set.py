@@ -12,9 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from nmpc_codegen.components.qp.riccati import TEMPLATES, riccati_cost, riccati_sizes, riccati_struct
-from nmpc_codegen.components.qp.riccati_interior_point import CORE, interior_point_struct
+from nmpc_codegen.components.base import Defaults
+from nmpc_codegen.components.qp.riccati import riccati_cost, riccati_sizes, riccati_struct
 from nmpc_codegen.components.qp.riccati_interior_point import MAX_ITERATIONS as INTERIOR_POINT_ITERATIONS
+from nmpc_codegen.components.qp.riccati_interior_point import interior_point_struct
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
@@ -28,17 +29,9 @@ if TYPE_CHECKING:
 #: Working sets that are tried where no cap is given.
 MAX_ITERATIONS = 50
 
-#: The parts of the method.
-PARTS = (
-    "qp/riccati_active_set_working_set.c.jinja",
-    "qp/riccati_active_set_refine.c.jinja",
-    "qp/riccati_active_set_iterate.c.jinja",
-    "qp/riccati_active_set_fall_back.c.jinja",
-)
-
 
 @dataclass(frozen=True)
-class RiccatiActiveSet:
+class RiccatiActiveSet(Defaults):
     """Options of the Riccati active-set solver.
 
     ``max_iterations``: working sets that are tried in one feedback phase; None: 50.
@@ -46,7 +39,7 @@ class RiccatiActiveSet:
 
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "riccati_active_set"
-    template: ClassVar[str] = "qp/riccati_active_set.c.jinja"
+    template: ClassVar[str] = "qp/riccati_active_set.c"
     needs: ClassVar[tuple[str, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = True
@@ -66,11 +59,6 @@ class RiccatiActiveSet:
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
         return ()
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """The recursion and the parts of the method."""
-        return (*TEMPLATES, *CORE, *PARTS)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""

@@ -11,7 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from nmpc_codegen.components.qp.riccati import RECURSION, riccati_sizes, riccati_struct
+from nmpc_codegen.components.base import Defaults
+from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_struct
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
@@ -20,15 +21,6 @@ if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
     from nmpc_codegen.frontend.problem import Problem
     from nmpc_codegen.ir.sweep import Routine
-
-#: Templates of the method itself, for solvers that fall back on it; the first includes the others.
-CORE = (
-    "qp/riccati_interior_point_core.c.jinja",
-    "qp/riccati_interior_point_rows.c.jinja",
-    "qp/riccati_interior_point_start.c.jinja",
-    "qp/riccati_interior_point_certificate.c.jinja",
-    "qp/riccati_interior_point_iterate.c.jinja",
-)
 
 #: Cap on the iterations where none is given.
 MAX_ITERATIONS = 80
@@ -119,7 +111,7 @@ def _progress(sides: Size, rows: Size) -> tuple[Field, ...]:
 
 
 @dataclass(frozen=True)
-class RiccatiInteriorPoint:
+class RiccatiInteriorPoint(Defaults):
     """Options of the interior point solver.
 
     ``max_iterations``: factorisations allowed in one feedback phase. ``warm_start``: begin near the multipliers of the
@@ -131,7 +123,7 @@ class RiccatiInteriorPoint:
 
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "riccati_interior_point"
-    template: ClassVar[str] = "qp/riccati_interior_point.c.jinja"
+    template: ClassVar[str] = "qp/riccati_interior_point.c"
     needs: ClassVar[tuple[str, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = False
@@ -149,11 +141,6 @@ class RiccatiInteriorPoint:
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
         return ()
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """The recursion and the method."""
-        return (*RECURSION, *CORE)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""
