@@ -9,17 +9,18 @@ import ctypes
 import functools
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
-import jinja2
 import numpy as np
 
 from nmpc_codegen.components.base import Dims
 from nmpc_codegen.components.qp import DenseActiveSet
 from nmpc_codegen.ir.cmodule import Size, Struct
-from nmpc_codegen.lowering.tolerances import TOLERANCES, tolerance
+from nmpc_codegen.lowering.parts import read_part, resolve
+from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
+from nmpc_codegen.lowering.tolerances import TOLERANCES
 
-TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 STATUSES = (
     "OK", "ITERATION_LIMIT", "INFEASIBLE", "RELAXED", "NUMERICAL_FAILURE", "NOT_FINITE", "NOT_PREPARED",
     "NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED",
@@ -47,64 +48,62 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
     """Self-contained C text of the component with exported entry points test_init, test_factorize, ..."""
     component = component or DenseActiveSet()
     dims = qp_dims(nv, ng)
-    single = precision == "single"
+    sizes = {"NS": 1, "NUS": nv, "NV": nv, "NG": ng, "LDV": dims.ld.value}
+    sizes |= {name: value for name, value, _ in component.sizes(dims)}
+    text = [unit_head(sizes, precision)]
+    text += [struct_text(struct) for struct in component.structs(dims)]
+    return "\n".join([*text, part_text(component.template, sizes)])
 
-    def literal(value: float) -> str:
-        return repr(float(value)) + ("f" if single else "")
 
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=False,
-        keep_trailing_newline=True,
-    )
-    body = environment.get_template(component.template).render(
-        p="test",
-        P="TEST",
-        real="test_real",
-        lit=literal,
-        fn=lambda name: name + ("f" if single else ""),
-        tol=lambda name: literal(tolerance(name, precision)),
-    )
-    head = ["#include <math.h>", "#include <stdint.h>"]
-    sizes = [
-        ("NS", 1, ""),
-        ("NUS", nv, ""),
-        ("NV", nv, ""),
-        ("NG", ng, ""),
-        ("LDV", dims.ld.value, ""),
-        *component.sizes(dims),
+def unit_head(sizes: Mapping[str, int], precision: str) -> str:
+    """What a part needs before it besides its structs: includes, sizes, types, statuses, arithmetic."""
+    name, arguments, text = REAL_CONSTANT
+    lines = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
+    lines += [f"#define {macro} {value}" for macro, value in (*sizes.items(), *arithmetic(precision))]
+    lines += [
+        f"typedef {'float' if precision == 'single' else 'double'} real_t;",
+        f"#define {name}({arguments}) {text}",
     ]
-    head += [f"#define TEST_{name} {value}" for name, value, _ in sizes]
-    head += [f"typedef {'float' if single else 'double'} test_real;"]
-    head += ["typedef enum { " + ", ".join(f"TEST_{s}" for s in STATUSES) + " } test_status_t;"]
-    for struct in component.structs(dims):
-        head += ["typedef struct {", *(f"    {line}" for line in members(struct)), f"}} test_{struct.name}_t;"]
-    return "\n".join(head) + "\n" + body
+    return "\n".join([*lines, "typedef enum { " + ", ".join(STATUSES) + " } status_t;"])
+
+
+def struct_text(struct: Struct) -> str:
+    """The type definition of a struct."""
+    return "\n".join(["typedef struct {", *(f"    {line}" for line in members(struct)), f"}} {struct.name}_t;"])
+
+
+def part_text(path: str, sizes: Mapping[str, int]) -> str:
+    """A part with what it includes, its conditions decided."""
+    return resolve(read_part(path, no_generated_part), sizes)
+
+
+def no_generated_part(path: str) -> str:
+    """Parts that are tested alone include nothing that is generated for a package."""
+    raise LookupError(path)
 
 
 def members(struct: Struct) -> list[str]:
     """C member declarations of a struct; zero sizes are padded to 1."""
-    types = {"real": "test_real", "int32": "int32_t", "int64": "int64_t"}
-    return [f"{types[f.ctype]} {f.name}{''.join(f'[{n}]' for n in f.padded)};" for f in struct.fields]
+    types = {"real": "real_t", "int32": "int32_t", "int64": "int64_t"}
+    return [
+        f"{types.get(f.ctype, f.ctype + '_t')} {f.name}{''.join(f'[{n}]' for n in f.padded)};" for f in struct.fields
+    ]
 
 
 ENTRY_POINTS = """
 #ifdef __cplusplus
 extern "C" {
 #endif
-void test_init(test_qp_t *q);
-int test_factorize(test_qp_t *q);
-int test_solve(test_qp_t *q);
-void test_shift(test_qp_t *q, int n, const int *source);
+void test_init(qp_t *q);
+int test_factorize(qp_t *q);
+int test_solve(qp_t *q);
+void test_shift(qp_t *q, int n, const int *source);
 int test_size(void);
-void test_init(test_qp_t *q) { qp_init(q); }
-int test_factorize(test_qp_t *q) { return (int)qp_factorize(q); }
-int test_solve(test_qp_t *q) { return (int)qp_solve(q); }
-void test_shift(test_qp_t *q, int n, const int *source) { qp_shift_working_set(q, n, source); }
-int test_size(void) { return (int)sizeof(test_qp_t); }
+void test_init(qp_t *q) { qp_init(q); }
+int test_factorize(qp_t *q) { return (int)qp_factorize(q); }
+int test_solve(qp_t *q) { return (int)qp_solve(q); }
+void test_shift(qp_t *q, int n, const int *source) { qp_shift_working_set(q, n, source); }
+int test_size(void) { return (int)sizeof(qp_t); }
 #ifdef __cplusplus
 }
 #endif

@@ -9,17 +9,15 @@ import ctypes
 import functools
 import subprocess
 import types
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
-from qp_harness import FAST, SCALARS, STATUSES, TEMPLATES, WARNINGS, build_directory, members
+from qp_harness import FAST, SCALARS, STATUSES, WARNINGS, build_directory, part_text, struct_text, unit_head
 
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_struct
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
-from nmpc_codegen.lowering.tolerances import tolerance
 
 
 @dataclass(frozen=True)
@@ -76,24 +74,24 @@ def _data(dims: Any) -> tuple[Struct, ...]:
 
 
 ACCESSORS = """
-static inline test_real (*stage_S(test_solver_t *s, int k))[TEST_NZS] { return s->stage.S[k]; }
-static inline test_real *stage_b(test_solver_t *s, int k) { return s->stage.b[k]; }
-static inline test_real *stage_g(test_solver_t *s, int k) { return s->stage.g[k]; }
-static inline test_real (*stage_Q(test_solver_t *s, int k))[TEST_NZS] { return s->hessian.Q[k]; }
-static inline test_real (*stage_Q_N(test_solver_t *s))[TEST_NXS] { return s->hessian.Q_N; }
-static inline const test_real *stage_row(const test_solver_t *s, int m) { return s->stage.J[m]; }
+static inline real_t (*stage_S(solver_t *s, int k))[NZS] { return s->stage.S[k]; }
+static inline real_t *stage_b(solver_t *s, int k) { return s->stage.b[k]; }
+static inline real_t *stage_g(solver_t *s, int k) { return s->stage.g[k]; }
+static inline real_t (*stage_Q(solver_t *s, int k))[NZS] { return s->hessian.Q[k]; }
+static inline real_t (*stage_Q_N(solver_t *s))[NXS] { return s->hessian.Q_N; }
+static inline const real_t *stage_row(const solver_t *s, int m) { return s->stage.J[m]; }
 """
 
 KERNEL = """
-int test_factorize(test_solver_t *s, int last) { return riccati_factorize(s, last); }
-void test_backward(test_solver_t *s, int last) { riccati_backward(s, last); }
-void test_forward(test_solver_t *s, test_real *x, test_real *u) { riccati_forward(s, (test_real (*)[TEST_NX])x, u); }
-void test_adjoint(test_solver_t *s, int k, test_real *x, test_real *lam) { riccati_adjoint(&s->riccati, k, x, lam); }
-test_real test_gradient(test_solver_t *s, int k, int j, test_real *x, test_real *u)
+int test_factorize(solver_t *s, int last) { return riccati_factorize(s, last); }
+void test_backward(solver_t *s, int last) { riccati_backward(s, last); }
+void test_forward(solver_t *s, real_t *x, real_t *u) { riccati_forward(s, (real_t (*)[NX])x, u); }
+void test_adjoint(solver_t *s, int k, real_t *x, real_t *lam) { riccati_adjoint(&s->riccati, k, x, lam); }
+real_t test_gradient(solver_t *s, int k, int j, real_t *x, real_t *u)
 {
     return riccati_control_gradient(&s->riccati, k, j, x, u);
 }
-void test_init(test_solver_t *s) { riccati_init(s); }
+void test_init(solver_t *s) { riccati_init(s); }
 """
 
 
@@ -105,37 +103,15 @@ def structs(shape: Shape, extra: tuple[Struct, ...] = ()) -> tuple[Struct, ...]:
 
 def source(
     shape: Shape,
-    template: str = "riccati/kernel.c.jinja",
+    part: str = "riccati/kernel.c",
     sizes: tuple[tuple[str, int, str], ...] = (),
     extra: tuple[Struct, ...] = (),
     precision: str = "double",
 ) -> str:
-    """Self-contained C text of a template on the stage seam."""
-    single = precision == "single"
-
-    def literal(value: float) -> str:
-        return repr(float(value)) + ("f" if single else "")
-
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=False,
-        keep_trailing_newline=True,
-    )
-    body = environment.get_template(template).render(
-        m=types.SimpleNamespace(convexify="riccati/as_given.c.jinja"),
-        p="test",
-        P="TEST",
-        real="test_real",
-        lit=literal,
-        fn=lambda name: name + ("f" if single else ""),
-        tol=lambda name: literal(tolerance(name, precision)),
-    )
+    """Self-contained C text of a part on the stage seam."""
     dims = vars(shape.dims)
-    macros = [(size.text, size.value) for size in dims.values()]
-    macros += [(name, value) for name, value, _ in (*riccati_sizes(shape.dims), *sizes)]
+    values = {size.text: size.value for size in dims.values()}
+    values |= {name: value for name, value, _ in (*riccati_sizes(shape.dims), *sizes)}
     measured = [int(i not in shape.free) for i in range(shape.nx)]
     tables = {
         "stage_first": shape.first,
@@ -146,23 +122,12 @@ def source(
         "is_measured": measured,
         "is_accumulator": [0] * shape.nx,
     }
-    lines = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
-    lines += [f"#define TEST_{name} {value}" for name, value in macros]
-    lines += [f"typedef {'float' if single else 'double'} test_real;"]
-    lines += ["typedef enum { " + ", ".join(f"TEST_{s}" for s in STATUSES) + " } test_status_t;"]
-    for name, values in tables.items():
-        text = ", ".join(map(str, values)) or "0"
-        lines.append(f"static const int {name}[{max(1, len(values))}] = {{ {text} }};")
-    for struct in structs(shape, extra):
-        lines += ["typedef struct {", *(f"    {line}" for line in _members(struct)), f"}} test_{struct.name}_t;"]
-    return "\n".join(lines) + ACCESSORS + body
-
-
-def _members(struct: Struct) -> list[str]:
-    return [
-        f"test_{f.ctype}_t {f.name};" if f.ctype not in ("real", "int32") else members(replace(struct, fields=(f,)))[0]
-        for f in struct.fields
-    ]
+    lines = [unit_head(values, precision)]
+    for name, entries in tables.items():
+        text = ", ".join(map(str, entries)) or "0"
+        lines.append(f"static const int {name}[{max(1, len(entries))}] = {{ {text} }};")
+    lines += [struct_text(struct) for struct in structs(shape, extra)]
+    return "\n".join(lines) + ACCESSORS + part_text(part, {**values, "CONVEXIFY": 0})
 
 
 def compiled(text: str, flags: tuple[str, ...] = FAST) -> ctypes.CDLL:
@@ -198,12 +163,12 @@ def memory_layout(shape: Shape, extra: tuple[Struct, ...] = (), precision: str =
 
 
 SOLVER = """
-void test_qp_init(test_solver_t *s) { qp_init(s); }
-int test_qp_factorize(test_solver_t *s) { return (int)qp_factorize(s); }
-void test_qp_gradient(test_solver_t *s) { qp_gradient(s); }
-int test_qp_solve(test_solver_t *s) { return (int)qp_solve(s); }
-void test_qp_shift(test_solver_t *s, int n, const int *source) { qp_shift_working_set(s, n, source); }
-int test_qp_size(void) { return (int)sizeof(test_solver_t); }
+void test_qp_init(solver_t *s) { qp_init(s); }
+int test_qp_factorize(solver_t *s) { return (int)qp_factorize(s); }
+void test_qp_gradient(solver_t *s) { qp_gradient(s); }
+int test_qp_solve(solver_t *s) { return (int)qp_solve(s); }
+void test_qp_shift(solver_t *s, int n, const int *source) { qp_shift_working_set(s, n, source); }
+int test_qp_size(void) { return (int)sizeof(solver_t); }
 """
 
 

@@ -16,7 +16,8 @@ from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import Linearization, linearize
 from nmpc_codegen.lowering.lower import _dims, lower
-from nmpc_codegen.lowering.render import render, template_directory
+from nmpc_codegen.lowering.parts import template_directory
+from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import REGISTRIES, Online
 from tests.models import discrete_map, problem_of
 

@@ -96,7 +96,7 @@ def package(name: str, spelling: str) -> Package:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(products, "WRITTEN_OUT", SPELLINGS[spelling])
         module = module_of(PROBLEMS[name](), Options(qp=DenseActiveSet()))
-        assert module.products.template == f"products/{spelling}.c.jinja"
+        assert module.products.spelling == spelling
         return Package(module, FUNCTIONS)
 
 
@@ -256,6 +256,6 @@ def test_patterns_are_not_all_dense() -> None:
 
 
 def test_small_models_are_written_out_and_large_ones_looped() -> None:
-    assert module_of(crane.build_ocp()).products.template == "products/nonzeros.c.jinja"
+    assert module_of(crane.build_ocp()).products.spelling == "nonzeros"
     big = chain("big", 12, 2, 2)
-    assert module_of(big).products.template == "products/loops.c.jinja"
+    assert module_of(big).products.spelling == "loops"

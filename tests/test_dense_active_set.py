@@ -471,38 +471,38 @@ def test_no_warnings_in_c_and_cpp(tmp_path: Path, need, precision: str, nv: int,
 
 SANITIZED = r"""
 static unsigned long state = 1;
-static test_real draw(void)
+static real_t draw(void)
 {
     state = state * 6364136223846793005UL + 1442695040888963407UL;
-    return (test_real)((double)(state >> 11) / 9007199254740992.0 * 2 - 1);
+    return (real_t)((double)(state >> 11) / 9007199254740992.0 * 2 - 1);
 }
 int main(void)
 {
-    static test_qp_t q;
+    static qp_t q;
     int ok = 0;
     qp_init(&q);
     for (int trial = 0; trial < 3000; ++trial) {
-        for (int i = 0; i < TEST_NV; ++i) {
-            for (int j = 0; j <= i; ++j) { q.H[i][j] = i == j ? TEST_NV + 1 : draw(); }
+        for (int i = 0; i < NV; ++i) {
+            for (int j = 0; j <= i; ++j) { q.H[i][j] = i == j ? NV + 1 : draw(); }
             q.g[i] = 10 * draw();
         }
-        for (int j = 0; j < TEST_NG; ++j) {
-            for (int i = 0; i < TEST_NV; ++i) { q.A[j][i] = draw(); }
+        for (int j = 0; j < NG; ++j) {
+            for (int i = 0; i < NV; ++i) { q.A[j][i] = draw(); }
         }
-        for (int c = 0; c < TEST_NV + TEST_NG; ++c) {
+        for (int c = 0; c < NV + NG; ++c) {
             q.lower[c] = -(draw() + 1);
             q.upper[c] = q.lower[c] + (trial % 3 == c % 3 ? 0 : 2);
         }
-        if (trial % 7 == 3) { q.g[0] = (test_real)NAN; }
-        if (trial % 7 == 4) { q.H[TEST_NV - 1][0] = (test_real)INFINITY; }
-        if (trial % 7 == 5) { q.lower[0] = (test_real)NAN; }
+        if (trial % 7 == 3) { q.g[0] = (real_t)NAN; }
+        if (trial % 7 == 4) { q.H[NV - 1][0] = (real_t)INFINITY; }
+        if (trial % 7 == 5) { q.lower[0] = (real_t)NAN; }
         if (trial % 7 == 6) { q.H[0][0] = -1; }
         qp_factorize(&q);
-        for (int c = 0; c < TEST_NV; ++c) { q.upper[c] += trial % 5 == 0; }
-        ok += qp_solve(&q) == TEST_OK;
+        for (int c = 0; c < NV; ++c) { q.upper[c] += trial % 5 == 0; }
+        ok += qp_solve(&q) == OK;
         {
-            int source[TEST_NG + 1];
-            for (int j = 0; j < TEST_NG; ++j) { source[j] = j + 1 < TEST_NG ? j + 1 : j; }
+            int source[NG + 1];
+            for (int j = 0; j < NG; ++j) { source[j] = j + 1 < NG ? j + 1 : j; }
             qp_shift_working_set(&q, 1, source);
         }
     }
@@ -551,10 +551,10 @@ static bool isfinite(counting a) { return std::isfinite(a.v); }
 def test_operation_counts(tmp_path: Path, need, nv: int) -> None:
     need("g++")
     text = source(nv, 1).replace("#include <math.h>\n#include <stdint.h>\n", COUNTING)
-    text = text.replace("typedef double test_real;", "typedef counting test_real;")
+    text = text.replace("typedef double real_t;", "typedef counting real_t;")
     report = 'std::printf("%ld %ld %ld\\n", counting::add, counting::mul, counting::other); '
     clear = "counting::add = counting::mul = counting::other = 0; "
-    text += "int main() { static test_qp_t q; static counting y[TEST_LDV], z[TEST_LDV]; (void)qp_solve;"
+    text += "int main() { static qp_t q; static counting y[LDV], z[LDV]; (void)qp_solve;"
     text += "(void)qp_factorize; (void)qp_shift_working_set; qp_init(&q);"
     text += f"{clear} qp_forward(&q, y, 0); {report} {clear} qp_backward(&q, y, z); {report} }}\n"
     compile_source(text, tmp_path / "qp.cpp", "g++", "-std=c++17")

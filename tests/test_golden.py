@@ -1,4 +1,4 @@
-"""Golden files: the text of every section, byte by byte. ``pytest --update-golden`` writes them anew.
+"""Golden files: what is printed rather than written by hand, byte by byte. ``pytest --update-golden`` writes them anew.
 
 All but one come from a hand-written Linearization, so that they change with the printer and the templates only; the
 lifted one also changes with CasADi and is compared under the version that wrote it.
@@ -7,24 +7,24 @@ lifted one also changes with CasADi and is compared under the version that wrote
 from __future__ import annotations
 
 import functools
+import re
 from fractions import Fraction
 from pathlib import Path
 
 import casadi as ca
 import pytest
 
-from nmpc_codegen import OCP, ExactHessian, ExplicitRungeKutta, Options
+from nmpc_codegen import OCP, ExplicitRungeKutta, Options
 from nmpc_codegen.components.base import SEAMS
-from nmpc_codegen.components.integrators import TABLEAUS, ButcherTableau, Discrete
+from nmpc_codegen.components.integrators import TABLEAUS, ButcherTableau
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir import stage_products as products
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import print_routine
 from nmpc_codegen.lowering.linearize import Linearization, linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import Sources, context, environment, render
+from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.options import REGISTRIES
 from tests.models import problem_of
 from tests.test_sweep import SWEEP, looped
@@ -32,20 +32,17 @@ from tests.test_sweep import SWEEP, looped
 GOLDEN = Path(__file__).with_name("golden")
 PINNED_CASADI = "3.8.2"
 
-COMPONENTS = [cls for seam in SEAMS for cls in REGISTRIES[seam].values()]
-
 X, U, P = Port("x", 1), Port("u", 1), Port("p", 1)
 DT, H, YREF, YREF_N = Port("dt", 1), Port("h", 1), Port("yref", 2), Port("yref", 1)
 W, W_N = Port("W", 2, doc="diagonal of the weight"), Port("W", 1, doc="diagonal of the weight")
 NEXT, S = Port("x_next", 1), Port("S", 1, 2)
 
 
-def stated(discrete: bool) -> Problem:
-    """x+ = x + dt (u - p x) or its rate; one control bound, one state bound, one path row, one terminal row."""
-    grid = {"N": 2} if discrete else {"T": 1.0, "N": 2}
-    ocp = OCP("golden", **grid)  # type: ignore[arg-type]
+def stated() -> Problem:
+    """x' = u - p x; one control bound, one state bound, one path row, one terminal row."""
+    ocp = OCP("golden", T=1.0, N=2)
     x, u, p = ocp.state("x", initial=1.0), ocp.control("u"), ocp.parameter("p", value=0.5)
-    ocp.dynamics({x: u - p * x}, discrete=discrete)
+    ocp.dynamics({x: u - p * x})
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 2.0])
     ocp.terminal_least_squares(x, weight=[3.0])
     ocp.subject_to(-1, u, 1)
@@ -137,44 +134,17 @@ def rows() -> tuple[Kernel, Kernel]:
     return path.kernel(), end.kernel()
 
 
-def exact() -> tuple[Kernel, ...]:
-    """x_next, S, g and Q of the node at once; the coupled rows, of which there are none, add nothing."""
-    data = (X, U, P, DT, YREF, W, Port("mu", 1), Port("lam", 1))
-    k = Program("path_exact", "Q = W + d2 (mu' h)", data, (NEXT, S, Port("g", 2), Port("Q", 2, 2)))
-    x, u, p, dt = k.load("x"), k.load("u"), k.load("p"), k.load("dt")
-    rate = k.op(ca.OP_SUB, u, k.op(ca.OP_MUL, p, x))
-    k.store("x_next", 0, k.op(ca.OP_ADD, x, k.op(ca.OP_MUL, dt, rate)))
-    k.store("S", 0, k.op(ca.OP_SUB, k.constant(1.0), k.op(ca.OP_MUL, dt, p)))
-    k.store("S", 1, dt)
-    for i, z in enumerate((x, u)):
-        weight = k.load("W", i)
-        k.store("g", i, k.op(ca.OP_MUL, weight, k.op(ca.OP_SUB, z, k.load("yref", i))))
-        k.store("Q", 3 * i, weight)
-    k.store("Q", 2, k.load("mu"))
-    first = Program("initial_hessian", "", (Port("x_0", 1), X, Port("eta", 0), Port("Q_0", 4)), (Port("Q", 2, 2),))
-    ends = (X, P, YREF_N, W_N, Port("mu", 1), Port("x_0", 1), Port("eta", 0))
-    last = Program("terminal_hessian", "Q = W + 2 mu", ends, (Port("Q", 1, 1),))
-    last.store("Q", 0, last.op(ca.OP_ADD, last.load("W"), last.op(ca.OP_TWICE, last.load("mu"))))
-    return k.kernel(), first.kernel(), last.kernel()
-
-
-def handwritten(cls: type) -> Linearization:
-    """The whole Linearization of stated(), with the component in its seam and defaults elsewhere."""
-    discrete = cls is Discrete
-    integrator = Discrete() if discrete else ExplicitRungeKutta(TABLEAUS["Euler"], 1)
-    given = {"integrator": integrator, cls.seam: integrator if cls.seam == "integrator" else cls()}  # type: ignore[attr-defined]
+def handwritten() -> Linearization:
+    """The whole Linearization of stated(), with the first component of every seam."""
     defaults = {seam: next(iter(REGISTRIES[seam].values()))() for seam in SEAMS}
-    options = Options(**{**defaults, **given})
+    options = Options(**{**defaults, "integrator": ExplicitRungeKutta(TABLEAUS["Euler"], 1)})
     routines = (*dynamics(), *cost("path"), *cost("terminal"), *rows())
-    curved = options.hessian.name == "exact"
-    if curved:
-        routines = (*(r for r in routines if not r.name.endswith("_hessian")), *exact())
-    return Linearization(stated(discrete), options, ("written by hand",), routines, not curved)
+    return Linearization(stated(), options, ("written by hand",), routines, True)
 
 
 @functools.cache
-def sources(cls: type) -> Sources:
-    return render(lower(handwritten(cls)))
+def sources() -> Sources:
+    return render(lower(handwritten()))
 
 
 def section(text: str, title: str) -> str:
@@ -199,38 +169,29 @@ def check(request: pytest.FixtureRequest):  # type: ignore[no-untyped-def]
     return compare
 
 
-@pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls.__name__)
-def test_section_of_a_component(cls: type, check) -> None:  # type: ignore[no-untyped-def]
-    title = f"{cls.seam}: {cls.name}"  # type: ignore[attr-defined]
-    check(f"{cls.seam}_{cls.name}.c", section(sources(cls)["golden.c"], title))  # type: ignore[attr-defined]
+def test_products(check) -> None:  # type: ignore[no-untyped-def]
+    check("products.c", section(sources()["golden.c"], "stage products"))
 
 
-def test_exact_hessian_on_stages(check) -> None:  # type: ignore[no-untyped-def]
-    """The template that ExactHessian adds to the Riccati recursion."""
-    check(
-        "riccati_convexify.c", environment().get_template(ExactHessian().convexify).render(context("golden", "double"))
-    )
-
-
-@pytest.mark.parametrize(("spelling", "limit"), [("nonzeros", 10**9), ("loops", -1)])
-def test_products(spelling: str, limit: int, check, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
-    monkeypatch.setattr(products, "WRITTEN_OUT", limit)
-    text = render(lower(handwritten(ExplicitRungeKutta)))["golden.c"]
-    check(f"products_{spelling}.c", section(text, "stage products"))
+STRUCTS = re.compile(r"^typedef struct \{.*?^\} \w+;$", re.M | re.S)
 
 
 def test_header(check) -> None:  # type: ignore[no-untyped-def]
-    check("header.h", sources(ExplicitRungeKutta)["golden.h"])
+    check("header.h", STRUCTS.sub("", sources()["golden.h"]))
+
+
+def test_layout_of_the_structs(check) -> None:  # type: ignore[no-untyped-def]
+    check("structs.h", "\n\n".join(STRUCTS.findall(sources()["golden.h"])) + "\n")
 
 
 def test_head_of_the_source(check) -> None:  # type: ignore[no-untyped-def]
-    """Table of contents, tables, printed kernels, rows: everything before the first section."""
-    text = sources(ExplicitRungeKutta)["golden.c"]
-    check("head.c", text[: text.index("/* ==== stage products")])
+    """Table of contents, short names, tables: everything before the first printed kernel."""
+    text = sources()["golden.c"]
+    check("head.c", text[: text.index("/* x_next = ")])
 
 
 def test_settings_and_results(check) -> None:  # type: ignore[no-untyped-def]
-    check("api.c", section(sources(ExplicitRungeKutta)["golden.c"], "settings and results"))
+    check("api.c", section(sources()["golden.c"], "settings and results"))
 
 
 def test_looped_routine(check) -> None:  # type: ignore[no-untyped-def]
@@ -253,15 +214,5 @@ def test_lifted(check) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_no_golden_file_is_left_over() -> None:
-    wanted = {f"{cls.seam}_{cls.name}.c" for cls in COMPONENTS}  # type: ignore[attr-defined]
-    wanted |= {
-        "products_nonzeros.c",
-        "products_loops.c",
-        "riccati_convexify.c",
-        "header.h",
-        "head.c",
-        "api.c",
-        "sweep.c",
-        "lifted.c",
-    }
+    wanted = {"products.c", "header.h", "structs.h", "head.c", "api.c", "sweep.c", "lifted.c"}
     assert {path.name for path in GOLDEN.iterdir()} == wanted

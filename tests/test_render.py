@@ -13,7 +13,9 @@ import jinja2
 import pytest
 
 from nmpc_codegen import Options, generate
-from nmpc_codegen.lowering.render import Sources, _tidy, context, environment, template_directory
+from nmpc_codegen.lowering.parts import template_directory
+from nmpc_codegen.lowering.preamble import arithmetic
+from nmpc_codegen.lowering.render import Sources, _tidy, context, environment
 from tests import problems
 
 ROOT = Path(__file__).parents[1]
@@ -108,10 +110,12 @@ def test_context() -> None:
     names = context("crane", "single")
     assert (names["p"], names["P"], names["real"]) == ("crane", "CRANE", "crane_real")
     assert names["lit"](2) == "2.0f"
-    assert names["fn"]("sin") == "sinf"
-    assert float(names["tol"]("qp_pivot").rstrip("f")) == 2.0**5 * 2.0**-23
-    with pytest.raises(KeyError):
-        names["tol"]("nothing")
+
+
+def test_arithmetic_of_the_working_precision() -> None:
+    macros = dict(arithmetic("single"))
+    assert macros["SQRT"] == "sqrtf"
+    assert float(macros["TOL_QP_PIVOT"].rstrip("f")) == 2.0**5 * 2.0**-23
 
 
 def test_names_of_the_package() -> None:

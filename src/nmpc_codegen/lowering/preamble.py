@@ -16,22 +16,31 @@ from nmpc_codegen.lowering.tolerances import TOLERANCES, tolerance
 FUNCTIONS = ("sqrt", "fabs", "ceil")
 
 
+#: A number in the working precision: R(0.5).
+REAL_CONSTANT = ("R", "x", "((real_t)(x))")
+
+
 def preamble(module: CModule, body: str) -> str:
     """Type definitions and macros that ``body`` uses."""
     used = set(re.findall(r"[A-Za-z_]\w*", body))
     p, P = module.name, module.macro
-    style = CStyle("real_t", module.precision == "single")
-    types = ["real", *(s.name for s in module.structs), "status"]
-    lines = [f"typedef {p}_{name} {name}_t;" for name in ("real",)]
-    lines += [f"typedef {p}_{name}_t {name}_t;" for name in types[1:] if f"{name}_t" in used]
+    types = [*(s.name for s in module.structs), "status"]
+    lines = [f"typedef {p}_real real_t;"]
+    lines += [f"typedef {p}_{name}_t {name}_t;" for name in types if f"{name}_t" in used]
     macros: list[tuple[str, str]] = [(m.name, f"{P}_{m.name}") for m in module.macros]
     macros += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
-    macros += [(name.upper(), style.function(name)) for name in FUNCTIONS]
-    macros += [(f"TOL_{name.upper()}", style.literal(tolerance(name, module.precision))) for name in TOLERANCES]
+    macros += arithmetic(module.precision)
     lines += [f"#define {name} {value}" for name, value in macros if name in used]
-    parametric = [("API", "name", f"{p}_##name"), ("R", "x", "((real_t)(x))"), *accessors(module)]
+    parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module)]
     lines += [f"#define {name}({arguments}) {text}" for name, arguments, text in parametric if name in used]
     return "\n".join(lines)
+
+
+def arithmetic(precision: str) -> list[tuple[str, str]]:
+    """(macro, text): functions of math.h and tolerances in the working precision."""
+    style = CStyle("real_t", precision == "single")
+    functions = [(name.upper(), style.function(name)) for name in FUNCTIONS]
+    return functions + [(f"TOL_{name.upper()}", style.literal(tolerance(name, precision))) for name in TOLERANCES]
 
 
 def accessors(module: CModule) -> list[tuple[str, str, str]]:
@@ -52,6 +61,7 @@ def accessors(module: CModule) -> list[tuple[str, str, str]]:
         return f"{member('bounds', f'(s)->{which}[{index}]', f'default_{which}')}[row]"
 
     weight = f"(s)->W[{at('weight', 'k')}]"
+    path_weight = weight if module.diagonal_weight else f"&{weight}[0][0]"
     every = at("bounds", "k", "(k) == N")
     return [
         ("YREF", "s, k", member("reference", f"(s)->yref[{at('reference', 'k')}]", "default_reference")),

@@ -1,0 +1,160 @@
+typedef struct { /* KKT residuals, largest absolute values */
+    golden_real stationarity; /* gradient of the Lagrangian */
+    golden_real equality; /* gaps of the dynamics and x_0 - xhat */
+    golden_real inequality; /* violation of bounds and rows */
+    golden_real complementarity; /* multiplier times distance to its bound */
+} golden_kkt_t;
+
+typedef struct { /* counters of the last feedback or solve */
+    int32_t qp_iterations; /* iterations of the last QP */
+    int32_t active_set_changes; /* changes of the working set in the last QP */
+    int32_t dropped_rows; /* redundant rows left out of the working set */
+    int32_t relaxed_rows; /* soft or relaxed rows that are violated */
+    int32_t sqp_iterations; /* iterations of the last solve */
+    int32_t violated_row; /* hard row that cannot be met (INFEASIBLE) or is relaxed (RELAXED), or -1 */
+    int32_t violated_node; /* its node, or -1 */
+    golden_real violation; /* by how much the last step of the QP violates it */
+} golden_stats_t;
+
+typedef struct { /* Hessian blocks, lower triangles, z = (x, u) */
+    golden_real Q[GOLDEN_NQ][GOLDEN_NZ][GOLDEN_NZ]; /* path blocks; one for all nodes where it is constant */
+    golden_real Q_N[GOLDEN_NX][GOLDEN_NX]; /* terminal block */
+} golden_hessian_t;
+
+typedef struct { /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0 */
+    golden_real G[GOLDEN_N + 1][GOLDEN_NX][GOLDEN_LDG]; /* columns: dx_0, then du_0 .. du_{N-1} */
+    golden_real c[GOLDEN_N + 1][GOLDEN_NX]; /* free response of the gaps b_k */
+    golden_real W[2][GOLDEN_NX][GOLDEN_LDG]; /* W_k of the backward sweep */
+    golden_real T[GOLDEN_NU][GOLDEN_LDG]; /* one block row of the condensed Hessian */
+    golden_real g[GOLDEN_NV]; /* condensed gradient at dx_0 = 0 */
+    golden_real Hx[GOLDEN_NV][GOLDEN_NX]; /* coupling of the controls to dx_0 */
+    golden_real Ax[GOLDEN_NG][GOLDEN_NX]; /* coupling of the rows to dx_0 */
+    golden_real v[GOLDEN_NG]; /* values of the rows at du = 0, dx_0 = 0 */
+} golden_condensed_t;
+
+typedef struct { /* condensed QP and its active-set factorisation */
+    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); then D, L and L' of L D L' */
+    golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
+    golden_real g[GOLDEN_NV]; /* gradient */
+    golden_real lower[GOLDEN_NV + GOLDEN_NG]; /* lower bounds of variables, then of general rows */
+    golden_real upper[GOLDEN_NV + GOLDEN_NG]; /* upper bounds */
+    golden_real z[GOLDEN_NV]; /* minimiser */
+    golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
+    golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
+    golden_real Q[GOLDEN_LDV][GOLDEN_LDV]; /* rows: orthonormal basis of the normals in the working set */
+    golden_real R[GOLDEN_LDV][GOLDEN_LDV]; /* row j: coefficients of member j in that basis (R transposed) */
+    golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
+    golden_real lam[GOLDEN_LDV]; /* multipliers of the members */
+    golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
+    golden_real y[GOLDEN_LDV]; /* minimiser on the working set */
+    golden_real x[GOLDEN_LDV]; /* z of y */
+    golden_real m[GOLDEN_LDV]; /* normal of the row under consideration, in y */
+    golden_real v[GOLDEN_LDV]; /* its part outside the span of the working set */
+    golden_real d[GOLDEN_LDV]; /* its coefficients in the basis */
+    golden_real slack[GOLDEN_NV + GOLDEN_NG]; /* violation of a row that is accepted as rounding */
+    golden_real scale; /* |y0| */
+    golden_real shift; /* part of |y0| that the saturated rows may have */
+    golden_real penalty[GOLDEN_NV + GOLDEN_NG]; /* l1 penalty of violating a row; infinite: hard */
+    golden_real certificate[GOLDEN_NV + GOLDEN_NG]; /* if INFEASIBLE: weights of a contradiction */
+    golden_real proximal[GOLDEN_LDV]; /* diagonal E added to a semidefinite Hessian */
+    golden_real weight[GOLDEN_LDV]; /* its entries where they are needed */
+    golden_real center[GOLDEN_LDV]; /* centre of the proximal term */
+    golden_real direction[GOLDEN_LDV]; /* direction of the last proximal step */
+    golden_real total; /* s'(H + E)s of it; 0: no conjugate direction follows */
+    golden_real step; /* length of the proximal step */
+    int32_t work[GOLDEN_LDV]; /* rows in the working set, in the order of the basis */
+    int32_t side[GOLDEN_NV + GOLDEN_NG]; /* +-1: member at upper, lower bound; +-2: saturated; else 0 */
+    int32_t snapshot[GOLDEN_NV + GOLDEN_NG]; /* an earlier side, to recognise cycles */
+    int32_t nw; /* members of the working set */
+    int32_t factorized; /* qp_factorize has succeeded */
+    int32_t semidefinite; /* a pivot of H may be zero, E is not zero */
+    int32_t face; /* changes when the direction was set */
+    int32_t elastic; /* a general row has a finite penalty */
+    int32_t iterations; /* active-set iterations of the last qp_solve */
+    int32_t changes; /* rows that entered or left the working set in it */
+    int32_t dropped; /* equalities left out as redundant */
+    int32_t relaxed; /* elastic rows that are violated */
+} golden_qp_t;
+
+typedef struct { /* linearisation of a path node */
+    golden_real S[GOLDEN_NX][GOLDEN_NZ]; /* [A_k B_k] = d Phi / d(x, u) */
+    golden_real b[GOLDEN_NX]; /* gap Phi(x_k, u_k) - x_{k+1} */
+    golden_real g[GOLDEN_NZ]; /* gradient (q_k, r_k) */
+    golden_real h[GOLDEN_NH]; /* general rows */
+    golden_real J[GOLDEN_NH][GOLDEN_NZ]; /* their Jacobian [C_k D_k] */
+} golden_node_t;
+
+typedef struct { /* linearisation of the terminal node */
+    golden_real g[GOLDEN_NX]; /* gradient q_N */
+    golden_real h[GOLDEN_NH_N]; /* general rows */
+    golden_real J[GOLDEN_NH_N][GOLDEN_NX]; /* their Jacobian C_N */
+} golden_terminal_t;
+
+typedef struct { /* linearisation of the coupled rows */
+    golden_real r[1]; /* values r(x_0, x_N) */
+    golden_real J_0[1][GOLDEN_NX]; /* Jacobian E_0 = d r / d x_0 */
+    golden_real J_N[1][GOLDEN_NX]; /* Jacobian E_N = d r / d x_N */
+} golden_coupled_t;
+
+typedef struct { /* solution of the QP */
+    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
+    golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
+    golden_real mult_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
+    golden_real mult[GOLDEN_NG]; /* multipliers of the rows */
+} golden_step_t;
+
+typedef struct { /* line search of solve() */
+    golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states before the step */
+    golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls before the step */
+    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
+    golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
+    golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* the same before the second-order correction */
+    golden_real du_full[GOLDEN_N][GOLDEN_NU]; /* likewise */
+    golden_real b[GOLDEN_N][GOLDEN_NX]; /* gaps at a trial point */
+    golden_real h[GOLDEN_N][GOLDEN_NH]; /* general path rows at a trial point */
+    golden_real h_N[GOLDEN_NH_N]; /* general terminal rows at a trial point */
+    golden_real J[GOLDEN_NH][GOLDEN_NZ]; /* their Jacobian, not used */
+    golden_real J_N[GOLDEN_NH_N][GOLDEN_NX]; /* likewise */
+    golden_real r[1]; /* coupled rows at a trial point */
+    golden_real J_r[1][GOLDEN_NX]; /* their Jacobians, not used */
+    golden_real gap_weight; /* weight of the gaps in the merit function */
+    golden_real row_weight; /* weight of the rows; penalty of the elastic QP */
+    golden_real recent[GOLDEN_MEMORY]; /* last merit values */
+    int32_t elastic; /* 1: the last QP was infeasible and relaxed */
+} golden_sqp_t;
+
+typedef struct { /* the whole controller: no pointers, copy it with '=' */
+    golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states of the plan */
+    golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls of the plan */
+    golden_real p[GOLDEN_N + 1][GOLDEN_NP]; /* parameters */
+    golden_real yref[GOLDEN_N][GOLDEN_NY]; /* references of the path residual */
+    golden_real yref_N[GOLDEN_NY_N]; /* reference of the terminal residual */
+    golden_real W[1][GOLDEN_NY]; /* weight of the path residual */
+    golden_real W_N[GOLDEN_NY_N]; /* weight of the terminal residual */
+    golden_real lower[2][GOLDEN_NR]; /* lower bounds of the rows: path, terminal */
+    golden_real upper[2][GOLDEN_NR]; /* upper bounds of the rows: path, terminal */
+    golden_real lam[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the dynamics; lam_0 of x_0 = xhat */
+    golden_real mu_x[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the state bounds, > 0 at the upper one */
+    golden_real mu_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
+    golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
+    golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
+    golden_real eta[1]; /* multipliers of the coupled rows */
+    golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
+    int32_t prepared; /* 1 between prepare and feedback */
+    int32_t samples; /* feedbacks since init or reset */
+    int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
+    int32_t reference_changed; /* 1: gradients are renewed in feedback */
+    golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
+    golden_condensed_t condensed; /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0 */
+    golden_qp_t qp; /* condensed QP and its active-set factorisation */
+    golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
+    golden_terminal_t terminal; /* linearisation of the terminal node */
+    golden_coupled_t coupled; /* linearisation of the coupled rows */
+    golden_step_t step; /* solution of the QP */
+    golden_sqp_t sqp; /* line search of solve() */
+    golden_stats_t stats; /* counters */
+    golden_kkt_t kkt; /* KKT residuals of the last solve */
+    golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
+    int32_t status; /* status of the last prepare, feedback or solve */
+    int32_t magic; /* set by init */
+} golden_solver_t;
