@@ -66,11 +66,7 @@ def accessors(module: CModule) -> list[tuple[str, str, str]]:
     return [
         ("YREF", "s, k", member("reference", f"(s)->yref[{at('reference', 'k')}]", "default_reference")),
         ("YREF_N", "s", member("reference", "(s)->yref_N", "default_terminal_reference")),
-        (
-            "WEIGHT",
-            "s, k",
-            member("weight", weight if module.diagonal_weight else f"&{weight}[0][0]", "default_weight"),
-        ),
+        ("WEIGHT", "s, k", member("weight", path_weight, "default_weight")),
         (
             "WEIGHT_N",
             "s",
