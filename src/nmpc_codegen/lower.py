@@ -136,6 +136,7 @@ def _macros(lin: Linearization, dims: Dims) -> tuple[Macro, ...]:
     macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in lin.problem.rows), "rows with a penalty"))
     macros.append(Macro("PARAMS", len(lin.problem.parameters), "parameters by name"))
+    macros += [Macro(f"SIZE_{s.name.upper()}", s.size, f"numbers of {s.name}") for s in lin.problem.parameters]
     for component in lin.options.components:
         macros += [Macro(*entry) for entry in component.sizes(dims)]
     macros.append(Macro("MANY", MANY, "counters stop here"))
