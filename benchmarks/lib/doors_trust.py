@@ -29,6 +29,8 @@ def measure(report: Report) -> None:
             (generated / path).write_text(text, encoding="utf-8")
         library = sanitizer()
         for name, folder in (("toy", TOY), ("parameters", generated)) if library else ():
+            if "heap-buffer-overflow" not in _sanitized(library, str(folder)).stderr:
+                raise RuntimeError(f"{name}: AddressSanitizer does not see a read beside a buffer")
             lines, crashes = campaign(folder, MUTATIONS, library)
             wrong = [line for line in lines if " wrong" in line]
             options = {"case": name, "n": MUTATIONS, "profile": SANITIZED.name}
@@ -53,8 +55,8 @@ def sanitizer() -> str:
     return path if Path(path).is_absolute() else ""
 
 
-def campaign(folder: Path, count: int, library: str) -> tuple[list[str], list[str]]:
-    """(one line per mutation that came to an end, one per crash)."""
+def _sanitized(library: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run mutated_package.py under AddressSanitizer."""
     environment = {
         **os.environ,
         "LD_PRELOAD": library,
@@ -62,12 +64,17 @@ def campaign(folder: Path, count: int, library: str) -> tuple[list[str], list[st
         "PYTHONMALLOC": "malloc",
         "PYTHONPATH": os.pathsep.join((str(ROOT / "src"), str(ROOT))),
     }
+    command = [sys.executable, "-m", "benchmarks.lib.mutated_package", *arguments]
+    return subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def campaign(folder: Path, count: int, library: str) -> tuple[list[str], list[str]]:
+    """(one line per mutation that came to an end, one per crash)."""
     lines: list[str] = []
     crashes: list[str] = []
     first = 0
     while first < count and len(crashes) < CRASHES:
-        command = [sys.executable, "-m", "benchmarks.lib.mutated_package", str(folder), str(first), str(count)]
-        run = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
+        run = _sanitized(library, str(folder), str(first), str(count))
         printed = run.stdout.splitlines()
         if run.returncode == 0:
             return [*lines, *printed], crashes

@@ -1,6 +1,7 @@
 """Mutated package descriptions, and a use of the controller that touches every buffer: what hostile JSON could reach.
 
     python -m benchmarks.lib.mutated_package FOLDER FIRST END     one line "<k> <outcome> <label>" per mutation
+    python -m benchmarks.lib.mutated_package FOLDER                reads beside a buffer: does the sanitizer see it?
 
 The mutation number k is a function of k and of the text alone. Run under AddressSanitizer (doors_trust.py), a read or
 write beside a buffer kills the process; the last line then tells which mutation it was.
@@ -197,6 +198,13 @@ def outcome(folder: Path, name: str, text: str, profile: Any) -> str:
     return "opened"
 
 
+def overrun(source: str) -> None:
+    """Let C read a reference that is too short: what the sanitizer has to see."""
+    ctrl = open_package(source, SANITIZED)
+    library = ctrl._library
+    library.function("set_reference")(ctrl._s, 0, library.ffi.from_buffer(f"{library.name}_real[]", np.zeros(1)))
+
+
 def main(source: str, first: str, end: str) -> None:
     """Print the outcomes of the mutations first .. end - 1 of the package in a folder; see doors_trust.py."""
     name = next(Path(source).glob("*.json")).stem
@@ -213,4 +221,4 @@ def main(source: str, first: str, end: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    overrun(sys.argv[1]) if len(sys.argv) == 2 else main(*sys.argv[1:])

@@ -101,13 +101,13 @@ class Library:
             self._refuse(f"its status values are {self.description.statuses}, those of this version {statuses}")
         described = {f"{self.name.upper()}_{status}": i for i, status in enumerate(statuses)}
         self._same("the status type", described, dict(self.ffi.typeof(f"{self.name}_status_t").relements))
-        rows = [row.name.replace("[", "_").replace("]", "") for row in self.description.rows]
-        self._check_numbers("ROW", "row", rows)
+        self._check_numbers("ROW", "row", [row.name for row in self.description.rows])
         self._check_numbers("PARAM", "parameter", [p.name for p in self.description.parameters])
 
     def _check_numbers(self, stem: str, kind: str, names: Iterable[str]) -> None:
         for number, name in enumerate(names):
-            self._same(f"the number of the {kind} {name!r}", number, self._constant(f"{stem}_{name.upper()}"))
+            constant = f"{stem}_{name.replace('[', '_').replace(']', '').upper()}"
+            self._same(f"the number of the {kind} {name!r}", number, self._constant(constant))
 
     def _check_members(self, struct: str, members: tuple[Member, ...]) -> None:
         """Names, element types and shapes, one by one."""
