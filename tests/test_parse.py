@@ -140,7 +140,7 @@ def test_a_description_of_other_code(toy_files: Files, case: str, message: str) 
         load({**toy_files, "toy.json": json.dumps(raw)}, "toy", "test")
 
 
-@pytest.mark.parametrize("path", ["/tmp/x.c", "osqp/../../x.c"])
+@pytest.mark.parametrize("path", ["/x.c", "osqp/../../x.c"])
 def test_a_file_outside_the_package(toy_files: Files, path: str) -> None:
     with pytest.raises(BuildError, match="outside the package"):
         load({**toy_files, path: ""}, "toy", "test")

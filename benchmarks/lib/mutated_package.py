@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import io
+import itertools
 import json
 import pickle
 import random
@@ -40,6 +41,8 @@ def mutate(text: str, k: int) -> tuple[str, str]:
     if k % 8 == 7:
         return _mutate_text(text, rng)
     whole = json.loads(text)
+    if k % 4 == 1:
+        return _lie(whole, rng), json.dumps(whole)
     places = [p for p in _places(whole) if rng.random() < 0.5 or not isinstance(p[0], list)]
     kind = rng.choice(sorted(_STRUCTURED))
     for _ in range(50):
@@ -120,6 +123,35 @@ _STRUCTURED: dict[str, Callable[[Any, Any, random.Random], str]] = {
     "name": _name,
     "key": _key,
 }
+
+
+def _lie(whole: dict[str, Any], rng: random.Random) -> str:
+    """A change of a size with everything that follows from it, so that only the compiled code can tell."""
+    sizes, change = whole["sizes"], rng.choice((-1, 1, 2, 60))
+    kind, macro = rng.choice(
+        (("states", "NX"), ("controls", "NU"), ("parameters", "NP"), ("y_names", "NY"), ("rows", "NR"))
+    )
+    if kind in ("rows", "y_names") and whole[kind]:
+        last = whole[kind].pop()
+        more = [{**last, "name": f"row_{i}"} if kind == "rows" else f"y_{i}" for i in range(max(0, change + 1))]
+        whole[kind] += more
+        sizes[macro] = len(whole[kind])
+        return f"lie: {sizes[macro]} {kind}"
+    signals = whole[kind]
+    _resize(signals[0], max(1, signals[0]["size"] + change))
+    if len(signals) > 1 and rng.random() < 0.5:  # the others give what the first one takes
+        _resize(signals[1], max(1, sizes[macro] - signals[0]["size"] - sum(s["size"] for s in signals[2:])))
+    for before, after in itertools.pairwise(signals):
+        after["offset"] = before["offset"] + before["size"]
+    sizes[macro] = sum(s["size"] for s in signals)
+    if kind == "controls":
+        for row in whole["rows"]:
+            row["index"] = 0 if row["kind"] == "control" else row["index"]
+    return f"lie: {kind} of sizes {[s['size'] for s in signals]}"
+
+
+def _resize(signal: dict[str, Any], size: int) -> None:
+    signal |= {"size": size, "scalar": False, "value": [0.0] * size}
 
 
 def _mutate_text(text: str, rng: random.Random) -> tuple[str, str]:
