@@ -33,7 +33,7 @@ FOLDERS = {
 }
 
 #: A module imports only what stands before it. Folders of seams share one place: they do not see one another.
-RUNTIME = ("description", "library", "controller", "build", "package", "simulate")
+RUNTIME = ("description", "library", "controller", "build", "package", "pathrows", "plot", "simulate")
 ORDER = (
     *(("errors",), ("tolerances",), ("weight",), ("status",)),
     *(("kernel",), ("cprint",), ("sweep",), ("products",), ("cmodule",)),

@@ -343,11 +343,6 @@ def test_names_sizes_stats(toy: Controller) -> None:
     assert repr(toy).startswith("<Controller toy: N=4, nx=2, nu=1, np=3, test")
 
 
-def test_every_status_has_a_meaning() -> None:
-    assert len(Status) == 12
-    assert len({s.meaning for s in Status}) == 12
-
-
 # -- copies -----------------------------------------------------------------------------------------------------------
 
 

@@ -115,8 +115,15 @@ class Controller:
         status = Status(self._call("solve", self._s, self._xhat_c, float(tol), int(max_iterations)))
         elapsed = perf_counter_ns() - start
         parts = {n: self._optional(n).copy() for n in ("x", "u", "lam", "mu_x", "mu_u", "mu", "mu_N", "eta")}
-        iterations = self.stats.sqp_iterations
-        return Solution(status, **parts, cost=self.cost, kkt=self.kkt(), iterations=iterations, time_ns=elapsed)
+        return Solution(
+            status,
+            **parts,
+            cost=self.cost,
+            kkt=self.kkt(),
+            iterations=self.stats.sqp_iterations,
+            time_ns=elapsed,
+            controls=self.names.controls,
+        )
 
     def reset(self) -> None:
         """Back to the plain start; references, weights, parameters and bounds stay."""
@@ -400,9 +407,7 @@ class Controller:
 
     def _fail(self, status: Status, call: str, what: str) -> NoReturn:
         subject = f" ({what})" if what else ""
-        raise ControllerError(
-            f"{self._library.name}.{call}{subject}: {status.name}: {status.meaning}{self._details(status)}"
-        )
+        raise ControllerError(f"{self._library.name}.{call}{subject}: {status}{self._details(status)}")
 
     def _details(self, status: Status) -> str:
         """Which row or state is at fault, in the user's names."""
