@@ -65,8 +65,8 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
         "OCP 'a': T / N is 4.99994e-321 s, expected a length between 1e-15",
     ),
     "T enormous": (lambda g: OCP("a", T=1e300, N=2), "T / N is 5e+299 s, expected a length between 1e-15 and 1e+15 s"),
-    "N enormous": (lambda g: OCP("a", T=1, N=10**7), "OCP 'a': N must be an integer <= 100000, got '10000000'"),
-    "N beyond words": (lambda g: OCP("a", T=1, N=10**5000), "N must be an integer <= 100000, got"),
+    "N enormous": (lambda g: OCP("a", T=1, N=10**7), "OCP 'a': N must be an integer <= 10000, got '10000000'"),
+    "N beyond words": (lambda g: OCP("a", T=1, N=10**5000), "N must be an integer <= 10000, got"),
     "intervals denormal": (
         lambda g: OCP("a", intervals=[1, 5e-324]),
         "interval 1 is 4.94066e-324 s, expected a length",

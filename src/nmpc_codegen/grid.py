@@ -9,8 +9,8 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.expression import integer, numbers, quote
 
-#: Intervals: beyond it the lists of nodes alone, in the C as in its description, take minutes and many megabytes.
-MAX_INTERVALS = 100_000
+#: Intervals: the tables of one row at every node then fill a megabyte of C, and its solution takes milliseconds.
+MAX_INTERVALS = 10_000
 #: Lengths of an interval (s): dt^2 and 1 / dt^2 are normal numbers in single precision too.
 SHORTEST, LONGEST = 1e-15, 1e15
 #: Longest over shortest interval: products of two lengths, in one Hessian, still differ by less than 1 / eps.
