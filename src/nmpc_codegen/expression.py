@@ -12,6 +12,7 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.kernel import OPERATIONS
 from nmpc_codegen.problem import Array
+from nmpc_codegen.weight import checked_weight
 
 _KEYWORDS = """
     alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class compl
@@ -35,6 +36,9 @@ NONSMOOTH = {
         "COPYSIGN": "copysign", "IF_ELSE_ZERO": "if_else", "FMIN": "fmin", "FMAX": "fmax",
     }.items()
 }  # fmt: skip
+
+#: Elements of one signal: the matrix d f / d x of a state as long as that is 128 MB at every single node.
+MAX_SIZE = 4_000
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -71,12 +75,14 @@ def duplicate(names: Iterable[str]) -> tuple[str, str] | None:
     return None
 
 
-def integer(value: Any, what: str, minimum: int) -> int:
-    """A whole number of at least ``minimum``."""
+def integer(value: Any, what: str, minimum: int, maximum: int | None = None) -> int:
+    """A whole number from ``minimum`` to ``maximum``."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise ProblemError(f"{what} must be an integer >= {minimum}, got {type(value).__name__} {quote(value)}")
     if value < minimum:
         raise ProblemError(f"{what} must be an integer >= {minimum}, got {value}")
+    if maximum is not None and value > maximum:
+        raise ProblemError(f"{what} must be an integer <= {maximum}, got {quote(value)}")
     return int(value)
 
 
@@ -122,10 +128,7 @@ def vector(value: Any, size: int, what: str, *, finite: bool = True) -> Array:
 
 
 def weight_matrix(value: Any, size: int, what: str) -> Array:
-    """A symmetric positive semidefinite matrix (size, size); a scalar or vector is its diagonal.
-
-    Semidefinite up to round-off: no eigenvalue below -1e-12 times the largest magnitude.
-    """
+    """A symmetric positive semidefinite matrix (size, size), up to rounding; a scalar or vector is its diagonal."""
     array = numbers(value, what)
     if array.shape != (size, size):
         try:
@@ -138,20 +141,7 @@ def weight_matrix(value: Any, size: int, what: str) -> Array:
             raise
     if not np.isfinite(array).all():
         raise ProblemError(f"{what} must be finite, got {quote(value)}")
-    scale = float(np.abs(array).max(initial=0.0))
-    if scale == 0.0:
-        return array
-    unit = array / scale
-    if np.abs(unit - unit.T).max() > 1e-12:
-        i, j = np.unravel_index(np.abs(unit - unit.T).argmax(), array.shape)
-        raise ProblemError(
-            f"{what} must be symmetric, but entry [{i}, {j}] is {array[i, j]:g} and [{j}, {i}] is {array[j, i]:g}"
-        )
-    unit = unit / 2 + unit.T / 2
-    smallest = float(np.linalg.eigvalsh(unit).min())
-    if smallest < -1e-12:
-        raise ProblemError(f"{what} must be positive semidefinite, but has the eigenvalue {smallest * scale:g}")
-    return array if np.array_equal(array, array.T) else np.asarray(unit * scale)
+    return checked_weight(array, what, ProblemError)
 
 
 def column(value: Any, what: str, symbols: dict[str, Any]) -> Any:

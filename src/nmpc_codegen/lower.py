@@ -278,7 +278,7 @@ def _tables(lin: Linearization) -> tuple[Table, ...]:
         return Table(name, "int", tuple(int(v) for v in values), doc)
 
     longest_step = max(p.dt) / _steps(lin)
-    first = [sum(1 for r in rows if r[0] < k) for k in range(p.N + 2)]
+    first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
     offsets = [s.offset for s in p.parameters] + [p.np]
     fixed = lin.options.online.parameter == "fixed"
     return (

@@ -147,7 +147,8 @@ def _factorization(dims: Dims) -> OpCount:
     for b in range(0, ld, 4):
         total += OpCount(add=13, mul=20, div=4)
         total += OpCount(add=6, mul=10) * (ld - b - 4)
-        for i in range(b + 4, n):
-            lanes = -(-(i + 1 - b - 4) // 4) * 4
-            total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4, other=4)
+        below = max(0, n - b - 4)  # row j of them works on 4 ceil(j / 4) entries
+        whole, rest = divmod(below, 4)
+        lanes = 4 * (whole + 1) * (2 * whole + rest)
+        total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4, other=4) * below
     return total
