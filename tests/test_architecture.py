@@ -35,7 +35,7 @@ FOLDERS = {
 #: A module imports only what stands before it. Folders of seams share one place: they do not see one another.
 RUNTIME = ("description", "library", "controller", "build", "package", "simulate")
 ORDER = (
-    *(("errors",), ("tolerances",), ("status",)),
+    *(("errors",), ("allowed",), ("tolerances",), ("status",)),
     *(("kernel",), ("cprint",), ("sweep",), ("products",), ("cmodule",)),
     *(("problem",), ("expression",), ("ocp",), ("analyse",), ("evaluation",), ("reference",)),
     *(("component",), ("dimensions",), ("riccati",), tuple(FOLDERS.values()), ("options",)),

@@ -12,6 +12,7 @@ from rich.table import Table
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.build import load
 from nmpc_codegen.cli.printing import Printer
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.reference import Reference, Tableau, node_data
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 LIMITS = {"double": {"u": 1e-6, "x": 1e-6, "cost": 1e-8}, "single": {"u": 1e-3, "x": 1e-3, "cost": 1e-4}}
 CHECK_TOLERANCE = {"double": 1e-9, "single": 1e-3}
 CHECK_ITERATIONS = 1000
+CHECK_STEPS = 5000  # of the integrator over the horizon
 COST_FLOOR = 1e-6  # a smaller cost counts as this much, or a problem that starts at its goal could not pass
 
 
@@ -32,9 +34,10 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     IPOPT starts as the generated code does; if it ends elsewhere (another local optimum) it starts once more at the
     generated code's solution, which it must then return.
     """
+    problem = analyse(ocp)
+    refuse_long(options, len(problem.dt))
     files = {f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")}
     controller = load(files, name, "verify", warnings_as_errors=True)
-    problem = analyse(ocp)
     solution = controller.solve(problem.x_initial, CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS)
     nlp = Reference(problem, *_tableau(options))
     data = node_data(problem)
@@ -49,6 +52,16 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     passed = solved and reference.success and all(errors[key] <= limits[key] for key in limits)
     _print_check(printer, solution, reference, errors, limits, passed)
     return passed
+
+
+def refuse_long(options: Options, intervals: int) -> None:
+    """OptionError if IPOPT would not return within a minute or so."""
+    steps = getattr(options.integrator, "steps", 1) * intervals
+    if steps > CHECK_STEPS:
+        raise OptionError(
+            f"--check: IPOPT would take {steps:,} steps of the integrator per evaluation; expected at most "
+            f"{CHECK_STEPS:,}: check it with fewer (--set integrator.steps=..., ExplicitRungeKutta(steps=...))"
+        )
 
 
 def _tableau(options: Options) -> tuple[Any, ...]:

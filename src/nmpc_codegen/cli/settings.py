@@ -63,6 +63,8 @@ def apply_setting(options: Options, key: str, text: str) -> Options:
 def _changed(part: Any, change: Change, where: str) -> Any:
     """A dataclass of options with what stands inside a change."""
     fields = rules(part)
+    if where not in ("", *SEAMS) and not any(fields.values()):
+        fields = {}  # a value such as a tableau, which is chosen as a whole
     new: dict[str, Any] = {}
     for name, inner in change.inside.items():
         key = f"{where}.{name}" if where else name

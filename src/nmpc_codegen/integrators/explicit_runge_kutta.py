@@ -33,10 +33,11 @@ Unroll = Literal["auto", "all", "step", "none"]
 
 # Steps per interval, and operations of a straight-line program, beyond which nobody waits for the code.
 MAX_STEPS = 100_000
-MAX_STRAIGHT = 200_000
+MAX_STRAIGHT = 100_000
 
-# Numbers that a backward sweep may keep of the steps of an interval: they stand on the stack.
-MAX_KEPT = 1 << 15
+# The same for steps of a backward sweep, and numbers that it may keep of all of them: they stand on the stack.
+MAX_BACKWARD_STEPS = 200
+MAX_KEPT = 1 << 16
 
 # unroll="auto": the largest straight-line program, in instructions, before loops are preferred
 AUTO_INSTRUCTIONS = 2500
@@ -92,6 +93,7 @@ class ExplicitRungeKutta:
 
         scheme: "symmetric" (three sweeps) or "forward_over_adjoint".
         """
+        self._refuse_long(name, ())
         b = SCHEMES[scheme](problem, self.tableau, self.steps, staggered=self.unroll != "step")
         nx, nz = problem.nx, problem.nx + problem.nu
         sweep = Sweep(
@@ -103,7 +105,7 @@ class ExplicitRungeKutta:
             b.buffers(),
             (start, *b.body()),
         )
-        self._refuse_long(sweep)
+        self._refuse_long(name, sweep.locals)
         if self.unroll == "step":
             return looped(fuse_steps(sweep))
         rolled = looped(sweep)
@@ -114,13 +116,14 @@ class ExplicitRungeKutta:
         small = expanded.statements <= AUTO_STATEMENTS
         return expanded if small or self.unroll == "all" else rolled
 
-    def _refuse_long(self, sweep: Sweep) -> None:
+    def _refuse_long(self, name: str, buffers: Sequence[tuple[str, int]]) -> None:
         """A backward sweep keeps stages of all steps, on the stack."""
-        kept = sum(size for _, size in sweep.locals)
-        if kept > MAX_KEPT:
+        kept = sum(size for _, size in buffers)
+        if self.steps > MAX_BACKWARD_STEPS or kept > MAX_KEPT:
             raise OptionError(
-                f"ExplicitRungeKutta.steps: {self.steps}; {sweep.name} would keep {kept:,} numbers of these steps on the "
-                f"stack; expected at most {MAX_KEPT:,}: fewer steps (--set integrator.steps=...)"
+                f"ExplicitRungeKutta.steps: {self.steps}; {name} goes backward over all steps and keeps numbers of them "
+                f"on the stack; expected at most {MAX_BACKWARD_STEPS} steps (--set integrator.steps=...) and "
+                f"{MAX_KEPT:,} numbers" + (f" instead of {kept:,}" if kept else "")
             )
 
     def _refuse_straight(self, rolled: LoopedRoutine) -> None:
@@ -144,7 +147,7 @@ class ExplicitRungeKutta:
 
     def _spelled(self, sweep: Sweep) -> Routine:
         """Straight-line or looped, as ``unroll`` says."""
-        self._refuse_long(sweep)
+        self._refuse_long(sweep.name, sweep.locals)
         if self.unroll == "step":
             return looped(fuse_steps(sweep))
         rolled = looped(sweep)
