@@ -78,22 +78,21 @@ def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
     for setting in arguments.settings:
         if "=" not in setting or not setting.partition("=")[0].strip():
             yield f"--set {setting}: expected KEY=VALUE, e.g. integrator.steps=3"
-    if arguments.output is not None:
-        yield from _folder(Path(arguments.output))
-    if arguments.plot is not None:
-        if arguments.simulate is None:
-            yield "--plot needs --simulate STEPS"
-        yield from _picture(Path(arguments.plot))
+    if arguments.plot is not None and arguments.simulate is None:
+        yield "--plot needs --simulate STEPS"
+    for flag, look in (("output", _folder), ("plot", _picture)):
+        value = getattr(arguments, flag)
+        try:
+            if value is not None:
+                yield from look(Path(value))
+        except OSError as error:  # a name too long, say
+            yield f"--{flag} {value}: {error.strerror}"
 
 
 def _folder(path: Path) -> Iterator[str]:
     """Why there cannot be a package: the folder, or what it is to stand in, is none or cannot be written."""
-    try:
-        there = next(p for p in (path.absolute(), *path.absolute().parents) if os.path.lexists(p))
-        _name_fits(path)
-    except OSError as error:
-        yield f"--output {path}: {error.strerror}"
-        return
+    there = next(p for p in (path.absolute(), *path.absolute().parents) if os.path.lexists(p))
+    _name_fits(path)
     if not there.is_dir():
         yield f"--output {path}: {there} is not a folder"
     elif not os.access(there, os.W_OK | os.X_OK):

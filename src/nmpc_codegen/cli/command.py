@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from nmpc_codegen.cli.arguments import check_usage, parser
 from nmpc_codegen.cli.messages import message, one_line
-from nmpc_codegen.cli.printing import Printer, drop_output, own_streams, undisturbed
+from nmpc_codegen.cli.printing import Printer, ReaderLeft, drop_output, own_streams, undisturbed
 
 if TYPE_CHECKING:
     from nmpc_codegen.compiler import Package
@@ -26,9 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with own_streams(whole_process=argv is None) as printer:
             return _main(argv, printer)
-    except BaseException as error:
-        if not _reader_left(error):
-            raise
+    except ReaderLeft:
         drop_output()
         return 1
 
@@ -43,19 +41,12 @@ def _main(argv: Sequence[str] | None, printer: Printer) -> int:
     try:
         return _run(arguments, printer)
     except BaseException as error:
-        if _reader_left(error):
+        if isinstance(error, ReaderLeft):
             raise
         if arguments.verbose:
             printer.trace(error)
         printer.error(message(error, arguments.problem))
         return 1
-
-
-def _reader_left(error: BaseException) -> bool:
-    """True if nobody reads the output any more; rich leaves the program then."""
-    return isinstance(error, BrokenPipeError) or (
-        isinstance(error, SystemExit) and isinstance(error.__context__, BrokenPipeError)
-    )
 
 
 def _run(arguments: argparse.Namespace, printer: Printer) -> int:

@@ -16,6 +16,10 @@ from rich.console import Console
 from nmpc_codegen.cli.messages import message, one_line, printable
 
 
+class ReaderLeft(Exception):
+    """Nobody reads what is printed: ``nmpc-export ... | head -1``."""
+
+
 class Printer:
     """Output and errors. What the stream cannot encode is escaped; markup in names means nothing."""
 
@@ -26,11 +30,11 @@ class Printer:
     def line(self, text: str, style: str = "") -> None:
         """A line of output, never wrapped; one for each line of the text."""
         for part in text.split("\n"):
-            self._output.print(printable(part), style=style, soft_wrap=True)
+            self._print(self._output, printable(part), style=style, soft_wrap=True)
 
     def table(self, table: Any) -> None:
         """A rich table."""
-        self._output.print(table)
+        self._print(self._output, table)
 
     def trace(self, error: BaseException) -> None:
         """The traceback of an exception, on the stream of errors."""
@@ -39,11 +43,17 @@ class Printer:
         except Exception:  # of an exception that refuses to be looked at
             text = "".join(traceback.format_tb(error.__traceback__))
         for line in text.splitlines():
-            self._errors.print(printable(line), soft_wrap=True)
+            self._print(self._errors, printable(line), soft_wrap=True)
 
     def error(self, text: str, style: str = "red") -> None:
         """One line on the stream of errors."""
-        self._errors.print(one_line(text), style=style, soft_wrap=True)
+        self._print(self._errors, one_line(text), style=style, soft_wrap=True)
+
+    def _print(self, console: Console, what: Any, **options: Any) -> None:
+        try:
+            console.print(what, **options)
+        except (BrokenPipeError, SystemExit):  # rich leaves the program when a pipe breaks
+            raise ReaderLeft from None
 
 
 @contextlib.contextmanager
@@ -58,6 +68,8 @@ def own_streams(whole_process: bool) -> Iterator[Printer]:
     try:
         yield Printer(output, errors)
         output.flush()
+    except BrokenPipeError:
+        raise ReaderLeft from None
     finally:
         if not whole_process:
             sys.stdout, sys.stderr, sys.unraisablehook, threading.excepthook = before

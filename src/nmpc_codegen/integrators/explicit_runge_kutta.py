@@ -121,8 +121,8 @@ class ExplicitRungeKutta:
         kept = sum(size for _, size in buffers)
         if self.steps > MAX_BACKWARD_STEPS or kept > MAX_KEPT:
             raise OptionError(
-                f"ExplicitRungeKutta.steps: {self.steps}; {name} goes backward over all steps and keeps numbers of them "
-                f"on the stack; expected at most {MAX_BACKWARD_STEPS} steps (--set integrator.steps=...) and "
+                f"ExplicitRungeKutta.steps: {self.steps}; {name} goes backward over all steps and keeps numbers "
+                f"of them on the stack; expected at most {MAX_BACKWARD_STEPS} steps (--set integrator.steps=...) and "
                 f"{MAX_KEPT:,} numbers" + (f" instead of {kept:,}" if kept else "")
             )
 
