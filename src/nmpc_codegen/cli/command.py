@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from nmpc_codegen.cli.arguments import check_usage, parser
 from nmpc_codegen.cli.messages import message, one_line
-from nmpc_codegen.cli.printing import Printer, ReaderLeft, drop_output, own_streams, undisturbed
+from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, own_streams, undisturbed
 
 if TYPE_CHECKING:
     from nmpc_codegen.compiler import Package
@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with own_streams(whole_process=argv is None) as printer:
             return _main(argv, printer)
-    except ReaderLeft:
+    except ReaderLeftError:
         drop_output()
         return 1
 
@@ -41,7 +41,7 @@ def _main(argv: Sequence[str] | None, printer: Printer) -> int:
     try:
         return _run(arguments, printer)
     except BaseException as error:
-        if isinstance(error, ReaderLeft):
+        if isinstance(error, ReaderLeftError):
             raise
         if arguments.verbose:
             printer.trace(error)

@@ -16,7 +16,7 @@ from rich.console import Console
 from nmpc_codegen.cli.messages import message, one_line, printable
 
 
-class ReaderLeft(Exception):
+class ReaderLeftError(Exception):
     """Nobody reads what is printed: ``nmpc-export ... | head -1``."""
 
 
@@ -53,7 +53,7 @@ class Printer:
         try:
             console.print(what, **options)
         except (BrokenPipeError, SystemExit):  # rich leaves the program when a pipe breaks
-            raise ReaderLeft from None
+            raise ReaderLeftError from None
 
 
 @contextlib.contextmanager
@@ -69,7 +69,7 @@ def own_streams(whole_process: bool) -> Iterator[Printer]:
         yield Printer(output, errors)
         output.flush()
     except BrokenPipeError:
-        raise ReaderLeft from None
+        raise ReaderLeftError from None
     finally:
         if not whole_process:
             sys.stdout, sys.stderr, sys.unraisablehook, threading.excepthook = before
