@@ -37,7 +37,7 @@ RUNTIME = (
     *("description", "parse", "library", "controller", "cache", "build", "package", "pathrows", "plot", "simulate"),
 )
 ORDER = (
-    *(("errors",), ("tolerances",), ("weight",), ("status",)),
+    *(("errors",), ("allowed",), ("tolerances",), ("weight",), ("status",)),
     *(("kernel",), ("cprint",), ("sweep",), ("products",), ("cmodule",)),
     *(
         ("problem",),

@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from nmpc_codegen.allowed import Whole, check_options, option
 from nmpc_codegen.cmodule import Field, Size, Struct, Table
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.kernel import OpCount
 from nmpc_codegen.qp.riccati_interior_point import CORE, interior_point_struct
 from nmpc_codegen.qp.riccati_interior_point import MAX_ITERATIONS as INTERIOR_POINT_ITERATIONS
@@ -54,14 +54,10 @@ class RiccatiActiveSet:
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
-    max_iterations: int | None = None
+    max_iterations: int | None = option(None, Whole(optional=True))
 
     def __post_init__(self) -> None:
-        if self.max_iterations is None:
-            return
-        cap = self.max_iterations
-        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
-            raise OptionError(f"RiccatiActiveSet.max_iterations: {cap!r} is not a positive integer or None")
+        check_options(self, self.seam)
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
