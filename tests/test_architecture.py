@@ -33,15 +33,15 @@ FOLDERS = {
 }
 
 #: A module imports only what stands before it. Folders of seams share one place: they do not see one another.
-RUNTIME = ("description", "library", "controller", "build", "package", "simulate")
+RUNTIME = ("description", "library", "controller", "build", "seal", "package", "simulate")
 ORDER = (
-    *(("errors",), ("tolerances",), ("status",)),
+    *(("errors",), ("naming",), ("tolerances",), ("status",)),
     *(("kernel",), ("cprint",), ("sweep",), ("products",), ("cmodule",)),
     *(("problem",), ("expression",), ("ocp",), ("analyse",), ("evaluation",), ("reference",)),
     *(("component",), ("dimensions",), ("riccati",), tuple(FOLDERS.values()), ("options",)),
     *(("choose",), ("linearize",), ("lower",), ("render",)),
     *((name,) for name in RUNTIME),
-    *(("compiler",), ("cli",)),
+    *(("folder",), ("compiler",), ("cli",)),
 )
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 

@@ -76,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--hessian", metavar="WORD", help="Hessian of the QP, see --list-options")
     add("--qp", metavar="WORD", help="QP solver, see --list-options")
     add("--allow-foreign", action="store_true", help="let OSQP's own generated code stand beside the package")
+    add("--force", action="store_true", help="replace files that are not unchanged ones of an earlier export")
     add("--precision", choices=("double", "single"), help="working precision")
     add(
         "--set",
@@ -301,9 +302,9 @@ def _run(arguments: argparse.Namespace, console: Console) -> int:
     for setting in arguments.settings:
         key, _, text = setting.partition("=")
         options = apply_setting(options, key.strip(), text.strip())
-    name = arguments.name or ocp.name
+    name = ocp.name if arguments.name is None else arguments.name
     folder = Path(arguments.output or Path("out") / name)
-    package = export(ocp, options, str(folder), name=name, allow_foreign=arguments.allow_foreign)
+    package = export(ocp, options, str(folder), name=name, allow_foreign=arguments.allow_foreign, force=arguments.force)
     _print_package(console, folder, name, package.report, arguments.verbose)
     passed = True
     if arguments.check:
