@@ -1,0 +1,1 @@
+"""Parts of benchmarks: each module has measure(report)."""
