@@ -138,7 +138,7 @@ def after_error(start: str, tiny: Make, root: Path, look: Callable[[Path], Tree]
     else:
         return "" if look(root) == wanted else "went on, and is not complete"
     after = look(root)
-    if after == before or after == wanted:
+    if after in (before, wanted):
         return ""
     rest = {path: found for path, found in after.items() if STAGING not in path}
     # Only removing the leftovers failed: the message has to say where they are.

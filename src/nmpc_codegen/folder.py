@@ -113,8 +113,11 @@ def _make(folder: Path, made: list[Path]) -> None:
                 break
             missing.append(path)
         for path in reversed(missing):
-            path.mkdir()
-            made.append(path)
+            made.append(path)  # before: a folder that was made in spite of an error must go, too
+            try:
+                path.mkdir()
+            except FileExistsError:  # another process was faster
+                made.pop()
     if not folder.is_dir():
         raise ExportError(f"{folder}: is no folder; choose another path")
 
@@ -250,9 +253,9 @@ def _objection(old: bytes | None, mode: int) -> str | None:
 
 def _replace(staging: Path, changes: Sequence[Change]) -> None:
     """Write all new files aside, then rename them onto their places; on failure put the old ones back."""
-    with _naming(staging.parent, "the folder cannot be written to"):
-        staging.mkdir()
     try:
+        with _naming(staging.parent, "the folder cannot be written to"):
+            staging.mkdir()
         for change in changes:
             with _naming(change.target, "cannot be written"):
                 _stage(change)
