@@ -280,7 +280,7 @@ def outside_folder(root: Path) -> Path:
 
 
 NAMES = (
-    *("../x", "a/b", "/tmp/x", "a\\b", "a\0b", "a\nb", "a\n", "", " ", ".", "..", "a.b", "a-b", "a b", "~", "$HOME"),
+    *("../x", "a/b", "/etc/x", "a\\b", "a\0b", "a\nb", "a\n", "", " ", ".", "..", "a.b", "a-b", "a b", "~", "$HOME"),
     *("\u0430bc", "kran\u00fc", "\uff41bc", "a\u200b", "1st", "_x", "-o", "x" * 61, "x" * 5000),
     *("main", "Main", "MAIN", "readme", "README", "cmakelists", "CMakeLists", "osqp", "OSQP", "wrapper", "makefile"),
     *("math", "Math", "string", "stdint", "stdio", "stdlib", "errno", "assert", "complex", "float", "limits", "time"),
