@@ -34,10 +34,11 @@ FOLDERS = {
 
 #: A module imports only what stands before it. Folders of seams share one place: they do not see one another.
 RUNTIME = (
-    *("description", "parse", "library", "controller", "cache", "build", "package", "pathrows", "plot", "simulate"),
+    *("description", "parse", "library", "controller", "cache", "build", "seal", "package"),
+    *("pathrows", "plot", "simulate"),
 )
 ORDER = (
-    *(("errors",), ("allowed",), ("tolerances",), ("weight",), ("status",)),
+    *(("errors",), ("naming",), ("allowed",), ("tolerances",), ("weight",), ("status",)),
     *(("kernel",), ("cprint",), ("sweep",), ("products",), ("cmodule",)),
     *(
         ("problem",),
@@ -53,7 +54,7 @@ ORDER = (
     *(("component",), ("dimensions",), ("riccati",), tuple(FOLDERS.values()), ("options",)),
     *(("choose",), ("linearize",), ("lower",), ("render",)),
     *((name,) for name in RUNTIME),
-    *(("compiler",), ("cli",)),
+    *(("folder",), ("compiler",), ("cli",)),
 )
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 

@@ -13,7 +13,7 @@ import pytest
 
 from nmpc_codegen.analyse import analyse
 from nmpc_codegen.errors import ProblemError, ProblemWarning
-from nmpc_codegen.expression import C_KEYWORDS
+from nmpc_codegen.naming import C_KEYWORDS
 from nmpc_codegen.ocp import OCP
 
 

@@ -13,6 +13,7 @@ from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import (
     BuildError,
     ControllerError,
+    ExportError,
     NmpcError,
     OptionError,
     ProblemError,
@@ -78,6 +79,7 @@ __all__ = [
     "Euler",
     "ExactHessian",
     "ExplicitRungeKutta",
+    "ExportError",
     "ForwardOverAdjoint",
     "FullCondensing",
     "GaussNewton",

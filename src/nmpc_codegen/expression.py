@@ -11,18 +11,9 @@ import numpy as np
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.kernel import OPERATIONS
+from nmpc_codegen.naming import C_KEYWORDS
 from nmpc_codegen.problem import Array
 from nmpc_codegen.weight import checked_weight
-
-_KEYWORDS = """
-    alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class compl
-    complex concept const consteval constexpr constinit const_cast continue co_await co_return co_yield decltype default
-    delete do double dynamic_cast else enum explicit export extern false float for friend goto if imaginary inline int
-    long mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public register
-    reinterpret_cast requires restrict return short signed sizeof static static_assert static_cast struct switch
-    template this thread_local throw true try typedef typeid typename typeof typeof_unqual union unsigned using virtual
-    void volatile wchar_t while xor xor_eq"""
-C_KEYWORDS = frozenset(_KEYWORDS.split())
 
 #: Operations of a CasADi SX Function that have a C spelling.
 C_OPERATIONS = frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}

@@ -39,7 +39,7 @@ MAGIC = 0x4E4D5043
 def lower(lin: Linearization, name: str | None = None) -> CModule:
     """Decide every size and name of the package ``name`` (default: the problem's)."""
     problem = lin.problem
-    name = name or problem.name
+    name = problem.name if name is None else name
     check_prefix(name)
     dims = _dims(lin)
     structs = _structs(lin, dims)

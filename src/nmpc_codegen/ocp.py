@@ -26,6 +26,7 @@ from nmpc_codegen.expression import (
     weight_matrix,
 )
 from nmpc_codegen.grid import grid
+from nmpc_codegen.naming import check_package_name
 from nmpc_codegen.problem import Signal, c_identifier
 from nmpc_codegen.statement import At, Declared, Element, GeneralCost, Kind, Residual, Soft, Statement, intersection
 from nmpc_codegen.symbol import Symbol, is_comparison, row_call
@@ -43,7 +44,8 @@ class OCP:
               lower <= h(x_k, u_k, p_k) <= upper,   lower <= r(x_0, x_N) <= upper
 
     Args:
-        name: C identifier; prefix of the generated C.
+        name: C identifier of at most 60 characters; prefix of the generated C, and name of its files. Keywords,
+            standard headers (string, math), main, README and the like are refused in any case.
         T: length of the horizon (s), divided into N equal intervals.
         N: number of intervals. Without T and intervals: a discrete map with dt = 1.
         intervals: lengths of the intervals (s), instead of T.
@@ -54,6 +56,7 @@ class OCP:
 
     def __init__(self, name: str, *, T: float | None = None, N: int | None = None, intervals: Any = None) -> None:
         self.name = identifier(name, "OCP")
+        check_package_name(name, "OCP: name")
         self.N, self.dt = grid(name, T, N, intervals)
         self.states: list[Declared] = []
         self.controls: list[Declared] = []

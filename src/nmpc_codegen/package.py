@@ -10,6 +10,7 @@ from pathlib import Path
 from nmpc_codegen.build import load
 from nmpc_codegen.controller import Controller
 from nmpc_codegen.errors import BuildError
+from nmpc_codegen.seal import package_of
 
 MAX_BYTES = 2**26  # of one file
 
@@ -23,8 +24,8 @@ def open_package(
     an error, whatever it says.
 
     Raises:
-        BuildError: the folder does not hold that package, or not exactly one <name>.json with <name>.h and <name>.c; a
-            file cannot be read; or the compiler refuses the code.
+        BuildError: the folder does not hold that package, or not exactly one <name>.json with <name>.h and <name>.c;
+            the three come from different exports; a file cannot be read; or the compiler refuses the code.
         ControllerError: <name>.json is no description of a package, or not of this C code.
     """
     folder = Path(directory)
@@ -39,6 +40,11 @@ def open_package(
         raise BuildError(f"{folder}: {prefix}.c is missing")
     paths += sorted(p for p in folder.glob("osqp/**/*.[ch]"))
     files = {p.relative_to(folder).as_posix(): _read(p) for p in paths}
+    if len({package_of(files[p.name]) for p in paths[:3]} - {None}) > 1:
+        raise BuildError(
+            f"{folder}: {', '.join(p.name for p in paths[:3])} come from different exports (one was interrupted, or "
+            "files were copied one by one): export the package again"
+        )
     return load(files, prefix, profile, lanes=lanes)
 
 

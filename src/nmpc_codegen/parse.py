@@ -164,7 +164,7 @@ class Entry:
 
 
 def _description(whole: Entry) -> Description:
-    raw = whole.members(ENTRIES)
+    raw = whole.members(ENTRIES, ("seal",))
     sizes = raw["sizes"].members(DIMENSIONS, raw["sizes"].object())
     dims = _dimensions(sizes)
     if raw["shift"].value is not None:

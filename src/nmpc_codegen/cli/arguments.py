@@ -43,6 +43,7 @@ def parser() -> Parser:
     add("--hessian", metavar="WORD", help="Hessian of the QP, see --list-options")
     add("--qp", metavar="WORD", help="QP solver, see --list-options")
     add("--allow-foreign", action="store_true", help="let OSQP's own generated code stand beside the package")
+    add("--force", action="store_true", help="replace files that are not unchanged ones of an earlier export")
     add("--precision", choices=PRECISIONS, help="working precision")
     add(
         "--set",

@@ -59,9 +59,9 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     from nmpc_codegen.compiler import export
 
     ocp, options = _problem(arguments, printer)
-    name = arguments.name or ocp.name
+    name = ocp.name if arguments.name is None else arguments.name
     folder = Path(arguments.output or Path("out") / name)
-    package = export(ocp, options, str(folder), name=name, allow_foreign=arguments.allow_foreign)
+    package = export(ocp, options, str(folder), name=name, allow_foreign=arguments.allow_foreign, force=arguments.force)
     _print_package(printer, package, folder, arguments.verbose)
     passed = check(ocp, options, folder, name, printer) if arguments.check else True
     if arguments.simulate is not None:
