@@ -213,7 +213,7 @@ def test_open_package_refuses_a_mixture(tmp_path: Path) -> None:
 def test_open_package_cannot_read(tmp_path: Path) -> None:
     export(tiny(), None, tmp_path)
     (tmp_path / "tiny.h").write_bytes(b"\xff\xfe")
-    with pytest.raises(BuildError, match=r"tiny\.h cannot be read"):
+    with pytest.raises(BuildError, match=r"tiny\.h is not UTF-8 text"):
         open_package(tmp_path)
 
 
