@@ -30,6 +30,7 @@ Files = dict[str, str]
 TOOLS = {
     "cc": ("gcc", "cc", "clang"),
     "cxx": ("g++", "c++", "clang++"),
+    "clang": ("clang",),
     "cmake": ("cmake",),
     "arm": ("arm-none-eabi-gcc",),
     "valgrind": ("valgrind",),
