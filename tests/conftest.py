@@ -47,7 +47,7 @@ def require_tool(name: str) -> str:
         path = shutil.which(program)
         if path is not None:
             return path
-    word = next((word for word, programs in TOOLS.items() if name in programs), name)
+    word = name if name in TOOLS else next((word for word, programs in TOOLS.items() if name in programs), name)
     missing(f"there is no program {' or '.join(TOOLS.get(name, (name,)))} on the path", word)
     raise AssertionError("missing() returned")
 
