@@ -191,6 +191,8 @@ class CModule:
     routines: tuple[Routine, ...]
     products: Products
     convexify: str  # template of riccati_convexify()
+    regularize: str  # template of condense_factorize()
+    shift_templates: tuple[str, ...]  # of qp_shift_working_set() and condense_shift(), for plans that move by intervals
     sections: tuple[Section, ...]
     statuses: tuple[Status, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments

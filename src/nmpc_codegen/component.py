@@ -76,6 +76,7 @@ class Component(Protocol):
     ``columns``: it calls the products with columns.
     A QP solver has ``takes``, the form it reads, and ``automatic``: qp=None may choose it. One that wraps foreign code
     has foreign_sources(prefix, precision, nv, ng) -> files below the folder of its name.
+    Both have ``shift_template``: condense_shift() or qp_shift_working_set(), only where the plan moves by one interval.
     """
 
     seam: ClassVar[str]

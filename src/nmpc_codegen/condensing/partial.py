@@ -29,6 +29,7 @@ class PartialCondensing:
     seam: ClassVar[str] = "condensing"
     name: ClassVar[str] = "partial"
     template: ClassVar[str] = "condensing/partial.c.jinja"
+    shift_template: ClassVar[str] = "condensing/shift_stages.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False

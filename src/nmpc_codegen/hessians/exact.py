@@ -165,13 +165,16 @@ class ExactHessian:
         return "riccati/convexify.c.jinja" if self.level == "reduced" else "riccati/as_given.c.jinja"
 
     @property
+    def regularize(self) -> str:
+        """What full condensing does about an indefinite condensed Hessian."""
+        return f"hessians/regularize_{'reduced' if self.level == 'reduced' else 'nothing'}.c.jinja"
+
+    @property
     def parts(self) -> tuple[str, ...]:
-        """What becomes of an indefinite Hessian."""
+        """What becomes of an indefinite block."""
         if self.level == "stage":
             return "hessians/jacobi.c.jinja", "hessians/regularize_stage.c.jinja"
-        if self.level == "reduced":
-            return "hessians/eigen.c.jinja", "hessians/regularize_reduced.c.jinja"
-        return ("hessians/regularize_nothing.c.jinja",)
+        return ("hessians/keep_stages.c.jinja",)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""

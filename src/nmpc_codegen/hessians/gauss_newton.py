@@ -39,6 +39,7 @@ class GaussNewton:
     template: ClassVar[str] = "hessians/gauss_newton.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
     convexify: ClassVar[str] = "riccati/as_given.c.jinja"
+    regularize: ClassVar[str] = "hessians/regularize_nothing.c.jinja"
     supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "accumulators"})
 
     def __post_init__(self) -> None:
@@ -98,7 +99,7 @@ class GaussNewton:
     def parts(self) -> tuple[str, ...]:
         """What becomes of the curvature of the rows."""
         rows = "hessians/convex_rows.c.jinja" if self.convex_rows else "hessians/flat_rows.c.jinja"
-        return ("hessians/first_order.c.jinja", rows, "hessians/regularize_nothing.c.jinja")
+        return ("hessians/first_order.c.jinja", rows)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""

@@ -31,6 +31,7 @@ class DenseActiveSet:
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "dense_active_set"
     template: ClassVar[str] = "qp/dense_active_set.c.jinja"
+    shift_template: ClassVar[str] = "qp/dense_active_set_shift.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = True

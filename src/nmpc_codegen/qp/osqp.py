@@ -37,6 +37,7 @@ class Osqp:
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "osqp"
     template: ClassVar[str] = "qp/osqp.c.jinja"
+    shift_template: ClassVar[str] = "qp/osqp_shift.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = False

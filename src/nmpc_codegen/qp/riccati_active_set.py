@@ -47,6 +47,7 @@ class RiccatiActiveSet:
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "riccati_active_set"
     template: ClassVar[str] = "qp/riccati_active_set.c.jinja"
+    shift_template: ClassVar[str] = "qp/shift_on_stages.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = True

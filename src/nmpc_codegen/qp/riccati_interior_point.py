@@ -132,6 +132,7 @@ class RiccatiInteriorPoint:
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "riccati_interior_point"
     template: ClassVar[str] = "qp/riccati_interior_point.c.jinja"
+    shift_template: ClassVar[str] = "qp/shift_on_stages.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = False
