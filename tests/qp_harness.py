@@ -60,14 +60,16 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
         autoescape=False,
         keep_trailing_newline=True,
     )
-    body = environment.get_template(component.template).render(
-        p="test",
-        P="TEST",
-        real="test_real",
-        lit=literal,
-        fn=lambda name: name + ("f" if single else ""),
-        tol=lambda name: literal(tolerance(name, precision)),
-    )
+    names = {
+        "p": "test",
+        "P": "TEST",
+        "real": "test_real",
+        "lit": literal,
+        "fn": lambda name: name + ("f" if single else ""),
+        "tol": lambda name: literal(tolerance(name, precision)),
+    }
+    templates = (component.template, component.shift_template)
+    body = "\n".join(environment.get_template(template).render(names) for template in templates)
     head = ["#include <math.h>", "#include <stdint.h>"]
     sizes = [
         ("NS", 1, ""),

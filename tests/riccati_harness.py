@@ -105,12 +105,12 @@ def structs(shape: Shape, extra: tuple[Struct, ...] = ()) -> tuple[Struct, ...]:
 
 def source(
     shape: Shape,
-    template: str = "riccati/kernel.c.jinja",
+    templates: tuple[str, ...] = ("riccati/kernel.c.jinja",),
     sizes: tuple[tuple[str, int, str], ...] = (),
     extra: tuple[Struct, ...] = (),
     precision: str = "double",
 ) -> str:
-    """Self-contained C text of a template on the stage seam."""
+    """Self-contained C text of templates on the stage seam."""
     single = precision == "single"
 
     def literal(value: float) -> str:
@@ -124,15 +124,16 @@ def source(
         autoescape=False,
         keep_trailing_newline=True,
     )
-    body = environment.get_template(template).render(
-        m=types.SimpleNamespace(convexify="riccati/as_given.c.jinja"),
-        p="test",
-        P="TEST",
-        real="test_real",
-        lit=literal,
-        fn=lambda name: name + ("f" if single else ""),
-        tol=lambda name: literal(tolerance(name, precision)),
-    )
+    names = {
+        "m": types.SimpleNamespace(convexify="riccati/as_given.c.jinja"),
+        "p": "test",
+        "P": "TEST",
+        "real": "test_real",
+        "lit": literal,
+        "fn": lambda name: name + ("f" if single else ""),
+        "tol": lambda name: literal(tolerance(name, precision)),
+    }
+    body = "\n".join(environment.get_template(template).render(names) for template in templates)
     dims = vars(shape.dims)
     macros = [(size.text, size.value) for size in dims.values()]
     macros += [(name, value) for name, value, _ in (*riccati_sizes(shape.dims), *sizes)]
@@ -215,7 +216,7 @@ class RiccatiQP:
         extra = tuple(s for s in component.structs(shape.dims) if s.name != "riccati")
         known = {name for name, _, _ in riccati_sizes(shape.dims)}
         sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-        text = source(shape, component.template, sizes, extra, precision) + SOLVER
+        text = source(shape, (component.template, component.shift_template), sizes, extra, precision) + SOLVER
         self.library = compiled(text, flags)
         self.memory = np.zeros((), memory_layout(shape, extra, precision))
         assert self.library.test_qp_size() == self.memory.nbytes

@@ -212,6 +212,12 @@ def test_exact_hessian_on_stages(check) -> None:  # type: ignore[no-untyped-def]
     )
 
 
+def test_exact_hessian_on_the_condensed_qp(check) -> None:  # type: ignore[no-untyped-def]
+    """The template that ExactHessian adds to full condensing."""
+    template = environment().get_template(ExactHessian().regularize)
+    check("regularize_reduced.c", template.render(context("golden", "double")))
+
+
 @pytest.mark.parametrize(("spelling", "limit"), [("nonzeros", 10**9), ("loops", -1)])
 def test_products(spelling: str, limit: int, check, monkeypatch: pytest.MonkeyPatch) -> None:  # type: ignore[no-untyped-def]
     monkeypatch.setattr(products, "WRITTEN_OUT", limit)
@@ -258,6 +264,7 @@ def test_no_golden_file_is_left_over() -> None:
         "products_nonzeros.c",
         "products_loops.c",
         "riccati_convexify.c",
+        "regularize_reduced.c",
         "header.h",
         "head.c",
         "api.c",

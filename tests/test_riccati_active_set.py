@@ -446,7 +446,7 @@ def test_the_template_is_cpp_too(name: str, precision: str, tmp_path: Path, need
     extra = tuple(struct for struct in component.structs(shape.dims) if struct.name != "riccati")
     known = {entry[0] for entry in riccati_sizes(shape.dims)}
     sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-    text = source(shape, component.template, sizes, extra, precision) + SOLVER
+    text = source(shape, (component.template, component.shift_template), sizes, extra, precision) + SOLVER
     (tmp_path / "riccati.cpp").write_text(text)
     flags = ["-std=c++17", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
     unused = ["-Wno-unused-function", "-Wno-unused-variable"]

@@ -1,3 +1,7 @@
+{% for template in m.shift_templates %}
+{% include template %}
+
+{% endfor %}
 /* The QP's prediction moves by one interval: the row of node k takes that of node k + 1, if it holds there too. */
 static void shift_working_set(solver_t *s)
 {

@@ -4,7 +4,7 @@
  *   condense_gradient  gradients of the nodes have changed, nothing else
  *   condense_rows      gaps b and values of the rows have changed, no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set moves by one interval
+ *   condense_shift     the predicted working set moves by one interval (its own template: for plans that do)
  * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k, all states but dx_0 eliminated in O(N^2). Variables of the QP are
  * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
  * lower <= row - sigma <= upper, cost l2/2 sigma^2, sigma = 0 elastic with penalty l1. */
@@ -14,7 +14,6 @@
 static void qp_init(qp_t *q);
 static status_t qp_factorize(qp_t *q);
 static status_t qp_solve(qp_t *q);
-static void qp_shift_working_set(qp_t *q, int n, const int *source);
 
 static void condense_init(solver_t *s)
 {
@@ -229,20 +228,15 @@ static void condense_rows(solver_t *s)
     }
 }
 
-/* A condensed Hessian that is not positive definite is formed again and regularised. */
+{% include m.regularize %}
+
 static status_t condense_prepare(solver_t *s)
 {
-    status_t status;
     condense_hessian(s);
     condense_rows(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
-    status = qp_factorize(&s->qp);
-    if (status != NUMERICAL_FAILURE) {
-        return status;
-    }
-    condense_hessian(s);
-    return regularize_reduced(&s->qp.H[0][0], NV - NSL, LDV, &s->qp.Q[0][0]) ? qp_factorize(&s->qp) : status;
+    return condense_factorize(s);
 }
 
 /* du and multipliers from the QP;  dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
@@ -272,16 +266,4 @@ static status_t condense_solve(solver_t *s)
     status = qp_solve(&s->qp);
     condense_expand(s);
     return status;
-}
-
-/* Slacks follow their rows. */
-static void condense_shift(solver_t *s, const int *source)
-{
-    int m;
-    for (m = 0; m < NG; m++) {
-        if (row_slack[m] >= 0) {
-            s->qp.side[row_slack[m]] = (source[m] < 0) ? 0 : s->qp.side[row_slack[source[m]]];
-        }
-    }
-    qp_shift_working_set(&s->qp, NU, source);
 }

@@ -4,7 +4,7 @@
  *   condense_gradient  gradients of the nodes have changed, nothing else
  *   condense_rows      gaps b and values of the rows have changed, no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set moves by one interval
+ *   condense_shift     the predicted working set moves by one interval (its own template: for plans that do)
  * Here: nothing is eliminated, the QP has the stages of the problem.
  * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient
  * of a general row), tables stage_first, stage_of_row, stage_state. */
@@ -13,7 +13,6 @@ static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
 static void qp_gradient(solver_t *s);
 static status_t qp_solve(solver_t *s);
-static void qp_shift_working_set(solver_t *s, int n, const int *source);
 
 static inline real_t (*stage_S(solver_t *s, int k))[NZS]
 {

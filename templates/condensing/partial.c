@@ -4,7 +4,7 @@
  *   condense_gradient  gradients of the nodes have changed, nothing else
  *   condense_rows      gaps b and values of the rows have changed, no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set moves by one interval
+ *   condense_shift     the predicted working set moves by one interval (its own template: for plans that do)
  * Here: blocks of BLOCK intervals become one stage: all states but the first of a block are eliminated,
  *     dx_{kB+j} = G_j (dx_kB, du_kB .. du_{kB+B-1}) + c_j,   [A B] = G_B,  b = c_B,
  *     Q = sum_j Z_j' Q_{kB+j} Z_j,   g = sum_j Z_j' (g_{kB+j} + Q_{kB+j} (c_j, 0)),   Z_j = [G_j; selection of du_{kB+j}].
@@ -18,7 +18,6 @@ static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
 static void qp_gradient(solver_t *s);
 static status_t qp_solve(solver_t *s);
-static void qp_shift_working_set(solver_t *s, int n, const int *source);
 
 static inline real_t (*stage_S(solver_t *s, int k))[NZS]
 {

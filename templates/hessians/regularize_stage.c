@@ -2,16 +2,6 @@
  * to the largest |Lambda| of the node. Nodes whose blocks are safely positive definite keep them (plus lm I). Irreducible
  * diagonal blocks are decomposed one by one, those of LANES nodes at once. */
 
-/* The reduced Hessian is convex already. */
-static inline int regularize_reduced(real_t *H, int n, int ld, real_t *work)
-{
-    (void)H;
-    (void)n;
-    (void)ld;
-    (void)work;
-    return 0;
-}
-
 /* Irreducible blocks of Q and Q_N: their rows, and where each begins among these. */
 static const int Q_block_row[NZ] = { {{ m.products.Q_blocks | sum(start=[]) | join(", ") }} };
 static const int Q_block_first[] = { 0{% for n in m.products.Q_block_ends %}, {{ n }}{% endfor %} };

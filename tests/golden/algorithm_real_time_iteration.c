@@ -402,6 +402,30 @@ golden_status_t golden_step(golden_solver_t *s, const golden_real xhat[GOLDEN_NX
     return golden_feedback(s, xhat, u0);
 }
 
+/* Warm start of a shifted problem: the side of control i + n becomes the prediction for control i, the last n keep theirs;
+ * general row j takes that of row source[j] >= j, or none if source[j] < 0. */
+static void qp_shift_working_set(golden_qp_t *q, int n, const int *source)
+{
+    for (int i = 0; i + n < GOLDEN_NS * GOLDEN_NUS; ++i) {
+        q->side[i] = q->side[i + n];
+    }
+    for (int j = 0; j < GOLDEN_NG; ++j) {
+        q->side[GOLDEN_NV + j] = source[j] < 0 ? 0 : q->side[GOLDEN_NV + source[j]];
+    }
+}
+
+/* Slacks follow their rows. */
+static void condense_shift(golden_solver_t *s, const int *source)
+{
+    int m;
+    for (m = 0; m < GOLDEN_NG; m++) {
+        if (row_slack[m] >= 0) {
+            s->qp.side[row_slack[m]] = (source[m] < 0) ? 0 : s->qp.side[row_slack[source[m]]];
+        }
+    }
+    qp_shift_working_set(&s->qp, GOLDEN_NU, source);
+}
+
 /* The QP's prediction moves by one interval: the row of node k takes that of node k + 1, if it holds there too. */
 static void shift_working_set(golden_solver_t *s)
 {

@@ -6,7 +6,7 @@
  *   condense_gradient  gradients of the nodes have changed, nothing else
  *   condense_rows      gaps b and values of the rows have changed, no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set moves by one interval
+ *   condense_shift     the predicted working set moves by one interval (its own template: for plans that do)
  * Here: nothing is eliminated, the QP has the stages of the problem.
  * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient
  * of a general row), tables stage_first, stage_of_row, stage_state. */
@@ -15,7 +15,6 @@ static void qp_init(golden_solver_t *s);
 static golden_status_t qp_factorize(golden_solver_t *s);
 static void qp_gradient(golden_solver_t *s);
 static golden_status_t qp_solve(golden_solver_t *s);
-static void qp_shift_working_set(golden_solver_t *s, int n, const int *source);
 
 static inline golden_real (*stage_S(golden_solver_t *s, int k))[GOLDEN_NZS]
 {
@@ -118,9 +117,4 @@ static golden_status_t condense_solve(golden_solver_t *s)
     status = qp_solve(s);
     condense_expand(s);
     return status;
-}
-
-static void condense_shift(golden_solver_t *s, const int *source)
-{
-    qp_shift_working_set(s, GOLDEN_NU, source);
 }

@@ -6,7 +6,7 @@
  *   condense_gradient  gradients of the nodes have changed, nothing else
  *   condense_rows      gaps b and values of the rows have changed, no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set moves by one interval
+ *   condense_shift     the predicted working set moves by one interval (its own template: for plans that do)
  * Here: blocks of BLOCK intervals become one stage: all states but the first of a block are eliminated,
  *     dx_{kB+j} = G_j (dx_kB, du_kB .. du_{kB+B-1}) + c_j,   [A B] = G_B,  b = c_B,
  *     Q = sum_j Z_j' Q_{kB+j} Z_j,   g = sum_j Z_j' (g_{kB+j} + Q_{kB+j} (c_j, 0)),   Z_j = [G_j; selection of du_{kB+j}].
@@ -20,7 +20,6 @@ static void qp_init(golden_solver_t *s);
 static golden_status_t qp_factorize(golden_solver_t *s);
 static void qp_gradient(golden_solver_t *s);
 static golden_status_t qp_solve(golden_solver_t *s);
-static void qp_shift_working_set(golden_solver_t *s, int n, const int *source);
 
 static inline golden_real (*stage_S(golden_solver_t *s, int k))[GOLDEN_NZS]
 {
@@ -294,9 +293,4 @@ static golden_status_t condense_solve(golden_solver_t *s)
     status = qp_solve(s);
     condense_expand(s);
     return status;
-}
-
-static void condense_shift(golden_solver_t *s, const int *source)
-{
-    qp_shift_working_set(s, GOLDEN_NU, source);
 }

@@ -474,7 +474,7 @@ static void add_rows_of_node(const golden_solver_t *s, int k, const golden_real 
 /* Penalties of the soft rows, evaluated afresh. */
 static golden_real soft_penalties(const golden_solver_t *s)
 {
-    golden_real h[GOLDEN_NH], h_N[GOLDEN_NH_N], r[1] = {0};
+    golden_real h[GOLDEN_NH] = {0}, h_N[GOLDEN_NH_N] = {0}, r[1] = {0};
     golden_real J[GOLDEN_NH * GOLDEN_NZ], J_N[GOLDEN_NH_N * GOLDEN_NX], J_r[1 * GOLDEN_NX];
     golden_real violation = 0.0, penalties = 0.0;
     int k;

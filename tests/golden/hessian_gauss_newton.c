@@ -3,8 +3,8 @@
 /* Seam "hessian", contract:
  *   expand_node(s, k, x_next)   nodes from the last to the first, terminal gradient known: s->node[k].S and g, x_next = Phi
  *   hessian(s)                  then: s->hessian.Q (GOLDEN_NQ blocks) and Q_N, lower triangles, z = (x, u)
- *   regularize_reduced(H, n, ld, work)  H, a reduced Hessian that is not positive definite (lower triangle of n rows), is made
- *                               so, and 1 returned, or 0: it stays as it is; work has the size of H */
+ * and, for full condensing,
+ *   condense_factorize(s)       qp_factorize(), and what becomes of a condensed Hessian that is not positive definite */
 /* Here: Gauss-Newton, Q = J' W J; one block for all nodes where it depends on the weight alone (NQ = 1). */
 
 /* Node k into s->node[k]: x_next = Phi(x_k, u_k), S = [A_k B_k], gradient g. */
@@ -17,21 +17,6 @@ static void expand_node(golden_solver_t *s, int k, golden_real *x_next)
 
 /* The curvature of the rows is left out. */
 static void add_rows(golden_solver_t *s)
-{
-    (void)s;
-}
-
-/* A reduced Hessian that is not positive definite stays as it is. */
-static inline int regularize_reduced(golden_real *H, int n, int ld, golden_real *work)
-{
-    (void)H;
-    (void)n;
-    (void)ld;
-    (void)work;
-    return 0;
-}
-
-static inline void regularize_stages(golden_solver_t *s)
 {
     (void)s;
 }

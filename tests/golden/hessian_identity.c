@@ -11,21 +11,6 @@ static void expand_node(golden_solver_t *s, int k, golden_real *x_next)
     path_gradient(s->x[k], s->u[k], s->p[k], &interval_length[k], s->yref[k], s->W[0], node->g);
 }
 
-/* A reduced Hessian that is not positive definite stays as it is. */
-static inline int regularize_reduced(golden_real *H, int n, int ld, golden_real *work)
-{
-    (void)H;
-    (void)n;
-    (void)ld;
-    (void)work;
-    return 0;
-}
-
-static inline void regularize_stages(golden_solver_t *s)
-{
-    (void)s;
-}
-
 static void hessian(golden_solver_t *s)
 {
     int k;

@@ -17,7 +17,7 @@
  *   qp_solve      feedback: g, lower, upper and penalty are known. Writes z, mult, iterations, changes, dropped, relaxed.
  *                 OK; ITERATION_LIMIT, STALLED (a working set came back), INFEASIBLE: z is the last iterate, 0 if bounds cross;
  *                 NUMERICAL_FAILURE (data not finite, cost unbounded below): z = mult = 0.
- *   qp_shift_working_set  before qp_factorize: the prediction moves n variables towards the front, and rows as told.
+ *   qp_shift_working_set  before qp_factorize: the prediction moves n variables towards the front, and rows as told (its own template).
  * Bounds may be infinite; equality = equal bounds. Redundant consistent equalities get multiplier 0 and are counted in
  * dropped; elastic rows that are violated, in relaxed. Bounds that cross are INFEASIBLE, of elastic rows too; without
  * crossed bounds and hard rows the answer is never INFEASIBLE. After INFEASIBLE certificate[] holds weights f, |f| <= 1, with
@@ -1257,16 +1257,4 @@ static golden_status_t qp_solve(golden_qp_t *q)
         return qp_fail(q, GOLDEN_NUMERICAL_FAILURE);
     }
     return status;
-}
-
-/* Warm start of a shifted problem: the side of control i + n becomes the prediction for control i, the last n keep theirs;
- * general row j takes that of row source[j] >= j, or none if source[j] < 0. */
-static void qp_shift_working_set(golden_qp_t *q, int n, const int *source)
-{
-    for (int i = 0; i + n < GOLDEN_NS * GOLDEN_NUS; ++i) {
-        q->side[i] = q->side[i + n];
-    }
-    for (int j = 0; j < GOLDEN_NG; ++j) {
-        q->side[GOLDEN_NV + j] = source[j] < 0 ? 0 : q->side[GOLDEN_NV + source[j]];
-    }
 }

@@ -88,11 +88,3 @@ static golden_status_t qp_solve(golden_qp_t *q)
     }
     return qp_fail(q, GOLDEN_NUMERICAL_FAILURE);
 }
-
-/* No working set to predict. */
-static void qp_shift_working_set(golden_qp_t *q, int n, const int *source)
-{
-    (void)q;
-    (void)n;
-    (void)source;
-}

@@ -12,7 +12,7 @@
  *   qp_gradient   gradients of the stages changed, matrices did not.
  *   qp_solve      feedback: dx_0 in step.dx[0], lower, upper, penalty are known. Writes x, z, mult, iterations, changes, relaxed.
  *                 OK; ITERATION_LIMIT, STALLED (a working set came back), INFEASIBLE; NUMERICAL_FAILURE: x = z = mult = 0.
- *   qp_shift_working_set  before qp_factorize: the prediction moves n controls towards the front, and rows as told.
+ *   qp_shift_working_set  before qp_factorize: the prediction moves n controls towards the front, and rows as told (its own template).
  * Bounds may be infinite; equality = equal bounds. Soft rows (penalty finite) cost penalty v + curvature / 2 v^2 for a
  * violation v; how many are violated is counted in relaxed.
  * side[] is the working set and stays for the warm start (+-1: member at its upper or lower bound, +-2: soft and violated); a
@@ -2593,11 +2593,6 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
     }
 }
 
-static inline void ipm_init(golden_solver_t *s)
-{
-    memset(&s->ipm, 0, sizeof s->ipm);
-}
-
 /* Results that say nothing. */
 static void ipm_clear(golden_solver_t *s)
 {
@@ -2948,21 +2943,4 @@ static golden_status_t qp_solve(golden_solver_t *s)
         qp_finish(q);
     }
     return status == GOLDEN_NUMERICAL_FAILURE ? qp_fail(q, status) : status;
-}
-
-/* Warm start of a shifted problem: the side of control c + n becomes the prediction for control c, the last n keep theirs; row m
- * takes that of row source[m] >= m, or none if source[m] < 0. */
-static inline void qp_shift_working_set(golden_solver_t *s, int n, const int *source)
-{
-    golden_qp_t *q = &s->qp;
-    int c, m;
-    for (c = 0; c + n < GOLDEN_NV; c++) {
-        q->side[c] = q->side[c + n];
-        q->mult[c] = q->mult[c + n];
-    }
-    for (m = 0; m < GOLDEN_NG; m++) {
-        const int from = GOLDEN_NV + source[m];
-        q->side[GOLDEN_NV + m] = source[m] < 0 ? 0 : q->side[from];
-        q->mult[GOLDEN_NV + m] = source[m] < 0 ? 0.0 : q->mult[from];
-    }
 }

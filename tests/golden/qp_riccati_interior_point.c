@@ -9,7 +9,7 @@
  *   qp_gradient   gradients or gaps have changed, no matrix.
  *   qp_solve      feedback: dx_0 in step.dx[0], bounds and penalties as they are now. Writes x, z, mult, side, iterations,
  *                 relaxed. OK; ITERATION_LIMIT; INFEASIBLE: certificate[] holds a contradiction; NUMERICAL_FAILURE.
- *   qp_shift_working_set  the warm start moves n controls towards the front, and rows as told.
+ *   qp_shift_working_set  the warm start moves n controls towards the front, and rows as told (its own template).
  * ------------------------------------------------------------------------------------------------------------------ */
 
 /* Riccati recursion on the stage QP, shared by the Riccati solvers.
@@ -1878,11 +1878,6 @@ static golden_status_t ipm_iterate(golden_solver_t *s)
     }
 }
 
-static inline void ipm_init(golden_solver_t *s)
-{
-    memset(&s->ipm, 0, sizeof s->ipm);
-}
-
 /* Results that say nothing. */
 static void ipm_clear(golden_solver_t *s)
 {
@@ -2024,7 +2019,7 @@ static void qp_init(golden_solver_t *s)
     int c;
     memset(&s->qp, 0, sizeof s->qp);
     riccati_init(s);
-    ipm_init(s);
+    memset(&s->ipm, 0, sizeof s->ipm);
     for (c = 0; c < GOLDEN_NV + GOLDEN_NG; c++) {
         s->qp.lower[c] = -(golden_real)INFINITY;
         s->qp.upper[c] = (golden_real)INFINITY;
@@ -2049,18 +2044,4 @@ static void qp_gradient(golden_solver_t *s)
 static golden_status_t qp_solve(golden_solver_t *s)
 {
     return ipm_solve(s);
-}
-
-static void qp_shift_working_set(golden_solver_t *s, int n, const int *source)
-{
-    int i;
-    for (i = 0; i + n < GOLDEN_NV; i++) {
-        s->qp.mult[i] = s->qp.mult[i + n];
-        s->qp.side[i] = s->qp.side[i + n];
-    }
-    for (i = 0; i < GOLDEN_NG; i++) {
-        const int from = GOLDEN_NV + source[i];
-        s->qp.mult[GOLDEN_NV + i] = (source[i] < 0) ? 0.0 : s->qp.mult[from];
-        s->qp.side[GOLDEN_NV + i] = (source[i] < 0) ? 0 : s->qp.side[from];
-    }
 }

@@ -76,6 +76,7 @@ class Component(Protocol):
     ``columns``: it calls the products with columns.
     A QP solver has ``takes``, the form it reads, and ``automatic``: qp=None may choose it. One that wraps foreign code
     has foreign_sources(prefix, precision, nv, ng) -> files below the folder of its name.
+    Both have ``shift_template``: condense_shift() or qp_shift_working_set(), only where the plan moves by one interval.
     """
 
     seam: ClassVar[str]
@@ -113,6 +114,12 @@ class Component(Protocol):
         ...
 
 
+def called(component: Component | type[Component]) -> str:
+    """A component as its user names it: in Python, and on the command line."""
+    cls = component if isinstance(component, type) else type(component)
+    return f"{cls.__name__}() (--set {cls.seam}={cls.name})"
+
+
 def refuse_unsupported(
     problem: Problem, components: Iterable[Component], registries: Mapping[str, Mapping[str, type[Component]]]
 ) -> None:
@@ -122,9 +129,9 @@ def refuse_unsupported(
         if missing:
             named = ", ".join(r.name for r in problem.rows if any(_uses(r, feature) for feature in missing))
             where = f" ({named})" if named else ""
-            able = [name for name, cls in registries[component.seam].items() if cls.supports.issuperset(missing)]
+            able = [called(c) for c in registries[component.seam].values() if c.supports.issuperset(missing)]
             offer = f"choose {' or '.join(able)}" if able else f"no {component.seam} of this version does"
-            refused = f"which {component.seam} {component.name!r} does not support"
+            refused = f"which {component.seam} {called(component)} does not support"
             raise OptionError(f"{problem.name} uses {' and '.join(missing)}{where}, {refused}; {offer}")
 
 

@@ -43,6 +43,7 @@ class FullCondensing:
     seam: ClassVar[str] = "condensing"
     name: ClassVar[str] = "full"
     template: ClassVar[str] = "condensing/full.c.jinja"
+    shift_template: ClassVar[str] = "condensing/shift_condensed.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "condensed"
     columns: ClassVar[bool] = True

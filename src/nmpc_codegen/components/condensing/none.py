@@ -21,6 +21,7 @@ class NoCondensing:
     seam: ClassVar[str] = "condensing"
     name: ClassVar[str] = "none"
     template: ClassVar[str] = "condensing/none.c.jinja"
+    shift_template: ClassVar[str] = "condensing/shift_stages.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False

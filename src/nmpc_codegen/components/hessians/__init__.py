@@ -5,6 +5,7 @@ the blocks Q[k] and Q_N are filled (lower triangles, z = (x, u)). Besides the co
 
     joint_routines(problem, integrator)   routines that the integrator helps to write: integrated costs, curvature
     convexify                             template of riccati_convexify(): what QPs on stages do if they are not convex
+    regularize                            template of condense_factorize(): what condensed QPs do
     patterns(routines)                    structural nonzeros of Q and Q_N
 """
 

@@ -9,17 +9,16 @@ section IV). The first time an adjoint pass gives lam.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import casadi as ca
 
+from nmpc_codegen.components.allowed import Named, Number, check_options, option
 from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.components.hessians.regularization import Mirror, Project, Regularization
 from nmpc_codegen.components.hessians.stage_cost import StageCost, integrated_kernels, slices, stage_cost
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
@@ -63,9 +62,9 @@ class ExactHessian:
     sweep: Symmetric() or ForwardOverAdjoint(), how second derivatives of the dynamics are propagated.
     """
 
-    regularization: Regularization | None = field(default_factory=Project)
-    sweep: Symmetric | ForwardOverAdjoint = field(default_factory=Symmetric)
-    levenberg_marquardt: float = 0.0
+    regularization: Regularization | None = option(Project(), Named(_REGULARIZATIONS, (Project, Mirror)))
+    sweep: Symmetric | ForwardOverAdjoint = option(Symmetric(), Named(_SWEEPS, (Symmetric, ForwardOverAdjoint)))
+    levenberg_marquardt: float = option(0.0, Number(closed=True))
 
     seam: ClassVar[str] = "hessian"
     name: ClassVar[str] = "exact"
@@ -76,22 +75,7 @@ class ExactHessian:
     )
 
     def __post_init__(self) -> None:
-        if isinstance(self.regularization, str) and self.regularization in _REGULARIZATIONS:
-            object.__setattr__(self, "regularization", _REGULARIZATIONS[self.regularization])
-        if isinstance(self.sweep, str) and self.sweep in _SWEEPS:
-            object.__setattr__(self, "sweep", _SWEEPS[self.sweep])
-        if not isinstance(self.regularization, Project | Mirror | None):
-            raise OptionError(
-                f"regularization: {self.regularization!r}; expected Project(...), Mirror(...), None or one of "
-                f"{', '.join(_REGULARIZATIONS)}"
-            )
-        if not isinstance(self.sweep, Symmetric | ForwardOverAdjoint):
-            raise OptionError(
-                f"sweep: {self.sweep!r}; expected Symmetric(), ForwardOverAdjoint() or one of {', '.join(_SWEEPS)}"
-            )
-        lm = self.levenberg_marquardt
-        if isinstance(lm, bool) or not isinstance(lm, int | float) or not (math.isfinite(lm) and lm >= 0):
-            raise OptionError(f"levenberg_marquardt: {lm!r}; expected a finite number >= 0")
+        check_options(self, self.seam)
 
     @property
     def level(self) -> str:
@@ -181,13 +165,16 @@ class ExactHessian:
         return "riccati/convexify.c.jinja" if self.level == "reduced" else "riccati/as_given.c.jinja"
 
     @property
+    def regularize(self) -> str:
+        """What full condensing does about an indefinite condensed Hessian."""
+        return f"hessians/regularize_{'reduced' if self.level == 'reduced' else 'nothing'}.c.jinja"
+
+    @property
     def parts(self) -> tuple[str, ...]:
-        """What becomes of an indefinite Hessian."""
+        """What becomes of an indefinite block."""
         if self.level == "stage":
             return "hessians/jacobi.c.jinja", "hessians/regularize_stage.c.jinja"
-        if self.level == "reduced":
-            return "hessians/eigen.c.jinja", "hessians/regularize_reduced.c.jinja"
-        return ("hessians/regularize_nothing.c.jinja",)
+        return ("hessians/keep_stages.c.jinja",)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""

@@ -26,6 +26,7 @@ class IdentityHessian:
     template: ClassVar[str] = "hessians/identity.c.jinja"
     needs: ClassVar[tuple[str, ...]] = ("integrator",)
     convexify: ClassVar[str] = "riccati/as_given.c.jinja"
+    regularize: ClassVar[str] = "hessians/regularize_nothing.c.jinja"
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
@@ -51,7 +52,7 @@ class IdentityHessian:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        return ("hessians/first_order.c.jinja", "hessians/regularize_nothing.c.jinja")
+        return ("hessians/first_order.c.jinja",)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         return ()
