@@ -72,7 +72,7 @@ class Recorded:
 def stretched(example: Example, N: int) -> OCP:
     """The example over N intervals of the length it has."""
     ocp = example.make()
-    ocp.N, ocp.dt = N, (ocp.dt[0],) * N
+    vars(ocp).update(N=N, dt=(ocp.dt[0],) * N)
     return ocp
 
 

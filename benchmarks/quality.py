@@ -17,9 +17,13 @@ from pathlib import Path
 from examples.crane import build_ocp
 from nmpc_codegen import Options, generate
 from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.runtime.build import WARNINGS as STRICT
 from nmpc_codegen.runtime.build import find_compiler
 
-WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow")
+#: Of both languages, and counted instead of refused.
+WARNINGS = tuple(flag for flag in STRICT if flag not in ("-std=c99", "-Werror"))
+#: Front ends by compiler and language.
+COMPILERS = {"gcc": {"C99": "gcc", "C++17": "g++"}, "clang": {"C99": "clang", "C++17": "clang++"}}
 LANGUAGES = {"C99": ("-x", "c", "-std=c99"), "C++17": ("-x", "c++", "-std=c++17")}
 RELEASE = ("-std=c99", "-O2", "-fno-math-errno", "-fno-trapping-math")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
@@ -47,33 +51,49 @@ def written(*packages: Sources) -> Iterator[Path]:
         folder = Path(name)
         for sources in packages:
             for path, text in sources.items():
+                (folder / path).parent.mkdir(parents=True, exist_ok=True)
                 (folder / path).write_text(text, encoding="utf-8")
         yield folder
 
 
-def compile_c(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run the C compiler in a folder; its messages in English."""
+def compile_c(folder: Path, *arguments: str, program: str | None = None) -> subprocess.CompletedProcess[str]:
+    """Run the C compiler, or a program, in a folder; its messages in English."""
     environment = {**os.environ, "LC_ALL": "C"}
-    command = [*find_compiler(), *arguments]
+    command = [*([program] if program else find_compiler()), *arguments]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
-def warnings_of(sources: Sources, levels: Sequence[str] = ("-O2",), languages: Sequence[str] = tuple(LANGUAGES)) -> str:
-    """Messages of the compiler on the package and its main.c, as C99 and as C++17, at every level; empty: none."""
+def warnings_of(
+    sources: Sources,
+    levels: Sequence[str] = ("-O2",),
+    languages: Sequence[str] = tuple(LANGUAGES),
+    compiler: str | None = None,
+) -> str:
+    """Messages of the compiler on the package and its main.c, as C99 and as C++17, at every level; empty: none.
+
+    ``compiler``: a word of COMPILERS; None: the one that build() takes.
+    """
     name = package_name(sources)
     messages = []
     with written(sources) as folder:
         for language in languages:
+            program = COMPILERS[compiler][language] if compiler else None
             for level in levels:
                 for path in (f"{name}.c", "main.c"):
-                    done = compile_c(folder, *LANGUAGES[language], level, *WARNINGS, "-c", path, "-o", os.devnull)
+                    flags = (*LANGUAGES[language], level, *WARNINGS)
+                    done = compile_c(folder, *flags, "-c", path, "-o", os.devnull, program=program)
                     messages.append(done.stderr if done.stderr or not done.returncode else "error: no message\n")
     return "".join(messages)
 
 
+def count_warnings(messages: str) -> int:
+    """Number of warnings and errors among the messages of a compiler."""
+    return len(re.findall(r"\b(?:warning|error):", messages))
+
+
 def compiler_warnings(sources: Sources, levels: Sequence[str] = ("-O2",)) -> int:
     """Number of warnings and errors of warnings_of()."""
-    return len(re.findall(r"\b(?:warning|error):", warnings_of(sources, levels)))
+    return count_warnings(warnings_of(sources, levels))
 
 
 def foreign_symbols(sources: Sources, *flags: str) -> list[str]:

@@ -88,7 +88,7 @@ def cases(example: Example) -> list[Case]:
 
     def regridded(grid: Array) -> Make:
         def regrid(ocp: OCP) -> None:
-            ocp.dt = tuple(float(v) for v in grid)
+            vars(ocp)["dt"] = tuple(float(v) for v in grid)
 
         return wrapped(example.make, regrid)
 

@@ -38,7 +38,7 @@ static void add_rows_of_node(const solver_t *s, int k, const real_t *h, const re
 /* Penalties of the soft rows, evaluated afresh. */
 static real_t soft_penalties(const solver_t *s)
 {
-    real_t h[NH > 0 ? NH : 1], h_N[NH_N > 0 ? NH_N : 1], r[NE > 0 ? NE : 1] = {0};
+    real_t h[NH > 0 ? NH : 1] = {0}, h_N[NH_N > 0 ? NH_N : 1] = {0}, r[NE > 0 ? NE : 1] = {0};
     real_t J[(NH > 0 ? NH : 1) * NZ], J_N[(NH_N > 0 ? NH_N : 1) * NX], J_r[(NE > 0 ? NE : 1) * NX];
     real_t violation = R(0), penalties = R(0);
     int k;

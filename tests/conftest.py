@@ -30,6 +30,7 @@ Files = dict[str, str]
 TOOLS = {
     "cc": ("gcc", "cc", "clang"),
     "cxx": ("g++", "c++", "clang++"),
+    "clang": ("clang",),
     "cmake": ("cmake",),
     "arm": ("arm-none-eabi-gcc",),
     "valgrind": ("valgrind",),
@@ -46,7 +47,7 @@ def require_tool(name: str) -> str:
         path = shutil.which(program)
         if path is not None:
             return path
-    word = next((word for word, programs in TOOLS.items() if name in programs), name)
+    word = name if name in TOOLS else next((word for word, programs in TOOLS.items() if name in programs), name)
     missing(f"there is no program {' or '.join(TOOLS.get(name, (name,)))} on the path", word)
     raise AssertionError("missing() returned")
 

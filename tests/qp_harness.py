@@ -74,7 +74,7 @@ def struct_text(struct: Struct) -> str:
 
 def part_text(path: str, sizes: Mapping[str, int]) -> str:
     """A part with what it includes, its conditions decided."""
-    return resolve(read_part(path, no_generated_part), sizes)
+    return resolve(read_part(path, no_generated_part), {**sizes, "SHIFT_RESAMPLE": 0, "REGULARIZE_REDUCED": 0})
 
 
 def no_generated_part(path: str) -> str:

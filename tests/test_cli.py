@@ -1,9 +1,12 @@
-"""cli.py: the command line from a problem file to C, and every way to use it wrongly."""
+"""cli/: the command line from a problem file to C, and every way to use it wrongly."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,8 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmpc_codegen import cli
-from nmpc_codegen.cli import apply_setting, compare, load_problem, main
+from nmpc_codegen.cli import check, main, settings
+from nmpc_codegen.cli.check import compare
+from nmpc_codegen.cli.problem_file import load_problem
+from nmpc_codegen.cli.settings import apply_setting, apply_settings
+from nmpc_codegen.components.hessians import Mirror
 from nmpc_codegen.components.integrators import RK4, ExplicitRungeKutta, Heun
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.options import REGISTRIES, Options
@@ -88,7 +94,7 @@ def test_check_with_another_integrator_in_single_precision(
 def test_a_check_that_fails(
     state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(cli.LIMITS, "double", {"u": 0.0, "x": 0.0, "cost": 0.0})
+    monkeypatch.setitem(check.LIMITS, "double", {"u": 0.0, "x": 0.0, "cost": 0.0})
     assert main([state_problem("ocp = cart()"), "-o", str(tmp_path / "c"), "--check"]) == 1
     assert "check FAILED" in said(capsys)[0]
 
@@ -114,7 +120,44 @@ def test_list_options_names_every_component_and_field(capsys: pytest.CaptureFixt
             assert f"--set {seam}={word} " in out
             for field in dataclasses.fields(component):
                 assert f"{seam}.{field.name} = " in out
-    assert "precision = 'double'" in out
+    for words in (
+        "precision = double; one of double, single",
+        "integrator.tableau = RK4; one of Euler, Midpoint, Heun, SSPRK3, RK4;",
+        "integrator.steps = 2; an integer >= 1",
+        "integrator.unroll = auto; one of auto, all, step, none",
+        "hessian.regularization = project; one of project, mirror, none;",
+        "hessian.regularization.level = reduced; one of reduced, stage",
+        "hessian.convex_rows = False; True or False",
+        "algorithm.shift = None; one of None, repeat, periodic, resample",
+        "online.weight = shared; one of fixed, shared, node",
+    ):
+        assert words in out
+
+
+def words_listed(out: str) -> list[tuple[str, str]]:
+    """Every KEY=VALUE that the listing offers: words, True and False, the default of the others."""
+    found = []
+    for line in (line for line in out.splitlines() if "--set" not in line):
+        key, _, rest = line.strip().partition(" = ")
+        default, _, allowed = rest.partition("; ")
+        words = allowed.partition("one of ")[2].partition(";")[0].split(", ") if "one of" in allowed else [default]
+        found += [(key, word) for word in (["True", "False"] if allowed == "True or False" else words) if rest]
+    return found
+
+
+def test_what_is_listed_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
+    """The words of --list-options are those that --set takes, whichever component has the option."""
+    assert main(["--list-options"]) == 0
+    listed = words_listed(capsys.readouterr().out)
+    assert len(listed) > 50
+    component = ""
+    for key, word in listed:
+        seam, _, rest = key.partition(".")
+        makers = [cls for cls in REGISTRIES.get(seam, {}).values() if rest.split(".")[0] in cls.__dataclass_fields__]
+        component = makers[0].name if makers and rest else ""
+        first = [(seam, component)] if component else []
+        first += [("algorithm.sampling_time", "0.1")] if (key, word) == ("algorithm.shift", "resample") else []
+        assert apply_settings(Options(), [*first, (key, word)]), (key, word)
 
 
 # -- usage ------------------------------------------------------------------------------------------------------------
@@ -131,6 +174,15 @@ def test_list_options_names_every_component_and_field(capsys: pytest.CaptureFixt
         (["p.py", "--set", "=3"], "expected KEY=VALUE"),
         (["p.py", "--precision", "half"], "invalid choice: 'half'"),
         (["p.py", "--no-such-flag"], "unrecognized arguments"),
+        (["p.py", "--set", "=="], "expected KEY=VALUE"),
+        (["p.py", "--simulate", "1000000000000"], "at most 1,000,000"),
+        (["p.py", "--simulate", "3", "--plot", "x.docx"], "unknown format '.docx'; expected one of"),
+        (["p.py", "--simulate", "3", "--plot", "no/such/folder/x.png"], "expected a file in a folder that exists"),
+        (["p.py", "-o", ""], "--output '': expected a name that is not empty"),
+        (["p.py", "-o", "a\0b"], "expected a name that is not empty"),
+        (["p.py", "-o", "/dev/null"], "/dev/null is not a folder"),
+        (["p.py", "-o", "x" * 300], "File name too long"),
+        (["p.py", "--set", "a\nb\x1b"], "--set a b\\x1b: expected KEY=VALUE"),
     ],
 )
 def test_wrong_usage_is_2(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -146,11 +198,35 @@ def test_help_is_0(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("text", "arguments", "message"),
     [
-        ("", [], "defines no problem: expected an OCP called `ocp`"),
+        ("", [], "defines no problem: expected an OCP called `ocp`, or a function problem() or"),
         ("one, two = cart(), cart()", [], "defines several problems (one, two); call the one to export `ocp`"),
         ("ocp = 3", [], "ocp is a int; expected OCP"),
         ("def problem():\n    return 3", [], "problem() returns int; expected OCP or (OCP, Options)"),
         ("ocp, options = cart(), 'fast'", [], "options is a str; expected Options"),
+        ("ocp, options = cart(), lambda: 3", [], "options is a int; expected Options"),
+        ("ocp = cart()\ndef options(shift):\n    return Options()", [], "options() cannot be called without arguments"),
+        ("raise ValueError", [], "problem.py, line 15: ValueError: no message"),
+        ("raise ValueError('a\\n  b\\x1b[31m')", [], "line 15: ValueError: a b\\x1b[31m"),
+        (
+            "class E(Exception):\n    def __str__(self): return 1 / 0\nraise E",
+            [],
+            "line 17: E: its message cannot be read",
+        ),
+        ("class E(BaseException): pass\nraise E('odd')", [], "line 16: E: odd"),
+        ("def f(): f()\nf()", [], "line 15: RecursionError"),
+        ("raise KeyboardInterrupt", [], "line 15: interrupted"),
+        ("import sys; sys.exit('no')", [], "exit status no"),
+        ("import sys; sys.exit()", [], "exit status 0"),
+        ("import no_such_module", [], "line 15: ModuleNotFoundError: No module named 'no_such_module'"),
+        ("x = '\0'", [], "problem.py"),
+        ("ocp = cart()", ["--set", "integrator.steps=1000000000"], "ExplicitRungeKutta.steps: 1000000000; expected an"),
+        ("ocp = cart()", ["--set", "integrator.steps=90000", "--set", "integrator.unroll=all"], "operations in a row"),
+        ("ocp = cart()", ["--hessian", "exact", "--set", "integrator.steps=90000"], "goes backward over all steps"),
+        ("ocp = cart()", ["--set", "integrator.steps=90000", "--check"], "--check"),
+        ("ocp = cart()", ["--set", "qp.max_iterations=1e400", "--qp", "osqp"], "Osqp.max_iterations: inf; expected"),
+        ("ocp = cart()", ["--set", "precision=" + "(" * 5000], "Options.precision: '(((("),
+        ("ocp = cart()", ["--set", "integrator.tableau.a=3"], "integrator.tableau has no option 'a'; it has none"),
+        ("ocp = cart()", ["--set", "condensing=full", "--qp", "riccati_active_set"], "(--set qp=riccati_active_set)"),
         ("ocp = OCP('cart', T=-1.0, N=5)", [], "problem.py, line 15: ProblemError"),
         ("x = 1 / 0", [], "problem.py, line 15: ZeroDivisionError: division by zero"),
         ("x = (", [], "problem.py, line 15: SyntaxError"),
@@ -158,7 +234,7 @@ def test_help_is_0(capsys: pytest.CaptureFixture[str]) -> None:
         ("ocp = cart()", ["--qp", "magic"], "there is no qp 'magic'; there is dense_active_set"),
         ("ocp = cart()", ["--hessian", "magic"], "there is no hessian 'magic'"),
         ("ocp = cart()", ["--set", "integrator.stepz=3"], "integrator has no option 'stepz'; there is tableau, steps"),
-        ("ocp = cart()", ["--set", "integrator.steps=0"], "OptionError: steps: 0; expected an integer >= 1"),
+        ("ocp = cart()", ["--set", "integrator.steps=0"], "ExplicitRungeKutta.steps: 0; expected an integer >= 1"),
         ("ocp = cart()", ["--name", "3d"], "3d"),
     ],
 )
@@ -181,6 +257,128 @@ def test_verbose_shows_the_traceback(state_problem: Any, capsys: pytest.CaptureF
     assert "Traceback" in said(capsys)[1]
 
 
+# -- odd surroundings -------------------------------------------------------------------------------------------------
+
+ROOT = Path(__file__).parents[1]
+
+
+def command(*arguments: str, where: Path, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    """The command as a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "nmpc_codegen.cli", *arguments],
+        cwd=where,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src"), **environment},
+        capture_output=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}]
+)
+def test_ascii_terminal(environment: dict[str, str], state_problem: Any, tmp_path: Path) -> None:
+    """Names and printed texts that the terminal cannot show are escaped; markup in a path is no markup."""
+    state_problem("print('\u03c0')\nocp = cart()")
+    done = command("problem.py", "-o", "\u03c0 [red]x[/]", where=tmp_path, **environment)
+    assert done.returncode == 0, done.stderr
+    assert b"[red]x[/]" in done.stdout
+    assert b"\\u03c0" in done.stdout
+    assert done.stderr == b""
+    assert (tmp_path / "\u03c0 [red]x[/]" / "cart.c").exists()
+
+
+def test_reader_that_leaves(tmp_path: Path) -> None:
+    """nmpc-export --list-options | head -0"""
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "nmpc_codegen.cli", "--list-options"],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        stdout=write,
+        stderr=subprocess.PIPE,
+        check=False,
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (1, b"")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import sys; sys.stdout.close(); sys.__stdout__.close()",
+        "import sys; sys.stdout.detach(); sys.__stdout__.detach()",
+        "import sys; sys.stdout = sys.stderr = sys.argv = sys.path = None",
+        "import os; os.chdir('/')",
+        "import os; os.close(1)",
+        "import warnings; warnings.simplefilter('error')",
+        "import sys; sys.excepthook = sys.unraisablehook = None",
+        "import numpy; numpy.seterr(all='raise')",
+    ],
+)
+def test_what_the_file_does_to_the_interpreter_is_undone(text: str, state_problem: Any, tmp_path: Path) -> None:
+    state_problem(f"ocp = cart()\n{text}")
+    done = command("problem.py", "-o", "c", where=tmp_path)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"cart in c" in done.stdout
+    assert (tmp_path / "c" / "cart.c").exists()
+
+
+def test_noise_of_the_file_is_one_line_each(state_problem: Any, tmp_path: Path) -> None:
+    """Warnings, threads, finalisers and exit handlers that fail."""
+    state_problem(
+        "import atexit, threading, warnings\n"
+        "class D:\n    def __del__(self): 1 / 0\n"
+        "D()\n"
+        "atexit.register(lambda: 1 / 0)\n"
+        "thread = threading.Thread(target=lambda: 1 / 0); thread.start(); thread.join()\n"
+        "warnings.warn('odd\\nthing')\n"
+        "ocp = cart()"
+    )
+    done = command("problem.py", "-o", "c", where=tmp_path)
+    assert done.returncode == 0
+    assert b"Traceback" not in done.stderr
+    lines = done.stderr.decode().splitlines()
+    assert len(lines) == 4, lines
+    assert sum("ZeroDivisionError" in line for line in lines) == 3
+    assert "problem.py, line 21: UserWarning: odd thing" in lines
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "it is a folder"),
+        (b"", "defines no problem"),
+        (bytes(range(256)), "Error"),
+        (b"\0\0", "null bytes"),
+        (b"x = '\xff'", "SyntaxError"),
+        (b"(" * 1000, "SyntaxError"),
+    ],
+)
+def test_files_that_are_no_programs(
+    content: bytes | None, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "odd.py"
+    if content is None:
+        path.mkdir()
+    else:
+        path.write_bytes(content)
+    assert main([str(path)]) == 1
+    _, err = said(capsys)
+    assert message in err
+    assert "odd.py" in err
+    assert "Traceback" not in err
+
+
+def test_an_exception_of_ours_names_its_stage(
+    state_problem: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What should not happen is one line all the same."""
+    monkeypatch.setattr("nmpc_codegen.compiler.lower", lambda *_: len(None))  # type: ignore[arg-type]
+    assert main([state_problem("ocp = cart()")]) == 1
+    _, err = said(capsys)
+    assert "TypeError: object of type 'NoneType' has no len(), in nmpc_codegen/compiler.py (-v shows where)" in err
+
+
 def test_no_such_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(tmp_path / "nothing.py")]) == 1
     assert "there is no such file" in said(capsys)[1]
@@ -197,6 +395,8 @@ def test_no_such_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         ("ocp, other = cart('chosen'), cart('other')", "chosen", None),
         ("def build_ocp():\n    return cart('built')", "built", None),
         ("def problem():\n    return cart('returned')", "returned", None),
+        ("from nmpc_codegen import ExplicitRungeKutta\ndef build_ocp():\n    return cart('two')\n"
+         "def options(steps=6):\n    return Options(integrator=ExplicitRungeKutta(steps=steps))", "two", 6),
         ("from nmpc_codegen import ExplicitRungeKutta\n"
          "ocp, options = cart(), Options(integrator=ExplicitRungeKutta(steps=7))", "cart", 7),
         ("from nmpc_codegen import ExplicitRungeKutta\n"
@@ -227,6 +427,13 @@ def test_settings() -> None:
     assert (options.qp.name, options.qp.max_iterations) == ("dense_active_set", 50)
     assert options.precision == "single"
     assert apply_setting(options, "qp", "None").qp is None
+    shift = [("algorithm.shift", "resample"), ("algorithm.sampling_time", "0.1")]
+    assert apply_settings(Options(), shift) == apply_settings(Options(), shift[::-1])
+    mirror = apply_settings(
+        Options(),
+        [("hessian", "exact"), ("hessian.regularization", "mirror"), ("hessian.regularization.floor", "1e-3")],
+    )
+    assert mirror.hessian.regularization == Mirror(floor=1e-3)
     assert Options().integrator is None
     assert ExplicitRungeKutta().tableau is RK4
 
@@ -250,8 +457,8 @@ def test_settings_that_are_refused(key: str, text: str, message: str) -> None:
 
 def test_a_field_that_several_components_have(monkeypatch: pytest.MonkeyPatch) -> None:
     registry = {"first": ExplicitRungeKutta, "second": ExplicitRungeKutta}
-    monkeypatch.setattr(cli, "registry", lambda seam: registry)
-    with pytest.raises(OptionError, match="say --set integrator=WORD before it, with one of first, second"):
+    monkeypatch.setattr(settings, "registry", lambda seam: registry)
+    with pytest.raises(OptionError, match="say --set integrator=WORD besides, with one of first, second"):
         apply_setting(Options(), "integrator.steps", "3")
 
 
@@ -265,8 +472,6 @@ def test_errors_are_relative_to_the_size_of_each_component() -> None:
 
 
 def test_load_problem_leaves_the_path_alone(state_problem: Any) -> None:
-    import sys
-
     before = list(sys.path)
     with pytest.raises(ProblemError):
         load_problem(Path(state_problem("")))

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import re
-import shutil
-import stat
-import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,52 +12,20 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from benchmarks.lib.snippets import ROOT, blocks, changed, copy_tree, documents, install_command, run
 from examples.crane import build_ocp
 from nmpc_codegen import OCP, OptionError, build, generate
+from nmpc_codegen.cli import main
 from nmpc_codegen.runtime.build import WARNINGS
 
-ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
-FENCE = re.compile(r"^```(\w+)(?: (file|run)(?:=(\S+))?)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-
-
-@dataclass(frozen=True)
-class Block:
-    """A fenced block: its language, the file it is to stand in ("" if it is only run), its text."""
-
-    language: str
-    file: str
-    text: str
-
-
-def blocks(document: str) -> list[Block]:
-    """The fenced blocks of a document in their order."""
-    text = (ROOT / document).read_text(encoding="utf-8")
-    return [Block(m[1], m[3] or "", m[4]) for m in FENCE.finditer(text)]
-
-
-def run(command: list[str], folder: Path, search: tuple[Path, ...]) -> str:
-    """Run a command in a folder with Python looking into ``search`` first; its output."""
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(map(str, search)),
-        "PATH": os.pathsep.join([str(folder / "bin"), os.environ["PATH"]]),
-        "MPLBACKEND": "Agg",
-    }
-    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stdout + result.stderr
-    return result.stdout
-
 
 # README --------------------------------------------------------------------------------------------------------------
 
 
 def test_readme_walk(tmp_path: Path, compiler: tuple[str, ...]) -> None:
     """All blocks in their order, in one folder: excerpt, problem file, command line, firmware, Python."""
-    tool = tmp_path / "bin" / "nmpc-export"
-    tool.parent.mkdir()
-    tool.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m nmpc_codegen.cli "$@"\n', encoding="utf-8")
-    tool.chmod(tool.stat().st_mode | stat.S_IXUSR)
+    install_command(tmp_path)
     search = (ROOT / "src",)
     outputs = []
     for block in blocks("README.md"):
@@ -150,21 +113,10 @@ def test_what_is_refused_is_refused_by_name(feature: str, state: Callable[[OCP, 
 # How to add a component ----------------------------------------------------------------------------------------------
 
 
-def changed(text: str, difference: str) -> str:
-    """The text with a difference applied; what the difference expects must stand in it exactly once."""
-    lines = difference.splitlines()
-    old = "\n".join(line[1:] for line in lines if line[0] in " -")
-    new = "\n".join(line[1:] for line in lines if line[0] in " +")
-    assert text.count(old) == 1, old
-    return text.replace(old, new)
-
-
 def test_component_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
     """The page's edits, applied to a copy of the compiler, give a component that passes the page's test."""
     assert compiler
-    ignore = shutil.ignore_patterns("__pycache__")
-    for folder in ("src", "templates", "examples"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=ignore)
+    copy_tree(tmp_path)
     program = []
     for block in blocks("docs/add-a-component.md"):
         path = tmp_path / block.file
@@ -224,6 +176,20 @@ def test_pages_for_newcomers(page: str, scale: float) -> None:
     assert np.abs(solution.u).max() == pytest.approx(1.0)
     path = np.sum(solution.x[:-1] ** 2) + np.sum(solution.u**2)
     assert solution.cost == pytest.approx(scale * path / 2 + 5 * np.sum(solution.x[-1] ** 2) / 2, rel=1e-12)
+
+
+STATED = [(page, i) for page in documents() for i, block in enumerate(blocks(page)) if block.states_a_problem]
+
+
+@pytest.mark.parametrize(("page", "index"), STATED)
+def test_problems_of_the_documents_through_the_command_line(
+    page: str, index: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    (tmp_path / "problem.py").write_text(blocks(page)[index].text, encoding="utf-8")
+    assert main(["problem.py", "-o", "c"]) == 0, capsys.readouterr().err
+    assert len(list((tmp_path / "c").glob("*.c"))) == 2
 
 
 def test_names_in_the_page_for_acado() -> None:

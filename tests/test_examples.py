@@ -20,7 +20,7 @@ import pytest
 from conftest import require_tool
 
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
-from nmpc_codegen import OCP, Options, build, export, open_package
+from nmpc_codegen import OCP, Options, build, cli, export, open_package
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map
@@ -353,6 +353,15 @@ def test_every_example_states_a_problem(name: str) -> None:
     problem = classify(module.build_ocp())
     assert problem.N >= 1
     assert problem.path.ny >= 1 or problem.path.cost_rate is not None
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_command_line_takes_every_example(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([str(Path(__file__).parents[1] / "examples" / f"{name}.py"), "-o", str(tmp_path / "c")]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert captured.out.count("fewest operations") <= 1
+    assert len(list((tmp_path / "c").glob("*.c"))) == 2
 
 
 def test_example_runs_through_open_package(folder: Path) -> None:

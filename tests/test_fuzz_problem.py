@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 
 import nmpc_codegen
 from nmpc_codegen import cli
+from nmpc_codegen.cli import command
 from nmpc_codegen.errors import NmpcError, ProblemError, ProblemWarning
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
@@ -323,8 +324,8 @@ def test_mutated_files_through_the_command_line(
     block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     errors: list[BaseException] = []
-    message = cli._message
-    monkeypatch.setattr(cli, "_message", lambda error, problem: (errors.append(error), message(error, problem))[1])
+    message = command.message
+    monkeypatch.setattr(command, "message", lambda error, problem: (errors.append(error), message(error, problem))[1])
     outcomes = {0: 0, 1: 0}
     for seed in range(50 * block, 50 * (block + 1)):
         file = tmp_path / f"problem_{seed}.py"
@@ -352,7 +353,7 @@ def test_an_exception_inside_the_library_is_not_meant(tmp_path: Path, monkeypatc
     """The judge of the test above: blames the library for what it lets through, not the file for its own mistakes."""
     file = tmp_path / "problem.py"
     errors: list[BaseException] = []
-    monkeypatch.setattr(cli, "_message", lambda error, problem: (errors.append(error), "message")[1])
+    monkeypatch.setattr(command, "message", lambda error, problem: (errors.append(error), "message")[1])
     for text in (FILE.replace("k = ocp", "k = 1 + None; ocp"), FILE.replace("N=", "M="), FILE.replace("0.2, ", "0.2(")):
         file.write_text(text, encoding="utf-8")
         cli.main([str(file), "-o", str(tmp_path / "out")])

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from nmpc_codegen.errors import ProblemError, ProblemWarning
-from nmpc_codegen.frontend.checks import C_KEYWORDS
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.ir.naming import C_KEYWORDS
 
 
 class Given:
@@ -60,6 +60,23 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     "T text": (lambda g: OCP("a", T="1", N=2), "T must be numbers, got str '1'"),  # type: ignore[arg-type]
     "bound complex": (lambda g: g.ocp.subject_to(np.array([1j]), g.u, 1), "lower must be numbers, got ndarray"),
     "T vector": (lambda g: OCP("a", T=[1, 2], N=2), "T must be a positive length"),  # type: ignore[arg-type]
+    "T denormal": (
+        lambda g: OCP("a", T=1e-320, N=2),
+        "OCP 'a': T / N is 4.99994e-321 s, expected a length between 1e-15",
+    ),
+    "T enormous": (lambda g: OCP("a", T=1e300, N=2), "T / N is 5e+299 s, expected a length between 1e-15 and 1e+15 s"),
+    "N enormous": (lambda g: OCP("a", T=1, N=10**7), "OCP 'a': N must be an integer <= 10000, got '10000000'"),
+    "N beyond words": (lambda g: OCP("a", T=1, N=10**5000), "N must be an integer <= 10000, got"),
+    "intervals denormal": (
+        lambda g: OCP("a", intervals=[1, 5e-324]),
+        "interval 1 is 4.94066e-324 s, expected a length",
+    ),
+    "intervals apart": (
+        lambda g: OCP("a", intervals=[1e-6, 2, 1e-6]),
+        "interval 1 of 2 s is more than 1e+06 times as long as interval 0 of 1e-06 s",
+    ),
+    "intervals too many": (lambda g: OCP("a", intervals=np.ones(10**6)), "number of intervals must be an integer <= 1"),
+    "size enormous": (lambda g: g.ocp.state("y", size=10**6), "state 'y': size must be an integer <= 4000, got"),
     "T and intervals": (lambda g: OCP("a", T=1, intervals=[1]), "give T or intervals, not both"),
     "intervals negative": (lambda g: OCP("a", intervals=[1, -1]), "intervals must be positive lengths"),
     "intervals empty": (lambda g: OCP("a", intervals=[]), "intervals must be positive lengths"),
@@ -248,10 +265,48 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     "soft zero": (lambda g: g.ocp.subject_to(0, g.x, 1, soft=(0, 0)), "must be nonnegative and not both zero"),
     "soft infinite": (lambda g: g.ocp.subject_to(0, g.x, 1, soft=(np.inf, 0)), "soft must be finite"),
     "row name": (lambda g: g.ocp.subject_to(0, g.x, 1, name="a b"), "'a b' is no C identifier"),
-    "row twice": (
-        lambda g: (g.ocp.subject_to(0, g.x, 1), g.ocp.subject_to(0, g.x, 2)),
+    "row twice, hard and soft": (
+        lambda g: (g.ocp.subject_to(0, g.x, 1), g.ocp.subject_to(0, g.x, 2, soft=(1, 0))),
         "the row name 'x' clashes with 'x' (both are ROW_X in C); give name=",
     ),
+    "row twice, other nodes": (
+        lambda g: (g.ocp.subject_to(0, g.x, 1), g.ocp.subject_to(0, g.x, 2, at=[2])),
+        "the row name 'x' clashes with 'x' (both are ROW_X in C); give name=",
+    ),
+    "row twice, an expression": (
+        lambda g: (g.ocp.subject_to(0, 2 * g.x, 1, name="a"), g.ocp.subject_to(0, 2 * g.x, 2, name="a")),
+        "the row name 'a' clashes with 'a'",
+    ),
+    "row twice, contradiction": (
+        lambda g: (g.ocp.subject_to(2, g.u, np.inf), g.ocp.subject_to(-np.inf, g.u, 1)),
+        "subject_to: the row 'u' in [-inf, 1] contradicts the row 'u' stated before, in [2, inf]",
+    ),
+    "comparison": (
+        lambda g: g.ocp.subject_to(-1 <= g.u),  # noqa: SIM300
+        "subject_to: '(-1<=u)' is a comparison; the same row is subject_to(-1, u, inf)",
+    ),
+    "comparison from above": (lambda g: g.ocp.subject_to(2 * g.u <= 1), "the same row is subject_to(-inf, (2.*u), 1)"),
+    "comparison of two": (lambda g: g.ocp.subject_to(g.x <= g.u), "the same row is subject_to(-inf, (x-u), 0)"),
+    "comparison, equal": (
+        lambda g: g.ocp.subject_to(g.x == 2, name="goal", at="end"),
+        "subject_to 'goal': '(x==2)' is a comparison; the same row is subject_to(2, x, 2)",
+    ),
+    "comparison, two equal": (lambda g: g.ocp.subject_to(g.x == g.u), "the same row is subject_to(0, (x-u), 0)"),
+    "comparison, unequal": (lambda g: g.ocp.subject_to(g.x != 2), "'(x!=2)' is a comparison, not an expression"),
+    "comparison of a vector": (lambda g: g.ocp.subject_to(g.r >= 0), "the same row is subject_to(0, r_0, inf)"),
+    "comparison as the row": (lambda g: g.ocp.subject_to(0, g.u <= 1, 1), "subject_to(-inf, u, 1)"),
+    "comparison in boundary": (
+        lambda g: g.ocp.boundary(g.ocp.at_end(g.x) <= 1),
+        "the same row is boundary(-inf, x_end, 1)",
+    ),
+    "chained comparison": (
+        lambda g: g.ocp.subject_to(-1 <= g.u <= 1),
+        "the truth of '(-1<=u)' is not known before the problem is solved; state a row as subject_to(-1, u, inf)",
+    ),
+    "chained comparison of a vector": (lambda g: g.ocp.subject_to(-1 <= g.r <= 1), "the truth of '(-1<=r_0)'"),
+    "case": (lambda g: 1 if g.u > 0 else 2, "casadi.if_else(condition, then, otherwise)"),
+    "two parts": (lambda g: g.ocp.subject_to(-1, g.u), "got '-1', 'u' only; it takes lower, expression, upper"),
+    "one part": (lambda g: g.ocp.subject_to(g.u), "got 'u' only; it takes lower, expression, upper"),
     "row twice in C": (
         lambda g: (g.ocp.subject_to(0, g.r, 1), g.ocp.subject_to(0, g.x, 1, name="r_1")),
         "the row name 'r_1' clashes with 'r[1]'",
@@ -282,6 +337,23 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
         lambda g: (g.ocp.free_initial(g.x), g.ocp.accumulator(g.x), classify(g.complete())),
         "state 'x' cannot be both free_initial and accumulator",
     ),
+    **{
+        f"assigned {name}": (
+            lambda g, name=name, value=value: setattr(g.ocp, name, value),
+            f"OCP 'plant': the attribute {name} cannot be assigned; name, T, N and intervals are given to OCP(...)",
+        )
+        for name, value in {
+            "N": 7,
+            "dt": None,
+            "name": "no identifier",
+            "states": 3,
+            "controls": (),
+            "free": {1},
+        }.items()
+    },
+    "assigned statements": (lambda g: setattr(g.ocp, "statements", [1]), "the attribute statements cannot be assigned"),
+    "assigned residuals": (lambda g: setattr(g.ocp, "residuals", [1]), "the attribute residuals cannot be assigned"),
+    "assigned discrete": (lambda g: setattr(g.ocp, "discrete", 1), "the attribute discrete cannot be assigned"),
     "nothing": (lambda g: classify(OCP("a", T=1, N=1)), "OCP 'a' has no state"),
     "no control": (lambda g: (lambda o: (o.state("x"), classify(o)))(OCP("a", T=1, N=1)), "OCP 'a' has no control"),
     "parameters in C": (

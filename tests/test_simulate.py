@@ -105,6 +105,8 @@ def test_no_steps(toy: Controller, tmp_path: Path) -> None:
     [
         ({"steps": -1}, "steps is -1; expected an integer >= 0"),
         ({"steps": 2.0}, "steps is 2.0"),
+        ({"steps": 10**12}, "steps is 1000000000000; expected at most 38347922, whose log takes 2 GiB"),
+        ({"steps": 10**30}, "steps is 10+; expected at most"),
         ({"x0": [1.0]}, r"x0 has shape \(1,\); expected \(2,\)"),
         ({"x0": [1.0, np.nan]}, "x0 is not finite"),
         ({"dt": 0.0}, "dt is 0.0; expected a positive number"),

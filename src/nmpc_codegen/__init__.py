@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from nmpc_codegen.errors import (
     BuildError,
     ControllerError,
+    ExportError,
     NmpcError,
     OptionError,
     ProblemError,
@@ -78,6 +79,7 @@ __all__ = [
     "Euler",
     "ExactHessian",
     "ExplicitRungeKutta",
+    "ExportError",
     "ForwardOverAdjoint",
     "FullCondensing",
     "GaussNewton",

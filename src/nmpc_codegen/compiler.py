@@ -24,6 +24,8 @@ from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.folder import write
+from nmpc_codegen.runtime.seal import sealed
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
         if component.name in module.foreign:
             sizes = module.value("NV"), module.value("NG")
             sources |= component.foreign_sources(module.name, module.precision, *sizes)  # type: ignore[attr-defined]
-    return sources
+    return sealed(sources, module.name)
 
 
 def export(
@@ -66,27 +68,30 @@ def export(
     name: str | None = None,
     *,
     allow_foreign: bool = False,
+    force: bool = False,
 ) -> Package:
-    """Write the C package of the problem into a folder, which is created if needed.
+    """Write the C package of the problem into a folder, which is created if needed: all files of it, or none.
+
+    Files that export() wrote and nobody has edited are replaced (the seal at their end tells), so that exporting again
+    is safe, and so are several packages in one folder: main.c, CMakeLists.txt and README.md are those of the last one.
+    A file that is somebody else's, has been edited or is read-only is replaced only with ``force=True``. Links, folders
+    and devices in the place of a file are never replaced or followed; ``directory`` itself may be a link to a folder.
 
     ``allow_foreign``: code of another generator (OSQP) may stand in a folder of its own beside the package's files.
 
     Raises:
         ProblemError, OptionError: see generate(); foreign code that is not allowed.
+        ExportError: a file must not be replaced, or the system refuses to write; the folder is as before.
     """
     sources = generate(ocp, options, name)
     foreign = sorted({path.split("/")[0] for path in sources if "/" in path})
     if foreign and not allow_foreign:
         raise OptionError(
             f"qp {foreign[0]!r} brings foreign code with globals, which export() refuses; "
-            "choose another solver, or export(..., allow_foreign=True)"
+            "choose another solver, or export(..., allow_foreign=True) (--allow-foreign)"
         )
-    folder = Path(directory).resolve()
-    folder.mkdir(parents=True, exist_ok=True)
-    for path, text in sources.items():
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        (folder / path).write_text(text, encoding="utf-8")
-    prefix = name or ocp.name
+    folder = write(directory, sources, force=force)
+    prefix = ocp.name if name is None else name
     report = json.loads(sources[f"{prefix}.json"])["report"]
     return Package(folder, prefix, tuple(folder / path for path in sources), report)
 
@@ -101,4 +106,4 @@ def build(
         BuildError: no compiler, or it refused the code.
     """
     sources = generate(ocp, options, name)
-    return load(sources, name or ocp.name, profile, lanes=lanes)
+    return load(sources, ocp.name if name is None else name, profile, lanes=lanes)

@@ -1,6 +1,6 @@
 """Every error and warning that the package raises on purpose."""
 
-__all__ = ["BuildError", "ControllerError", "NmpcError", "OptionError", "ProblemError", "ProblemWarning"]
+__all__ = ["BuildError", "ControllerError", "ExportError", "NmpcError", "OptionError", "ProblemError", "ProblemWarning"]
 
 
 class NmpcError(Exception):
@@ -17,6 +17,10 @@ class OptionError(NmpcError, ValueError):
 
 class BuildError(NmpcError, RuntimeError):
     """The C compiler is missing or refused the generated code."""
+
+
+class ExportError(NmpcError, OSError):
+    """A folder cannot be written to, or holds something that export() must not replace."""
 
 
 class ControllerError(NmpcError, RuntimeError):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
+from nmpc_codegen.components.allowed import Flag, Words, check_options, option, rules
 from nmpc_codegen.components.base import SEAMS, Component
 from nmpc_codegen.components.hessians import GaussNewton
 from nmpc_codegen.errors import OptionError
@@ -33,20 +34,19 @@ class Online:
     diagonal, so that one with entries off its diagonal can be set.
     """
 
-    reference: str = "node"
-    weight: str = "shared"
-    bounds: str = "shared"
-    parameter: str = "node"
-    dense_weight: bool = False
+    reference: str = option("node", Words(LAYOUTS))
+    weight: str = option("shared", Words(LAYOUTS))
+    bounds: str = option("shared", Words(LAYOUTS))
+    parameter: str = option("node", Words(LAYOUTS))
+    dense_weight: bool = option(False, Flag())
 
     def __post_init__(self) -> None:
-        for name, layout in self.layouts.items():
-            if layout not in LAYOUTS:
-                raise OptionError(f"online.{name}: {layout!r}; expected one of {', '.join(LAYOUTS)}")
-        if not isinstance(self.dense_weight, bool):
-            raise OptionError(f"online.dense_weight: {self.dense_weight!r}; expected True or False")
+        check_options(self, "online")
         if self.dense_weight and self.weight == "fixed":
-            raise OptionError('online.dense_weight=True clashes with online.weight="fixed": no weight can be set')
+            raise OptionError(
+                'Online(dense_weight=True) clashes with Online(weight="fixed"): no weight can be set '
+                "(--set online.dense_weight=True, --set online.weight=fixed)"
+            )
 
     @property
     def layouts(self) -> dict[str, str]:
@@ -55,29 +55,54 @@ class Online:
 
 
 @dataclass(frozen=True)
+class Chosen:
+    """Rule of a seam: one of its components, or, ``optional``, None: the compiler chooses."""
+
+    seam: str
+    optional: bool = False
+
+    def converted(self, value: Any) -> Any:
+        return value
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, tuple(REGISTRIES[self.seam].values())) or (self.optional and value is None)
+
+    def __str__(self) -> str:
+        classes = REGISTRIES[self.seam]
+        objects = ", ".join(f"{c.__name__}(...)" for c in classes.values())
+        return f"{objects}{' or None' if self.optional else ''}; on the command line {', '.join(classes)}"
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rule of a group of options: an object of its class; on the command line its options one by one."""
+
+    cls: type
+
+    def converted(self, value: Any) -> Any:
+        return value
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, self.cls)
+
+    def __str__(self) -> str:
+        return f"{self.cls.__name__}(...); on the command line {', '.join(rules(self.cls))} one by one"
+
+
+@dataclass(frozen=True)
 class Options:
     """One component per seam; None is chosen from the problem, and the report says why."""
 
-    integrator: Any = None
-    hessian: Any = field(default_factory=GaussNewton)
-    condensing: Any = None
-    qp: Any = None
-    algorithm: Any = field(default_factory=RealTimeIteration)
-    online: Online = field(default_factory=Online)
-    precision: str = "double"
+    integrator: Any = option(None, Chosen("integrator", optional=True))
+    hessian: Any = option(GaussNewton(), Chosen("hessian"))
+    condensing: Any = option(None, Chosen("condensing", optional=True))
+    qp: Any = option(None, Chosen("qp", optional=True))
+    algorithm: Any = option(RealTimeIteration(), Chosen("algorithm"))
+    online: Online = option(Online(), Group(Online))
+    precision: str = option("double", Words(PRECISIONS))
 
     def __post_init__(self) -> None:
-        for seam in SEAMS:
-            value = getattr(self, seam)
-            classes = tuple(REGISTRIES[seam].values())
-            optional = seam in ("integrator", "condensing", "qp")
-            if not isinstance(value, classes) and not (optional and value is None):
-                good = ", ".join(f"{c.__name__}(...)" for c in classes) + (" or None" if optional else "")
-                raise OptionError(f"{seam}: {value!r}; expected {good}")
-        if not isinstance(self.online, Online):
-            raise OptionError(f"online: {self.online!r}; expected Online(...)")
-        if self.precision not in PRECISIONS:
-            raise OptionError(f"precision: {self.precision!r}; expected one of {', '.join(PRECISIONS)}")
+        check_options(self, "")
 
     @property
     def components(self) -> tuple[Component, ...]:

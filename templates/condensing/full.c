@@ -14,7 +14,6 @@
 static void qp_init(qp_t *q);
 static status_t qp_factorize(qp_t *q);
 static status_t qp_solve(qp_t *q);
-static void qp_shift_working_set(qp_t *q, int n, const int *source);
 
 static void condense_init(solver_t *s)
 {
@@ -229,20 +228,19 @@ static void condense_rows(solver_t *s)
     }
 }
 
-/* A condensed Hessian that is not positive definite is formed again and regularised. */
+#if REGULARIZE_REDUCED
+#include "hessians/regularize_reduced.c"
+#else
+#include "hessians/regularize_nothing.c"
+#endif
+
 static status_t condense_prepare(solver_t *s)
 {
-    status_t status;
     condense_hessian(s);
     condense_rows(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
-    status = qp_factorize(&s->qp);
-    if (status != NUMERICAL_FAILURE) {
-        return status;
-    }
-    condense_hessian(s);
-    return regularize_reduced(&s->qp.H[0][0], NV - NSL, LDV, &s->qp.Q[0][0]) ? qp_factorize(&s->qp) : status;
+    return condense_factorize(s);
 }
 
 /* du and multipliers from the QP;  dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
@@ -274,14 +272,8 @@ static status_t condense_solve(solver_t *s)
     return status;
 }
 
-/* Slacks follow their rows. */
-static void condense_shift(solver_t *s, const int *source)
-{
-    int m;
-    for (m = 0; m < NG; m++) {
-        if (row_slack[m] >= 0) {
-            s->qp.side[row_slack[m]] = (source[m] < 0) ? 0 : s->qp.side[row_slack[source[m]]];
-        }
-    }
-    qp_shift_working_set(&s->qp, NU, source);
-}
+#if !SHIFT_RESAMPLE
+static void qp_shift_working_set(qp_t *q, int n, const int *source);
+
+#include "condensing/shift_condensed.c"
+#endif

@@ -18,7 +18,6 @@ static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
 static void qp_gradient(solver_t *s);
 static status_t qp_solve(solver_t *s);
-static void qp_shift_working_set(solver_t *s, int n, const int *source);
 
 static inline real_t (*stage_S(solver_t *s, int k))[NZS]
 {
@@ -266,3 +265,9 @@ static void condense_expand(solver_t *s)
 }
 
 #include "condensing/solve_stages.c"
+
+#if !SHIFT_RESAMPLE
+static void qp_shift_working_set(solver_t *s, int n, const int *source);
+
+#include "condensing/shift_stages.c"
+#endif

@@ -1,4 +1,4 @@
-/* Seam "hessian", contract: expand_node(), hessian() and regularize_reduced() as in gauss_newton.c.jinja.
+/* Seam "hessian", contract: expand_node(), hessian() and condense_factorize() as in gauss_newton.c.
  * Here: the exact Hessian of the Lagrangian, Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k), multipliers of the last QP.
  * While all lam are zero, as after reset, an adjoint pass over the nodes gives them: lam_k = q_k + A_k' lam_{k+1}. */
 
@@ -58,12 +58,8 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
 #include "hessians/jacobi.c"
 
 #include "hessians/regularize_stage.c"
-#elif REGULARIZE_REDUCED
-#include "hessians/eigen.c"
-
-#include "hessians/regularize_reduced.c"
 #else
-#include "hessians/regularize_nothing.c"
+#include "hessians/keep_stages.c"
 #endif
 
 /* What expand_node() has left: the terminal block, and the regularisation. */

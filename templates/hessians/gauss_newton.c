@@ -1,8 +1,8 @@
 /* Seam "hessian", contract:
  *   expand_node(s, k, x_next)   nodes from the last to the first, terminal gradient known: s->node[k].S and g, x_next = Phi
  *   hessian(s)                  then: s->hessian.Q (NQ blocks) and Q_N, lower triangles, z = (x, u)
- *   regularize_reduced(H, n, ld, work)  H, a reduced Hessian that is not positive definite (lower triangle of n rows), is made
- *                               so, and 1 returned, or 0: it stays as it is; work has the size of H */
+ * and, for full condensing,
+ *   condense_factorize(s)       qp_factorize(), and what becomes of a condensed Hessian that is not positive definite */
 /* Here: Gauss-Newton, Q = J' W J; one block for all nodes where it depends on the weight alone (NQ = 1). */
 
 #include "hessians/first_order.c"
@@ -12,8 +12,6 @@
 #else
 #include "hessians/flat_rows.c"
 #endif
-
-#include "hessians/regularize_nothing.c"
 
 static void hessian(solver_t *s)
 {

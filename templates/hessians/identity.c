@@ -3,8 +3,6 @@
 
 #include "hessians/first_order.c"
 
-#include "hessians/regularize_nothing.c"
-
 static void hessian(solver_t *s)
 {
     int k;

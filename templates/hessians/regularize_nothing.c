@@ -1,14 +1,5 @@
-/* A reduced Hessian that is not positive definite stays as it is. */
-static inline int regularize_reduced(real_t *H, int n, int ld, real_t *work)
+/* A condensed Hessian that is not positive definite stays as it is. */
+static status_t condense_factorize(solver_t *s)
 {
-    (void)H;
-    (void)n;
-    (void)ld;
-    (void)work;
-    return 0;
-}
-
-static inline void regularize_stages(solver_t *s)
-{
-    (void)s;
+    return qp_factorize(&s->qp);
 }

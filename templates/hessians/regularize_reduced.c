@@ -1,6 +1,8 @@
-/* A reduced Hessian that is not positive definite becomes V f(Lambda) V', f = max(|Lambda|, floor) if MIRROR, else
- * max(Lambda, floor); floor relative to the largest |Lambda|. */
-static inline int regularize_reduced(real_t *H, int n, int ld, real_t *work)
+#include "hessians/eigen.c"
+
+/* H, lower triangle of n rows, becomes V f(Lambda) V', f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor); floor
+ * relative to the largest |Lambda|. 0 is returned, and H stays as it is, if it is zero or not finite. work has the size of H. */
+static int regularize_reduced(real_t *H, int n, int ld, real_t *work)
 {
     real_t d[LDV], e[LDV], scale = R(0), smallest = R(0);
     int i, j, k;
@@ -38,7 +40,13 @@ static inline int regularize_reduced(real_t *H, int n, int ld, real_t *work)
     return 1;
 }
 
-static inline void regularize_stages(solver_t *s)
+/* A condensed Hessian that is not positive definite is formed again and regularised. */
+static status_t condense_factorize(solver_t *s)
 {
-    (void)s;
+    const status_t status = qp_factorize(&s->qp);
+    if (status != NUMERICAL_FAILURE) {
+        return status;
+    }
+    condense_hessian(s);
+    return regularize_reduced(&s->qp.H[0][0], NV - NSL, LDV, &s->qp.Q[0][0]) ? qp_factorize(&s->qp) : status;
 }

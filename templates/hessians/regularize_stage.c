@@ -2,16 +2,6 @@
  * to the largest |Lambda| of the node. Nodes whose blocks are safely positive definite keep them (plus lm I). Irreducible
  * diagonal blocks are decomposed one by one, those of LANES nodes at once. */
 
-/* The reduced Hessian is convex already. */
-static inline int regularize_reduced(real_t *H, int n, int ld, real_t *work)
-{
-    (void)H;
-    (void)n;
-    (void)ld;
-    (void)work;
-    return 0;
-}
-
 #include "generated/hessian_blocks.c"
 
 /* norm[l] = largest |entry| of the lower triangle of matrix l, n x n; its inverse, 0 for a zero matrix. */

@@ -87,10 +87,6 @@ static status_t qp_solve(qp_t *q)
     return qp_fail(q, NUMERICAL_FAILURE);
 }
 
-/* No working set to predict. */
-static void qp_shift_working_set(qp_t *q, int n, const int *source)
-{
-    (void)q;
-    (void)n;
-    (void)source;
-}
+#if !SHIFT_RESAMPLE
+#include "qp/osqp_shift.c"
+#endif

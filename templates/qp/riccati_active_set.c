@@ -154,19 +154,6 @@ static status_t qp_solve(solver_t *s)
     return status == NUMERICAL_FAILURE ? qp_fail(q, status) : status;
 }
 
-/* Warm start of a shifted problem: the side of control c + n becomes the prediction for control c, the last n keep theirs; row m
- * takes that of row source[m] >= m, or none if source[m] < 0. */
-static inline void qp_shift_working_set(solver_t *s, int n, const int *source)
-{
-    qp_t *q = &s->qp;
-    int c, m;
-    for (c = 0; c + n < NV; c++) {
-        q->side[c] = q->side[c + n];
-        q->mult[c] = q->mult[c + n];
-    }
-    for (m = 0; m < NG; m++) {
-        const int from = NV + source[m];
-        q->side[NV + m] = source[m] < 0 ? 0 : q->side[from];
-        q->mult[NV + m] = source[m] < 0 ? R(0) : q->mult[from];
-    }
-}
+#if !SHIFT_RESAMPLE
+#include "qp/shift_on_stages.c"
+#endif

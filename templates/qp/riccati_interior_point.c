@@ -19,7 +19,7 @@ static void qp_init(solver_t *s)
     int c;
     memset(&s->qp, 0, sizeof s->qp);
     riccati_init(s);
-    ipm_init(s);
+    memset(&s->ipm, 0, sizeof s->ipm);
     for (c = 0; c < NV + NG; c++) {
         s->qp.lower[c] = -(real_t)INFINITY;
         s->qp.upper[c] = (real_t)INFINITY;
@@ -46,16 +46,6 @@ static status_t qp_solve(solver_t *s)
     return ipm_solve(s);
 }
 
-static void qp_shift_working_set(solver_t *s, int n, const int *source)
-{
-    int i;
-    for (i = 0; i + n < NV; i++) {
-        s->qp.mult[i] = s->qp.mult[i + n];
-        s->qp.side[i] = s->qp.side[i + n];
-    }
-    for (i = 0; i < NG; i++) {
-        const int from = NV + source[i];
-        s->qp.mult[NV + i] = (source[i] < 0) ? R(0) : s->qp.mult[from];
-        s->qp.side[NV + i] = (source[i] < 0) ? 0 : s->qp.side[from];
-    }
-}
+#if !SHIFT_RESAMPLE
+#include "qp/shift_on_stages.c"
+#endif

@@ -15,11 +15,6 @@
 
 #include "qp/riccati_interior_point_iterate.c"
 
-static inline void ipm_init(solver_t *s)
-{
-    memset(&s->ipm, 0, sizeof s->ipm);
-}
-
 /* Results that say nothing. */
 static void ipm_clear(solver_t *s)
 {

@@ -23,7 +23,7 @@
 
 #include "riccati/substitute.c"
 
-#if CONVEXIFY
+#if REGULARIZE_REDUCED
 #include "riccati/convexify.c"
 #else
 #include "riccati/as_given.c"

@@ -77,7 +77,6 @@ typedef golden_status_t status_t;
 #define NS GOLDEN_NS
 #define NUS GOLDEN_NUS
 #define NV GOLDEN_NV
-#define NSL GOLDEN_NSL
 #define NG GOLDEN_NG
 #define LDV GOLDEN_LDV
 #define PANEL GOLDEN_PANEL

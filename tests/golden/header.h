@@ -49,6 +49,7 @@ typedef double golden_real;
 #define GOLDEN_PANEL 4 /* columns processed together */
 #define GOLDEN_SOFT_ROWS 0 /* rows with a penalty */
 #define GOLDEN_PARAMS 1 /* parameters by name */
+#define GOLDEN_SIZE_P 1 /* numbers of p */
 #define GOLDEN_STEPS 1 /* Runge-Kutta steps per interval */
 #define GOLDEN_LDG 4 /* columns of G_k: NX + N NU, rounded up to PANEL */
 #define GOLDEN_QP_MAX_ITERATIONS 120 /* cap on the active-set iterations of one feedback phase */

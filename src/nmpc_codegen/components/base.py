@@ -121,6 +121,12 @@ class Defaults:
         return {}
 
 
+def called(component: Component | type[Component]) -> str:
+    """A component as its user names it: in Python, and on the command line."""
+    cls = component if isinstance(component, type) else type(component)
+    return f"{cls.__name__}() (--set {cls.seam}={cls.name})"
+
+
 def refuse_unsupported(
     problem: Problem, components: Iterable[Component], registries: Mapping[str, Mapping[str, type[Component]]]
 ) -> None:
@@ -130,9 +136,9 @@ def refuse_unsupported(
         if missing:
             named = ", ".join(r.name for r in problem.rows if any(_uses(r, feature) for feature in missing))
             where = f" ({named})" if named else ""
-            able = [name for name, cls in registries[component.seam].items() if cls.supports.issuperset(missing)]
+            able = [called(c) for c in registries[component.seam].values() if c.supports.issuperset(missing)]
             offer = f"choose {' or '.join(able)}" if able else f"no {component.seam} of this version does"
-            refused = f"which {component.seam} {component.name!r} does not support"
+            refused = f"which {component.seam} {called(component)} does not support"
             raise OptionError(f"{problem.name} uses {' and '.join(missing)}{where}, {refused}; {offer}")
 
 

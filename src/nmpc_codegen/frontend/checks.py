@@ -12,16 +12,8 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.ir.kernel import OPERATIONS
-
-_KEYWORDS = """
-    alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class compl
-    complex concept const consteval constexpr constinit const_cast continue co_await co_return co_yield decltype default
-    delete do double dynamic_cast else enum explicit export extern false float for friend goto if imaginary inline int
-    long mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public register
-    reinterpret_cast requires restrict return short signed sizeof static static_assert static_cast struct switch
-    template this thread_local throw true try typedef typeid typename typeof typeof_unqual union unsigned using virtual
-    void volatile wchar_t while xor xor_eq"""
-C_KEYWORDS = frozenset(_KEYWORDS.split())
+from nmpc_codegen.ir.naming import C_KEYWORDS
+from nmpc_codegen.runtime.weight import checked_weight
 
 #: Operations of a CasADi SX Function that have a C spelling.
 C_OPERATIONS = frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}
@@ -35,6 +27,9 @@ NONSMOOTH = {
         "COPYSIGN": "copysign", "IF_ELSE_ZERO": "if_else", "FMIN": "fmin", "FMAX": "fmax",
     }.items()
 }  # fmt: skip
+
+#: Elements of one signal: the matrix d f / d x of a state as long as that is 128 MB at every single node.
+MAX_SIZE = 4_000
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -71,12 +66,14 @@ def duplicate(names: Iterable[str]) -> tuple[str, str] | None:
     return None
 
 
-def integer(value: Any, what: str, minimum: int) -> int:
-    """A whole number of at least ``minimum``."""
+def integer(value: Any, what: str, minimum: int, maximum: int | None = None) -> int:
+    """A whole number from ``minimum`` to ``maximum``."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise ProblemError(f"{what} must be an integer >= {minimum}, got {type(value).__name__} {quote(value)}")
     if value < minimum:
         raise ProblemError(f"{what} must be an integer >= {minimum}, got {value}")
+    if maximum is not None and value > maximum:
+        raise ProblemError(f"{what} must be an integer <= {maximum}, got {quote(value)}")
     return int(value)
 
 
@@ -122,10 +119,7 @@ def vector(value: Any, size: int, what: str, *, finite: bool = True) -> Array:
 
 
 def weight_matrix(value: Any, size: int, what: str) -> Array:
-    """A symmetric positive semidefinite matrix (size, size); a scalar or vector is its diagonal.
-
-    Semidefinite up to round-off: no eigenvalue below -1e-12 times the largest magnitude.
-    """
+    """A symmetric positive semidefinite matrix (size, size), up to rounding; a scalar or vector is its diagonal."""
     array = numbers(value, what)
     if array.shape != (size, size):
         try:
@@ -138,20 +132,7 @@ def weight_matrix(value: Any, size: int, what: str) -> Array:
             raise
     if not np.isfinite(array).all():
         raise ProblemError(f"{what} must be finite, got {quote(value)}")
-    scale = float(np.abs(array).max(initial=0.0))
-    if scale == 0.0:
-        return array
-    unit = array / scale
-    if np.abs(unit - unit.T).max() > 1e-12:
-        i, j = np.unravel_index(np.abs(unit - unit.T).argmax(), array.shape)
-        raise ProblemError(
-            f"{what} must be symmetric, but entry [{i}, {j}] is {array[i, j]:g} and [{j}, {i}] is {array[j, i]:g}"
-        )
-    unit = unit / 2 + unit.T / 2
-    smallest = float(np.linalg.eigvalsh(unit).min())
-    if smallest < -1e-12:
-        raise ProblemError(f"{what} must be positive semidefinite, but has the eigenvalue {smallest * scale:g}")
-    return array if np.array_equal(array, array.T) else np.asarray(unit * scale)
+    return checked_weight(array, what, ProblemError)
 
 
 def column(value: Any, what: str, symbols: dict[str, Any]) -> Any:

@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.frontend.ocp import OCP, At, Element, Soft
+from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, c_identifier, symbols
+from nmpc_codegen.frontend.statement import At, Element, Soft
 
 
 def classify(ocp: OCP) -> Problem:

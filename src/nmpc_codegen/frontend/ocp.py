@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError, ProblemWarning
 from nmpc_codegen.frontend.checks import (
+    MAX_SIZE,
     NONSMOOTH,
     check_operations,
     column,
@@ -21,71 +21,29 @@ from nmpc_codegen.frontend.checks import (
     identifier,
     integer,
     known,
-    numbers,
     quote,
     vector,
     weight_matrix,
 )
-from nmpc_codegen.frontend.problem import Array, Signal, c_identifier
+from nmpc_codegen.frontend.grid import grid
+from nmpc_codegen.frontend.problem import Signal, c_identifier
+from nmpc_codegen.frontend.statement import (
+    At,
+    Declared,
+    Element,
+    GeneralCost,
+    Kind,
+    Residual,
+    Soft,
+    Statement,
+    intersection,
+)
+from nmpc_codegen.frontend.symbol import Symbol, is_comparison, row_call
+from nmpc_codegen.ir.naming import check_package_name
 
 __all__ = ["OCP"]
 
-Kind = Literal["state", "control", "parameter", "start", "end"]
-At = Literal["path", "start", "end"] | tuple[int, ...]
-Soft = tuple[float, float] | None
-
 _NODE: tuple[Kind, ...] = ("state", "control", "parameter")
-
-
-@dataclass(frozen=True, eq=False)
-class Declared:
-    """A declared signal and its SX symbol."""
-
-    signal: Signal
-    symbol: Any
-
-
-@dataclass(frozen=True)
-class Element:
-    """One scalar symbol: what it is, its position in the stacked vector of its kind, its name."""
-
-    kind: Kind
-    index: int
-    name: str
-
-
-@dataclass(frozen=True, eq=False)
-class Residual:
-    """1/2 (y - reference)' weight (y - reference) at every path node, or at the terminal node."""
-
-    y: Any
-    names: tuple[str, ...]
-    reference: Array
-    weight: Array
-    scale_with_dt: bool
-    terminal: bool
-
-
-@dataclass(frozen=True, eq=False)
-class GeneralCost:
-    """A scalar cost at every path node, integrated along every interval, or at the terminal node."""
-
-    expression: Any
-    integrate: bool
-    scale_with_dt: bool
-    terminal: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Statement:
-    """Scalar rows lower <= expression <= upper as stated; ``at`` is None for a coupled condition."""
-
-    lower: Array
-    expression: Any
-    upper: Array
-    at: At | None
-    soft: Soft
-    names: tuple[str, ...]
 
 
 class OCP:
@@ -96,7 +54,8 @@ class OCP:
               lower <= h(x_k, u_k, p_k) <= upper,   lower <= r(x_0, x_N) <= upper
 
     Args:
-        name: C identifier; prefix of the generated C.
+        name: C identifier of at most 60 characters; prefix of the generated C, and name of its files. Keywords,
+            standard headers (string, math), main, README and the like are refused in any case.
         T: length of the horizon (s), divided into N equal intervals.
         N: number of intervals. Without T and intervals: a discrete map with dt = 1.
         intervals: lengths of the intervals (s), instead of T.
@@ -107,12 +66,13 @@ class OCP:
 
     def __init__(self, name: str, *, T: float | None = None, N: int | None = None, intervals: Any = None) -> None:
         self.name = identifier(name, "OCP")
-        self.N, self.dt = _grid(self.name, T, N, intervals)
+        check_package_name(name, "OCP: name")
+        self.N, self.dt = grid(name, T, N, intervals)
         self.states: list[Declared] = []
         self.controls: list[Declared] = []
         self.parameters: list[Declared] = []
         self.derivatives: dict[int, Any] = {}  # position in x -> SX
-        self.discrete: bool | None = None
+        self._discrete: bool | None = None
         self.residuals: list[Residual] = []
         self.costs: list[GeneralCost] = []
         self.statements: list[Statement] = []
@@ -125,6 +85,20 @@ class OCP:
         self._end: list[Any] = []
         self._unnamed = 0
 
+    def __setattr__(self, attribute: str, value: Any) -> None:
+        """Refuse to assign what a call has stated, which the other statements rely on."""
+        if not attribute.startswith("_") and (attribute in self.__dict__ or hasattr(type(self), attribute)):
+            raise ProblemError(
+                f"OCP '{self.name}': the attribute {attribute} cannot be assigned; "
+                "name, T, N and intervals are given to OCP(...), everything else to its methods"
+            )
+        super().__setattr__(attribute, value)
+
+    @property
+    def discrete(self) -> bool | None:
+        """True if the dynamics are a discrete map, None before there are any."""
+        return self._discrete
+
     def __repr__(self) -> str:
         sizes = f"nx={self.x.numel()}, nu={self.u.numel()}"
         return f"OCP({self.name!r}, N={self.N}, {sizes})"
@@ -133,6 +107,8 @@ class OCP:
 
     def state(self, name: str, *, size: int | None = None, unit: str = "", initial: Any = 0.0) -> Any:
         """Declare a state; returns its SX symbol, a scalar, or a column of ``size`` elements name[0], name[1], ...
+
+        A symbol, of a vector too, can be a key of a dictionary.
 
         ``initial`` is the x_0 of --check, --simulate, main.c and the test vectors.
         """
@@ -185,7 +161,7 @@ class OCP:
         identifier(name, what)
         if not isinstance(unit, str):
             raise ProblemError(f"{what}: unit must be a string, got {type(unit).__name__} {quote(unit)}")
-        n = 1 if size is None else integer(size, f"{what}: size", 1)
+        n = 1 if size is None else integer(size, f"{what}: size", 1, MAX_SIZE)
         values = tuple(float(v) for v in vector(value, n, f"{what}: {word}"))
         signal = Signal(name, n, unit, values, sum(d.signal.size for d in to), size is None)
         earlier = [d.signal for d in (*self.states, *self.controls, *self.parameters)]
@@ -194,7 +170,7 @@ class OCP:
             if c_identifier(element) in taken:
                 other = taken[c_identifier(element)]
                 raise ProblemError(f"{what}: the name '{element}' clashes with '{other}', declared before")
-        symbol = ca.SX.sym(name) if size is None else ca.SX.sym(name, n)
+        symbol = Symbol(ca.SX.sym(name) if size is None else ca.SX.sym(name, n))
         to.append(Declared(signal, symbol))
         self._symbols[name] = symbol
         for i, element in enumerate(signal.elements):
@@ -216,14 +192,14 @@ class OCP:
                 f"OCP '{self.name}' was given N only, so its dynamics must be discrete: "
                 "give T= or intervals=, or dynamics(..., discrete=True)"
             )
-        if self.discrete is not None and discrete != self.discrete:
+        if self._discrete is not None and discrete != self._discrete:
             raise ProblemError("dynamics: discrete and continuous dynamics cannot be mixed")
         if not self.states:
             raise ProblemError("dynamics: no state is declared; declare states with ocp.state(name) first")
         given = self._by_name(rhs) if isinstance(rhs, Mapping) else self._in_order(rhs)
         for index, expression in given.items():
             self._warn_nonsmooth(self._state_names()[index], expression)
-        self.discrete = discrete
+        self._discrete = discrete
         self.derivatives.update(given)
 
     def _state_names(self) -> list[str]:
@@ -353,9 +329,16 @@ class OCP:
     # Constraints -----------------------------------------------------------------------------------------------------
 
     def subject_to(
-        self, lower: Any, expr: Any, upper: Any, *, at: Any = "path", soft: Any = None, name: str | None = None
+        self,
+        lower: Any,
+        expr: Any = None,
+        upper: Any = None,
+        *,
+        at: Any = "path",
+        soft: Any = None,
+        name: str | None = None,
     ) -> None:
-        """Add the rows lower <= expr <= upper.
+        """Add the rows lower <= expr <= upper. All three are given.
 
         Args:
             lower: number, or one per row; -inf allowed; equal to upper: an equality.
@@ -365,8 +348,12 @@ class OCP:
                 or an iterable of nodes.
             soft: (l1, l2): slack s >= 0 per side with cost l1 s + 1/2 l2 s^2.
             name: default the symbol, else row_i; several rows are name[i]; at="start"/"end" appends _start/_end.
+
+        A bare state or control that has a row of this name with the same ``at`` and ``soft`` gets no second one: the
+        bounds of its row become the intersection of both.
         """
         what = f"subject_to {quote(name)}" if name is not None else "subject_to"
+        _require_three(lower, expr, upper, what, "subject_to")
         nodes = self._at(at, what)
         h = self._expression(expr, f"{what}: expression", _NODE)
         suffix = f"_{nodes}" if nodes in ("start", "end") else ""
@@ -384,12 +371,15 @@ class OCP:
                 )
         self._add_rows(lower, h, upper, nodes, soft, name, suffix, what)
 
-    def boundary(self, lower: Any, expr: Any, upper: Any, *, soft: Any = None, name: str | None = None) -> None:
+    def boundary(
+        self, lower: Any, expr: Any = None, upper: Any = None, *, soft: Any = None, name: str | None = None
+    ) -> None:
         """Add the coupled rows lower <= r(x_0, x_N) <= upper, e.g. periodicity: at_start(x) - at_end(x).
 
         Arguments as in subject_to(); the expression is written with at_start() and at_end().
         """
         what = f"boundary {quote(name)}" if name is not None else "boundary"
+        _require_three(lower, expr, upper, what, "boundary")
         r = self._expression(expr, f"{what}: expression", ("start", "end"))
         for i in range(r.numel()):
             kinds = self._kinds(r[i])
@@ -421,8 +411,27 @@ class OCP:
                 raise ProblemError(f"{what}: row {i} has bounds {lb[i]:g}, {ub[i]:g}, which nothing can satisfy")
         penalty = _penalty(soft, what)
         names, unnamed = self._row_names(h, name, suffix, what)
+        new = Statement(lb, h, ub, at, penalty, names)
+        earlier = {i: self._earlier(new, i) for i in range(n)}
+        self._refuse_clashes([row for i, row in enumerate(names) if earlier[i] is None], what)
+        for place, bounds in [(p, intersection(new, i, *p, what)) for i, p in earlier.items() if p is not None]:
+            place[0].lower[place[1]], place[0].upper[place[1]] = bounds
+        left = [i for i in range(n) if earlier[i] is None]
+        if left:
+            kept = tuple(names[i] for i in left)
+            self.statements.append(Statement(lb[left], h[left], ub[left], at, penalty, kept))
         self._unnamed += unnamed
-        self.statements.append(Statement(lb, h, ub, at, penalty, names))
+
+    def _earlier(self, new: Statement, i: int) -> tuple[Statement, int] | None:
+        """The row of the same name on the same bare state or control, nodes and penalty; None if there is none."""
+        element = self._element(new.expression[i])
+        for s in self.statements:
+            if element is None or (s.at, s.soft) != (new.at, new.soft):
+                continue
+            for j, name in enumerate(s.names):
+                if name == new.names[i] and self._element(s.expression[j]) == element:
+                    return s, j
+        return None
 
     def _row_names(self, h: Any, name: str | None, suffix: str, what: str) -> tuple[tuple[str, ...], int]:
         """Names of the rows and how many of them are row_i."""
@@ -439,7 +448,10 @@ class OCP:
                     unnamed += 1
                 else:
                     names.append(element.name)
-        names = [f"{row}{suffix}" for row in names]
+        return tuple(f"{row}{suffix}" for row in names), unnamed
+
+    def _refuse_clashes(self, names: list[str], what: str) -> None:
+        """Raise ProblemError if the name of a new row is taken."""
         taken = {c_identifier(row).upper(): row for s in self.statements for row in s.names}
         for row in names:
             key = c_identifier(row).upper()
@@ -448,7 +460,6 @@ class OCP:
                     f"{what}: the row name '{row}' clashes with '{taken[key]}' (both are ROW_{key} in C); give name="
                 )
             taken[key] = row
-        return tuple(names), unnamed
 
     def _at(self, at: Any, what: str) -> At:
         if isinstance(at, str):
@@ -528,27 +539,19 @@ def _misplaced(element: Element, kinds: tuple[Kind, ...]) -> str:
     return f"the {element.kind} '{element.name}'; only these may occur: {', '.join(kinds)}"
 
 
-def _grid(name: str, T: Any, N: Any, intervals: Any) -> tuple[int, tuple[float, ...] | None]:
-    """Number of intervals and their lengths; None if only N was given."""
-    what = f"OCP '{name}'"
-    if intervals is not None:
-        if T is not None:
-            raise ProblemError(f"{what}: give T or intervals, not both")
-        dt = numbers(intervals, f"{what}: intervals")
-        if dt.ndim != 1 or dt.size < 1 or not np.isfinite(dt).all() or (dt <= 0).any():
-            raise ProblemError(f"{what}: intervals must be positive lengths in s, got {quote(intervals)}")
-        if N is not None and integer(N, f"{what}: N", 1) != dt.size:
-            raise ProblemError(f"{what}: N = {N}, but {dt.size} intervals are given")
-        return dt.size, tuple(float(d) for d in dt)
-    if N is None:
-        raise ProblemError(f"{what}: give T and N, or intervals, or N for a discrete map")
-    count = integer(N, f"{what}: N", 1)
-    if T is None:
-        return count, None
-    length = numbers(T, f"{what}: T")
-    if length.ndim != 0 or not np.isfinite(length) or not length > 0 or not length / count > 0:
-        raise ProblemError(f"{what}: T must be a positive length in s, got {quote(T)}")
-    return count, (float(length) / count,) * count
+def _require_three(lower: Any, expr: Any, upper: Any, what: str, method: str) -> None:
+    """Refuse a row that is written as a comparison, or lacks one of its three parts."""
+    for part in (lower, expr, upper):
+        call = row_call(part, method)
+        if call:
+            raise ProblemError(f"{what}: {quote(part)} is a comparison; the same row is {call}")
+        if isinstance(part, ca.SX) and is_comparison(part):
+            raise ProblemError(f"{what}: {quote(part)} is a comparison, not an expression with a lower and upper bound")
+    if expr is None or upper is None:
+        given = ", ".join(quote(part) for part in (lower, expr) if part is not None)
+        raise ProblemError(
+            f"{what}: got {given} only; it takes lower, expression, upper, where -inf and inf stand for no bound"
+        )
 
 
 def _penalty(soft: Any, what: str) -> Soft:

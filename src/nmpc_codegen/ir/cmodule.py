@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import Routine
 
@@ -243,8 +244,9 @@ TAKEN_PREFIXES = (
 
 
 def check_prefix(name: str) -> None:
-    """A package name is a C identifier in lower case, and no prefix of internal functions."""
+    """A package name is fit for files, in lower case, and no prefix of internal functions."""
+    check_package_name(name, "name")
     if name in TAKEN_PREFIXES:
         raise ProblemError(f"name {name!r}: taken by functions of the package itself; choose another")
-    if not (name.isascii() and name.isidentifier() and name == name.lower() and not name.startswith("_")):
+    if name != name.lower():
         raise ProblemError(f"name {name!r}: expected a C identifier of lower-case letters, digits and underscores")

@@ -190,8 +190,12 @@ def _mark(
 ) -> None:
     for node in nodes:
         if isinstance(node, For):
+            alike = not _reads(node.body, node.index)
             for value in node.values(indices):
+                before = {name: list(marks) for name, marks in buffers.items()} if alike else None
                 _mark(node.body, leaves, buffers, {**indices, node.index: value})
+                if buffers == before:
+                    break  # every further run would be the same
             continue
         ins = [[buffers[s.buffer][e] for e in s.elements(indices)] for s in node.ins]
         outs = [s.elements(indices) for s in node.outs]
@@ -199,6 +203,20 @@ def _mark(
         marks = kernel.nonzero_values(ins)
         for o, element, value in kernel.stores:
             buffers[node.outs[o].buffer][outs[o][element]] = marks[value]
+
+
+def _reads(nodes: tuple[Node, ...], index: str) -> bool:
+    """True if what the nodes do depends on a loop index."""
+    for node in nodes:
+        if isinstance(node, For):
+            offsets = [] if isinstance(node.count, int) else [node.count]
+            if _reads(node.body, index):
+                return True
+        else:
+            offsets = [s.offset for s in (*node.ins, *node.outs)]
+        if any(name == index for offset in offsets for name, _ in offset.terms):
+            return True
+    return False
 
 
 def looped(sweep: Sweep) -> LoopedRoutine:

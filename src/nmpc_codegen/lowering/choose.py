@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-from nmpc_codegen.components.base import Counts
+from nmpc_codegen.components.base import Counts, called
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
 from nmpc_codegen.components.qp import REGISTRY
 from nmpc_codegen.errors import OptionError
@@ -59,11 +59,9 @@ def choose_qp(
     table = "; ".join(map(str, sorted(candidates, key=lambda c: c.operations)))
     why = f"fewest operations of a warm-started sample ({table})"
     chosen = replace(options, condensing=best.condensing, qp=best.qp)
-    return chosen, _instead(given[0], best.condensing) + tuple(
-        f"{seam}: {getattr(best, seam).name}; {why}"
-        for seam, was in zip(("condensing", "qp"), given, strict=True)
-        if was is None
-    )
+    parts = zip(("condensing", "qp"), given, strict=True)
+    named = ", ".join(f"{seam}: {getattr(best, seam).name}" for seam, was in parts if was is None)
+    return chosen, (*_instead(given[0], best.condensing), f"{named}; {why}")
 
 
 def _adapted(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
@@ -96,6 +94,6 @@ def _solvers(form: str) -> list[Any]:
 def _check_forms(options: Options) -> None:
     if options.condensing.gives != options.qp.takes:
         raise OptionError(
-            f"condensing {options.condensing.name!r} clashes with qp {options.qp.name!r}: it gives a QP in the form "
+            f"condensing {called(options.condensing)} clashes with qp {called(options.qp)}: it gives a QP in the form "
             f"{options.condensing.gives!r}, the solver takes {options.qp.takes!r}"
         )

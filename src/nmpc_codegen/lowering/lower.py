@@ -39,7 +39,7 @@ MAGIC = 0x4E4D5043
 def lower(lin: Linearization, name: str | None = None) -> CModule:
     """Decide every size and name of the package ``name`` (default: the problem's)."""
     problem = lin.problem
-    name = name or problem.name
+    name = problem.name if name is None else name
     check_prefix(name)
     dims = _dims(lin)
     structs = _structs(lin, dims)
@@ -135,6 +135,7 @@ def _macros(lin: Linearization, dims: Dims) -> tuple[Macro, ...]:
     macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in lin.problem.rows), "rows with a penalty"))
     macros.append(Macro("PARAMS", len(lin.problem.parameters), "parameters by name"))
+    macros += [Macro(f"SIZE_{s.name.upper()}", s.size, f"numbers of {s.name}") for s in lin.problem.parameters]
     for component in lin.options.components:
         macros += [Macro(*entry) for entry in component.sizes(dims)]
     macros.append(Macro("MANY", MANY, "counters stop here"))
@@ -276,7 +277,7 @@ def _tables(lin: Linearization) -> tuple[Table, ...]:
         return Table(name, "int", tuple(int(v) for v in values), doc)
 
     longest_step = max(p.dt) / _steps(lin)
-    first = [sum(1 for r in rows if r[0] < k) for k in range(p.N + 2)]
+    first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
     offsets = [s.offset for s in p.parameters] + [p.np]
     fixed = lin.options.online.parameter == "fixed"
     return (

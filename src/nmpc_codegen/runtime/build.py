@@ -1,10 +1,12 @@
-"""Compile a C package and load it: compiler profiles, cffi, content-hash cache. The only importer of cffi.
+"""Compile a C package and load it: compiler profiles and cffi. The only importer of cffi.
 
     texts of <name>.h, <name>.c, <name>.json  --cffi, two compilations side by side-->  module  -->  Controller
 
-The module is made in a temporary directory and moved into the cache under a key that holds everything it depends on:
-the texts, the profile's flags, the compiler with its version, its target and what -march=native means on this machine,
-cffi and Python. A cache directory may therefore be shared between processes and between machines.
+The module is kept in the cache (cache.py) under a key that holds everything it depends on: the texts, the profile's
+flags, the compiler with its version, its target and what -march=native means on this machine, cffi and Python.
+
+What is compiled runs in this process with the rights of the user: to open a package is to trust its C. Its description,
+<name>.json, needs no trust: whatever disagrees with the compiled code is refused.
 """
 
 from __future__ import annotations
@@ -19,7 +21,6 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -27,14 +28,13 @@ from pathlib import Path
 from types import ModuleType
 
 import cffi
-from filelock import FileLock
-from platformdirs import user_cache_dir
 
 from nmpc_codegen.errors import BuildError, OptionError
+from nmpc_codegen.runtime.cache import PRODUCT, cached, keep_failed
 from nmpc_codegen.runtime.compiled import Library
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.parse import parse
 
-CACHE_VARIABLE = "NMPC_CODEGEN_CACHE"
 BEGIN, END = "/* begin declarations */", "/* end declarations */"
 WARNINGS = (
     *("-std=c99", "-pedantic", "-Wall", "-Wextra"),
@@ -82,12 +82,6 @@ def check_lanes(lanes: int | None) -> None:
         raise OptionError(f"lanes is {lanes!r}; only one shooting node at a time is supported: None or 1")
 
 
-def cache_directory() -> Path:
-    """Where compiled controllers are kept: $NMPC_CODEGEN_CACHE, else the user's cache directory."""
-    override = os.environ.get(CACHE_VARIABLE)
-    return Path(override) if override else Path(user_cache_dir("nmpc_codegen"))
-
-
 def load(
     files: Mapping[str, str],
     name: str,
@@ -108,41 +102,36 @@ def load(
     Raises:
         OptionError: no such profile or number of lanes.
         BuildError: no compiler, no Python.h, or the compiler refuses the code.
-        ControllerError: the struct is not laid out as the description says.
+        ControllerError: <name>.json is no description of a package, or not of this C code.
     """
     check_lanes(lanes)
     chosen = get_profile(profile)
     missing = [f"{name}.{ext}" for ext in ("h", "c", "json") if f"{name}.{ext}" not in files]
     if missing:
         raise BuildError(f"the package {name!r} lacks {', '.join(missing)}")
+    _check_names(name, files)
     sources = {path: files[path] for path in (f"{name}.h", f"{name}.c", f"{name}.json")}
     sources |= {path: text for path, text in files.items() if "/" in path}
+    description = parse(sources[f"{name}.json"])
     extra = WARNINGS if warnings_as_errors else ()
     module = _import(name, compile_module(sources, name, (*chosen.flags, *extra)))
-    return Controller(Library(name, sources, chosen, module.ffi, module.lib, load))
+    return Controller(Library(name, sources, description, chosen, module.ffi, module.lib, load))
+
+
+def _check_names(name: str, files: Mapping[str, str]) -> None:
+    """A name that is no C identifier would be an option of the compiler, a path that leaves the folder a trap."""
+    if not (name.isascii() and name.isidentifier()):
+        raise BuildError(f"the package is named {name!r}; expected a C identifier")
+    for path in files:
+        if Path(path).is_absolute() or ".." in Path(path).parts:
+            raise BuildError(f"{name}: the file {path!r} is outside the package")
 
 
 def compile_module(files: Mapping[str, str], name: str, flags: Sequence[str]) -> Path:
     """Path of the extension module for these texts and flags, compiled unless the cache holds it."""
     compiler = find_compiler()
-    key = _key(files, name, flags, compiler)
-    module = f"_nmpc_{name}_{key}"
-    folder = cache_directory()
-    target = folder / f"{module}{_suffix()}"
-    if target.exists():
-        return target
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(folder / f"{module}.lock")
-        lock.acquire()
-    except OSError as error:
-        raise BuildError(f"cannot write to the cache {folder}: {error}; set {CACHE_VARIABLE}") from error
-    try:
-        if not target.exists():
-            _compile(files, name, flags, compiler, module, target)
-    finally:
-        lock.release()
-    return target
+    module = f"_nmpc_{name}_{_key(files, name, flags, compiler)}"
+    return cached(f"{module}{_suffix()}", lambda folder: _compile(files, name, flags, compiler, module, folder))
 
 
 def find_compiler() -> tuple[str, ...]:
@@ -195,39 +184,58 @@ def _suffix() -> str:
 
 
 def _compile(
-    files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], module: str, target: Path
+    files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], module: str, folder: Path
 ) -> None:
-    """Compile package and wrapper side by side, link them and move the module into place."""
+    """Compile package and wrapper side by side in an empty folder, and link them to its file "module"."""
     includes = _python_includes()
-    with tempfile.TemporaryDirectory(prefix=f"{name}-", dir=target.parent) as temporary:
-        folder = Path(temporary)
-        for path, text in files.items():
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            (folder / path).write_text(text, encoding="utf-8")
-        common = [*compiler, "-c", "-fPIC", "-fvisibility=hidden"]
-        package = subprocess.Popen(
-            [*common, *flags, f"{name}.c", "-o", "package.o"], cwd=folder, stderr=subprocess.PIPE, text=True
-        )
-        try:
-            _write_wrapper(files[f"{name}.h"], name, module, folder / "wrapper.c")
-            wrapper = [*common, "-O1", "-w", *includes, "wrapper.c", "-o", "wrapper.o"]
-            second = subprocess.run(wrapper, cwd=folder, capture_output=True, text=True, check=False)
-        finally:
-            _, errors = package.communicate()
-        if package.returncode != 0:
-            raise BuildError(_refused(compiler, f"{name}.c", errors, folder, target))
-        if second.returncode != 0:
-            raise BuildError(_refused(compiler, f"the wrapper of {name}", second.stderr, folder, target))
-        foreign = _compile_foreign(files, flags, compiler, folder, target)
-        link = [*compiler, *_link_flags(), "package.o", "wrapper.o", *foreign, "-o", "module", "-lm"]
-        linked = subprocess.run(link, cwd=folder, capture_output=True, text=True, check=False)
-        if linked.returncode != 0:
-            raise BuildError(_refused(compiler, f"linking {name}", linked.stderr, folder, target))
-        os.replace(folder / "module", target)
+    for path, text in files.items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(text, encoding="utf-8")
+    common = [*compiler, "-c", "-fPIC", "-fvisibility=hidden"]
+    package = subprocess.Popen(
+        [*common, *flags, f"{name}.c", "-o", "package.o"],
+        cwd=folder,
+        env=_environment(folder),
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+    )
+    try:
+        _write_wrapper(files[f"{name}.h"], name, module, folder / "wrapper.c")
+        wrapper = [*common, "-O1", "-w", *includes, "wrapper.c", "-o", "wrapper.o"]
+        second = _run(wrapper, folder)
+    finally:
+        _, errors = package.communicate()
+    if package.returncode != 0:
+        raise BuildError(_refused(compiler, f"{name}.c", errors, folder))
+    if second.returncode != 0:
+        raise BuildError(_refused(compiler, f"the wrapper of {name}", second.stderr, folder))
+    foreign = _compile_foreign(files, flags, compiler, folder)
+    linked = _run([*compiler, *_link_flags(), "package.o", "wrapper.o", *foreign, "-o", PRODUCT, "-lm"], folder)
+    if linked.returncode != 0:
+        raise BuildError(_refused(compiler, f"linking {name}", linked.stderr, folder))
+
+
+def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command,
+        cwd=folder,
+        env=_environment(folder),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+    )
+
+
+def _environment(folder: Path) -> dict[str, str]:
+    """The compiler's own temporary files go where a killed build is cleaned up."""
+    return {**os.environ, "TMPDIR": str(folder)}
 
 
 def _compile_foreign(
-    files: Mapping[str, str], flags: Sequence[str], compiler: tuple[str, ...], folder: Path, target: Path
+    files: Mapping[str, str], flags: Sequence[str], compiler: tuple[str, ...], folder: Path
 ) -> list[str]:
     """Object files of the code in subfolders, without our warnings."""
     includes = sorted({f"-I{Path(path).parent}" for path in files if "/" in path})
@@ -236,9 +244,9 @@ def _compile_foreign(
     for path in sorted(p for p in files if "/" in p and p.endswith(".c")):
         objects.append(f"{path[:-2].replace('/', '_')}.o")
         command = [*compiler, "-c", "-fPIC", "-fvisibility=hidden", *allowed, "-w", *includes, path, "-o", objects[-1]]
-        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        run = _run(command, folder)
         if run.returncode != 0:
-            raise BuildError(_refused(compiler, path, run.stderr, folder, target))
+            raise BuildError(_refused(compiler, path, run.stderr, folder))
     return objects
 
 
@@ -277,12 +285,9 @@ def declarations(header: str, name: str) -> str:
     return inside
 
 
-def _refused(compiler: tuple[str, ...], what: str, output: str, folder: Path, target: Path) -> str:
+def _refused(compiler: tuple[str, ...], what: str, output: str, folder: Path) -> str:
     """Keep the sources of a failed compilation and say where they are."""
-    kept = target.parent / "failed" / target.name.split(".")[0]
-    shutil.rmtree(kept, ignore_errors=True)
-    shutil.copytree(folder, kept)
-    return f"{' '.join(compiler)} refuses {what} (sources kept in {kept}):\n{_head(output)}"
+    return f"{' '.join(compiler)} refuses {what} (sources kept in {keep_failed(folder)}):\n{_head(output)}"
 
 
 def _head(output: str) -> str:

@@ -1,43 +1,55 @@
-"""A compiled C package: its functions, and its solver struct as a NumPy type."""
+"""A compiled C package: its functions, and its solver struct as a NumPy type.
+
+What the description says is compared with what was compiled before any memory is laid out by it.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.package_description import Description, parse
-from nmpc_codegen.runtime.status import Status
+from nmpc_codegen.runtime.package_description import Description, Member
+from nmpc_codegen.runtime.status import Kkt, Status
+
+C_REAL = {"double": "double", "single": "float"}
+COUNTERS = (
+    *("qp_iterations", "active_set_changes", "dropped_rows", "relaxed_rows", "sqp_iterations"),
+    *("violated_row", "violated_node"),
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """A compiled package: its texts, its cffi module, and how to make it again (for pickle)."""
+    """A compiled package: its texts, their description, its cffi module, and how to make it again (for pickle)."""
 
     name: str
     files: Mapping[str, str]
+    description: Description
     profile: Any  # nmpc_codegen.runtime.build.Profile
     ffi: Any
     lib: Any
     reload: Callable[[Mapping[str, str], str, Any], Any]
 
     @cached_property
-    def description(self) -> Description:
-        """Contents of <name>.json."""
-        return parse(self.files[f"{self.name}.json"])
-
-    @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """NumPy type of the solver struct, checked against the compiled one."""
-        if self.description.statuses[: len(Status)] != tuple(Status.__members__):
-            raise ControllerError(f"{self.name}: its status values are not those of this version: export it again")
+        """NumPy type of the solver struct, once the whole description agrees with the compiled code."""
+        try:
+            self._check_names()
+            self._check_sizes()
+            self._check_enumerations()
+            for struct, members in self.description.structs.items():
+                self._check_members(struct, members)
+        except self.ffi.error as error:
+            raise ControllerError(f"{self.name}: the compiled code lacks what is described: {error}") from error
+        self._check_roles()
         for struct in self.description.structs:
-            self._check(struct, self.description.dtype(struct))
+            self._check_layout(struct, self.description.dtype(struct))
         return self.description.dtype()
 
     @cached_property
@@ -53,23 +65,129 @@ class Library:
         except AttributeError:
             raise ControllerError(f"{self.name} was exported without {name}()") from None
 
-    def _check(self, struct: str, expected: np.dtype[Any]) -> None:
+    # -- does the description fit the compiled code? ----------------------------------------------------------------
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise ControllerError(f"{self.name}: {what}: export the package again")
+
+    def _same(self, what: str, ours: object, theirs: object) -> None:
+        """Refuse a description that says something else than the compiled code."""
+        if ours != theirs:
+            self._refuse(f"{what} is {ours} in the description, {theirs} in the compiled code")
+
+    def _constant(self, name: str) -> int | None:
+        """Value of <PREFIX>_<name>, a macro or an enumeration constant; None if there is none."""
+        value = getattr(self.lib, f"{self.name.upper()}_{name}", None)
+        return value if type(value) is int else None
+
+    def _check_names(self) -> None:
+        if self.description.name != self.name:
+            self._refuse(f"the description is that of {self.description.name!r}")
+        real = self.ffi.typeof(f"{self.name}_real")
+        self._same("the type of real numbers", C_REAL[self.description.precision], real.cname)
+
+    def _check_sizes(self) -> None:
+        """Macros, and the length of every parameter, which no array shows."""
+        for name, value in self.description.sizes.items():
+            self._same(f"the size {name}", value, self._constant(name))
+        for parameter in self.description.parameters:
+            macro = f"SIZE_{parameter.name.upper()}"
+            self._same(f"the size of the parameter {parameter.name!r}", parameter.size, self._constant(macro))
+
+    def _check_enumerations(self) -> None:
+        """Numbers of statuses, rows and parameters."""
+        statuses = tuple(Status.__members__)
+        if self.description.statuses != statuses:
+            self._refuse(f"its status values are {self.description.statuses}, those of this version {statuses}")
+        described = {f"{self.name.upper()}_{status}": i for i, status in enumerate(statuses)}
+        self._same("the status type", described, dict(self.ffi.typeof(f"{self.name}_status_t").relements))
+        self._check_numbers("ROW", "row", [row.name for row in self.description.rows])
+        self._check_numbers("PARAM", "parameter", [p.name for p in self.description.parameters])
+
+    def _check_numbers(self, stem: str, kind: str, names: Iterable[str]) -> None:
+        for number, name in enumerate(names):
+            constant = f"{stem}_{name.replace('[', '_').replace(']', '').upper()}"
+            self._same(f"the number of the {kind} {name!r}", number, self._constant(constant))
+
+    def _check_members(self, struct: str, members: tuple[Member, ...]) -> None:
+        """Names, element types and shapes, one by one."""
+        compiled = self.ffi.typeof(f"{self.name}_{struct}_t")
+        self._same(f"{struct}: the kind", "struct", compiled.kind)
+        fields = dict(compiled.fields or ())
+        differing = sorted(set(fields) ^ {member.name for member in members})
+        if differing:
+            self._refuse(f"struct {struct} and its description differ in the members {', '.join(differing)}")
+        for member in members:
+            shape, ctype = [], fields[member.name].type
+            while ctype.kind == "array":
+                shape.append(ctype.length)
+                ctype = ctype.item
+            where = f"struct {struct}: {member.name}"
+            self._same(f"{where}: the shape", list(member.padded), shape)
+            self._same(f"{where}: the type", self._c_type(member.type), ctype.cname)
+
+    def _c_type(self, word: str) -> str:
+        if word == "real":
+            return C_REAL[self.description.precision]
+        if word in self.description.structs:
+            return str(self.ffi.typeof(f"{self.name}_{word}_t").cname)
+        return str(self.ffi.typeof(f"{word}_t").cname)
+
+    def _check_roles(self) -> None:
+        """The members that the Controller reads are there, with the shapes that follow from sizes and layouts."""
+        structs = {s: {m.name: m for m in members} for s, members in self.description.structs.items()}
+        for name, allowed in self._roles().items():
+            member = structs["solver"].get(name)
+            found = None if member is None else (member.type, member.shape)
+            if found not in allowed:
+                expected = " or ".join("none" if entry is None else f"{entry[0]} {list(entry[1])}" for entry in allowed)
+                shown = "none" if found is None else f"{found[0]} {list(found[1])}"
+                self._refuse(f"the member {name} of the solver is {shown} in the description; expected {expected}")
+        scalars = {("stats", name, "int32") for name in COUNTERS} | {("stats", "violation", "real")}
+        for struct, name, ctype in scalars | {("kkt", part, "real") for part in Kkt.__dataclass_fields__}:
+            member = structs[struct].get(name)
+            if member is None or (member.type, member.shape) != (ctype, ()):
+                self._refuse(f"struct {struct} lacks the {ctype} {name}")
+
+    def _roles(self) -> dict[str, tuple[tuple[str, tuple[int, ...]] | None, ...]]:
+        """Member of the solver -> (type, shape) that it may have; None: it may be absent."""
+        d = self.description.dims
+        nodes, coupled = d.N + 1, sum(row.kind == "coupled" for row in self.description.rows)
+        required = {"x": (nodes, d.nx), "u": (d.N, d.nu)}
+        path = {"mu_u": (d.N, d.nu), "mu": (d.N, d.nh)}
+        optional = {"lam": (nodes, d.nx), "mu_x": (nodes, d.nx), **path, "mu_N": (d.nh_N,), "eta": (coupled,)}
+        return {
+            "status": (("int32", ()),),
+            "stats": (("stats", ()),),
+            "kkt": (("kkt", ()),),
+            **{name: (("real", shape),) for name, shape in required.items()},
+            **{name: (("real", shape), None) for name, shape in optional.items()},
+            **self._settings(),
+        }
+
+    def _settings(self) -> dict[str, tuple[tuple[str, tuple[int, ...]] | None, ...]]:
+        """The same of what can be set: absent where it is fixed, else of the shape that its layout says."""
+        d, layouts = self.description.dims, self.description.online
+        path, every = {"shared": 1, "node": d.N}, {"shared": 2, "node": d.N + 1}
+
+        def members(kind: str, shapes: Mapping[str, tuple[tuple[int, ...], ...]]) -> dict[str, Any]:
+            fixed = layouts[kind] == "fixed"
+            return {n: (None,) if fixed else tuple(("real", s) for s in allowed) for n, allowed in shapes.items()}
+
+        W, p = path.get(layouts["weight"], 0), every.get(layouts["parameter"], 0)
+        y, bounds = path.get(layouts["reference"], 0), ((every.get(layouts["bounds"], 0), d.nr),)
+        return {
+            **members("reference", {"yref": ((y, d.ny),), "yref_N": ((d.ny_N,),)}),
+            **members("weight", {"W": ((W, d.ny), (W, d.ny, d.ny)), "W_N": ((d.ny_N,), (d.ny_N, d.ny_N))}),
+            **members("bounds", {"lower": bounds, "upper": bounds}),
+            **members("parameter", {"p": ((p, d.np),)}),
+        }
+
+    def _check_layout(self, struct: str, expected: np.dtype[Any]) -> None:
         """Compare size and offset of every member with the compiled struct."""
         ctype = self.ffi.typeof(f"{self.name}_{struct}_t")
-        fields = dict(ctype.fields)
         layout: Mapping[str, Any] = expected.fields or {}
-        where = f"{self.name}: struct {struct}"
-        if set(fields) != set(layout):
-            differing = ", ".join(sorted(set(fields) ^ set(layout)))
-            raise ControllerError(f"{where} and its description differ in the members {differing}")
         for member, entry in layout.items():
-            ours = (entry[1], entry[0].itemsize)
-            theirs = (self.ffi.offsetof(ctype, member), self.ffi.sizeof(fields[member].type))
-            if ours != theirs:
-                raise ControllerError(
-                    f"{where}: {member} has (offset, bytes) {ours} in the description, {theirs} in the compiled code"
-                )
-        if self.ffi.sizeof(ctype) != expected.itemsize:
-            raise ControllerError(
-                f"{where} has {expected.itemsize} bytes in the description, {self.ffi.sizeof(ctype)} in compiled code"
-            )
+            place = self.ffi.offsetof(ctype, member)
+            self._same(f"struct {struct}: the offset of {member}", entry[1], place)
+        self._same(f"struct {struct}: the number of bytes", expected.itemsize, self.ffi.sizeof(ctype))

@@ -22,6 +22,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.compiled import Library
 from nmpc_codegen.runtime.package_description import Dimensions, Names
 from nmpc_codegen.runtime.status import Kkt, Solution, Stats, Status
+from nmpc_codegen.runtime.weight import checked_weight
 
 __all__ = ["Controller", "Kkt", "Library", "Solution", "Stats", "Status"]
 
@@ -114,8 +115,15 @@ class Controller:
         status = Status(self._call("solve", self._s, self._xhat_c, float(tol), int(max_iterations)))
         elapsed = perf_counter_ns() - start
         parts = {n: self._optional(n).copy() for n in ("x", "u", "lam", "mu_x", "mu_u", "mu", "mu_N", "eta")}
-        iterations = self.stats.sqp_iterations
-        return Solution(status, **parts, cost=self.cost, kkt=self.kkt(), iterations=iterations, time_ns=elapsed)
+        return Solution(
+            status,
+            **parts,
+            cost=self.cost,
+            kkt=self.kkt(),
+            iterations=self.stats.sqp_iterations,
+            time_ns=elapsed,
+            controls=self.names.controls,
+        )
 
     def reset(self) -> None:
         """Back to the plain start; references, weights, parameters and bounds stay."""
@@ -158,7 +166,7 @@ class Controller:
         self._expect(self._call("set_terminal_reference", self._s, self._pointer(value)), "set_terminal_reference")
 
     def set_weight(self, W: ArrayLike, node: int | None = None) -> None:
-        """Weight of the path residual, symmetric positive semidefinite.
+        """Weight of the path residual, symmetric positive semidefinite up to rounding (stored as (W + W') / 2).
 
         Args:
             W: its diagonal (ny,) or the matrix (ny, ny); or (N, ny, ny), one matrix per node. Entries off the diagonal
@@ -399,9 +407,7 @@ class Controller:
 
     def _fail(self, status: Status, call: str, what: str) -> NoReturn:
         subject = f" ({what})" if what else ""
-        raise ControllerError(
-            f"{self._library.name}.{call}{subject}: {status.name}: {status.meaning}{self._details(status)}"
-        )
+        raise ControllerError(f"{self._library.name}.{call}{subject}: {status}{self._details(status)}")
 
     def _details(self, status: Status) -> str:
         """Which row or state is at fault, in the user's names."""
@@ -477,13 +483,9 @@ class Controller:
 
     def _weight(self, what: str, W: ArrayLike, size: int, matrix: bool) -> Array:
         """W checked and in the form in which the struct stores it: diagonal (size,) or matrix (size, size)."""
-        given = self._array(what, W, (size,) if _ndim(W) == 1 else (size, size)).astype(np.float64)
-        dense = np.diag(given) if given.ndim == 1 else given
-        if not np.array_equal(dense, dense.T):
-            raise ControllerError(f"{what} is not symmetric")
-        scale = float(np.abs(dense).max(initial=0.0))
-        if size and np.linalg.eigvalsh(dense)[0] < -size * np.finfo(np.float64).eps * scale:
-            raise ControllerError(f"{what} is not positive semidefinite")
+        given = self._array(what, W, (size,) if _ndim(W) == 1 else (size, size))
+        square = np.diag(given) if given.ndim == 1 else given
+        dense = checked_weight(square, what, ControllerError, float(np.finfo(self._real).eps))
         diagonal = np.diag(dense)
         if matrix:
             return dense

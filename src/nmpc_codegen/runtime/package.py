@@ -1,4 +1,7 @@
-"""Exported folders, read back without CasADi."""
+"""Exported folders, read back without CasADi.
+
+The C of a folder is compiled and runs with the rights of the user: only a folder that is trusted is to be opened.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,9 @@ from pathlib import Path
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.seal import package_of
+
+MAX_BYTES = 2**26  # of one file
 
 
 def open_package(
@@ -14,8 +20,13 @@ def open_package(
 ) -> Controller:
     """Compile and load an exported folder; ``name`` picks one of several packages in it.
 
+    The C code of the folder runs in this process: open what you trust. A description that is not that of the C code is
+    an error, whatever it says.
+
     Raises:
-        BuildError: the folder does not hold that package, or not exactly one <name>.json with <name>.h and <name>.c.
+        BuildError: the folder does not hold that package, or not exactly one <name>.json with <name>.h and <name>.c;
+            the three come from different exports; a file cannot be read; or the compiler refuses the code.
+        ControllerError: <name>.json is no description of a package, or not of this C code.
     """
     folder = Path(directory)
     found = [j for j in sorted(folder.glob("*.json")) if j.with_suffix(".h").exists() and name in (None, j.stem)]
@@ -28,5 +39,24 @@ def open_package(
     if not paths[1].exists():
         raise BuildError(f"{folder}: {prefix}.c is missing")
     paths += sorted(p for p in folder.glob("osqp/**/*.[ch]"))
-    files = {p.relative_to(folder).as_posix(): p.read_text(encoding="utf-8") for p in paths}
+    files = {p.relative_to(folder).as_posix(): _read(p) for p in paths}
+    if len({package_of(files[p.name]) for p in paths[:3]} - {None}) > 1:
+        raise BuildError(
+            f"{folder}: {', '.join(p.name for p in paths[:3])} come from different exports (one was interrupted, or "
+            "files were copied one by one): export the package again"
+        )
     return load(files, prefix, profile, lanes=lanes)
+
+
+def _read(path: Path) -> str:
+    """Text of a file of a package."""
+    try:
+        if not path.is_file():
+            raise BuildError(f"{path} is not a file")
+        if path.stat().st_size > MAX_BYTES:
+            raise BuildError(f"{path} has {path.stat().st_size} bytes; expected at most {MAX_BYTES}")
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise BuildError(f"{path} is not UTF-8 text: {error}") from error
+    except OSError as error:
+        raise BuildError(f"cannot read {path}: {error}") from error

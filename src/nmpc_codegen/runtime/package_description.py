@@ -1,11 +1,11 @@
 """What <name>.json says about a C package, as frozen values: sizes, names, rows and the layout of the solver struct.
 
-Everything that runs a package reads it from here; nothing here needs CasADi or a compiler.
+Everything that runs a package reads it from here; parse.py makes it from the text. Nothing here needs CasADi or a
+compiler.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,9 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.errors import ControllerError
-
-FORMAT = 1
 REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 INTEGERS: dict[str, type[np.integer[Any]]] = {"int32": np.int32, "int64": np.int64}
 
@@ -96,6 +93,7 @@ class Description:
     name: str
     precision: str
     dims: Dimensions
+    sizes: Mapping[str, int]  # macro without prefix -> value
     structs: Mapping[str, tuple[Member, ...]]
     states: tuple[SignalInfo, ...]
     controls: tuple[SignalInfo, ...]
@@ -142,89 +140,6 @@ class Description:
         if member.type in INTEGERS:
             return np.dtype(INTEGERS[member.type])
         return self.dtype(member.type)
-
-
-def parse(text: str) -> Description:
-    """Read the text of <name>.json.
-
-    Raises:
-        ControllerError: the text is no package description, or one of another format.
-    """
-    try:
-        raw = json.loads(text)
-        version = raw["format"]
-    except (ValueError, KeyError, TypeError) as error:
-        raise ControllerError(f"the package description is not the JSON that export() writes: {error}") from error
-    if version != FORMAT:
-        raise ControllerError(
-            f"the package description has format {version!r}, this version reads {FORMAT}: export it again"
-        )
-    try:
-        return _parse(raw)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ControllerError(f"the package description lacks or misspells an entry: {error!r}") from error
-
-
-def _parse(raw: Mapping[str, Any]) -> Description:
-    sizes = raw["sizes"]
-    if raw["precision"] not in REAL:
-        raise ValueError(f"precision {raw['precision']!r}")
-    return Description(
-        name=raw["name"],
-        precision=raw["precision"],
-        dims=Dimensions(
-            N=sizes["N"],
-            nx=sizes["NX"],
-            nu=sizes["NU"],
-            np=sizes["NP"],
-            ny=sizes["NY"],
-            ny_N=sizes["NY_N"],
-            nh=sizes["NH"],
-            nh_N=sizes["NH_N"],
-            nr=sizes["NR"],
-        ),
-        structs={s["name"]: tuple(_member(f) for f in s["fields"]) for s in raw["structs"]},
-        states=tuple(_signal(s) for s in raw["states"]),
-        controls=tuple(_signal(s) for s in raw["controls"]),
-        parameters=tuple(_signal(s) for s in raw["parameters"]),
-        rows=tuple(_row(r) for r in raw["rows"]),
-        y_names=tuple(raw["y_names"]),
-        y_names_N=tuple(raw["y_names_N"]),
-        dt=tuple(float(d) for d in raw["dt"]),
-        discrete=bool(raw["discrete"]),
-        statuses=tuple(raw["statuses"]),
-        online=_layouts(raw["online"]),
-        options=raw["options"],
-        report=raw["report"],
-    )
-
-
-def _layouts(raw: Mapping[str, Any]) -> Mapping[str, str]:
-    for kind in ("reference", "weight", "bounds", "parameter"):
-        if raw[kind] not in ("fixed", "shared", "node"):
-            raise ValueError(f"online {kind} {raw[kind]!r}")
-    return dict(raw)
-
-
-def _member(raw: Mapping[str, Any]) -> Member:
-    return Member(raw["name"], raw["type"], tuple(raw["shape"]), tuple(raw["padded"]), raw["role"], raw["doc"])
-
-
-def _signal(raw: Mapping[str, Any]) -> SignalInfo:
-    value = tuple(float(v) for v in raw["value"])
-    return SignalInfo(raw["name"], raw["size"], raw["unit"], value, raw["offset"], raw["scalar"])
-
-
-def _row(raw: Mapping[str, Any]) -> RowInfo:
-    return RowInfo(
-        name=raw["name"],
-        kind=raw["kind"],
-        index=raw["index"],
-        index_terminal=raw["index_terminal"],
-        nodes=tuple(raw["nodes"]),
-        lower=float(raw["lower"]),
-        upper=float(raw["upper"]),
-    )
 
 
 def _elements(signals: tuple[SignalInfo, ...]) -> tuple[str, ...]:

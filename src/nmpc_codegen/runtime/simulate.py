@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import math
 import os
-import re
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,36 +17,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status, is_positive
+from nmpc_codegen.runtime.pathrows import PathRows
+from nmpc_codegen.runtime.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, Curve, Trace, draw
 
 Array = NDArray[np.float64]
 Plant = Callable[[Array, Array, float], ArrayLike]
 Disturbance = Callable[[int, Array], ArrayLike]
 Reference = Callable[[int, Controller], None]
 
+LOG_BYTES = 2**31  # a log beyond it may not fit into memory, and the run would take hours
+LOG_COLUMNS = 4  # status, cost, time and t
 LONG_RUN = 200  # steps from which a progress bar is worth its lines
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SAME = 1e-6  # relative: a row whose values are those of a signal, in single precision too
 STEP_SLACK = 1e-9  # relative: dt = 3 intervals written as a sum of floats is 3 steps, not 4
 
 
-@dataclass(frozen=True)
-class Trace:
-    """One plotted quantity: its name, unit, and declared or current bounds (+-inf: none)."""
-
-    name: str
-    unit: str
-    lower: float
-    upper: float
-
-    @property
-    def label(self) -> str:
-        """Axis label with the powers of its unit raised: ``a [m/s²]``."""
-        unit = re.sub(r"\^(-?\d+)", lambda power: power[1].translate(SUPERSCRIPTS), self.unit)
-        return f"{self.name} [{unit}]" if unit else self.name
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Log:
-    """What happened. ``cost[k]`` is the cost of the plan that the controller made at sample k."""
+    """What happened. ``cost[k]`` is the cost of the plan that the controller made at sample k.
+
+    ``h[k]`` holds the values of the general path rows ``rows`` at x[k], u[k]: those that hold at node 0 or at several
+    nodes before the end.
+    """
 
     name: str
     t: Array  # (steps+1,), s (or samples of a discrete map)
@@ -60,6 +50,14 @@ class Log:
     states: tuple[Trace, ...]
     controls: tuple[Trace, ...]
     time_unit: str
+    h: Array  # (steps, number of rows)
+    rows: tuple[Trace, ...]
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        return f"<Log {self.name}: {len(self.u)} samples, x {self.x.shape}, u {self.u.shape}, h {self.h.shape}>"
 
     @property
     def ok(self) -> bool:
@@ -80,7 +78,7 @@ class Log:
         return "\n".join(lines)
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Draw states and controls over time, bounds dashed.
+        """Draw states, controls and general path rows over time, bounds dashed where the trace comes near.
 
         Args:
             file: where to write the picture (.png, .pdf, .svg); None: only return it, for plt.show().
@@ -88,7 +86,17 @@ class Log:
         Returns:
             The matplotlib figure.
         """
-        return _draw(self, file)
+        curves = [Curve(trace, self.t, self.x[:, i], STATE_COLOR) for i, trace in enumerate(self.states)]
+        held = np.append(self.u, self.u[-1:], axis=0)
+        curves += [
+            Curve(trace, self.t[: len(held)], held[:, j], CONTROL_COLOR, held=True)
+            for j, trace in enumerate(self.controls)
+        ]
+        curves += [Curve(trace, self.t[:-1], self.h[:, i], ROW_COLOR, dots=True) for i, trace in enumerate(self.rows)]
+        failed = int(np.sum(self.status != Status.OK))
+        note = f"{len(self.u)} samples" + (f", {failed} not OK" if failed else "")
+        time = "time [s]" if self.time_unit == "s" else "sample"
+        return draw(curves, f"{self.name}  ({note})", time, failed > 0, file)
 
 
 def simulate(
@@ -113,15 +121,17 @@ def simulate(
         reference: called as reference(k, ctrl) before sample k: set references, parameters or bounds there.
 
     Raises:
-        ControllerError: wrong shapes or numbers, or a plant that returns something else than a finite state.
+        ControllerError: wrong shapes or numbers, more steps than a log holds, or a plant that returns something else
+            than a finite state.
     """
-    if not isinstance(steps, int | np.integer) or isinstance(steps, bool) or steps < 0:
-        raise ControllerError(f"steps is {steps!r}; expected an integer >= 0")
+    rows = PathRows(ctrl)
+    _check_steps(steps, ctrl, len(rows.numbers))
     interval = _interval(ctrl, dt)
     nx, nu = ctrl.dims.nx, ctrl.dims.nu
     move = plant or _own_plant(ctrl)
     x, u = np.zeros((steps + 1, nx)), np.zeros((steps, nu))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
+    h = np.zeros((steps, len(rows.numbers)))
     x[0] = _state(x0, nx, "x0")
     for k in _progress(range(steps), ctrl.description.name):
         if reference is not None:
@@ -129,13 +139,26 @@ def simulate(
         u[k] = ctrl.step(x[k])
         stats = ctrl.stats
         status[k], cost[k], time_ns[k] = ctrl.status, ctrl.cost, stats.prepare_ns + stats.feedback_ns
+        h[k] = rows.values(x[k], u[k])
         x[k + 1] = _state(move(x[k].copy(), u[k].copy(), interval), nx, f"the plant's state after sample {k}")
         if disturbance is not None:
             x[k + 1] += _state(disturbance(k, x[k].copy()), nx, f"the disturbance of sample {k}")
-    states, controls = _traces(ctrl)
+    own, bounds = _own_axes(ctrl, rows.numbers, h, x, u)
+    states, controls = _traces(ctrl, bounds)
     time_unit = "samples" if ctrl.description.discrete else "s"
     t = interval * np.arange(steps + 1, dtype=np.float64)
-    return Log(ctrl.description.name, t, x, u, status, cost, time_ns, states, controls, time_unit)
+    general = tuple(Trace(ctrl.names.rows[rows.numbers[i]], "", *ctrl.path_bounds(rows.numbers[i])) for i in own)
+    name = ctrl.description.name
+    return Log(name, t, x, u, status, cost, time_ns, states, controls, time_unit, h[:, own], general)
+
+
+def _check_steps(steps: object, ctrl: Controller, rows: int) -> None:
+    if not isinstance(steps, int | np.integer) or isinstance(steps, bool) or steps < 0:
+        raise ControllerError(f"steps is {steps!r}; expected an integer >= 0")
+    columns = ctrl.dims.nx + ctrl.dims.nu + rows + LOG_COLUMNS
+    most = LOG_BYTES // (columns * np.dtype(np.float64).itemsize)
+    if steps > most:
+        raise ControllerError(f"steps is {steps}; expected at most {most}, whose log takes {LOG_BYTES >> 30} GiB")
 
 
 def _interval(ctrl: Controller, dt: float | None) -> float:
@@ -184,8 +207,23 @@ def _progress(samples: range, name: str) -> Iterable[int]:
     return track(samples, description=name, console=Console(stderr=True), transient=True)
 
 
-def _traces(ctrl: Controller) -> tuple[tuple[Trace, ...], tuple[Trace, ...]]:
-    """Names, units and the present simple bounds of states and controls."""
+def _own_axes(
+    ctrl: Controller, numbers: tuple[int, ...], h: Array, x: Array, u: Array
+) -> tuple[list[int], dict[str, tuple[float, float]]]:
+    """Columns of h with an axis of their own, and bounds of the others: soft rows on a bare state or control."""
+    signals = dict(zip((*ctrl.names.states, *ctrl.names.controls), (*x[:-1].T, *u.T), strict=True))
+    own, bounds = [], {}
+    for i, number in enumerate(numbers):
+        name = ctrl.names.rows[number]
+        if name in signals and np.allclose(h[:, i], signals[name], rtol=SAME, atol=0.0):
+            bounds[name] = ctrl.path_bounds(number)
+        else:
+            own.append(i)
+    return own, bounds
+
+
+def _traces(ctrl: Controller, soft: dict[str, tuple[float, float]]) -> tuple[tuple[Trace, ...], tuple[Trace, ...]]:
+    """Names, units and the present simple bounds of states and controls, or those of the soft row of that name."""
     bounds = {
         (row.kind, row.index): ctrl.path_bounds(i)
         for i, row in enumerate(ctrl.description.rows)
@@ -195,90 +233,8 @@ def _traces(ctrl: Controller) -> tuple[tuple[Trace, ...], tuple[Trace, ...]]:
     def traces(kind: str, signals: Iterable[Any]) -> tuple[Trace, ...]:
         named = [(element, signal.unit) for signal in signals for element in signal.elements]
         free = (-math.inf, math.inf)
-        return tuple(Trace(name, unit, *bounds.get((kind, i), free)) for i, (name, unit) in enumerate(named))
+        return tuple(
+            Trace(name, unit, *bounds.get((kind, i), soft.get(name, free))) for i, (name, unit) in enumerate(named)
+        )
 
     return traces("state", ctrl.description.states), traces("control", ctrl.description.controls)
-
-
-# -- drawing -----------------------------------------------------------------------------------------------------------
-
-WIDTH, ROW_HEIGHT = 7.2, 1.35  # inches
-COLUMN_LIMIT = 8  # traces in one column
-STYLE = {
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "0.35",
-    "axes.linewidth": 0.8,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.labelsize": 9,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.7,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "xtick.color": "0.35",
-    "ytick.color": "0.35",
-    "font.size": 9,
-}
-STATE_COLOR, CONTROL_COLOR, BOUND_COLOR, FAILURE_COLOR = "#1f5fa8", "#c2571a", "0.45", "#b3202c"
-
-
-def _draw(log: Log, file: str | os.PathLike[str] | None) -> Any:
-    """Figure with one axis per state and control. Written to a file it needs no display and no pyplot."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    count = len(log.states) + len(log.controls)
-    columns = math.ceil(count / COLUMN_LIMIT)
-    rows = math.ceil(count / columns)
-    size = (WIDTH * (1.0 if columns == 1 else 0.62 * columns), 0.6 + ROW_HEIGHT * rows)
-    with mpl.rc_context(STYLE):
-        if file is None:
-            from matplotlib import pyplot
-
-            figure = pyplot.figure(figsize=size, layout="constrained")
-        else:
-            figure = Figure(figsize=size, layout="constrained")
-        grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
-        axes = list(grid.T.flat)
-        for axis, trace, values in zip(axes, log.states, log.x.T, strict=False):
-            axis.plot(log.t, values, color=STATE_COLOR, linewidth=1.6)
-            _decorate(axis, trace, values)
-        for axis, trace, values in zip(axes[len(log.states) :], log.controls, log.u.T, strict=False):
-            held = np.append(values, values[-1:])
-            axis.step(log.t[: len(held)], held, where="post", color=CONTROL_COLOR, linewidth=1.6)
-            _decorate(axis, trace, values)
-        _finish(figure, grid, axes, count, log)
-        if file is not None:
-            figure.savefig(Path(file), dpi=160)
-    return figure
-
-
-def _finish(figure: Any, grid: Any, axes: list[Any], count: int, log: Log) -> None:
-    """Time axis below the lowest axis of each column, common label positions, title."""
-    for axis in axes[count:]:
-        axis.set_visible(False)
-    for column in grid.T:
-        lowest = [axis for axis in column if axis.get_visible()][-1]
-        lowest.set_xlabel("time [s]" if log.time_unit == "s" else "sample")
-        lowest.tick_params(labelbottom=True)
-    axes[0].set_xlim(log.t[0], log.t[-1] if len(log.t) > 1 else log.t[0] + 1.0)
-    figure.align_ylabels()
-    failed = int(np.sum(log.status != Status.OK))
-    note = f"{len(log.u)} samples" + (f", {failed} not OK" if failed else "")
-    figure.suptitle(f"{log.name}  ({note})", fontsize=10, color=FAILURE_COLOR if failed else "0.2")
-
-
-def _decorate(axis: Any, trace: Trace, values: Array) -> None:
-    """Label, limits with room to breathe, and those bounds that the trace comes near."""
-    axis.set_ylabel(trace.label)
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    reach = max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-12)
-    for bound in (trace.lower, trace.upper):
-        if math.isfinite(bound) and low - reach <= bound <= high + reach:
-            axis.axhline(bound, color=BOUND_COLOR, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1.5)
-            low, high = min(low, bound), max(high, bound)
-    margin = 0.08 * max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-12)
-    axis.set_ylim(low - margin, high + margin)
-    axis.locator_params(axis="y", nbins=4)

@@ -12,7 +12,10 @@ Array = NDArray[Any]
 
 
 class Status(IntEnum):
-    """What a call of the C package returns; the values are those of <name>_status_t."""
+    """What a call of the C package returns; the values are those of <name>_status_t.
+
+    Printed it is ``OK: solved``; it compares, converts and formats with ``d`` as the integer it is.
+    """
 
     OK = 0
     ITERATION_LIMIT = 1
@@ -31,6 +34,18 @@ class Status(IntEnum):
     def meaning(self) -> str:
         """One line for a person."""
         return _MEANINGS[self]
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.meaning}"
+
+    def __format__(self, spec: str) -> str:
+        if spec[-1:] in _INTEGER_TYPES:
+            return int.__format__(self, spec)
+        return format(str(self), spec)
+
+
+#: Last letters of a format specification that ask for a number.
+_INTEGER_TYPES = tuple("bcdeEfFgGnoxX%")
 
 
 _MEANINGS = {
@@ -58,6 +73,9 @@ class Kkt:
     inequality: float
     complementarity: float
 
+    def __str__(self) -> str:
+        return ", ".join(f"{part} {value:.1e}" for part, value in vars(self).items())
+
 
 @dataclass(frozen=True)
 class Stats:
@@ -79,10 +97,25 @@ class Stats:
     prepare_ns: int
     feedback_ns: int
 
+    def __str__(self) -> str:
+        lines = [
+            f"QP: {self.qp_iterations} iterations, {self.active_set_changes} changes of the active set",
+            f"SQP: {self.sqp_iterations} iterations",
+            f"rows: {self.dropped_rows} redundant, {self.relaxed_rows} soft or relaxed and violated",
+            f"KKT: {self.kkt}",
+            f"time: prepare {self.prepare_ns / 1e3:.1f} us, feedback {self.feedback_ns / 1e3:.1f} us",
+        ]
+        if self.violated_row is not None:
+            lines.insert(3, f"violated: {self.violated_row} at node {self.violated_node} by {self.violation:.3g}")
+        return "\n".join(lines)
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution:
-    """Result of solve(); arrays are copies. Multipliers are positive at upper and negative at lower bounds."""
+    """Result of solve(); arrays are copies. Multipliers are positive at upper and negative at lower bounds.
+
+    Printed it is a few lines: status, cost, iterations, time, KKT residuals, first control, shapes.
+    """
 
     status: Status
     x: Array  # (N+1, nx)
@@ -97,3 +130,21 @@ class Solution:
     kkt: Kkt
     iterations: int
     time_ns: int
+    controls: tuple[str, ...] = ()  # names of the controls
+
+    def __str__(self) -> str:
+        names = self.controls or tuple(f"u[{j}]" for j in range(self.u.shape[1]))
+        first = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, self.u[0], strict=True))
+        return "\n".join(
+            (
+                str(self.status),
+                f"cost {self.cost:.8g} after {self.iterations} iterations, {self.time_ns / 1e3:.1f} us",
+                f"KKT: {self.kkt}",
+                f"first control: {first}",
+                f"x {self.x.shape}, u {self.u.shape}",
+            )
+        )
+
+    def __repr__(self) -> str:
+        sizes = f"x {self.x.shape}, u {self.u.shape}"
+        return f"<Solution {self.status.name}: cost {self.cost:.8g}, {self.iterations} iterations, {sizes}>"

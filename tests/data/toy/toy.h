@@ -25,7 +25,12 @@ extern "C" {
 #define TOY_NH 0
 #define TOY_NH_N 0
 #define TOY_NR 3
+#define TOY_SIZE_M 1
+#define TOY_SIZE_D 2
 #define TOY_ALL -1
+
+enum { TOY_ROW_A = 0, TOY_ROW_BOX_0 = 1, TOY_ROW_BOX_1 = 2 };
+enum { TOY_PARAM_M = 0, TOY_PARAM_D = 1 };
 
 typedef double toy_real;
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from nmpc_codegen.components.allowed import Number, Words, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
@@ -36,9 +37,9 @@ class RealTimeIteration(Defaults):
     RELAXED then. None: the status is INFEASIBLE and the plan stays.
     """
 
-    shift: str | None = None
-    sampling_time: float | None = None
-    relaxation: float | None = None
+    shift: str | None = option(None, Words(SHIFTS))
+    sampling_time: float | None = option(None, Number(optional=True, unit="s"))
+    relaxation: float | None = option(None, Number(optional=True))
 
     seam: ClassVar[str] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
@@ -49,20 +50,12 @@ class RealTimeIteration(Defaults):
     )
 
     def __post_init__(self) -> None:
-        if self.shift not in SHIFTS:
-            raise OptionError(f"shift: {self.shift!r}; expected one of {', '.join(map(repr, SHIFTS))}")
-        given = self.sampling_time
-        if (given is not None) != (self.shift == "resample"):
+        check_options(self, self.seam)
+        if (self.sampling_time is not None) != (self.shift == "resample"):
             raise OptionError(
-                f'sampling_time: {given!r} with shift={self.shift!r}; shift="resample" needs it, others not'
+                f'RealTimeIteration.sampling_time: {self.sampling_time!r} with shift={self.shift!r}; shift="resample" '
+                "needs it, others not (--set algorithm.shift=... --set algorithm.sampling_time=...)"
             )
-        number = isinstance(given, int | float) and not isinstance(given, bool)
-        if given is not None and not (number and math.isfinite(given) and given > 0):
-            raise OptionError(f"sampling_time: {given!r}; expected a finite number > 0 (s)")
-        weight = self.relaxation
-        number = isinstance(weight, int | float) and not isinstance(weight, bool)
-        if weight is not None and not (number and math.isfinite(weight) and weight > 0):
-            raise OptionError(f"relaxation: {weight!r}; expected a finite number > 0 or None")
 
     @property
     def switches(self) -> Mapping[str, int]:
@@ -73,11 +66,15 @@ class RealTimeIteration(Defaults):
         """Moving by an interval needs intervals of one length, reading between nodes a differential equation."""
         if self.shift in ("repeat", "periodic") and not problem.uniform:
             raise OptionError(
-                f'shift="{self.shift}" moves the plan by one interval and clashes with a non-uniform grid; '
-                'expected shift="resample", sampling_time=...'
+                f'RealTimeIteration(shift="{self.shift}") moves the plan by one interval and clashes with a '
+                'non-uniform grid; expected shift="resample", sampling_time=... '
+                "(--set algorithm.shift=resample --set algorithm.sampling_time=...)"
             )
         if self.shift == "resample" and problem.discrete:
-            raise OptionError('shift="resample" reads the plan between nodes and clashes with a discrete map')
+            raise OptionError(
+                'RealTimeIteration(shift="resample") (--set algorithm.shift=resample) reads the plan between nodes '
+                "and clashes with a discrete map"
+            )
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """None of its own."""

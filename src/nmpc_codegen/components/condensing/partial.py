@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
@@ -24,7 +24,7 @@ class PartialCondensing(Defaults):
     A block longer than the horizon is the horizon; a shorter last one is padded with controls that stay 0.
     """
 
-    block: int = 2
+    block: int = option(2, Whole())
 
     seam: ClassVar[str] = "condensing"
     name: ClassVar[str] = "partial"
@@ -37,8 +37,7 @@ class PartialCondensing(Defaults):
     )
 
     def __post_init__(self) -> None:
-        if isinstance(self.block, bool) or not isinstance(self.block, int) or self.block < 1:
-            raise OptionError(f"PartialCondensing.block: {self.block!r} is not a positive integer")
+        check_options(self, self.seam)
 
     def _block(self, N: int) -> int:
         return min(self.block, N)

@@ -6,6 +6,8 @@ copy that does not move (algorithms.md 3).
 
 from __future__ import annotations
 
+from bisect import bisect_left
+
 from nmpc_codegen.components.base import Dims
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -26,7 +28,7 @@ def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
     stages = -(-N // block)
     stage = [stages if k == N else k // block for k, _, _, _ in problem.qp_rows]
     bounds = [index if kind == 0 and (k == N or k % block == 0) else -1 for k, kind, index, _ in problem.qp_rows]
-    first = [sum(at < k for at in stage) for k in range(stages + 2)]
+    first = [bisect_left(stage, k) for k in range(stages + 2)]
 
     def table(name: str, values: list[int], doc: str) -> Table:
         return Table(name, "int", tuple(values), doc)

@@ -4,7 +4,7 @@ the C functions ``expand_node(solver, k, x_next)``, which linearises a node, and
 the blocks Q[k] and Q_N are filled (lower triangles, z = (x, u)). Besides the contract of all components it has
 
     joint_routines(problem, integrator)   routines that the integrator helps to write: integrated costs, curvature
-    convexify                             template of riccati_convexify(): what QPs on stages do if they are not convex
+    switches                              with REGULARIZE_REDUCED: an indefinite reduced Hessian is changed
     patterns(routines)                    structural nonzeros of Q and Q_N
 """
 

@@ -9,22 +9,24 @@ section IV). The first time an adjoint pass gives lam.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import casadi as ca
 
+from nmpc_codegen.components.allowed import Named, Number, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.components.hessians.regularization import Mirror, Project, Regularization
 from nmpc_codegen.components.hessians.stage_cost import StageCost, integrated_kernels, slices, stage_cost
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
 from nmpc_codegen.ir.stage_products import Pattern, irreducible_blocks, pattern
 from nmpc_codegen.ir.sweep import Call, Routine, Slice
+
+#: Switch of the parts, and the level of a regularisation that sets it.
+LEVELS = (("STAGES", "stage"), ("REDUCED", "reduced"))
 
 # Sweeps of Jacobi rotations, and QL iterations per eigenvalue, before a decomposition is taken as it is.
 MAX_SWEEPS = 12
@@ -63,9 +65,9 @@ class ExactHessian(Defaults):
     sweep: Symmetric() or ForwardOverAdjoint(), how second derivatives of the dynamics are propagated.
     """
 
-    regularization: Regularization | None = field(default_factory=Project)
-    sweep: Symmetric | ForwardOverAdjoint = field(default_factory=Symmetric)
-    levenberg_marquardt: float = 0.0
+    regularization: Regularization | None = option(Project(), Named(_REGULARIZATIONS, (Project, Mirror)))
+    sweep: Symmetric | ForwardOverAdjoint = option(Symmetric(), Named(_SWEEPS, (Symmetric, ForwardOverAdjoint)))
+    levenberg_marquardt: float = option(0.0, Number(closed=True))
 
     seam: ClassVar[str] = "hessian"
     name: ClassVar[str] = "exact"
@@ -76,22 +78,7 @@ class ExactHessian(Defaults):
     )
 
     def __post_init__(self) -> None:
-        if isinstance(self.regularization, str) and self.regularization in _REGULARIZATIONS:
-            object.__setattr__(self, "regularization", _REGULARIZATIONS[self.regularization])
-        if isinstance(self.sweep, str) and self.sweep in _SWEEPS:
-            object.__setattr__(self, "sweep", _SWEEPS[self.sweep])
-        if not isinstance(self.regularization, Project | Mirror | None):
-            raise OptionError(
-                f"regularization: {self.regularization!r}; expected Project(...), Mirror(...), None or one of "
-                f"{', '.join(_REGULARIZATIONS)}"
-            )
-        if not isinstance(self.sweep, Symmetric | ForwardOverAdjoint):
-            raise OptionError(
-                f"sweep: {self.sweep!r}; expected Symmetric(), ForwardOverAdjoint() or one of {', '.join(_SWEEPS)}"
-            )
-        lm = self.levenberg_marquardt
-        if isinstance(lm, bool) or not isinstance(lm, int | float) or not (math.isfinite(lm) and lm >= 0):
-            raise OptionError(f"levenberg_marquardt: {lm!r}; expected a finite number >= 0")
+        check_options(self, self.seam)
 
     @property
     def level(self) -> str:
@@ -177,9 +164,8 @@ class ExactHessian(Defaults):
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """What becomes of an indefinite Hessian, in the blocks or in the reduced Hessian."""
-        reduced = int(self.level == "reduced")
-        return {"REGULARIZE_STAGES": int(self.level == "stage"), "REGULARIZE_REDUCED": reduced, "CONVEXIFY": reduced}
+        """Where an indefinite Hessian is changed: block by block, or the reduced one."""
+        return {f"REGULARIZE_{where}": int(self.level == level) for where, level in LEVELS}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""

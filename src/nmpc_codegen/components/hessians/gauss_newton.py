@@ -7,16 +7,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import casadi as ca
 
+from nmpc_codegen.components.allowed import Flag, Number, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.components.hessians.stage_cost import weight_matrix
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.cmodule import Field, Struct, Table
 from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
@@ -32,8 +31,8 @@ class GaussNewton(Defaults):
     multipliers of the last QP: discs and other convex rows need it to converge.
     """
 
-    convex_rows: bool = False
-    levenberg_marquardt: float = 0.0
+    convex_rows: bool = option(False, Flag())
+    levenberg_marquardt: float = option(0.0, Number(closed=True))
 
     seam: ClassVar[str] = "hessian"
     name: ClassVar[str] = "gauss_newton"
@@ -42,11 +41,7 @@ class GaussNewton(Defaults):
     supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "accumulators"})
 
     def __post_init__(self) -> None:
-        if not isinstance(self.convex_rows, bool):
-            raise OptionError(f"convex_rows: {self.convex_rows!r}; expected True or False")
-        lm = self.levenberg_marquardt
-        if isinstance(lm, bool) or not isinstance(lm, int | float) or not (math.isfinite(lm) and lm >= 0):
-            raise OptionError(f"levenberg_marquardt: {lm!r}; expected a finite number >= 0")
+        check_options(self, self.seam)
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """cost, gradient and hessian of the path and of the terminal stage."""
@@ -101,7 +96,7 @@ class GaussNewton(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         """Whether the curvature of rows is added; the Hessian is never indefinite."""
-        return {"CONVEX_ROWS": int(self.convex_rows), "CONVEXIFY": 0}
+        return {"CONVEX_ROWS": int(self.convex_rows), "REGULARIZE_REDUCED": 0}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""

@@ -51,7 +51,7 @@ class IdentityHessian(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         """The Hessian is never indefinite."""
-        return {"CONVEXIFY": 0}
+        return {"REGULARIZE_REDUCED": 0}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         return ()

@@ -12,11 +12,10 @@ while the controls of the predicted working set are given (templates/riccati/con
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.errors import OptionError
+from nmpc_codegen.components.allowed import Number, Words, check_options, option
 
 LEVELS = ("reduced", "stage")
 
@@ -26,18 +25,13 @@ class Regularization:
     """``floor``: smallest eigenvalue, relative to the largest absolute one; ``level``: "reduced" changes nothing unless
     the condensed Hessian is not positive definite, "stage" treats the block of every node."""
 
-    floor: float = 1e-8
-    level: str = "reduced"
+    floor: float = option(1e-8, Number(upper=1.0))
+    level: str = option("reduced", Words(LEVELS))
 
     mirrors: ClassVar[bool]
 
     def __post_init__(self) -> None:
-        name, floor = type(self).__name__, self.floor
-        number = isinstance(floor, int | float) and not isinstance(floor, bool)
-        if not number or not (math.isfinite(floor) and 0 < floor < 1):
-            raise OptionError(f"{name}.floor: {floor!r}; expected a number between 0 and 1")
-        if self.level not in LEVELS:
-            raise OptionError(f"{name}.level: {self.level!r}; expected one of {', '.join(LEVELS)}")
+        check_options(self, "hessian.regularization")
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,8 @@ class Discrete(Defaults):
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         if not problem.discrete:
             raise OptionError(
-                f"integrator: {problem.name} is an ordinary differential equation; expected ExplicitRungeKutta(...)"
+                f"integrator: {problem.name} is an ordinary differential equation; expected ExplicitRungeKutta(...) "
+                "(--set integrator=explicit_runge_kutta) instead of Discrete() (--set integrator=discrete)"
             )
         x, u, p = problem.path.x, problem.path.u, problem.path.p
         dt = ca.SX.sym("dt")

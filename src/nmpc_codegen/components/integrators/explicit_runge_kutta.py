@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import casadi as ca
 
+from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims
 from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.components.integrators.quadrature import Quadrature
@@ -26,9 +27,29 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import OpCount, Port
 from nmpc_codegen.ir.stage_products import PANEL
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Routine, Slice, Sweep, looped, straight, unroll
+from nmpc_codegen.ir.sweep import (
+    Affine,
+    Call,
+    For,
+    LoopedRoutine,
+    Node,
+    Routine,
+    Slice,
+    Sweep,
+    looped,
+    straight,
+    unroll,
+)
 
 Unroll = Literal["auto", "all", "step", "none"]
+
+# Steps per interval, and operations of a straight-line program, beyond which nobody waits for the code.
+MAX_STEPS = 100_000
+MAX_STRAIGHT = 100_000
+
+# The same for steps of a backward sweep, and numbers that it may keep of all of them: they stand on the stack.
+MAX_BACKWARD_STEPS = 200
+MAX_KEPT = 1 << 16
 
 # unroll="auto": the largest straight-line program, in instructions, before loops are preferred
 AUTO_INSTRUCTIONS = 2500
@@ -54,9 +75,9 @@ class ExplicitRungeKutta(Defaults):
     straight-line program, in half the code.
     """
 
-    tableau: ButcherTableau = RK4
-    steps: int = 2
-    unroll: Unroll = "auto"
+    tableau: ButcherTableau = option(RK4, Named(TABLEAUS, (ButcherTableau,)))
+    steps: int = option(2, Whole(MAX_STEPS))
+    unroll: Unroll = option("auto", Words(get_args(Unroll)))
 
     seam: ClassVar[str] = "integrator"
     name: ClassVar[str] = "explicit_runge_kutta"
@@ -67,19 +88,15 @@ class ExplicitRungeKutta(Defaults):
     )
 
     def __post_init__(self) -> None:
-        if isinstance(self.tableau, str) and self.tableau in TABLEAUS:
-            object.__setattr__(self, "tableau", TABLEAUS[self.tableau])
-        if not isinstance(self.tableau, ButcherTableau):
-            raise OptionError(f"tableau: {self.tableau!r}; expected one of {', '.join(TABLEAUS)} or a ButcherTableau")
-        if isinstance(self.steps, bool) or not isinstance(self.steps, int) or self.steps < 1:
-            raise OptionError(f"steps: {self.steps!r}; expected an integer >= 1")
-        if self.unroll not in get_args(Unroll):
-            raise OptionError(f"unroll: {self.unroll!r}; expected one of {', '.join(get_args(Unroll))}")
+        check_options(self, self.seam)
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         if problem.discrete:
-            raise OptionError(f"integrator: {problem.name} is a discrete map; expected Discrete()")
+            raise OptionError(
+                f"integrator: {problem.name} is a discrete map; expected Discrete() (--set integrator=discrete) "
+                "instead of ExplicitRungeKutta(...) (--set integrator=explicit_runge_kutta)"
+            )
         return self._interval(problem), straight(step_sweep(problem, self.tableau))
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
@@ -88,6 +105,7 @@ class ExplicitRungeKutta(Defaults):
 
         scheme: "symmetric" (three sweeps) or "forward_over_adjoint".
         """
+        self._refuse_long(name, ())
         b = SCHEMES[scheme](problem, self.tableau, self.steps, staggered=self.unroll != "step")
         nx, nz = problem.nx, problem.nx + problem.nu
         sweep = Sweep(
@@ -99,13 +117,35 @@ class ExplicitRungeKutta(Defaults):
             b.buffers(),
             (start, *b.body()),
         )
+        self._refuse_long(name, sweep.locals)
         if self.unroll == "step":
             return looped(fuse_steps(sweep))
-        if self.unroll == "none":
-            return looped(sweep)
+        rolled = looped(sweep)
+        if self.unroll == "none" or (self.unroll == "auto" and rolled.statements * self.steps > 10 * AUTO_STATEMENTS):
+            return rolled
+        self._refuse_straight(rolled)
         expanded = looped(expand_steps(sweep))
         small = expanded.statements <= AUTO_STATEMENTS
-        return expanded if small or self.unroll == "all" else looped(sweep)
+        return expanded if small or self.unroll == "all" else rolled
+
+    def _refuse_long(self, name: str, buffers: Sequence[tuple[str, int]]) -> None:
+        """A backward sweep keeps stages of all steps, on the stack."""
+        kept = sum(size for _, size in buffers)
+        if self.steps > MAX_BACKWARD_STEPS or kept > MAX_KEPT:
+            raise OptionError(
+                f"ExplicitRungeKutta.steps: {self.steps}; {name} goes backward over all steps and keeps numbers "
+                f"of them on the stack; expected at most {MAX_BACKWARD_STEPS} steps (--set integrator.steps=...) and "
+                f"{MAX_KEPT:,} numbers" + (f" instead of {kept:,}" if kept else "")
+            )
+
+    def _refuse_straight(self, rolled: LoopedRoutine) -> None:
+        """A straight-line program of all steps would be too long to be made and compiled."""
+        if self.unroll == "all" and rolled.count.total > MAX_STRAIGHT:
+            raise OptionError(
+                f'ExplicitRungeKutta(steps={self.steps}, unroll="all"): {rolled.name} would be about '
+                f"{rolled.count.total:,} operations in a row; expected at most {MAX_STRAIGHT:,}: fewer steps "
+                "(--set integrator.steps=...) or loops (--set integrator.unroll=auto, step or none)"
+            )
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more) -> l: what ``start`` leaves in l, plus the integral of the cost rate."""
@@ -119,11 +159,13 @@ class ExplicitRungeKutta(Defaults):
 
     def _spelled(self, sweep: Sweep) -> Routine:
         """Straight-line or looped, as ``unroll`` says."""
-        if self.unroll == "all":
-            return straight(sweep)
+        self._refuse_long(sweep.name, sweep.locals)
         if self.unroll == "step":
             return looped(fuse_steps(sweep))
         rolled = looped(sweep)
+        self._refuse_straight(rolled)
+        if self.unroll == "all":
+            return straight(sweep)
         if self.unroll == "auto" and rolled.count.total <= 10 * AUTO_INSTRUCTIONS:
             program = straight(sweep)
             if len(program.instructions) <= AUTO_INSTRUCTIONS:
@@ -131,11 +173,12 @@ class ExplicitRungeKutta(Defaults):
         return rolled
 
     def _interval(self, problem: Problem) -> Routine:
-        if self.unroll == "all":
-            return straight(interval_sweep(problem, self.tableau, self.steps))
         if self.unroll == "step":
             return looped(interval_sweep(problem, self.tableau, self.steps, fuse_steps=True))
         rolled = looped(interval_sweep(problem, self.tableau, self.steps))
+        self._refuse_straight(rolled)
+        if self.unroll == "all":
+            return straight(interval_sweep(problem, self.tableau, self.steps))
         if self.unroll == "none":
             return rolled
         # Straight-line code takes at most as many operations as the loops do: a bound known before unrolling.

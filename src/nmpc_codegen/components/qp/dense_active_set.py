@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import Defaults
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
 
@@ -39,14 +39,10 @@ class DenseActiveSet(Defaults):
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
-    max_iterations: int | None = None
+    max_iterations: int | None = option(None, Whole(optional=True))
 
     def __post_init__(self) -> None:
-        if self.max_iterations is None:
-            return
-        cap = self.max_iterations
-        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
-            raise OptionError(f"DenseActiveSet.max_iterations: {cap!r} is not a positive integer or None")
+        check_options(self, self.seam)
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
@@ -143,7 +139,8 @@ def _factorization(dims: Dims) -> OpCount:
     for b in range(0, ld, 4):
         total += OpCount(add=13, mul=20, div=4)
         total += OpCount(add=6, mul=10) * (ld - b - 4)
-        for i in range(b + 4, n):
-            lanes = -(-(i + 1 - b - 4) // 4) * 4
-            total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4, other=4)
+        below = max(0, n - b - 4)  # row j of them works on 4 ceil(j / 4) entries
+        whole, rest = divmod(below, 4)
+        lanes = 4 * (whole + 1) * (2 * whole + rest)
+        total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4, other=4) * below
     return total

@@ -8,7 +8,6 @@ anew, and the answer depends on nothing else but the starting point.
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from nmpc_codegen.components.allowed import Number, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 class Osqp(Defaults):
     """Options of OSQP: iterations allowed, and the absolute and relative tolerance ``eps`` of its residuals."""
 
-    max_iterations: int = 20_000
-    eps: float = 1e-9
+    max_iterations: int = option(20_000, Whole())
+    eps: float = option(1e-9, Number())
 
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "osqp"
@@ -46,12 +46,7 @@ class Osqp(Defaults):
     )
 
     def __post_init__(self) -> None:
-        cap = self.max_iterations
-        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
-            raise OptionError(f"Osqp.max_iterations: {cap!r} is not a positive integer")
-        number = isinstance(self.eps, int | float) and not isinstance(self.eps, bool)
-        if not (number and math.isfinite(self.eps) and self.eps > 0):
-            raise OptionError(f"Osqp.eps: {self.eps!r}; expected a finite number > 0")
+        check_options(self, self.seam)
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""
@@ -111,7 +106,10 @@ class Osqp(Defaults):
             OptionError: single precision; the embedded code is generated in double.
         """
         if precision != "double":
-            raise OptionError("qp 'osqp' clashes with precision='single': its embedded code is in double precision")
+            raise OptionError(
+                "Osqp() (--set qp=osqp) clashes with precision='single' (--set precision=single): its embedded "
+                "code is in double precision"
+            )
         with tempfile.TemporaryDirectory(prefix="osqp-") as temporary:
             self._generate(Path(temporary), prefix, nv, ng)
             files = {

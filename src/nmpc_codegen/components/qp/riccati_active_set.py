@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import Defaults
 from nmpc_codegen.components.qp.riccati import riccati_cost, riccati_sizes, riccati_struct
 from nmpc_codegen.components.qp.riccati_interior_point import MAX_ITERATIONS as INTERIOR_POINT_ITERATIONS
 from nmpc_codegen.components.qp.riccati_interior_point import interior_point_struct
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
 
@@ -47,14 +47,10 @@ class RiccatiActiveSet(Defaults):
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
-    max_iterations: int | None = None
+    max_iterations: int | None = option(None, Whole(optional=True))
 
     def __post_init__(self) -> None:
-        if self.max_iterations is None:
-            return
-        cap = self.max_iterations
-        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
-            raise OptionError(f"RiccatiActiveSet.max_iterations: {cap!r} is not a positive integer or None")
+        check_options(self, self.seam)
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""

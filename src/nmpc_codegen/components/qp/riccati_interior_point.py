@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_struct
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
 
@@ -118,8 +118,8 @@ class RiccatiInteriorPoint(Defaults):
     previous QP.
     """
 
-    max_iterations: int = MAX_ITERATIONS
-    warm_start: bool = True
+    max_iterations: int = option(MAX_ITERATIONS, Whole())
+    warm_start: bool = option(True, Flag())
 
     seam: ClassVar[str] = "qp"
     name: ClassVar[str] = "riccati_interior_point"
@@ -132,11 +132,7 @@ class RiccatiInteriorPoint(Defaults):
     )
 
     def __post_init__(self) -> None:
-        cap = self.max_iterations
-        if isinstance(cap, bool) or not isinstance(cap, int) or cap < 1:
-            raise OptionError(f"RiccatiInteriorPoint.max_iterations: {cap!r} is not a positive integer")
-        if not isinstance(self.warm_start, bool):
-            raise OptionError(f"RiccatiInteriorPoint.warm_start: {self.warm_start!r} is not a bool")
+        check_options(self, self.seam)
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""

@@ -1,0 +1,1 @@
+"""Parts of the benchmarks: every module has measure(report)."""

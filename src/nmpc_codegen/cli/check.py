@@ -1,0 +1,120 @@
+"""--check: the generated code against IPOPT, from the declared initial state."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.table import Table
+
+from nmpc_codegen.cli.printing import Printer
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import Reference, Tableau, node_data
+from nmpc_codegen.runtime.build import load
+
+if TYPE_CHECKING:
+    from nmpc_codegen.frontend.ocp import OCP
+    from nmpc_codegen.options import Options
+    from nmpc_codegen.runtime.controller import Solution
+
+#: Largest |a - b| / max(1, max|b|) of controls and states per component, and of the cost relatively.
+LIMITS = {"double": {"u": 1e-6, "x": 1e-6, "cost": 1e-8}, "single": {"u": 1e-3, "x": 1e-3, "cost": 1e-4}}
+CHECK_TOLERANCE = {"double": 1e-9, "single": 1e-3}
+CHECK_ITERATIONS = 1000
+CHECK_STEPS = 5000  # of the integrator over the horizon
+COST_FLOOR = 1e-6  # a smaller cost counts as this much, or a problem that starts at its goal could not pass
+
+
+def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer) -> bool:
+    """Compile with warnings as errors, solve from the declared initial state, compare with IPOPT.
+
+    IPOPT starts as the generated code does; if it ends elsewhere (another local optimum) it starts once more at the
+    generated code's solution, which it must then return.
+    """
+    problem = classify(ocp)
+    refuse_long(options, len(problem.dt))
+    files = {f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")}
+    controller = load(files, name, "verify", warnings_as_errors=True)
+    solution = controller.solve(problem.x_initial, CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS)
+    nlp = Reference(problem, *_tableau(options))
+    data = node_data(problem)
+    reference = nlp.solve(data)
+    errors = compare(solution, reference)
+    limits = LIMITS[options.precision]
+    if any(not errors[key] <= limits[key] for key in limits):
+        nearby = nlp.solve(data, x=solution.x, u=solution.u)
+        if nearby.success:
+            reference, errors = nearby, compare(solution, nearby)
+    solved = solution.status.name in ("OK", "STALLED")
+    passed = solved and reference.success and all(errors[key] <= limits[key] for key in limits)
+    _print_check(printer, solution, reference, errors, limits, passed)
+    return passed
+
+
+def refuse_long(options: Options, intervals: int) -> None:
+    """OptionError if IPOPT would not return within a minute or so."""
+    steps = getattr(options.integrator, "steps", 1) * intervals
+    if steps > CHECK_STEPS:
+        raise OptionError(
+            f"--check: IPOPT would take {steps:,} steps of the integrator per evaluation; expected at most "
+            f"{CHECK_STEPS:,}: check it with fewer (--set integrator.steps=..., ExplicitRungeKutta(steps=...))"
+        )
+
+
+def _tableau(options: Options) -> tuple[Any, ...]:
+    """The integrator as plain numbers for the reference; nothing for a discrete map or the default."""
+    scheme = getattr(options.integrator, "tableau", None)
+    if scheme is None:
+        return ()
+    A = tuple(tuple(float(a) for a in row) for row in scheme.a)
+    return (Tableau(A, tuple(float(b) for b in scheme.b), int(getattr(options.integrator, "steps", 1))),)
+
+
+def compare(solution: Solution, reference: Any) -> dict[str, float]:
+    """Errors against a reference: largest |a - b| / max(1, max|b|) of u and x per component; of the cost relatively."""
+    errors = {"cost": abs(solution.cost - reference.cost) / max(abs(reference.cost), COST_FLOOR)}
+    for key, ours, theirs in (("u", solution.u, reference.u), ("x", solution.x, reference.x)):
+        size = np.maximum(1.0, np.abs(theirs).max(axis=0, initial=0.0))
+        errors[key] = float((np.abs(ours - theirs) / size).max(initial=0.0))
+    return errors
+
+
+def _print_check(
+    printer: Printer,
+    solution: Solution,
+    reference: Any,
+    errors: Mapping[str, float],
+    limits: Mapping[str, float],
+    passed: bool,
+) -> None:
+    printer.line("Check against IPOPT")
+    table = Table("", "error", "limit", "")
+    for key, limit in limits.items():
+        verdict, style = ("ok", "") if errors[key] <= limit else ("FAILED", "red")
+        table.add_row(key, f"{errors[key]:.1e}", f"{limit:.0e}", verdict, style=style)
+    printer.table(table)
+    ours = f"{solution.status.name} ({solution.status.meaning}), {solution.iterations} iterations"
+    printer.line(f"generated code: {ours}, cost {solution.cost:.10g}")
+    theirs = f"{reference.status}, {reference.iterations} iterations"
+    printer.line(f"IPOPT: {theirs}, cost {reference.cost:.10g}")
+    for hint in _hints(solution, reference):
+        printer.line(hint, style="yellow")
+    printer.line("check passed" if passed else "check FAILED", style="green" if passed else "red")
+
+
+def _hints(solution: Solution, reference: Any) -> list[str]:
+    """What to do about outcomes that a table of errors does not explain."""
+    hints = []
+    if solution.status.name == "NUMERICAL_FAILURE" and reference.success:
+        hints.append(
+            "the condensed Hessian may not be positive definite: weight every control, "
+            "or --set hessian.levenberg_marquardt=1e-8"
+        )
+    if solution.status.name == "OK" and solution.iterations == 0:
+        hints.append("the declared initial state is optimal already, so little was checked: declare initial= elsewhere")
+    if solution.status.name == "INFEASIBLE" and not reference.success:
+        hints.append("both find the problem infeasible from the declared initial state: check initial= and the rows")
+    return hints

@@ -1,0 +1,137 @@
+"""The command itself: from arguments to an exit status."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from nmpc_codegen.cli.arguments import check_usage, parser
+from nmpc_codegen.cli.messages import message, one_line
+from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, own_streams, undisturbed
+
+if TYPE_CHECKING:
+    from nmpc_codegen.compiler import Package
+    from nmpc_codegen.frontend.ocp import OCP
+    from nmpc_codegen.options import Options
+
+SHOWN_FUNCTIONS = 8
+LONG_SIMULATION = 10_000  # samples of which the user is told beforehand
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    try:
+        with own_streams(whole_process=argv is None) as printer:
+            return _main(argv, printer)
+    except ReaderLeftError:
+        drop_output()
+        return 1
+
+
+def _main(argv: Sequence[str] | None, printer: Printer) -> int:
+    made = parser()
+    try:
+        arguments = made.parse_args(argv)
+        check_usage(made, arguments)
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    try:
+        return _run(arguments, printer)
+    except BaseException as error:
+        if isinstance(error, ReaderLeftError):
+            raise
+        if arguments.verbose:
+            printer.trace(error)
+        printer.error(message(error, arguments.problem))
+        return 1
+
+
+def _run(arguments: argparse.Namespace, printer: Printer) -> int:
+    from nmpc_codegen.cli.listing import list_options
+
+    if arguments.list_options:
+        list_options(printer)
+        return 0
+    from nmpc_codegen.cli.check import check
+    from nmpc_codegen.compiler import export
+
+    ocp, options = _problem(arguments, printer)
+    name = ocp.name if arguments.name is None else arguments.name
+    folder = Path(arguments.output or Path("out") / name)
+    package = export(ocp, options, str(folder), name=name, allow_foreign=arguments.allow_foreign, force=arguments.force)
+    _print_package(printer, package, folder, arguments.verbose)
+    passed = check(ocp, options, folder, name, printer) if arguments.check else True
+    if arguments.simulate is not None:
+        _simulate(folder, name, arguments.simulate, arguments.plot, printer)
+    return 0 if passed else 1
+
+
+def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Options]:
+    """The problem's file with the options of the command line."""
+    import numpy as np
+
+    from nmpc_codegen.cli.problem_file import load_problem
+    from nmpc_codegen.cli.settings import apply_settings
+
+    with undisturbed(printer, arguments.problem, arguments.verbose), np.errstate():
+        ocp, options = load_problem(Path(arguments.problem))
+    words = [(flag, getattr(arguments, flag)) for flag in ("hessian", "qp", "precision")]
+    settings = [(key, text) for key, text in words if text is not None]
+    for setting in arguments.settings:
+        key, _, text = setting.partition("=")
+        settings.append((key.strip(), text.strip()))
+    return ocp, apply_settings(options, settings)
+
+
+def _simulate(folder: Path, name: str, samples: int, picture: str | None, printer: Printer) -> None:
+    from nmpc_codegen.runtime.package import open_package
+    from nmpc_codegen.runtime.simulate import simulate
+
+    if samples >= LONG_SIMULATION:
+        printer.line(f"simulating {samples:,} samples")
+    controller = open_package(str(folder), name=name)
+    log = simulate(controller, controller.description.x_initial, samples)
+    printer.line(log.summary())
+    if picture is not None:
+        log.plot(picture)
+        printer.line(f"picture: {picture}")
+
+
+def _print_package(printer: Printer, package: Package, folder: Path, verbose: bool) -> None:
+    """Files with their sizes; what was chosen and why; memory; operations of the largest functions, or of all."""
+    from rich.table import Table
+
+    title = one_line(f"{package.name} in {folder}")
+    printer.line(title)
+    files = Table("file", "bytes")
+    files.columns[1].justify = "right"
+    for path in sorted(package.files):
+        files.add_row(one_line(os.path.relpath(path, package.directory)), f"{path.stat().st_size:,}")
+    printer.table(files)
+    for choice in package.report.get("choices", ()):
+        printer.line(f"chosen  {choice}")
+    if "ram_bytes" in package.report:
+        bytes_of_struct = f"{package.report['ram_bytes']:,} bytes of solver struct"
+        printer.line(f"memory  {bytes_of_struct}, all that the code needs but its stack")
+    _print_operations(printer, package.report.get("operations", {}), verbose)
+
+
+def _print_operations(printer: Printer, operations: Mapping[str, Mapping[str, Any]], verbose: bool) -> None:
+    from rich.table import Table
+
+    counts = {function: sum(count.values()) for function, count in operations.items()}
+    largest = sorted(counts, key=lambda function: -counts[function])
+    shown = largest if verbose else largest[:SHOWN_FUNCTIONS]
+    if shown:
+        table = Table("operations per call", *next(iter(operations.values())), "all")
+        for column in table.columns[1:]:
+            column.justify = "right"
+        for function in shown:
+            numbers = [*operations[function].values(), counts[function]]
+            table.add_row(function, *(f"{number:,}" for number in numbers))
+        printer.table(table)
+    if len(shown) < len(largest):
+        printer.line(f"and {len(largest) - len(shown)} smaller functions (-v shows all)")

@@ -1,0 +1,68 @@
+"""One line for any exception: where it was raised, what it is, what it says."""
+
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+
+from nmpc_codegen.errors import NmpcError
+
+#: Longer messages, those of other libraries, are cut.
+LONGEST = 1000
+
+PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def printable(text: str) -> str:
+    """The text with control characters and what else cannot be printed escaped."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def one_line(text: str) -> str:
+    """The text without line ends, printable; only very long ones lose their end."""
+    joined = " ".join(text.split())
+    return printable(joined if len(joined) <= LONGEST else joined[:LONGEST] + " ...")
+
+
+def message(error: BaseException, file: str | None) -> str:
+    """The line that is printed for an exception that ended the run; ``file``: the problem's, as the user named it."""
+    try:
+        return one_line(_message(error, file))
+    except Exception:  # an exception may refuse even to be looked at
+        return one_line(f"{file}: an exception that cannot be printed (-v shows where)")
+
+
+def _message(error: BaseException, file: str | None) -> str:
+    kind = type(error).__name__
+    absolute = str(Path(file).absolute()) if file else None
+    frames = [(frame.f_code.co_filename, line) for frame, line in traceback.walk_tb(error.__traceback__)]
+    lines = [line for name, line in frames if name == absolute]
+    place = f"{file}, line {lines[-1]}: " if lines else f"{file}: " if file else ""
+    if isinstance(error, SyntaxError) and absolute and error.filename == absolute:
+        line = "" if error.lineno is None else f", line {error.lineno}"
+        return f"{file}{line}: {kind}: {error.msg}"
+    if isinstance(error, SystemExit):
+        status = 0 if error.code is None else _text(error)
+        return f"{place}the file ended the program (exit status {status}) instead of stating a problem"
+    if isinstance(error, KeyboardInterrupt):
+        return f"{place if lines else ''}interrupted"
+    if isinstance(error, NmpcError):
+        return f"{place if lines else ''}{kind}: {_text(error)}"
+    if isinstance(error, OSError) and error.strerror and not lines:
+        return f"{kind}: {error.filename or file}: {error.strerror}"
+    return f"{place}{kind}: {_text(error)}" + ("" if lines else f"{_stage(frames)} (-v shows where)")
+
+
+def _text(error: BaseException) -> str:
+    """What an exception says, or that it says nothing or cannot."""
+    try:
+        text = str(error)
+    except Exception:
+        return "its message cannot be read"
+    return text if text.strip() else "no message"
+
+
+def _stage(frames: list[tuple[str, int]]) -> str:
+    """The module of ours in which it happened."""
+    ours = [Path(name) for name, _ in frames if PACKAGE in Path(name).parents]
+    return f", in {ours[-1].relative_to(PACKAGE.parent)}" if ours else ""

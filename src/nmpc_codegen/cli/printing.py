@@ -1,0 +1,130 @@
+"""Where the command line prints: streams that nothing which the problem's file does can spoil, plain text on them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import threading
+import traceback
+import warnings
+from collections.abc import Iterator
+from typing import Any, TextIO
+
+from rich.console import Console
+
+from nmpc_codegen.cli.messages import message, one_line, printable
+
+
+class ReaderLeftError(Exception):
+    """Nobody reads what is printed: ``nmpc-export ... | head -1``."""
+
+
+class Printer:
+    """Output and errors. What the stream cannot encode is escaped; markup in names means nothing."""
+
+    def __init__(self, output: TextIO, errors: TextIO) -> None:
+        self._output = Console(file=output, markup=False, emoji=False, highlight=False)
+        self._errors = Console(file=errors, markup=False, emoji=False, highlight=False)
+
+    def line(self, text: str, style: str = "") -> None:
+        """A line of output, never wrapped; one for each line of the text."""
+        for part in text.split("\n"):
+            self._print(self._output, printable(part), style=style, soft_wrap=True)
+
+    def table(self, table: Any) -> None:
+        """A rich table."""
+        self._print(self._output, table)
+
+    def trace(self, error: BaseException) -> None:
+        """The traceback of an exception, on the stream of errors."""
+        try:
+            text = "".join(traceback.format_exception(error))
+        except Exception:  # of an exception that refuses to be looked at
+            text = "".join(traceback.format_tb(error.__traceback__))
+        for line in text.splitlines():
+            self._print(self._errors, printable(line), soft_wrap=True)
+
+    def error(self, text: str, style: str = "red") -> None:
+        """One line on the stream of errors."""
+        self._print(self._errors, one_line(text), style=style, soft_wrap=True)
+
+    def _print(self, console: Console, what: Any, **options: Any) -> None:
+        try:
+            console.print(what, **options)
+        except (BrokenPipeError, SystemExit):  # rich leaves the program when a pipe breaks
+            raise ReaderLeftError from None
+
+
+@contextlib.contextmanager
+def own_streams(whole_process: bool) -> Iterator[Printer]:
+    """sys.stdout and sys.stderr are duplicates, which escape what they cannot encode.
+
+    In a process of our own they stay until its end, where the interpreter flushes whatever the problem's file left.
+    """
+    before = sys.stdout, sys.stderr, sys.unraisablehook, threading.excepthook
+    output, errors = _duplicate(sys.stdout), _duplicate(sys.stderr)
+    sys.stdout, sys.stderr = output, errors
+    try:
+        yield Printer(output, errors)
+        output.flush()
+    except BrokenPipeError:
+        raise ReaderLeftError from None
+    finally:
+        if not whole_process:
+            sys.stdout, sys.stderr, sys.unraisablehook, threading.excepthook = before
+
+
+def _duplicate(stream: TextIO | None) -> TextIO:
+    """A stream of its own to where the given one leads; the given one if it leads to no file."""
+    if stream is None:  # the caller has closed it
+        return open(os.devnull, "w", encoding="utf-8")
+    try:
+        number = os.dup(stream.fileno())
+    except (AttributeError, OSError, ValueError):
+        return stream
+    return open(number, "w", buffering=1, encoding=stream.encoding, errors="backslashreplace")
+
+
+def drop_output() -> None:
+    """Let what is still buffered for a reader that has left go nowhere, at the end of the interpreter too."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.__stdout__):
+        with contextlib.suppress(AttributeError, OSError, ValueError):
+            os.dup2(nowhere, stream.fileno())  # type: ignore[union-attr]
+    os.close(nowhere)
+
+
+@contextlib.contextmanager
+def undisturbed(printer: Printer, file: str, verbose: bool) -> Iterator[None]:
+    """Give the problem's file streams of its own, and undo what it does to the interpreter.
+
+    Its warnings are printed on one line each; so are exceptions in its threads and finalisers.
+    """
+    ours = sys.stdout, sys.stderr
+    saved = sys.stdin, sys.excepthook, sys.displayhook, sys.argv, sys.path
+    folder, limit, path = os.getcwd(), sys.getrecursionlimit(), sys.path[:]
+    sys.stdout, sys.stderr = _duplicate(sys.stdout), _duplicate(sys.stderr)
+    if not verbose:
+        sys.unraisablehook = lambda raised: printer.error(message(raised.exc_value or raised.exc_type(), file))
+        threading.excepthook = lambda raised: printer.error(message(raised.exc_value or raised.exc_type(), file))
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning(printer)
+            yield
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):
+                stream.flush()
+        sys.stdout, sys.stderr = ours
+        sys.stdin, sys.excepthook, sys.displayhook, sys.argv, sys.path = saved
+        sys.path[:] = path
+        os.chdir(folder)
+        sys.setrecursionlimit(limit)
+
+
+def _show_warning(printer: Printer) -> Any:
+    def show(text: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
+        printer.error(f"{os.path.basename(filename)}, line {lineno}: {category.__name__}: {text}", style="yellow")
+
+    return show

@@ -1,0 +1,98 @@
+"""The problem and the options that a Python file states."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import types
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.options import Options
+
+#: Name of the module that a problem's file is while it runs.
+MODULE = "nmpc_problem"
+
+
+def load_problem(path: Path) -> tuple[OCP, Options]:
+    """Run a problem file and take its problem and options.
+
+    Looks for ``problem()``, then ``ocp``, then ``build_ocp()``, then for the only OCP among the file's names; options
+    are those that ``problem()`` returns, else ``options`` or what ``options()`` returns, else the defaults.
+
+    Raises:
+        ProblemError: there is no such file, or no problem in it, or several without one called ``ocp``.
+        BaseException: whatever the file raises.
+    """
+    if not path.is_file():
+        found = "it is a folder" if path.is_dir() else "there is no such file"
+        raise ProblemError(f"{path}: {found}; expected a Python file that states a problem")
+    module = types.ModuleType(MODULE)
+    module.__file__ = str(path.absolute())
+    search, before = sys.path, sys.path[:]
+    sys.path.insert(0, str(path.resolve().parent))
+    sys.modules[MODULE] = module
+    try:
+        exec(compile(path.read_bytes(), module.__file__, "exec"), module.__dict__)
+        return _stated(module.__dict__, path)
+    finally:
+        sys.modules.pop(MODULE, None)
+        sys.path = search
+        search[:] = before
+
+
+def _stated(names: Mapping[str, Any], path: Path) -> tuple[OCP, Options]:
+    """What the file states."""
+    found = _problem(names, path)
+    ocp, given = found if isinstance(found, tuple) else (found, names.get("options"))
+    if callable(given):
+        given = _call("options", given, path)
+    if given is None:
+        return ocp, Options()
+    if not isinstance(given, Options):
+        raise ProblemError(
+            f"{path}: options is a {type(given).__name__}; expected Options(...), or a function that returns them"
+        )
+    return ocp, given
+
+
+def _problem(names: Mapping[str, Any], path: Path) -> Any:
+    """An OCP, or a pair of it and what problem() returns with it."""
+    if callable(names.get("problem")):
+        return _checked("problem", _call("problem", names["problem"], path), path)
+    if "ocp" in names:
+        if not isinstance(names["ocp"], OCP):
+            raise ProblemError(f"{path}: ocp is a {type(names['ocp']).__name__}; expected OCP")
+        return names["ocp"]
+    if callable(names.get("build_ocp")):
+        return _checked("build_ocp", _call("build_ocp", names["build_ocp"], path), path)
+    several = {name: value for name, value in names.items() if isinstance(value, OCP)}
+    if len({id(value) for value in several.values()}) == 1:
+        return next(iter(several.values()))
+    if several:
+        raise ProblemError(f"{path} defines several problems ({', '.join(several)}); call the one to export `ocp`")
+    raise ProblemError(
+        f"{path} defines no problem: expected an OCP called `ocp`, or a function problem() or build_ocp() that "
+        "returns one"
+    )
+
+
+def _call(name: str, function: Any, path: Path) -> Any:
+    """function() of the file, which must do without arguments."""
+    try:
+        inspect.signature(function).bind()
+    except TypeError as error:
+        raise ProblemError(f"{path}: {name}() cannot be called without arguments: {error}") from None
+    except ValueError:  # a callable without a signature
+        pass
+    return function()
+
+
+def _checked(name: str, result: Any, path: Path) -> Any:
+    first = result[0] if isinstance(result, tuple) and len(result) == 2 else result
+    if not isinstance(first, OCP):
+        raise ProblemError(f"{path}: {name}() returns {type(result).__name__}; expected OCP or (OCP, Options)")
+    return result

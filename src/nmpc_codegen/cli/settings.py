@@ -1,0 +1,105 @@
+"""--set KEY=VALUE: any option by its dotted name."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from nmpc_codegen.components.allowed import rules, shown
+from nmpc_codegen.components.base import SEAMS
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.options import REGISTRIES, Options
+
+
+@dataclass
+class Change:
+    """What is set of one option: itself, and options inside it, in one go because they may depend on each other."""
+
+    given: bool = False
+    value: Any = None
+    inside: dict[str, Change] = field(default_factory=dict)
+
+
+def registry(seam: str) -> Mapping[str, Any]:
+    """Components of a variation point: word -> class."""
+    return REGISTRIES[seam]
+
+
+def parsed(text: str) -> Any:
+    """A Python literal, else the text itself."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return ast.literal_eval(text)
+    except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError):
+        return text
+
+
+def apply_settings(options: Options, settings: Sequence[tuple[str, str]]) -> Options:
+    """options with dotted fields replaced, all at once; of two settings of the same option the later one counts.
+
+    Raises:
+        OptionError: no such field (lists those there are), or a value that the option refuses.
+    """
+    root = Change()
+    for key, text in settings:
+        node = root
+        for name in key.split("."):
+            node = node.inside.setdefault(name.strip(), Change())
+        node.given, node.value, node.inside = True, parsed(text), {}
+    changed: Options = _changed(options, root, "")
+    return changed
+
+
+def apply_setting(options: Options, key: str, text: str) -> Options:
+    """options with one dotted field replaced, see apply_settings()."""
+    return apply_settings(options, [(key, text)])
+
+
+def _changed(part: Any, change: Change, where: str) -> Any:
+    """A dataclass of options with what stands inside a change."""
+    fields = rules(part)
+    if where not in ("", *SEAMS) and not any(fields.values()):
+        fields = {}  # a value such as a tableau, which is chosen as a whole
+    new: dict[str, Any] = {}
+    for name, inner in change.inside.items():
+        key = f"{where}.{name}" if where else name
+        if name not in fields:
+            there = f"there is {', '.join(fields)}" if fields else "it has none"
+            raise OptionError(f"{where or 'options'} has no option {name!r}; {there} (--set {key}=...)")
+        value = getattr(part, name)
+        if key in SEAMS:
+            value = _component(key, inner.value) if inner.given else value
+            value = _first_with(key, inner.inside) if value is None and inner.inside else value
+        elif inner.given:
+            rule = fields[name]
+            value = inner.value if rule is None else rule.converted(inner.value)
+        new[name] = _changed(value, inner, key) if inner.inside else value
+    return dataclasses.replace(part, **new) if new else part
+
+
+def _component(seam: str, word: Any) -> Any:
+    """A component with its default options, by its word; None leaves the choice to the compiler."""
+    if word is None:
+        return None
+    words = registry(seam)
+    known = word.replace("-", "_") if isinstance(word, str) else word
+    if not isinstance(known, str) or known not in words:
+        raise OptionError(f"there is no {seam} {shown(word)}; there is {', '.join(words)} (--set {seam}=WORD)")
+    return words[known]()
+
+
+def _first_with(seam: str, names: Mapping[str, Any]) -> Any:
+    """The only component of a seam that has all these options."""
+    able = {word: cls for word, cls in registry(seam).items() if set(names) <= set(rules(cls))}
+    if len(able) == 1:
+        return next(iter(able.values()))()
+    wanted = ", ".join(f"{seam}.{name}" for name in names)
+    if able:
+        raise OptionError(f"{wanted}: say --set {seam}=WORD besides, with one of {', '.join(able)}")
+    there = ", ".join(dict.fromkeys(name for cls in registry(seam).values() for name in rules(cls)))
+    raise OptionError(f"{seam} has no option {' with '.join(map(repr, names))}; there is {there} (--set {wanted}=...)")

@@ -1,0 +1,168 @@
+"""What an option may be: one fact beside its field, which validates it, words its refusal and lists it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import reprlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from nmpc_codegen.errors import OptionError
+
+#: Largest integer that becomes a C int.
+INT_MAX = 2**31 - 1
+
+_KEY = "allowed"
+
+
+class Rule(Protocol):
+    """Allowed values of an option; its text completes "expected ..."."""
+
+    def converted(self, value: Any) -> Any:
+        """The object that a word stands for; any other value as it is."""
+        ...
+
+    def takes(self, value: Any) -> bool:
+        """True if the converted value is allowed."""
+        ...
+
+
+@dataclass(frozen=True)
+class Words:
+    """One of some words; None may be among them."""
+
+    words: tuple[str | None, ...]
+
+    def converted(self, value: Any) -> Any:
+        return value
+
+    def takes(self, value: Any) -> bool:
+        return (value is None or isinstance(value, str)) and value in self.words
+
+    def __str__(self) -> str:
+        return "one of " + ", ".join(map(str, self.words))
+
+
+@dataclass(frozen=True)
+class Flag:
+    """True or False."""
+
+    def converted(self, value: Any) -> Any:
+        return value
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, bool)
+
+    def __str__(self) -> str:
+        return "True or False"
+
+
+@dataclass(frozen=True)
+class Whole:
+    """An integer from 1 to ``most``."""
+
+    most: int = INT_MAX
+    optional: bool = False
+
+    def converted(self, value: Any) -> Any:
+        return value
+
+    def takes(self, value: Any) -> bool:
+        if value is None:
+            return self.optional
+        return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= self.most
+
+    def __str__(self) -> str:
+        return f"an integer >= 1 and <= {self.most}" + (" or None" if self.optional else "")
+
+
+@dataclass(frozen=True)
+class Number:
+    """A finite number above (or, ``closed``, not below) ``lower`` and below ``upper``."""
+
+    lower: float = 0.0
+    upper: float = math.inf
+    closed: bool = False
+    optional: bool = False
+    unit: str = ""
+
+    def converted(self, value: Any) -> Any:
+        return value
+
+    def takes(self, value: Any) -> bool:
+        if value is None:
+            return self.optional
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return False
+        try:
+            number = float(value)
+        except OverflowError:
+            return False
+        above = number >= self.lower if self.closed else number > self.lower
+        return math.isfinite(number) and above and number < self.upper
+
+    def __str__(self) -> str:
+        text = f"a finite number {'>=' if self.closed else '>'} {self.lower:g}"
+        text += f" and < {self.upper:g}" if math.isfinite(self.upper) else ""
+        return text + (f" ({self.unit})" if self.unit else "") + (" or None" if self.optional else "")
+
+
+@dataclass(frozen=True)
+class Named:
+    """An object of some classes, or a word that stands for one."""
+
+    words: Mapping[str, Any]
+    classes: tuple[type, ...]
+
+    def converted(self, value: Any) -> Any:
+        return self.words[value] if isinstance(value, str) and value in self.words else value
+
+    def takes(self, value: Any) -> bool:
+        return isinstance(value, self.classes) or (value is None and None in self.words.values())
+
+    def __str__(self) -> str:
+        objects = ", ".join(f"{cls.__name__}(...)" for cls in self.classes)
+        return f"one of {', '.join(self.words)}; in Python also {objects}"
+
+
+def option(default: Any, rule: Rule) -> Any:
+    """Field of a dataclass of options: its default value and what is allowed."""
+    return field(default=default, metadata={_KEY: rule})
+
+
+def rules(part: Any) -> dict[str, Rule | None]:
+    """Options of a dataclass or of its class -> what is allowed, None where its author does not say."""
+    fields = dataclasses.fields(part) if dataclasses.is_dataclass(part) else ()
+    return {f.name: f.metadata.get(_KEY) for f in fields}
+
+
+def check_options(part: Any, key: str) -> None:
+    """Convert words and refuse values that are not allowed; ``key``: where the command line has the part, "" on top.
+
+    Raises:
+        OptionError: names the class, the option, its value, what is allowed, and the flag of the command line.
+    """
+    for name, rule in _ruled(part):
+        given = getattr(part, name)
+        value = rule.converted(given)
+        if not rule.takes(value):
+            flag = f"--set {key}.{name}=..." if key else f"--set {name}=..."
+            raise OptionError(f"{type(part).__name__}.{name}: {shown(given)}; expected {rule} ({flag})")
+        if value is not given:
+            object.__setattr__(part, name, value)
+
+
+def _ruled(part: Any) -> Iterator[tuple[str, Rule]]:
+    return ((name, rule) for name, rule in rules(part).items() if rule is not None)
+
+
+def shown(value: Any) -> str:
+    """A short repr of any value, one whose repr fails or is very long included."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = 120
+    try:
+        return short.repr(value)
+    except Exception:  # an integer of too many digits, or an object whose __repr__ raises
+        return f"a value of type {type(value).__name__}"

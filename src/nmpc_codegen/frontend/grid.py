@@ -1,0 +1,60 @@
+"""The grid of the horizon: N intervals and their lengths."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.checks import integer, numbers, quote
+
+#: Intervals: the tables of one row at every node then fill a megabyte of C, and its solution takes milliseconds.
+MAX_INTERVALS = 10_000
+#: Lengths of an interval (s): dt^2 and 1 / dt^2 are normal numbers in single precision too.
+SHORTEST, LONGEST = 1e-15, 1e15
+#: Longest over shortest interval: products of two lengths, in one Hessian, still differ by less than 1 / eps.
+MAX_RATIO = 1e6
+
+
+def grid(name: str, T: Any, N: Any, intervals: Any) -> tuple[int, tuple[float, ...] | None]:
+    """Number of intervals and their lengths; None if only N was given."""
+    what = f"OCP '{name}'"
+    if intervals is not None:
+        return _stated(what, T, N, intervals)
+    if N is None:
+        raise ProblemError(f"{what}: give T and N, or intervals, or N for a discrete map")
+    count = integer(N, f"{what}: N", 1, MAX_INTERVALS)
+    if T is None:
+        return count, None
+    length = numbers(T, f"{what}: T")
+    if length.ndim != 0 or not np.isfinite(length) or not length > 0:
+        raise ProblemError(f"{what}: T must be a positive length in s, got {quote(T)}")
+    dt = float(length) / count
+    _check_length(dt, f"{what}: T / N")
+    return count, (dt,) * count
+
+
+def _stated(what: str, T: Any, N: Any, intervals: Any) -> tuple[int, tuple[float, ...]]:
+    """The grid of intervals=."""
+    if T is not None:
+        raise ProblemError(f"{what}: give T or intervals, not both")
+    dt = numbers(intervals, f"{what}: intervals")
+    if dt.ndim != 1 or dt.size < 1 or not np.isfinite(dt).all() or (dt <= 0).any():
+        raise ProblemError(f"{what}: intervals must be positive lengths in s, got {quote(intervals)}")
+    integer(dt.size, f"{what}: number of intervals", 1, MAX_INTERVALS)
+    if N is not None and integer(N, f"{what}: N", 1) != dt.size:
+        raise ProblemError(f"{what}: N = {N}, but {dt.size} intervals are given")
+    for k, length in enumerate(dt):
+        _check_length(float(length), f"{what}: interval {k}")
+    if dt.max() / dt.min() > MAX_RATIO:
+        raise ProblemError(
+            f"{what}: interval {dt.argmax()} of {dt.max():g} s is more than {MAX_RATIO:g} times as long as "
+            f"interval {dt.argmin()} of {dt.min():g} s"
+        )
+    return dt.size, tuple(float(d) for d in dt)
+
+
+def _check_length(dt: float, what: str) -> None:
+    if not SHORTEST <= dt <= LONGEST:
+        raise ProblemError(f"{what} is {dt:g} s, expected a length between {SHORTEST:g} and {LONGEST:g} s")

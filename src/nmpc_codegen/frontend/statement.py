@@ -1,0 +1,75 @@
+"""What the calls of an OCP leave behind: declared signals, cost terms and rows, as stated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.problem import Array, Signal
+
+Kind = Literal["state", "control", "parameter", "start", "end"]
+At = Literal["path", "start", "end"] | tuple[int, ...]
+Soft = tuple[float, float] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Declared:
+    """A declared signal and its SX symbol."""
+
+    signal: Signal
+    symbol: Any
+
+
+@dataclass(frozen=True)
+class Element:
+    """One scalar symbol: what it is, its position in the stacked vector of its kind, its name."""
+
+    kind: Kind
+    index: int
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """1/2 (y - reference)' weight (y - reference) at every path node, or at the terminal node."""
+
+    y: Any
+    names: tuple[str, ...]
+    reference: Array
+    weight: Array
+    scale_with_dt: bool
+    terminal: bool
+
+
+@dataclass(frozen=True, eq=False)
+class GeneralCost:
+    """A scalar cost at every path node, integrated along every interval, or at the terminal node."""
+
+    expression: Any
+    integrate: bool
+    scale_with_dt: bool
+    terminal: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """Scalar rows lower <= expression <= upper as stated; ``at`` is None for a coupled condition."""
+
+    lower: Array
+    expression: Any
+    upper: Array
+    at: At | None
+    soft: Soft
+    names: tuple[str, ...]
+
+
+def intersection(new: Statement, i: int, old: Statement, j: int, what: str) -> tuple[float, float]:
+    """Bounds that satisfy row i of the new and row j of the old statement, which are of the same name."""
+    lower, upper = max(new.lower[i], old.lower[j]), min(new.upper[i], old.upper[j])
+    if lower > upper:
+        raise ProblemError(
+            f"{what}: the row '{new.names[i]}' in [{new.lower[i]:g}, {new.upper[i]:g}] contradicts the row "
+            f"'{old.names[j]}' stated before, in [{old.lower[j]:g}, {old.upper[j]:g}]"
+        )
+    return float(lower), float(upper)

@@ -1,0 +1,60 @@
+"""Names that a package may bear: what its files are called and what its C names begin with."""
+
+from __future__ import annotations
+
+import re
+
+from nmpc_codegen.errors import ProblemError
+
+_KEYWORDS = """
+    alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t char32_t class compl
+    complex concept const consteval constexpr constinit const_cast continue co_await co_return co_yield decltype default
+    delete do double dynamic_cast else enum explicit export extern false float for friend goto if imaginary inline int
+    long mutable namespace new noexcept not not_eq nullptr operator or or_eq private protected public register
+    reinterpret_cast requires restrict return short signed sizeof static static_assert static_cast struct switch
+    template this thread_local throw true try typedef typeid typename typeof typeof_unqual union unsigned using virtual
+    void volatile wchar_t while xor xor_eq"""
+C_KEYWORDS = frozenset(_KEYWORDS.split())
+
+_HEADERS = """
+    assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic
+    stdbit stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype
+    alloca byteswap dirent endian features fcntl glob libintl malloc memory poll pthread regex sched search semaphore
+    strings syslog termios unistd values windows intrin immintrin arm_acle arm_neon arm_math cmsis_gcc python"""
+
+#: <name>.h would stand before a header of the C library, the system or the processor.
+HEADERS = frozenset(_HEADERS.split())
+
+#: Files and folders that stand beside <name>.c, or are made of it when it is compiled.
+NEIGHBOURS = frozenset({"main", "readme", "cmakelists", "makefile", "license", "osqp", "wrapper"})
+
+#: Windows opens a device instead of <name>.c.
+DEVICES = frozenset({"con", "prn", "aux", "nul"} | {f"{port}{i}" for port in ("com", "lpt") for i in range(10)})
+
+LONGEST = 60
+_IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def check_package_name(name: object, what: str) -> None:
+    """Refuse a name whose files would hide or replace others, on any file system, whatever its case.
+
+    Raises:
+        ProblemError: no string; no ASCII identifier of at most 60 characters; a keyword of C or C++, a header, a file
+            that stands beside the package's, or a device.
+    """
+    if not isinstance(name, str):
+        raise ProblemError(f"{what}: {name!r}; expected a string")
+    if len(name) > LONGEST:
+        raise ProblemError(f"{what} {name[:20]!r}... has {len(name)} characters; expected at most {LONGEST}")
+    if not _IDENTIFIER.fullmatch(name):
+        raise ProblemError(f"{what} {name!r}: expected a C identifier: an ASCII letter, then letters, digits and _")
+    word = name.lower()
+    reasons = (
+        (C_KEYWORDS, "a keyword of C or C++"),
+        (HEADERS, f"a header, <{word}.h>, which {name}.h would hide"),
+        (NEIGHBOURS, "taken by a file or folder beside the package's"),
+        (DEVICES, "a device of Windows"),
+    )
+    for words, reason in reasons:
+        if word in words:
+            raise ProblemError(f"{what} {name!r} is {reason}; choose another, e.g. {f'{word}_mpc'!r}")

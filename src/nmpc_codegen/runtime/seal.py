@@ -1,0 +1,59 @@
+"""The seal: a comment in every generated file that tells whether the file is still as it was generated.
+
+It holds a digest of the file, and one of the package's C that all files of one export have in common:
+
+    nmpc_codegen package <16 hex digits>, sha256 <64 hex digits>
+
+The digest of the file is taken with zeros in its own place. No key is needed to seal a text: the seal protects from
+mistakes, not from malice.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import PurePosixPath
+
+_LINE = "nmpc_codegen package {}, sha256 {}"
+_SEAL = re.compile(rb"nmpc_codegen package ([0-9a-f]{16}), sha256 ([0-9a-f]{64})")
+_BLANK = "0" * 64
+_COMMENTS = {".c": "/* {} */", ".h": "/* {} */", ".txt": "# {}", ".md": "<!-- {} -->"}
+
+
+def sealed(sources: Mapping[str, str], name: str) -> dict[str, str]:
+    """The files of the package ``name``, each with its seal: the last line, or the first entry of a JSON object."""
+    code = "\0".join(sources[f"{name}.{ext}"] for ext in ("h", "c"))
+    package = hashlib.sha256(code.encode()).hexdigest()[:16]
+    return {path: _sealed(path, text, package) for path, text in sources.items()}
+
+
+def _sealed(path: str, text: str, package: str) -> str:
+    blank = _LINE.format(package, _BLANK)
+    suffix = PurePosixPath(path).suffix
+    if suffix == ".json":
+        marked = text.replace("{\n", f'{{\n "seal": "{blank}",\n', 1)
+    else:
+        marked = f"{text}{_COMMENTS[suffix].format(blank)}\n"
+    return marked.replace(blank, _LINE.format(package, hashlib.sha256(marked.encode()).hexdigest()))
+
+
+def has_seal(data: bytes) -> bool:
+    """True if the bytes hold a seal, intact or not."""
+    return _SEAL.search(data) is not None
+
+
+def intact(data: bytes) -> bool:
+    """True if the bytes are a generated file of any package and version, and not one of them has changed since."""
+    found = list(_SEAL.finditer(data))
+    if len(found) != 1:
+        return False
+    begin, end = found[0].span(2)
+    blank = data[:begin] + _BLANK.encode() + data[end:]
+    return hashlib.sha256(blank).hexdigest().encode() == data[begin:end]
+
+
+def package_of(text: str) -> str | None:
+    """The digest of the package's C in the seal of a file, which survives an edit; None without a seal."""
+    found = _SEAL.search(text.encode(errors="replace"))
+    return found.group(1).decode() if found else None

@@ -1,0 +1,84 @@
+"""cache.py: damage, strangers, killed and simultaneous builds. The faults are those of the benchmark."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from benchmarks.lib import cache_faults
+from nmpc_codegen import open_package
+from nmpc_codegen.errors import BuildError
+from nmpc_codegen.runtime import cache
+
+pytestmark = pytest.mark.usefixtures("compiler")
+
+TOY = Path(__file__).parent / "data" / "toy"
+
+
+@pytest.mark.parametrize("case", sorted(set(cache_faults.FAULTS) - {"8 processes at once"}))
+def test_fault(case: str) -> None:
+    fault = cache_faults.FAULTS[case]
+    if fault in cache_faults.AS_ROOT and not cache_faults.is_root():
+        pytest.skip("only root can give files to another user")
+    assert cache_faults.survived(fault)
+
+
+@pytest.mark.slow
+def test_eight_processes_at_once() -> None:
+    assert cache_faults.survived(cache_faults.FAULTS["8 processes at once"])
+
+
+def test_folder_is_private_under_any_mask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(tmp_path / "a" / "cache"))
+    mask = os.umask(0)
+    try:
+        path = cache.cached("entry.so", lambda folder: (folder / "module").write_bytes(b"code") and None)
+    finally:
+        os.umask(mask)
+    assert path.read_bytes() == b"code"
+    assert all(p.stat().st_mode & 0o077 == 0 for p in (path.parent, *path.parent.rglob("*")))
+
+
+def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(tmp_path / "cache"))
+
+    def full(folder: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(BuildError, match=r"cannot write to the cache .*No space left .*NMPC_CODEGEN_CACHE"):
+        cache.cached("entry.so", full)
+    assert not cache_faults.leftovers(tmp_path / "cache")
+
+
+def test_a_link_is_no_entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(tmp_path / "cache"))
+    made: list[Path] = []
+
+    def make(folder: Path) -> None:
+        made.append(folder)
+        (folder / "module").write_bytes(b"code")
+
+    path = cache.cached("entry.so", make)
+    assert cache.cached("entry.so", make) == path
+    assert len(made) == 1
+    path.rename(tmp_path / "elsewhere.so")
+    path.symlink_to(tmp_path / "elsewhere.so")
+    assert cache.cached("entry.so", make) == path
+    assert len(made) == 2
+    assert not path.is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"\xff\xfe", "is not UTF-8"), (b" " * (2**26 + 1), "bytes; expected at most")],
+    ids=["not UTF-8", "100 MB"],
+)
+def test_a_file_that_cannot_be_read(tmp_path: Path, content: bytes, message: str) -> None:
+    for path in TOY.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "toy.json").write_bytes(content)
+    with pytest.raises(BuildError, match=rf"toy\.json .*{message}"):
+        open_package(tmp_path)

@@ -1,0 +1,63 @@
+"""The benchmark part that knocks at the command line: it sees what is wrong, and a few of its cases are run here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.lib import doors_cli
+from benchmarks.lib.doors_cli import End, forked, in_process, judge
+from benchmarks.lib.hostile import Case, catalogue
+
+
+def test_cases_differ_and_are_many() -> None:
+    cases = catalogue()
+    assert len(cases) >= 500
+    assert len({(case.arguments, tuple(case.files.items())) for case in cases}) == len(cases)
+    assert [case.name for case in cases] == [case.name for case in catalogue()]
+
+
+def test_a_good_file_is_exported(tmp_path: Path) -> None:
+    end = forked(doors_cli.good(), tmp_path)
+    assert judge(doors_cli.good(), end) == "", end
+    assert (tmp_path / "where" / "out" / "cart.c").exists()
+
+
+@pytest.mark.parametrize(
+    ("end", "fault"),
+    [
+        (End(1, "", "Traceback (most recent call last)"), "traceback"),
+        (End(-11, "", "gone"), "status -11"),
+        (End(70, "", "gone"), "status 70"),
+        (End(1, "out", " "), "not a word"),
+        (End(None, "", ""), "not in time"),
+        (End(0, "", ""), "status 0 instead of 1"),
+        (End(1, "", "said"), ""),
+    ],
+)
+def test_judge(end: End, fault: str) -> None:
+    assert judge(Case("x", (), {}, (1,)), end) == fault
+
+
+def test_time_is_limited(tmp_path: Path) -> None:
+    case = Case("sleeps", ("problem.py",), {"problem.py": b"while True: pass"})
+    assert forked(case, tmp_path, seconds=1.0).status is None
+
+
+def test_exceptions_out_of_main_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nmpc_codegen.cli.main", lambda: 1 / 0)
+    assert judge(doors_cli.good(), forked(doors_cli.good(), tmp_path)) == "traceback"
+
+
+@pytest.mark.parametrize("case", catalogue()[:230:23], ids=lambda case: case.name)
+def test_hostile_files(case: Case, tmp_path: Path) -> None:
+    end = forked(case, tmp_path)
+    assert judge(case, end) == "", end
+
+
+def test_hostile_surroundings(tmp_path: Path) -> None:
+    case = next(case for case in catalogue() if case.name == "raised in module: unencodable")
+    end = in_process(case, tmp_path, {"PYTHONIOENCODING": "ascii:strict"}, 60.0)
+    assert judge(case, end) == "", end
+    assert "\\u03c0" in end.errors

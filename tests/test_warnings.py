@@ -1,0 +1,220 @@
+"""The generated C has no warning with gcc and clang, as C99 and as C++17, whatever is combined.
+
+Every pair of a structure, a QP solver, a precision, a shift, a Hessian and a storage of data stands in one combination.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import require_tool
+
+from benchmarks import quality
+from benchmarks.combinations import ROUTES, shift
+from nmpc_codegen import (
+    OCP,
+    ExactHessian,
+    ForwardOverAdjoint,
+    GaussNewton,
+    IdentityHessian,
+    Mirror,
+    Online,
+    Options,
+    generate,
+)
+from nmpc_codegen.lowering.render import Sources
+
+
+def pendulum(name: str, N: int = 5) -> tuple[OCP, Any, Any, Any]:
+    """(ocp, angle, rate, torque) of a pendulum without rows."""
+    ocp = OCP(name, T=0.2 * N, N=N)
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[1.0, 0.1, 0.05])
+    return ocp, q, w, u
+
+
+def soft_without_terminal_rows() -> OCP:
+    """A soft general row with a control: none at the last node."""
+    ocp, q, w, u = pendulum("soft_path")
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-2, q * w + u, 2, soft=(10, 0), name="row")
+    return ocp
+
+
+def soft_at_the_end() -> OCP:
+    """Soft rows, quadratic ones too, at nodes and at the end, besides a hard one; a dense weight."""
+    ocp, q, w, u = pendulum("soft_end")
+    ocp.terminal_least_squares(ca.vertcat(q, w), weight=[[8.0, 1.0], [1.0, 2.0]])
+    ocp.subject_to(-0.2, w, np.inf, soft=(0.3, 0.2))
+    ocp.subject_to(-1, q * w, 1, at="end", soft=(0.3, 0.0), name="gate")
+    ocp.subject_to(-9, u * u, 9, name="effort")
+    return ocp
+
+
+def soft_bounds_only() -> OCP:
+    """A soft state bound and no general row at all."""
+    ocp, _, w, _ = pendulum("soft_bound", 3)
+    ocp.subject_to(-0.2, w, np.inf, soft=(0.3, 0.0))
+    return ocp
+
+
+def coupled() -> OCP:
+    """A free state, a cyclic one, a curved coupled row, a soft one; an integrated cost, an accumulator; parameters."""
+    ocp = OCP("coupled", T=0.8, N=4)
+    q, w, e, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.state("e"), ocp.control("u")
+    m = ocp.parameter("m", size=2, value=[1.0, 2.0])
+    ocp.dynamics({q: w, w: -ca.sin(q) + u, e: u**2})
+    ocp.accumulator(e)
+    ocp.subject_to(-np.inf, e, 3, at="end")
+    ocp.stage_cost(m[0] * u**2 + m[1] * q**2 * w**2, integrate=True)
+    ocp.free_initial(q)
+    ocp.cyclic(q)
+    ocp.boundary(-5, ocp.at_start(w) ** 3 + ocp.at_end(q) ** 2, 5, name="loop")
+    ocp.boundary(-5, ocp.at_start(q) - ocp.at_end(w), 5, soft=(2.0, 0.0), name="near")
+    return ocp
+
+
+def convex_rows() -> OCP:
+    """Curved rows on the path and at the end."""
+    ocp, q, w, u = pendulum("convex")
+    ocp.subject_to(-np.inf, q * q + u * u, 4, name="disc")
+    ocp.subject_to(-np.inf, q * q + w * w, 4, at="end", name="ball")
+    return ocp
+
+
+def tiny() -> OCP:
+    """nx = nu = N = 1, np = 0, linear dynamics, no rows."""
+    ocp = OCP("tiny", T=0.5, N=1)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: u - x})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    return ocp
+
+
+def discrete() -> OCP:
+    """A map with two controls and a parameter; bounds."""
+    ocp = OCP("map", N=4)
+    x, u, p = ocp.state("x", size=2), ocp.control("u", size=2), ocp.parameter("p", value=0.8)
+    ocp.dynamics(ca.vertcat(x[0] + 0.5 * x[1] ** 2 + p * u[0], 0.84 * x[1] - x[0] * ca.exp(u[1])), discrete=True)
+    ocp.least_squares(ca.vertcat(x, u), weight=np.ones(4))
+    ocp.subject_to(-0.2, u, 0.2)
+    return ocp
+
+
+STRUCTURES: tuple[Callable[[], OCP], ...] = (
+    *(soft_without_terminal_rows, soft_at_the_end, soft_bounds_only, coupled),
+    *(convex_rows, tiny, discrete),
+)
+SOFT = (soft_without_terminal_rows, soft_at_the_end, soft_bounds_only, coupled)
+HESSIANS = {
+    "gauss_newton": GaussNewton(),
+    "convex_rows": GaussNewton(convex_rows=True, levenberg_marquardt=0.1),
+    "identity": IdentityHessian(),
+    "exact": ExactHessian(),
+    "stage": ExactHessian(Mirror(level="stage"), ForwardOverAdjoint(), levenberg_marquardt=0.1),
+    "unregularized": ExactHessian(None),
+}
+LAYOUTS = {
+    "default": Online(),
+    "fixed": Online("fixed", "fixed", "fixed", "fixed"),
+    "shared": Online("shared", "shared", "shared", "shared", dense_weight=True),
+    "node": Online("node", "node", "node", "node"),
+}
+SHIFTS = (None, "repeat", "periodic", "resample")
+
+Choice = tuple[Callable[[], OCP], str, str, str | None, str, str]
+
+
+def sources(choice: Choice) -> Sources:
+    """The package of a combination. Raises OptionError where there is none."""
+    make, route, precision, moves, hessian, layout = choice
+    condensing, qp = ROUTES[route]
+    options = Options(
+        hessian=HESSIANS[hessian],
+        condensing=condensing,
+        qp=qp,
+        algorithm=shift(moves, 0.05),
+        online=LAYOUTS[layout],
+        precision=precision,
+    )
+    return generate(make(), options)
+
+
+def is_allowed(choice: Choice) -> bool:
+    """No component refuses the combination."""
+    make, route, precision, moves, hessian, _ = choice
+    return not (
+        (make is coupled and hessian in ("gauss_newton", "convex_rows"))
+        or (route == "full + osqp" and (make in SOFT or precision == "single"))
+        or (make is discrete and moves == "resample")
+    )
+
+
+def pairwise() -> list[Choice]:
+    """Combinations that hold every allowed pair of values, each time the one with most pairs that are still missing."""
+    values = (STRUCTURES, tuple(ROUTES), ("double", "single"), SHIFTS, tuple(HESSIANS), tuple(LAYOUTS))
+    every = [choice for choice in itertools.product(*values) if is_allowed(choice)]
+    bits: dict[Any, int] = {}
+    pairs = [sum(1 << bits.setdefault(p, len(bits)) for p in itertools.combinations(enumerate(c), 2)) for c in every]
+    missing, chosen = (1 << len(bits)) - 1, []
+    while missing:
+        best = max(range(len(every)), key=lambda i: (pairs[i] & missing).bit_count())
+        chosen.append(every[best])
+        missing &= ~pairs[best]
+    return chosen
+
+
+def label(choice: Choice) -> str:
+    """Name of a test."""
+    return "-".join(word.__name__ if callable(word) else str(word).replace(" ", "") for word in choice)
+
+
+@pytest.mark.parametrize("choice", pairwise(), ids=label)
+def test_combination(choice: Choice) -> None:
+    """gcc with its optimiser, which finds what may be uninitialised; the other front ends find all they can.
+
+    The flow of data is that of double precision in single precision, too.
+    """
+    text = sources(choice)
+    require_tool("gcc")
+    level = "-O2" if "double" in choice else "-fsyntax-only"
+    assert quality.warnings_of(text, (level,), ("C99",), "gcc") == ""
+    require_tool("g++")
+    assert quality.warnings_of(text, ("-fsyntax-only",), ("C++17",), "gcc") == ""
+    require_tool("clang")
+    assert quality.warnings_of(text, ("-fsyntax-only",), compiler="clang") == ""
+
+
+@pytest.mark.parametrize("level", ["-O0", "-O3"])
+@pytest.mark.parametrize("compiler", list(quality.COMPILERS))
+def test_other_levels(compiler: str, level: str) -> None:
+    require_tool(compiler)
+    assert quality.warnings_of(generate(soft_without_terminal_rows()), (level,), ("C99",), compiler) == ""
+
+
+def test_soft_rows_without_terminal_rows() -> None:
+    """The rows of the last node are those of its states: no general row is read there, and gcc knows it."""
+    text = generate(soft_without_terminal_rows())
+    assert "#define SOFT_PATH_NH_N 0 " in text["soft_path.h"]
+    require_tool("gcc")
+    assert quality.warnings_of(text, compiler="gcc") == ""
+    text["soft_path.c"] = text["soft_path.c"].replace("h_N[1] = {0}", "h_N[1]")
+    assert "-Wmaybe-uninitialized" in quality.warnings_of(text, compiler="gcc")
+
+
+@pytest.mark.parametrize("compiler", list(quality.COMPILERS))
+def test_unused_functions_are_seen(compiler: str) -> None:
+    """Such as are declared inline too, by clang."""
+    require_tool(compiler)
+    text = generate(tiny())
+    text["tiny.c"] += "static int spare(void)\n{\n    return 1;\n}\n"
+    text["tiny.c"] += "static inline int spare_inline(void)\n{\n    return 1;\n}\n"
+    found = quality.warnings_of(text, languages=("C99",), compiler=compiler)
+    assert "spare" in found
+    assert ("spare_inline" in found) == (compiler == "clang")
