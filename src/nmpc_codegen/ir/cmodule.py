@@ -208,6 +208,11 @@ class CModule:
         raise KeyError(macro)
 
     @property
+    def sizes(self) -> dict[str, int]:
+        """What `#if` in the parts may test: the size macros and the switches."""
+        return {**{m.name: m.value for m in self.macros}, **self.switches}
+
+    @property
     def bytes(self) -> int:
         """sizeof the solver struct."""
         return struct_layout(self.structs, self.precision)["solver"][0]

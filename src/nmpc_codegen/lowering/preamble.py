@@ -36,6 +36,11 @@ def preamble(module: CModule, body: str) -> str:
     return "\n".join(lines)
 
 
+def conditions(module: CModule) -> str:
+    """Macros that the `#if`s of unresolved parts need besides the preamble: the switches."""
+    return "\n".join(f"#define {name} {value}" for name, value in module.switches.items())
+
+
 def arithmetic(precision: str) -> list[tuple[str, str]]:
     """(macro, text): functions of math.h and tolerances in the working precision."""
     style = CStyle("real_t", precision == "single")

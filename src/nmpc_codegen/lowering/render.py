@@ -13,7 +13,7 @@ from nmpc_codegen.ir.cmodule import CModule, Field, Table
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import print_routine
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
-from nmpc_codegen.lowering.preamble import preamble
+from nmpc_codegen.lowering.preamble import conditions, preamble
 
 # path -> text of one package
 Sources = dict[str, str]
@@ -43,11 +43,12 @@ def unit_style(precision: str) -> CStyle:
     return CStyle("real_t", precision == "single")
 
 
-def render(module: CModule) -> Sources:
-    """All files of the package."""
+def render(module: CModule, resolved: bool = True) -> Sources:
+    """All files of the package. Not ``resolved``: the `#if`s of the parts are left to the compiler, for comparison."""
     names = _names(module)
-    body = render_unit(module, names)
-    names |= {"body": body, "preamble": preamble(module, body)}
+    body = render_unit(module, names, resolved)
+    short_names = preamble(module, body) if resolved else f"{preamble(module, body)}\n{conditions(module)}"
+    names |= {"body": body, "preamble": short_names}
     files = {
         f"{module.name}.h": "solver.h.jinja",
         f"{module.name}.c": "solver.c.jinja",
@@ -74,15 +75,15 @@ def _names(module: CModule) -> dict[str, Any]:
     }
 
 
-def render_unit(module: CModule, names: dict[str, Any]) -> str:
+def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -> str:
     """The translation unit after its preamble: tables, printed kernels, parts."""
-    sizes = {**{m.name: m.value for m in module.macros}, **module.switches}
 
     def generated(path: str) -> str:
         return environment().get_template(_GENERATED[path].format(spelling=module.products.spelling)).render(names)
 
     def part(path: str) -> str:
-        return resolve(read_part(path, generated), sizes).rstrip("\n")
+        text = read_part(path, generated)
+        return (resolve(text, module.sizes) if resolved else text).rstrip("\n")
 
     return environment().get_template("unit.c.jinja").render(names | {"part": part, "generated": generated})
 

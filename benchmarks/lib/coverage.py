@@ -1,0 +1,75 @@
+"""Which C parts and which conditions of their `#if`s the samples reach."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.lowering.parts import evaluate, template_directory
+
+#: Parts that unit.c.jinja inlines itself.
+ALWAYS = ("rows.c", "cost.c")
+_LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')
+
+#: (part, line number) of a condition -> the values that it has had.
+Values = dict[tuple[str, int], set[bool]]
+
+
+def all_parts() -> set[str]:
+    """Every C part, relative to the templates."""
+    return {str(path.relative_to(template_directory())) for path in template_directory().rglob("*.c")}
+
+
+def conditions(part: str) -> list[tuple[int, str]]:
+    """Line number and text of every `#if` and `#elif` of a part."""
+    lines = (template_directory() / part).read_text(encoding="utf-8").splitlines()
+    return [(n, m[2]) for n, line in enumerate(lines, 1) if (m := _LINE.match(line)) and m[1] in ("if", "elif")]
+
+
+def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
+    """Parts that are part of one of the modules at least, and the values of the conditions that were decided."""
+    parts: set[str] = set()
+    values: Values = defaultdict(set)
+    for module in modules:
+        for root in (*ALWAYS, *(section.template for section in module.sections)):
+            for part, number, value in _walk(root, module.sizes):
+                parts.add(part)
+                if number:
+                    values[part, number].add(value)
+    return parts, values
+
+
+def gaps(modules: Iterable[CModule]) -> list[str]:
+    """What the modules leave out: parts that none uses, conditions that are never true or never false."""
+    parts, values = reached(modules)
+    missing = [f"{part}: in no sample" for part in sorted(all_parts() - parts)]
+    for part in sorted(parts):
+        for number, text in conditions(part):
+            never = {True, False} - values[part, number]
+            missing += [f"{part}:{number}: #if {text} is never {str(v).lower()}" for v in sorted(never)]
+    return missing
+
+
+def _walk(part: str, sizes: Mapping[str, int]) -> Iterator[tuple[str, int, bool]]:
+    """(part, line, value) of every condition that is decided; line 0: the part itself is used."""
+    yield part, 0, True
+    stack: list[tuple[bool, bool]] = []  # of every open #if: this branch counts, one branch has counted
+    for number, line in enumerate((template_directory() / part).read_text(encoding="utf-8").splitlines(), 1):
+        found = _LINE.match(line)
+        if found is None:
+            continue
+        word, text = found.groups()
+        if word == "include":
+            if text.endswith(".c") and not text.startswith("generated/") and all(active for active, _ in stack):
+                yield from _walk(text, sizes)
+            continue
+        done = stack.pop()[1] if word != "if" else False
+        if word == "endif":
+            continue
+        holds = not done and all(active for active, _ in stack)
+        if holds and word != "else":
+            holds = evaluate(text, sizes)
+            yield part, number, holds
+        stack.append((holds, done or holds))

@@ -1,0 +1,278 @@
+"""Samples of what the compiler can write: examples with various options, and small problems with odd structure.
+
+Together they use every C part and make every `#if` of a part true once and false once (coverage.py, test_samples.py).
+A part or a condition that no sample reaches gets a sample here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
+from nmpc_codegen import (
+    OCP,
+    DenseActiveSet,
+    ExactHessian,
+    ExplicitRungeKutta,
+    FullCondensing,
+    GaussNewton,
+    IdentityHessian,
+    Mirror,
+    NoCondensing,
+    Online,
+    Options,
+    Osqp,
+    PartialCondensing,
+    RealTimeIteration,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+)
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One package: how its problem is made, and its options."""
+
+    name: str
+    make: Callable[[], OCP]
+    options: Options = field(default_factory=Options)
+
+
+def _pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
+    """A damped pendulum with a torque and a quadratic cost: (ocp, angle, rate, torque)."""
+    ocp = OCP(name, **(grid or {"T": 1.0, "N": 5}))
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w + u})
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.1])
+    return ocp, q, w, u
+
+
+def bare() -> OCP:
+    """Neither rows nor parameters nor a terminal cost."""
+    return _pendulum("bare")[0]
+
+
+def single() -> OCP:
+    """nx = nu = N = 1."""
+    ocp = OCP("single", T=0.5, N=1)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: -(x**3) + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    ocp.terminal_least_squares(ca.vertcat(x, ca.sin(x)), weight=[1.0, 0.5])
+    return ocp
+
+
+def controls() -> OCP:
+    """Control bounds and nothing else."""
+    ocp, _, _, u = _pendulum("controls")
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def states() -> OCP:
+    """Bounds of states, one of them at the end; none of controls."""
+    ocp, q, w, _ = _pendulum("states")
+    ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
+    ocp.subject_to(-0.6, w, 0.6)
+    ocp.subject_to(-1, q, 1, at="end")
+    return ocp
+
+
+def path() -> OCP:
+    """General rows of the path with and without controls, a parameter in one of them; nothing at the end."""
+    ocp, q, w, u = _pendulum("walls")
+    p = ocp.parameter("p", value=0.5)
+    ocp.subject_to(-0.8, u + p * w * w, 0.9, name="effort")
+    ocp.subject_to(-0.3, w + 0.2 * u * q, np.inf, name="slow")
+    return ocp
+
+
+def final() -> OCP:
+    """General rows at the end only."""
+    ocp, q, w, u = _pendulum("final")
+    ocp.subject_to(-3, u, 3)
+    ocp.subject_to(-0.1, ca.vertcat(q + 0.2 * q * w, ca.sin(w) + q), [0.1, 0.5], at="end", name="gate")
+    return ocp
+
+
+def soft_states() -> OCP:
+    """Bounds of states that may be violated."""
+    ocp, _, w, u = _pendulum("soft_states")
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-0.6, w, 0.6, soft=(10, 1))
+    return ocp
+
+
+def soft_rows() -> OCP:
+    """General rows that may be violated, at some nodes, and a general row that may not."""
+    ocp, q, w, u = _pendulum("soft_rows")
+    ocp.subject_to(-0.8, u + 0.5 * w * w, 0.9, name="effort", soft=(5, 0))
+    ocp.subject_to(-0.2, q * q + w, 0.7, at=(2, 4, 5), name="gate")
+    return ocp
+
+
+def cycle() -> OCP:
+    """Start and end are coupled, the start is free; nothing else is bounded."""
+    ocp, q, w, _ = _pendulum("cycle")
+    ocp.boundary(0, ocp.at_start(q) - ocp.at_end(q), 0)
+    ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0)
+    ocp.free_initial(q, w)
+    return ocp
+
+
+def everything() -> OCP:
+    """Every kind of row and of data, on a non-uniform grid."""
+    ocp = OCP("everything", intervals=[0.1, 0.1, 0.2, 0.2])
+    x, u, p = ocp.state("x", size=2), ocp.control("u", size=2), ocp.parameter("p", size=2, value=[1, 2])
+    ocp.dynamics(ca.vertcat(x[1] * p[0], -x[0] + u[0] * u[1] + ca.sin(x[1]) * p[1]))
+    weight = np.diag([2.0, 1.0, 1.0, 1.0, 1.0])
+    weight[0, 1] = weight[1, 0] = 0.1
+    ocp.least_squares(ca.vertcat(x, u, x[0] * u[0]), weight=weight)
+    ocp.terminal_least_squares(ca.vertcat(x[0] ** 2 + x[1], x[0]), weight=[[3.0, 0.5], [0.5, 1.0]])
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-2, x[0] * x[1] + u[0], 2, soft=(10, 2), name="row")
+    ocp.subject_to(-3, x[1], 3, soft=(5, 0))
+    ocp.subject_to(-4, x[0] - u[1], 4, name="hard")
+    ocp.subject_to(-1, x[0] ** 2, 1, at="end", name="fin")
+    ocp.boundary(0, ocp.at_start(x[0]) - ocp.at_end(x[0]), 0)
+    ocp.free_initial(x[0])
+    return ocp
+
+
+def economic() -> OCP:
+    """No least squares: a general cost, integrated, and one at the end."""
+    ocp = OCP("economic", T=1.0, N=4)
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.stage_cost(1 - ca.cos(q) + 0.1 * w**2 + 0.1 * u**2, integrate=True)
+    ocp.terminal_cost(w**2 + q**4)
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def mixed() -> OCP:
+    """Least squares and a general cost that is not integrated, a general row."""
+    ocp, q, w, u = _pendulum("mixed")
+    ocp.stage_cost(ca.exp(0.1 * q * u))
+    ocp.subject_to(-0.5, w + q * u, 0.5, name="row")
+    return ocp
+
+
+def discrete() -> OCP:
+    """A discrete map."""
+    ocp = OCP("discrete", N=6)
+    x, u = ocp.state("x", initial=0.5), ocp.control("u")
+    ocp.dynamics({x: 0.9 * x + u + 0.1 * x**2}, discrete=True)
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0])
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def discrete_rows() -> OCP:
+    """A discrete map with bounds of its state, a general row and a parameter."""
+    ocp = OCP("discrete_rows", N=3)
+    x, u, p = ocp.state("x", size=2, initial=[0.5, 0.1]), ocp.control("u"), ocp.parameter("p", value=0.9)
+    ocp.dynamics(ca.vertcat(p * x[0] + x[1], 0.5 * x[1] + u + 0.1 * x[0] ** 2), discrete=True)
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0, 1.0])
+    ocp.terminal_least_squares(x, weight=[1.0, 2.0])
+    ocp.subject_to(-1, x, 1)
+    ocp.subject_to(-1, x[0] * u, 1, name="power")
+    return ocp
+
+
+FIXED = Online("fixed", "fixed", "fixed", "fixed")
+SHARED = Online("shared", "shared", "shared", "shared")
+NODE = Online("node", "node", "node", "node", dense_weight=True)
+RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
+REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
+STAGES = NoCondensing()
+LOOPED = ExplicitRungeKutta(unroll="none")
+
+
+def _dense(**more: Any) -> Options:
+    return Options(qp=DenseActiveSet(), condensing=FullCondensing(), **more)
+
+
+def _riccati(**more: Any) -> Options:
+    return Options(qp=RiccatiActiveSet(), condensing=STAGES, **more)
+
+
+def _interior(**more: Any) -> Options:
+    return Options(qp=RiccatiInteriorPoint(), condensing=STAGES, **more)
+
+
+def _partial(block: int = 2, **more: Any) -> Options:
+    return Options(qp=RiccatiActiveSet(), condensing=PartialCondensing(block), **more)
+
+
+#: Examples as they are exported by default.
+EXAMPLES = (
+    Sample("crane", crane.build_ocp),
+    Sample("cstr", cstr.build_ocp),
+    Sample("cart_pole", cart_pole.build_ocp),
+    Sample("quadrotor", quadrotor.build_ocp),
+    Sample("chain3", lambda: chain.build_ocp(3)),
+    Sample("bioreactor", bioreactor.build_ocp, Options(hessian=ExactHessian())),
+)
+
+SAMPLES = (
+    *EXAMPLES,
+    Sample("crane riccati single", crane.build_ocp, _riccati(precision="single", online=SHARED)),
+    Sample("crane identity", crane.build_ocp, Options(hessian=IdentityHessian(), online=NODE)),
+    Sample("bare dense", bare, _dense(online=FIXED)),
+    Sample("bare riccati", bare, _riccati(online=FIXED)),
+    Sample("bare interior", bare, _interior(online=FIXED)),
+    Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=FIXED)),
+    Sample("single dense", single, _dense(hessian=ExactHessian())),
+    Sample("single riccati", single, _riccati(algorithm=REPEAT)),
+    Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single")),
+    Sample("controls partial", controls, _partial(algorithm=RESAMPLE)),
+    Sample("controls interior", controls, _interior(algorithm=RESAMPLE)),
+    Sample("controls OSQP", controls, Options(qp=Osqp(), algorithm=RESAMPLE)),
+    Sample("states dense", states, _dense(hessian=ExactHessian(regularization=None))),
+    Sample("states riccati", states, _riccati(hessian=IdentityHessian(), algorithm=RESAMPLE)),
+    Sample("states interior", states, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
+    Sample("path dense", path, _dense(hessian=GaussNewton(convex_rows=True), integrator=LOOPED)),
+    Sample("path riccati", path, _riccati(hessian=GaussNewton(convex_rows=True), online=NODE)),
+    Sample("path interior", path, _interior(online=SHARED, precision="single")),
+    Sample("path OSQP", path, Options(qp=Osqp(), hessian=ExactHessian(regularization=Mirror(level="stage")))),
+    Sample("final dense", final, _dense(hessian=GaussNewton(convex_rows=True), algorithm=REPEAT)),
+    Sample("final riccati", final, _riccati(hessian=ExactHessian())),
+    Sample("final interior", final, _interior(hessian=GaussNewton(convex_rows=True))),
+    Sample("soft states dense", soft_states, _dense()),
+    Sample("soft states riccati", soft_states, _riccati()),
+    Sample("soft states interior", soft_states, _interior()),
+    Sample("soft rows dense", soft_rows, _dense(hessian=ExactHessian(), online=NODE)),
+    Sample("soft rows partial", soft_rows, _partial(3, hessian=GaussNewton(convex_rows=True))),
+    Sample("soft rows interior", soft_rows, _interior(hessian=GaussNewton(levenberg_marquardt=0.1))),
+    Sample("cycle dense", cycle, _dense(algorithm=PERIODIC)),
+    Sample("cycle interior", cycle, _interior(algorithm=PERIODIC)),
+    Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=RESAMPLE, online=NODE)),
+    Sample("everything interior", everything, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
+    Sample("everything looped", everything, _interior(integrator=LOOPED, online=FIXED, precision="single")),
+    Sample("economic dense", economic, _dense(hessian=ExactHessian(), online=FIXED)),
+    Sample("economic riccati", economic, _riccati(hessian=ExactHessian())),
+    Sample("economic partial", economic, _partial(hessian=ExactHessian(regularization=None))),
+    Sample("mixed dense", mixed, _dense(hessian=ExactHessian(regularization=Mirror()))),
+    Sample("mixed riccati", mixed, _riccati(hessian=ExactHessian(), integrator=LOOPED)),
+    Sample("discrete dense", discrete, _dense(algorithm=REPEAT, online=SHARED)),
+    Sample("discrete interior", discrete, _interior()),
+    Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
+    Sample("discrete rows dense", discrete_rows, _dense(precision="single", online=FIXED)),
+)  # fmt: skip
+
+
+@cache
+def lowered(sample: Sample) -> CModule:
+    """The sample up to its C nouns, before text."""
+    return lower(linearize(classify(sample.make()), sample.options), None)
