@@ -9,19 +9,24 @@ import time
 import casadi as ca
 import numpy as np
 
-from benchmarks.closed_loop import Scenario, closed_loop
-from benchmarks.counting import count_mismatches
-from benchmarks.peers import time_sqpmethod
-from benchmarks.quality import compiler_warnings, foreign_external_symbols, sanitizer_findings, two_controllers_differ
-from benchmarks.report import Report, arguments
-from benchmarks.sensitivities import order_slopes, sensitivity_errors
+from benchmarks.lib.closed_loop import closed_loop
+from benchmarks.lib.counting import count_mismatches
+from benchmarks.lib.peers import time_sqpmethod
+from benchmarks.lib.quality import (
+    compiler_warnings,
+    foreign_external_symbols,
+    sanitizer_findings,
+    two_controllers_differ,
+)
+from benchmarks.lib.report import Report, arguments
+from benchmarks.lib.scenarios import CRANE_LOOP
+from benchmarks.lib.sensitivities import order_slopes, sensitivity_errors
 from examples.crane import build_ocp
 from nmpc_codegen import Options, build, generate
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Point, kkt_residuals, node_data, solve_reference
 
 X0 = np.array([2.0, 0.0, 0.0, 0.0])
-TIMING = Scenario((0.1, 0.0, 0.1, 0.0), 0.3, 50, amplitude=0.05)
 CASES = {"terminal constraint": True, "terminal weight": False}
 
 
@@ -67,14 +72,14 @@ def times(report: Report) -> None:
     """Closed loop in C, and CasADi's sqpmethod with qpOASES in the same run."""
     for case, constraint in CASES.items():
         ocp = build_ocp(constraint)
-        t = closed_loop(generate(ocp), "crane", TIMING)
+        t = closed_loop(generate(ocp), "crane", CRANE_LOOP)
         report.add("crane_total_us", t.total, "us", case=case, limit=2.6, n=t.samples)
         report.add("crane_feedback_us", t.feedback, "us", case=case, limit=1.0, n=t.samples)
         report.add("crane_total_median_us", t.total_median, "us", case=case, n=t.samples)
         report.add("crane_failed_steps", t.failed, case=case, n=t.samples)
         report.add("crane_qp_iterations", t.qp_iterations, "per step", case=case, n=t.samples)
         plant = build(ocp).integrate
-        peer = time_sqpmethod(classify(ocp), plant, TIMING)
+        peer = time_sqpmethod(classify(ocp), plant, CRANE_LOOP)
         report.add("sqpmethod_total_us", peer.total, "us", case=case, profile="casadi", n=peer.steps)
         report.add("crane_ratio_to_sqpmethod", t.total / peer.total, case=case, n=t.samples)
 

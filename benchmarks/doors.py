@@ -6,8 +6,8 @@ import argparse
 import time
 from collections.abc import Callable
 
-from benchmarks.lib import doors_cli, doors_files, doors_trust, doors_warnings
-from benchmarks.report import Report
+from benchmarks.lib.doors import doors_cli, doors_files, doors_trust, doors_warnings
+from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report], None]] = {
     "cli": doors_cli.measure,

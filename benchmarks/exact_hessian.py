@@ -17,9 +17,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import bioreactor, second_order
-from benchmarks.report import Report
-from benchmarks.scenarios import CSTR, QUADROTOR
+from benchmarks.lib.hessian import bioreactor, second_order
+from benchmarks.lib.report import Report
+from benchmarks.lib.scenarios import CSTR, QUADROTOR
 from examples import cstr, quadrotor
 from nmpc_codegen import Controller, ExactHessian, GaussNewton, Options, build
 

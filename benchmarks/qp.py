@@ -19,10 +19,10 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks import qp_times, stage_qps
-from benchmarks.closed_loop import closed_loop
-from benchmarks.peers import available, pinned, silent
-from benchmarks.qp_times import (
+from benchmarks.lib.closed_loop import closed_loop
+from benchmarks.lib.peers import available, pinned, silent
+from benchmarks.lib.qp import qp_times, stage_qps
+from benchmarks.lib.qp.qp_times import (
     BY_NAME,
     SLOW,
     Contender,
@@ -34,8 +34,8 @@ from benchmarks.qp_times import (
     plugin_times,
     record,
 )
-from benchmarks.report import Report
-from benchmarks.torture import Outcome, Torture, trials
+from benchmarks.lib.qp.torture import Outcome, Torture, trials
+from benchmarks.lib.report import Report
 from nmpc_codegen import FullCondensing, Options, generate
 from nmpc_codegen.components.qp import DenseActiveSet
 from tests.stage_qp import solvers

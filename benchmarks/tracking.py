@@ -22,10 +22,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from benchmarks.closed_loop import closed_loop
-from benchmarks.peers import QUIET, available, time_sqpmethod
-from benchmarks.report import Report
-from benchmarks.scenarios import CSTR, EXAMPLES, FIGURE_6, FIGURE_6_STEPS, Case, Example, cases
+from benchmarks.lib.closed_loop import closed_loop
+from benchmarks.lib.peers import QUIET, available, time_sqpmethod
+from benchmarks.lib.report import Report
+from benchmarks.lib.scenarios import CSTR, EXAMPLES, FIGURE_6, FIGURE_6_STEPS, Case, Example, cases
 from examples import cstr
 from nmpc_codegen import Controller, Status, build, generate
 from nmpc_codegen.frontend.classify import classify
@@ -195,7 +195,7 @@ def report_case(report: Report, case: Case, c: Comparison) -> None:
 
 def qps(report: Report) -> None:
     """The dense active-set solver on random QPs built from known KKT points, and on infeasible ones."""
-    from benchmarks.qp_random import random_qp_statistics
+    from benchmarks.lib.qp.qp_random import random_qp_statistics
 
     found = random_qp_statistics()
     limits = {"qp_wrong_answers": 0, "qp_false_infeasible": 0, "qp_missed_infeasible": 0}

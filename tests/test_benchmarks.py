@@ -12,11 +12,12 @@ import problems
 import pytest
 from conftest import require_tool
 
-from benchmarks import scenarios, tracking
-from benchmarks.closed_loop import Scenario, closed_loop, compile_driver, run_driver
-from benchmarks.peers import SqpMethod, available, time_sqpmethod
-from benchmarks.report import Report
-from benchmarks.scenarios import Case, cases
+from benchmarks import tracking
+from benchmarks.lib import scenarios
+from benchmarks.lib.closed_loop import Scenario, closed_loop, compile_driver, run_driver
+from benchmarks.lib.peers import SqpMethod, available, time_sqpmethod
+from benchmarks.lib.report import Report
+from benchmarks.lib.scenarios import Case, cases
 from examples import crane
 from nmpc_codegen import Options
 

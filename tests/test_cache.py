@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.lib import cache_faults
+from benchmarks.lib.doors import cache_faults
 from nmpc_codegen import open_package
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime import cache

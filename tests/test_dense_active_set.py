@@ -21,8 +21,8 @@ from oracles.qp import (
 )
 from qp_harness import ENTRY_POINTS, FAST, QP, WARNINGS, qp_dims, source
 
-from benchmarks import qp_random
-from benchmarks.qp_random import wrong_answer, wrong_certificate
+from benchmarks.lib.qp import qp_random
+from benchmarks.lib.qp.qp_random import wrong_answer, wrong_certificate
 from nmpc_codegen.components.qp import REGISTRY, DenseActiveSet
 from nmpc_codegen.errors import OptionError
 

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from benchmarks.lib.snippets import ROOT, blocks, changed, copy_tree, documents, install_command, run
+from benchmarks.lib.doors.snippets import ROOT, blocks, changed, copy_tree, documents, install_command, run
 from examples.crane import build_ocp
 from nmpc_codegen import OCP, OptionError, build, generate
 from nmpc_codegen.cli import main

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.lib import doors_cli
-from benchmarks.lib.doors_cli import End, forked, in_process, judge
-from benchmarks.lib.hostile import Case, catalogue
+from benchmarks.lib.doors import doors_cli
+from benchmarks.lib.doors.doors_cli import End, forked, in_process, judge
+from benchmarks.lib.doors.hostile import Case, catalogue
 
 
 def test_cases_differ_and_are_many() -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.lib import doors_faults, doors_files
-from benchmarks.lib.doors_files import NAMES, Case, Ways, outcome, tiny, tree
+from benchmarks.lib.doors import doors_faults, doors_files
+from benchmarks.lib.doors.doors_files import NAMES, Case, Ways, outcome, tiny, tree
 from nmpc_codegen import BuildError, ExportError, NmpcError, OptionError, ProblemError, export, generate, open_package
 from nmpc_codegen.ir.cmodule import check_prefix
 from nmpc_codegen.ir.naming import check_package_name

@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from benchmarks.quality import warnings_of
+from benchmarks.lib.quality import warnings_of
 from nmpc_codegen import (
     OCP,
     ControllerError,

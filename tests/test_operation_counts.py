@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import pytest
 
-from benchmarks.counting import CLASSES, count_mismatches, counting_header, mismatches
+from benchmarks.lib.counting import CLASSES, count_mismatches, counting_header, mismatches
 from nmpc_codegen import OCP, DenseActiveSet, ExplicitRungeKutta, GaussNewton, Options, RealTimeIteration
 from nmpc_codegen.components.integrators import TABLEAUS
 from nmpc_codegen.frontend.classify import classify

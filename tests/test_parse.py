@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.lib import doors_trust, mutated_package
+from benchmarks.lib.doors import doors_trust, mutated_package
 from nmpc_codegen.errors import BuildError, ControllerError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.parse import MAX_CHARACTERS, parse

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, note, settings
 from hypothesis import strategies as st
 
-from benchmarks.peers import available, silent
-from benchmarks.plugins import Plugin, point_of, stage_form, violation
-from benchmarks.torture import certificate
+from benchmarks.lib.peers import available, silent
+from benchmarks.lib.qp.plugins import Plugin, point_of, stage_form, violation
+from benchmarks.lib.qp.torture import certificate
 from tests.oracles.stage_qp import Point, Shape, condition, distance, natural_residual, objective_error, residuals
 from tests.oracles.stage_qp_random import INFEASIBLE, KINDS, SEMIDEFINITE, condensed_rows, kinds_of, random_qp
 from tests.stage_qp import StageSolver, build_all, solvers

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from benchmarks import quality
-from benchmarks.combinations import ROUTES, shift
+from benchmarks.lib import quality
+from benchmarks.lib.combinations import ROUTES, shift
 from nmpc_codegen import (
     OCP,
     ExactHessian,

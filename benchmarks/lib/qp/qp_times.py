@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.closed_loop import Scenario
-from benchmarks.plugins import Formulation, Plugin, condensed_form, point_of, stage_form, without_start
-from benchmarks.recorded import read_qp
-from benchmarks.scenarios import EXAMPLES, Example
+from benchmarks.lib.closed_loop import Scenario
+from benchmarks.lib.qp.plugins import Formulation, Plugin, condensed_form, point_of, stage_form, without_start
+from benchmarks.lib.qp.recorded import read_qp
+from benchmarks.lib.scenarios import EXAMPLES, Example
 from nmpc_codegen import OCP, Options, build
 from nmpc_codegen.components.condensing import NoCondensing
 from nmpc_codegen.components.qp import RiccatiActiveSet

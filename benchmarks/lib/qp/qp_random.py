@@ -1,6 +1,6 @@
 """The dense active-set solver on random QPs built from known KKT points, and on infeasible ones.
 
-    python -m benchmarks.qp_random
+    python -m benchmarks.lib.qp.qp_random
 
 Every answer is judged by what NumPy recomputes from the data: optimality conditions, objective and, where it is unique,
 the minimiser against the constructed one; for infeasible problems the certificate.

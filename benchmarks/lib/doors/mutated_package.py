@@ -1,7 +1,7 @@
 """Mutated package descriptions, and a use of the controller that touches every buffer: what hostile JSON could reach.
 
-    python -m benchmarks.lib.mutated_package FOLDER FIRST END     one line "<k> <outcome> <label>" per mutation
-    python -m benchmarks.lib.mutated_package FOLDER                reads beside a buffer: does the sanitizer see it?
+    python -m benchmarks.lib.doors.mutated_package FOLDER FIRST END     one line "<k> <outcome> <label>" per mutation
+    python -m benchmarks.lib.doors.mutated_package FOLDER              reads beside a buffer: does the sanitizer see it?
 
 The mutation number k is a function of k and of the text alone. Run under AddressSanitizer (doors_trust.py), a read or
 write beside a buffer kills the process; the last line then tells which mutation it was.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -17,6 +16,7 @@ import numpy as np
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
     OCP,
+    RK4,
     DenseActiveSet,
     ExactHessian,
     ExplicitRungeKutta,
@@ -33,10 +33,6 @@ from nmpc_codegen import (
     RiccatiActiveSet,
     RiccatiInteriorPoint,
 )
-from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.linearize import linearize
-from nmpc_codegen.lowering.lower import lower
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,8 +267,23 @@ SAMPLES = (
     Sample("discrete rows dense", discrete_rows, _dense(precision="single", online=FIXED)),
 )  # fmt: skip
 
-
-@cache
-def lowered(sample: Sample) -> CModule:
-    """The sample up to its C nouns, before text."""
-    return lower(linearize(classify(sample.make()), sample.options), None)
+#: Problems that are timed, in the settings of the benchmarks that time them against peers.
+TIMED = (
+    Sample("timed crane", crane.build_ocp),
+    Sample("timed cstr", cstr.build_ocp),
+    Sample(
+        "timed quadrotor",
+        lambda: quadrotor.build_ocp((0.5, 0.5, 0.5)),
+        Options(integrator=ExplicitRungeKutta(RK4, steps=1)),
+    ),
+    Sample("timed chain5", lambda: chain.build_ocp(5)),
+    Sample(
+        "timed bioreactor",
+        lambda: bioreactor.build_ocp("a", periodic=False),
+        _dense(
+            integrator=ExplicitRungeKutta(RK4, steps=bioreactor.STEPS),
+            hessian=ExactHessian(Mirror(level="stage")),
+            algorithm=REPEAT,
+        ),
+    ),
+)

@@ -1,6 +1,6 @@
 """Closed loops under everything that goes wrong: jumps, NaN, infeasible QPs, bounds moved and crossed at run time.
 
-    python -m benchmarks.torture [--steps N]
+    python -m benchmarks.lib.qp.torture [--steps N]
 
 After every sample: the control is finite and inside its bounds; the status says what happened; a sample without a
 solution returns the control of the plan that prepare() left, shifted if the options say so, and keeps its controls.
@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linprog
 
-from benchmarks.recorded import read_qp
-from benchmarks.scenarios import QUADROTOR, wrapped
+from benchmarks.lib.qp.recorded import read_qp
+from benchmarks.lib.scenarios import QUADROTOR, wrapped
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import OCP, RK4, Controller, ExplicitRungeKutta, Options, RealTimeIteration, Status, build
 from nmpc_codegen.errors import ControllerError

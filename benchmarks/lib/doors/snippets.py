@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 FENCE = re.compile(r"^```(\w+)(?: (file|run)(?:=(\S+))?)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 COMPONENT_PAGE = "docs/add-a-component.md"
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.closed_loop import pinned_core
+from benchmarks.lib.closed_loop import pinned_core
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import Routine, print_routine
 from nmpc_codegen.runtime.build import PROFILES, find_compiler

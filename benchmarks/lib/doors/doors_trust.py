@@ -8,13 +8,13 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.lib import cache_faults
-from benchmarks.lib.mutated_package import SANITIZED
-from benchmarks.report import Report
+from benchmarks.lib.doors import cache_faults
+from benchmarks.lib.doors.mutated_package import SANITIZED
+from benchmarks.lib.report import Report
 from nmpc_codegen.runtime.build import find_compiler
 from tests.problems import sources
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TOY = ROOT / "tests" / "data" / "toy"
 MUTATIONS = 160  # of each package
 CRASHES = 5  # a package that crashes so often need not be tried further
@@ -64,7 +64,7 @@ def _sanitized(library: str, *arguments: str) -> subprocess.CompletedProcess[str
         "PYTHONMALLOC": "malloc",
         "PYTHONPATH": os.pathsep.join((str(ROOT / "src"), str(ROOT))),
     }
-    command = [sys.executable, "-m", "benchmarks.lib.mutated_package", *arguments]
+    command = [sys.executable, "-m", "benchmarks.lib.doors.mutated_package", *arguments]
     return subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, check=False)
 
 

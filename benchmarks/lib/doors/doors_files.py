@@ -1,6 +1,6 @@
 """What export() does to a user's files: overwritten ones, writes outside of the folder, packages written by half.
 
-    python -m benchmarks.lib.doors_files --json FILE
+    python -m benchmarks.lib.doors.doors_files --json FILE
 
 Every case is an export of a tiny problem, by Python or by the command line, into a folder of its own; the whole tree
 around it (kinds, bytes, permissions, targets of links) is compared before and after.
@@ -18,8 +18,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.lib import doors_faults
-from benchmarks.report import Report, arguments
+from benchmarks.lib.doors import doors_faults
+from benchmarks.lib.report import Report, arguments
 from nmpc_codegen import OCP, NmpcError, Options, Osqp, export, generate
 from nmpc_codegen.cli import main
 from nmpc_codegen.runtime.folder import STAGING

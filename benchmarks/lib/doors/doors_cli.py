@@ -21,9 +21,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.lib.hostile import GOOD, Case, catalogue
-from benchmarks.lib.snippets import ROOT, documents, walk
-from benchmarks.report import Report
+from benchmarks.lib.doors.hostile import GOOD, Case, catalogue
+from benchmarks.lib.doors.snippets import ROOT, documents, walk
+from benchmarks.lib.report import Report
 
 EXAMPLE_SECONDS = 300
 CASE_SECONDS = 20.0

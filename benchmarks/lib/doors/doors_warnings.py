@@ -1,6 +1,6 @@
 """Warnings of gcc and clang on every combination of example, QP solver with its condensing, precision and shift.
 
-    python -m benchmarks.lib.doors_warnings [--json FILE]
+    python -m benchmarks.lib.doors.doors_warnings [--json FILE]
 
 Clang warns in its front end, which runs on every package. What gcc says of values that may be uninitialised takes its
 optimiser: packages in double precision are compiled at -O2. In single precision the flow of the data is the same, so
@@ -16,9 +16,9 @@ import shutil
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from benchmarks import quality
-from benchmarks.combinations import Combination, combinations
-from benchmarks.report import Report, arguments
+from benchmarks.lib import quality
+from benchmarks.lib.combinations import Combination, combinations
+from benchmarks.lib.report import Report, arguments
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.lowering.render import Sources
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 OPEN = "import sys; from nmpc_codegen import open_package; print(open_package(sys.argv[1], 'test').step([0.1, 0.0]))"
 AFTERWARDS = """
 import pickle, shutil, sys

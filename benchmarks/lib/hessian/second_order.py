@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.kernels import code_bytes, times
-from benchmarks.report import Report
+from benchmarks.lib.kernels import code_bytes, times
+from benchmarks.lib.report import Report
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import OCP, RK4, ExplicitRungeKutta
 from nmpc_codegen.components.integrators import TABLEAUS, Discrete
@@ -332,7 +332,7 @@ def dense(nz: int) -> Problem:
 #: Leaves of the propagation, and the buffers that it needs besides derivatives of phi.
 LEAVES = {"tsp": ("bend", "accumulate", "sum"), "foa": ("bar", "update_bars")}
 BUFFERS = {"tsp": ("Xs", "kappa", "Z", "Sx", "H"), "foa": ("Xs", "Zs", "Sx", "adj", "adjS", "ubarS")}
-TABLE_1 = Path(__file__).parents[1] / "out" / "table_1.png"
+TABLE_1 = Path(__file__).parents[3] / "out" / "table_1.png"
 
 
 def table_1(steps: int = 10) -> list[dict[str, float]]:

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from benchmarks.closed_loop import Scenario
+from benchmarks.lib.closed_loop import Scenario
 from examples import cart_pole, chain, cstr, quadrotor
 from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, GaussNewton, Options, build
 from nmpc_codegen.frontend.classify import classify
@@ -134,6 +134,10 @@ def _run_time_data(example: Example) -> dict[str, Any]:
 def _add(ocp: OCP, index: int, rate: Any) -> None:
     """Add a term to the derivative of one element of x."""
     ocp.derivatives[index] = ocp.derivatives[index] + rate
+
+
+#: The crane's closed loop: a disturbance every 50 samples.
+CRANE_LOOP = Scenario((0.1, 0.0, 0.1, 0.0), 0.3, 50, amplitude=0.05)
 
 
 # Continuous stirred tank reactor --------------------------------------------------------------------------------------

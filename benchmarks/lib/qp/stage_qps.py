@@ -1,6 +1,6 @@
 """Random stage QPs of drawn dimensions through every registered QP solver, judged by the optimum they are built around.
 
-    python -m benchmarks.stage_qps [--tuples N] [--first I]
+    python -m benchmarks.lib.qp.stage_qps [--tuples N] [--first I]
 
 A package is compiled for every tuple of dimensions and every solver. Condensing takes part where the spectral radius is
 at most 1.05, for its condition grows with the power 2 N of it, and N nu at most CONDENSED.
@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.peers import silent
-from benchmarks.plugins import Plugin, point_of, stage_form
+from benchmarks.lib.peers import silent
+from benchmarks.lib.qp.plugins import Plugin, point_of, stage_form
 from nmpc_codegen import Options, Status
 from nmpc_codegen.components import condensing, qp
 from tests.oracles.stage_qp import Shape, StageQP, condition, distance

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from benchmarks.closed_loop import Scenario, pinned_core
+from benchmarks.lib.closed_loop import Scenario, pinned_core
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.oracle.reference import CLASSICAL, Tableau, interval_map
 

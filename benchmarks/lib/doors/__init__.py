@@ -1,0 +1,1 @@
+"""What the benchmark of doors is made of."""

@@ -1,0 +1,72 @@
+"""Text with the `#if`s of its parts left in, against text whose `#if`s are resolved at export: the same object code?
+
+The oracle compares, per compiler (gcc, clang) and level (-O0, -O2), the disassembly with its relocations and the bytes
+of all read-only sections. Layout, comments and names of variables do not show there; every instruction, every constant
+and every function that is not inlined does. Raw text is the same parts behind a preamble that also defines the switches
+as macros, so that the compiler decides what the exporter has decided. A commit whose change concerns the text alone is
+compared in the same way: packages that the commit before it generates against those of this tree.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
+from itertools import product
+from pathlib import Path
+
+from benchmarks.lib.house.samples import Sample
+from benchmarks.lib.quality import package_name
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import Sources, render
+
+COMPILERS = ("gcc", "clang")
+LEVELS = ("-O0", "-O2")
+#: Neither the compiler's name nor tables for unwinding: the first is no code, the second repeats addresses.
+FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-ident", "-fno-asynchronous-unwind-tables", "-w")
+JOBS = 2
+
+
+@cache
+def lowered(sample: Sample) -> CModule:
+    """The sample up to its C nouns, before text."""
+    return lower(linearize(classify(sample.make()), sample.options), None)
+
+
+def texts(sample: Sample, resolved: bool = True) -> Sources:
+    """The package of a sample, without code of other generators."""
+    return render(lowered(sample), resolved)
+
+
+def objects_differ(
+    one: Sources, other: Sources, compilers: Sequence[str] = COMPILERS, levels: Sequence[str] = LEVELS
+) -> bool:
+    """True if one compiler makes different object code of two packages at one level at least."""
+    return any(_object(one, cc, level) != _object(other, cc, level) for cc, level in product(compilers, levels))
+
+
+def differing(pairs: Sequence[tuple[str, Sources, Sources]]) -> list[str]:
+    """Names of the pairs whose object code differs, several at a time."""
+    with ThreadPoolExecutor(JOBS) as pool:
+        verdicts = pool.map(lambda pair: objects_differ(pair[1], pair[2]), pairs)
+        return [name for (name, _, _), differs in zip(pairs, verdicts, strict=True) if differs]
+
+
+def _object(sources: Sources, compiler: str, level: str) -> str:
+    """Disassembly and read-only data of a package's .c; a compiler that refuses it is an error."""
+    name = package_name(sources)
+    with tempfile.TemporaryDirectory() as folder:
+        for path in (f"{name}.h", f"{name}.c"):
+            (Path(folder) / path).write_text(sources[path], encoding="utf-8")
+        run = partial(subprocess.run, cwd=folder, check=True, capture_output=True, text=True)
+        run([compiler, *FLAGS, level, "-c", f"{name}.c", "-o", "unit.o"])
+        code = run(["objdump", "-d", "-r", "--no-show-raw-insn", "unit.o"]).stdout
+        headers = run(["objdump", "-h", "unit.o"]).stdout.split()
+        sections = sorted({word for word in headers if word.startswith((".rodata", ".data"))})
+        data = [run(["objdump", "-s", "-j", section, "unit.o"]).stdout for section in sections]
+    return "\n".join([code, *data])

@@ -1,0 +1,1 @@
+"""QPs of closed loops and random ones, and who solves them."""

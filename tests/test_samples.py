@@ -1,0 +1,49 @@
+"""The samples on which rendering and style of the C are measured leave no part and no condition out."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.lib.house.coverage import all_parts, gaps, reached
+from benchmarks.lib.house.samples import SAMPLES
+from benchmarks.lib.house.unresolved import lowered, objects_differ, texts
+from nmpc_codegen.ir.cmodule import CModule
+
+
+@pytest.fixture(scope="module")
+def modules() -> tuple[CModule, ...]:
+    return tuple(lowered(sample) for sample in SAMPLES)
+
+
+def test_every_part_is_used_and_every_condition_true_once_and_false_once(modules: tuple[CModule, ...]) -> None:
+    assert gaps(modules) == []
+
+
+def test_names_are_unique() -> None:
+    assert len({sample.name for sample in SAMPLES}) == len(SAMPLES)
+
+
+def test_coverage_sees_a_missing_part_and_a_condition_of_one_value(modules: tuple[CModule, ...]) -> None:
+    """Without OSQP its parts are missing; without a resampled plan no condition on it is true."""
+    found = gaps(m for m in modules if not any("osqp" in section.template for section in m.sections))
+    assert "qp/osqp.c: in no sample" in found
+    found = gaps(m for m in modules if not m.switches["SHIFT_RESAMPLE"])
+    assert any("#if !SHIFT_RESAMPLE is never false" in line for line in found)
+
+
+def test_coverage_walks_included_parts(modules: tuple[CModule, ...]) -> None:
+    parts, values = reached(modules)
+    assert parts == all_parts()
+    assert all(value == {True, False} for value in values.values())
+
+
+def test_raw_and_resolved_text_have_the_same_object_code() -> None:
+    """And text that does something else has not."""
+    sample = next(s for s in SAMPLES if s.name == "path dense")
+    raw, resolved = texts(sample, resolved=False), texts(sample)
+    name = sample.make().name
+    assert resolved[f"{name}.c"].count("\n#if") < raw[f"{name}.c"].count("\n#if")
+    assert not objects_differ(raw, resolved, ("gcc",), ("-O0",))
+    changed = resolved[f"{name}.c"].replace("R(0.5)", "R(0.25)")
+    assert changed != resolved[f"{name}.c"]
+    assert objects_differ(raw, {**resolved, f"{name}.c": changed}, ("gcc",), ("-O0",))
