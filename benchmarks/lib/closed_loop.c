@@ -1,5 +1,6 @@
 /* Times the closed loop of one package in C, the package's own model as plant.
- * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'. Arguments:
+ * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'
+ * -DQP_ITERATIONS=<member of the solver>. Arguments:
  *     runs steps dt period amplitude restart x0...  set_points [y... y_N...]...  pushes [u...]
  * Every `period` steps the plant starts anew at x0 (1 + restart * U(-1, 1)) if restart > 0, all states are disturbed by
  * amplitude * U(-1, 1), the next set point is taken (references of path and end, in turn), and the plant runs `pushes`
@@ -15,6 +16,7 @@
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
+#undef API /* the package's own short name */
 #define API(name) JOIN(NAME, name)
 #define SIZE(name) JOIN(MACRO, name)
 
@@ -111,8 +113,8 @@ static void run(const scenario_t *c, double *total, double *feedback, double *le
         total[n] = end - start;
         feedback[n] = end - middle;
         least[n] = least[n] < total[n] ? least[n] : total[n];
-        iterations += solver.stats.qp_iterations;
-        most = solver.stats.qp_iterations > most ? solver.stats.qp_iterations : most;
+        iterations += solver.QP_ITERATIONS;
+        most = solver.QP_ITERATIONS > most ? solver.QP_ITERATIONS : most;
         API(_integrate)(&solver, x, u, (API(_real))c->dt, x);
     }
     qsort(total, (size_t)c->steps, sizeof *total, ascending);

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,9 +71,32 @@ def compile_driver(
         (folder / path).write_text(sources[path], encoding="utf-8")
     program = folder / "closed_loop"
     command = [*find_compiler(), *flags, "-std=c99", f"-DNAME={name}", f"-DMACRO={name.upper()}"]
-    command += [f'-DPACKAGE="{name}.c"', f"-I{folder}", str(driver), "-o", str(program), "-lm"]
-    subprocess.run(command, check=True)
+    command += [f'-DPACKAGE="{name}.c"', f"-DQP_ITERATIONS={member_path(sources[f'{name}.h'], 'qp_iterations')}"]
+    subprocess.run([*command, f"-I{folder}", str(driver), "-o", str(program), "-lm"], check=True)
     return program
+
+
+def member_path(header: str, member: str) -> str:
+    """Where a member that only one struct has stands in the solver: "stats.qp_iterations".
+
+    Packages of other commits keep it elsewhere.
+    """
+    structs = {m[2]: m[1] for m in re.finditer(r"^typedef struct \{(.*?)^\} (\w+);$", header, re.M | re.S)}
+    solver = next(name for name in structs if name.endswith("_solver_t"))
+    path, owner = member, _owner(structs, rf"\w+ {member}")
+    while owner != solver:
+        holder = _owner(structs, rf"{owner} (\w+)")
+        found = re.search(rf"^\s*{owner} (\w+);", structs[holder], re.M)
+        if found is None:
+            raise ValueError(f"{owner} is no plain member of {holder}")
+        path, owner = f"{found[1]}.{path}", holder
+    return path
+
+
+def _owner(structs: Mapping[str, str], declaration: str) -> str:
+    """The struct that declares it; expected: exactly one."""
+    (owner,) = (name for name, text in structs.items() if re.search(rf"^\s*{declaration};", text, re.M))
+    return owner
 
 
 def pinned_core() -> set[int]:

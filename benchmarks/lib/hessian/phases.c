@@ -11,6 +11,7 @@
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
+#undef API /* the package's own short name */
 #define API(name) JOIN(NAME, name)
 #define SIZE(name) JOIN(MACRO, name)
 

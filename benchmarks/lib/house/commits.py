@@ -1,7 +1,7 @@
 """Packages that an earlier commit of this repository generates from the samples and timed problems of this tree.
 
-The commit is unpacked into a temporary folder, and a process of its own imports its package there. So the samples may
-use only what both trees offer: the public names of nmpc_codegen. Run with names as arguments, the module writes the
+The commit is unpacked into a temporary folder, and a process of its own imports its package and its examples there. So
+the samples may use only what both trees offer: the public names of nmpc_codegen, and what the examples have. Run with names as arguments, the module writes the
 packages of whatever tree is on the path as JSON to standard output.
 """
 
@@ -36,11 +36,11 @@ def packages_of(commit: str, names: Sequence[str]) -> dict[str, Files]:
         ValueError: this is no clone that has the commit, or the commit cannot generate the packages.
     """
     with tempfile.TemporaryDirectory(prefix="nmpc-commit-") as folder:
-        archive = _run(["git", "archive", "--format=tar", commit, "src", "templates"], cwd=ROOT)
+        archive = _run(["git", "archive", "--format=tar", commit, "src", "templates", "examples"], cwd=ROOT)
         _run(["tar", "-x", "-C", folder], input=archive)
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(folder, "src")), str(ROOT)])}
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(folder, "src")), folder, str(ROOT)])}
         command = [sys.executable, "-m", "benchmarks.lib.house.commits", *names]
-        found: dict[str, Files] = json.loads(_run(command, cwd=ROOT, env=environment))
+        found: dict[str, Files] = json.loads(_run(command, cwd=folder, env=environment))
     return found
 
 

@@ -8,6 +8,7 @@
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
+#undef API /* the package's own short name */
 #define API(name) JOIN(NAME, name)
 
 int size_of_timed(void);

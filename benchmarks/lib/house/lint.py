@@ -1,0 +1,119 @@
+"""What linters say about the C of the samples: clang-tidy, clang -Weverything, gcc -fanalyzer, cppcheck.
+
+A finding counts once however many samples show it: it is a check, its message and the line of C that it is about.
+A comparison of floating-point numbers for equality is no finding where a comment stands on its line or right above it.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from benchmarks.lib.house.samples import SAMPLES, Sample
+from benchmarks.lib.house.unresolved import texts
+from benchmarks.lib.quality import package_name, written
+from benchmarks.lib.report import Report
+from nmpc_codegen.lowering.parts import template_directory
+from nmpc_codegen.lowering.render import Sources
+
+ROOT = Path(__file__).parents[3]
+JOBS = 2
+
+#: Tool -> command; the file follows.
+TOOLS: dict[str, tuple[str, ...]] = {
+    "clang-tidy": ("clang-tidy", "--quiet", f"--config-file={ROOT / '.clang-tidy'}"),
+    "clang": ("clang", "-fsyntax-only", "-std=c99", "-Weverything", "-Wno-padded", "-Wno-declaration-after-statement"),
+    "gcc": ("gcc", "-std=c99", "-O2", "-fanalyzer", "-c", "-o", "/dev/null"),
+    "cppcheck": (
+        *("cppcheck", "--quiet", "--std=c99", "--language=c", "--max-configs=1", "--suppress=toomanyconfigs"),
+        *(
+            "--enable=warning,style,performance,portability",
+            "--template={file}:{line}:{column}: warning: {message} [{id}]",
+        ),
+    ),
+}
+#: What clang-tidy wants behind the file.
+TRAILING = {"clang-tidy": ("--", "-std=c99")}
+_FINDING = re.compile(r"^([^\s:]+):(\d+):\d+: (?:warning|error): (.*?)(?: \[CWE-\d+\])? \[([\w.,+=-]+)\]$", re.M)
+_COMMENT = re.compile(r"/\*|\*/|//")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check of a tool says about a line; ``origin``: the part or the file of the package it stands in."""
+
+    tool: str
+    check: str
+    message: str
+    line: str
+    origin: str
+
+
+def measure(report: Report, samples: Sequence[Sample] = SAMPLES) -> None:
+    """c_core_lint_findings: of every check, and of all. Absent if a tool is missing."""
+    absent = [tool for tool in TOOLS if shutil.which(tool) is None]
+    if absent:
+        print(f"lint: {', '.join(absent)} not found; no c_core_lint_findings")
+        return
+    found = findings(samples)
+    counts = Counter(f"{finding.tool} {finding.check}" for finding in found)
+    for case, count in sorted(counts.items()):
+        report.add("c_core_lint_findings", count, case=case, limit=0, n=len(samples))
+    report.add("c_core_lint_findings", len(found), case="all tools", limit=0, n=len(samples))
+
+
+def findings(samples: Iterable[Sample], tools: Iterable[str] = tuple(TOOLS)) -> set[Finding]:
+    """Distinct findings of the tools over the packages of the samples."""
+    work = [(tool, texts(sample)) for sample in samples for tool in tools]
+    with ThreadPoolExecutor(JOBS) as pool:
+        return {finding for found in pool.map(lambda job: run(*job), work) for finding in found}
+
+
+def run(tool: str, sources: Sources) -> set[Finding]:
+    """Findings of one tool on one package.
+
+    Raises:
+        RuntimeError: the tool failed without a finding.
+    """
+    name = package_name(sources)
+    with written(sources) as folder:
+        command = [*TOOLS[tool], f"{name}.c", *TRAILING.get(tool, ())]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    found = set(_parsed(tool, done.stdout + done.stderr, sources))
+    if done.returncode and not found:
+        raise RuntimeError(f"{' '.join(command)}: {done.stderr[-1000:]}")
+    return found
+
+
+def _parsed(tool: str, text: str, sources: Mapping[str, str]) -> Iterator[Finding]:
+    for path, number, message, check in _FINDING.findall(text):
+        file = Path(path).name
+        lines = sources[file].splitlines() if file in sources else []
+        line = lines[int(number) - 1] if lines else ""
+        before = lines[int(number) - 2] if int(number) > 1 and lines else ""
+        if "float-equal" in check and (_COMMENT.search(line) or before.rstrip().endswith("*/")):
+            continue
+        yield Finding(tool, check, message, line.strip(), _origin(line.strip(), file))
+
+
+def _origin(line: str, file: str) -> str:
+    """Parts that have the line; the file of the package if none or many have."""
+    parts = _parts_by_line().get(line, ())
+    return " ".join(parts) if 0 < len(parts) <= 3 else file
+
+
+@cache
+def _parts_by_line() -> dict[str, tuple[str, ...]]:
+    found: dict[str, set[str]] = defaultdict(set)
+    root = template_directory()
+    for path in [*root.rglob("*.c"), *root.rglob("*.jinja")]:
+        for line in path.read_text(encoding="utf-8").splitlines():
+            found[line.strip()].add(str(path.relative_to(root)))
+    return {line: tuple(sorted(parts)) for line, parts in found.items()}
