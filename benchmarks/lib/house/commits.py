@@ -1,8 +1,8 @@
 """Packages that an earlier commit of this repository generates from the samples and timed problems of this tree.
 
 The commit is unpacked into a temporary folder, and a process of its own imports its package and its examples there. So
-the samples may use only what both trees offer: the public names of nmpc_codegen, and what the examples have. Run with names as arguments, the module writes the
-packages of whatever tree is on the path as JSON to standard output.
+the samples may use only what both trees offer: the public names of nmpc_codegen, and what the examples have. Run with
+names as arguments, the module writes the packages of whatever tree is on the path as JSON to standard output.
 """
 
 from __future__ import annotations

@@ -1,0 +1,66 @@
+"""The state of the house: sizes, types, rendering, style of the C, compilers against each other, times kept.
+
+    python -m benchmarks.house [--json FILE] [--only PART,...] [--before COMMIT]
+
+With --before, rendering_differences also counts samples whose package from that commit compiles to other object code
+than the one from this tree: the oracle of a change that concerns the text alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import time
+from collections.abc import Callable
+from functools import partial
+
+from benchmarks.lib.house import disagreement, lint, ratios, rendering, sizes, suite
+from benchmarks.lib.report import Report
+
+
+def figures(module: str, report: Report) -> None:
+    """measure() of a module of benchmarks/lib; nothing if this tree does not have it."""
+    name = f"benchmarks.lib.{module}"
+    if importlib.util.find_spec(name) is None:
+        print(f"{name}: not in this tree")
+        return
+    importlib.import_module(name).measure(report)
+
+
+PARTS: dict[str, Callable[[Report], None]] = {
+    "sizes": sizes.measure,
+    "traces": partial(figures, "traces"),
+    "typing": partial(figures, "typing_figures"),
+    "rendering": rendering.measure,
+    "lint": lint.measure,
+    "compilers": disagreement.measure,
+    "ratios": ratios.measure,
+    "suite": suite.measure,
+}
+
+
+def main() -> None:
+    """All parts, or some."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", metavar="FILE", help="write one record per key")
+    parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
+    parser.add_argument("--before", metavar="COMMIT", help="compare object code with packages of this commit, too")
+    options = parser.parse_args()
+    chosen = options.only.split(",") if options.only else list(PARTS)
+    if unknown := sorted(set(chosen) - set(PARTS)):
+        parser.error(f"--only {','.join(unknown)}: expected some of {', '.join(PARTS)}")
+    parts = {**PARTS, "rendering": partial(rendering.measure, before=options.before)}
+    report, start = Report("house"), time.perf_counter()
+    for name in chosen:
+        begin = time.perf_counter()
+        parts[name](report)
+        report.add("benchmark_seconds", time.perf_counter() - begin, "s", case=name, profile="")
+    report.print()
+    print(f"{time.perf_counter() - start:.0f} s")
+    if options.json:
+        report.write(options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""Bytes of code and of RAM of the crane and the quadrotor, whole and for real-time iterations alone (solve=False)."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import fields
+from pathlib import Path
+
+from benchmarks.lib.report import Report
+from examples import crane, quadrotor
+from nmpc_codegen import OCP, Options, generate
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.sweep import print_routine
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import render, unit_style
+from nmpc_codegen.runtime.build import find_compiler
+
+CODE_LIMITS = {"": 62_000, "_rti": 48_000}
+RAM_LIMITS = {"crane": {"": 15_000, "_rti": 12_500}, "quadrotor": {"": 140_000, "_rti": 115_000}}
+MAKE: dict[str, Callable[[], OCP]] = {"crane": crane.build_ocp, "quadrotor": quadrotor.build_ocp}
+
+_COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.S)
+
+
+def measure(report: Report) -> None:
+    """<problem>_code_bytes, <problem>_ram_bytes and the same for options without solve(), once there are any."""
+    for suffix, options in variants():
+        report.add(
+            f"crane_code_bytes{suffix}", code_bytes(MAKE["crane"](), options), "bytes", limit=CODE_LIMITS[suffix]
+        )
+        for name, limits in RAM_LIMITS.items():
+            ram = ram_bytes(MAKE[name](), options)
+            report.add(f"{name}_ram_bytes{suffix}", ram, "bytes", case="double", limit=limits[suffix])
+
+
+def variants() -> Iterator[tuple[str, Options]]:
+    """Suffix of the keys, and options."""
+    yield "", Options()
+    if any(field.name == "solve" for field in fields(Options)):
+        yield "_rti", Options(solve=False)  # type: ignore[arg-type]
+
+
+def code_bytes(ocp: OCP, options: Options) -> int:
+    """Bytes of the .c without comments, indentation, empty lines and printed kernels."""
+    module = lower(linearize(classify(ocp), options))
+    text = render(module)[f"{module.name}.c"]
+    for routine in module.routines:
+        printed = print_routine(routine, unit_style(module.precision))
+        if printed not in text:
+            raise ValueError(f"{routine.name} is not in {module.name}.c as it is printed")
+        text = text.replace(printed, "")
+    lines = (line.strip() for line in _COMMENT.sub("", text).splitlines())
+    return sum(len(line.encode()) + 1 for line in lines if line)
+
+
+def ram_bytes(ocp: OCP, options: Options) -> int:
+    """sizeof the solver struct, asked of the C compiler."""
+    name = ocp.name
+    program = f'#include <stdio.h>\n#include "{name}.h"\nint main(void) {{ printf("%zu", sizeof({name}_solver_t)); }}\n'
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, f"{name}.h").write_text(generate(ocp, options)[f"{name}.h"], encoding="utf-8")
+        Path(folder, "size.c").write_text(program, encoding="utf-8")
+        subprocess.run([*find_compiler(), "-std=c99", "size.c", "-o", "size"], cwd=folder, check=True)
+        return int(subprocess.run(["./size"], cwd=folder, capture_output=True, check=True).stdout)
