@@ -31,6 +31,8 @@ TOOLS = {
     "cc": ("gcc", "cc", "clang"),
     "cxx": ("g++", "c++", "clang++"),
     "clang": ("clang",),
+    "tidy": ("clang-tidy",),
+    "cppcheck": ("cppcheck",),
     "cmake": ("cmake",),
     "arm": ("arm-none-eabi-gcc",),
     "valgrind": ("valgrind",),

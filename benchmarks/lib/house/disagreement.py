@@ -1,4 +1,8 @@
-"""Do gcc and clang, from -O0 to -O3, make the same controller? All are fed the recorded samples of one run."""
+"""Do gcc and clang, from -O0 to -O3, make the same controller? All are fed the recorded samples of one run.
+
+The other flags are those of the profile "fast": products and sums may be contracted, so that rounding differs between
+the builds, and what differs by more than rounding shows.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ import subprocess
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +25,11 @@ from benchmarks.lib.report import Report
 from nmpc_codegen import Controller, build, generate
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.runtime.build import PROFILES
 
 DRIVER = Path(__file__).with_name("replay.c")
 COMPILERS = ("gcc", "clang")
+FLAGS = ("-std=c99", *(flag for flag in PROFILES["fast"].flags if not flag.startswith("-O")))
 LEVELS = ("-O0", "-O1", "-O2", "-O3")
 LIMIT = 1e-9
 SAMPLES = 100
@@ -70,19 +77,21 @@ def record(controller: Controller, scenario: Scenario, n: int) -> Array:
     return np.array(found)
 
 
-def replays(sources: Sources, x: Array) -> tuple[Array, Array]:
-    """Controls (builds, samples, nu) and status (builds, samples) of every compiler at every level, gcc -O0 first."""
+def replays(
+    sources: Sources, x: Array, builds: Sequence[tuple[str, str]] = tuple(product(COMPILERS, LEVELS))
+) -> tuple[Array, Array]:
+    """Controls (builds, samples, nu) and status (builds, samples) of every build (compiler, level), gcc -O0 first."""
     name = package_name(sources)
     text = "\n".join(" ".join(repr(float(v)) for v in row) for row in x)
     with written(sources) as folder, ThreadPoolExecutor(JOBS) as pool:
 
-        def replay(build: tuple[str, str]) -> Array:
+        def replay(which: tuple[str, str]) -> Array:
             with tempfile.TemporaryDirectory() as program:
-                command = [*build, "-std=c99", f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"']
+                command = [*which, *FLAGS, f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"']
                 command += [f"-I{folder}", str(DRIVER), "-o", f"{program}/replay", "-lm"]
                 subprocess.run(command, check=True)
                 done = subprocess.run([f"{program}/replay"], input=text, capture_output=True, text=True, check=True)
             return np.array([[float(v) for v in line.split()] for line in done.stdout.splitlines()])
 
-        found = np.array(list(pool.map(replay, [(compiler, level) for compiler in COMPILERS for level in LEVELS])))
+        found = np.array(list(pool.map(replay, builds)))
     return found[:, :, 1:], found[:, :, 0]
