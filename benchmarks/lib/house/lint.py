@@ -2,13 +2,20 @@
 
 A finding counts once however many samples show it: it is a check, its message and the line of C that it is about.
 A comparison of floating-point numbers for equality is no finding where a comment stands on its line or right above it.
+
+    python -m benchmarks.lib.house.lint [--tools clang,clang-tidy] [SAMPLE ...]
+
+prints the findings, most frequent check first, and fails if there are any. Tools that are not there are left out.
 """
 
 from __future__ import annotations
 
+import argparse
+import os
 import re
 import shutil
 import subprocess
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,7 +31,9 @@ from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.render import Sources
 
 ROOT = Path(__file__).parents[3]
-JOBS = 2
+JOBS = os.cpu_count() or 1
+#: What is looked at unless samples are named: small packages, all solvers.
+QUICK = ("controls dense", "path riccati", "soft rows interior")
 
 #: Tool -> command; the file follows.
 TOOLS: dict[str, tuple[str, ...]] = {
@@ -117,3 +126,35 @@ def _parts_by_line() -> dict[str, tuple[str, ...]]:
         for line in path.read_text(encoding="utf-8").splitlines():
             found[line.strip()].add(str(path.relative_to(root)))
     return {line: tuple(sorted(parts)) for line, parts in found.items()}
+
+
+def table(found: Iterable[Finding]) -> Iterator[str]:
+    """A line per tool and check, and below it where its findings stand."""
+    checks: dict[tuple[str, str], list[Finding]] = defaultdict(list)
+    for finding in found:
+        checks[finding.tool, finding.check].append(finding)
+    for (tool, check), those in sorted(checks.items(), key=lambda item: (-len(item[1]), item[0])):
+        yield f"{len(those)} {tool} {check}"
+        for finding in sorted(those, key=lambda f: (f.origin, f.line)):
+            yield f"    {finding.origin}: {finding.line or finding.message}"
+
+
+def main() -> None:
+    """Findings on some samples."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("samples", nargs="*", metavar="SAMPLE", default=list(QUICK), help="names of samples, or all")
+    parser.add_argument("--tools", default=",".join(TOOLS), help=f"some of {', '.join(TOOLS)}")
+    options = parser.parse_args()
+    known = {sample.name: sample for sample in SAMPLES}
+    names = list(known) if options.samples == ["all"] else options.samples
+    tools = options.tools.split(",")
+    if unknown := [*(name for name in names if name not in known), *(tool for tool in tools if tool not in TOOLS)]:
+        parser.error(f"{', '.join(unknown)}: no such sample or tool")
+    tools = [tool for tool in tools if shutil.which(tool) is not None]
+    found = findings([known[name] for name in names], tools)
+    print(*table(found), f"{len(found)} findings of {', '.join(tools)} on {', '.join(names)}", sep="\n")
+    sys.exit(bool(found))
+
+
+if __name__ == "__main__":
+    main()
