@@ -4,8 +4,8 @@
 
 Clang warns in its front end, which runs on every package. What gcc says of values that may be uninitialised takes its
 optimiser: packages in double precision are compiled at -O2. In single precision the flow of the data is the same, so
-that the front end is enough there, for conversions and promotions. Both see the packages as C99; tests/test_warnings.py
-has them as C++17, too.
+that the front end is enough there, for conversions and promotions. Both see the packages as C99;
+tests/lowering/test_warnings.py has them as C++17, too.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ from nmpc_codegen.oracle.reference import (
 
 EULER = Tableau(((0.0,),), (1.0,))
 HEUN = Tableau(((0.0, 0.0), (1.0, 0.0)), (0.5, 0.5))
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def crane(terminal_constraint: bool = True) -> Problem:

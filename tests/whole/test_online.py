@@ -538,7 +538,7 @@ print(repr(log.u.tolist()), log.controls[0].lower, log.controls[0].upper)
 def test_an_exported_package_without_casadi(online: Online, tmp_path: Path) -> None:
     """open_package(), setters, a closed loop and the bounds in its plots, in a process that cannot import CasADi."""
     export(stated(), Options(online=online), tmp_path, name="online")
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[1] / "src")}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src")}
     command = [sys.executable, "-c", RUN, str(tmp_path)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     c = open_package(tmp_path)

@@ -19,7 +19,7 @@ import nmpc_codegen
 from nmpc_codegen.components.base import SEAMS
 from nmpc_codegen.options import REGISTRIES
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "nmpc_codegen"
 TEMPLATES = ROOT / "templates"
 

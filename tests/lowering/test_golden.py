@@ -26,10 +26,10 @@ from nmpc_codegen.lowering.linearize import Linearization, linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.options import REGISTRIES
+from tests.ir.test_sweep import SWEEP, looped
 from tests.models import problem_of
-from tests.test_sweep import SWEEP, looped
 
-GOLDEN = Path(__file__).with_name("golden")
+GOLDEN = Path(__file__).parents[1] / "golden"
 PINNED_CASADI = "3.8.2"
 
 X, U, P = Port("x", 1), Port("u", 1), Port("p", 1)

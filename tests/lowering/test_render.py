@@ -18,7 +18,7 @@ from nmpc_codegen.lowering.preamble import arithmetic
 from nmpc_codegen.lowering.render import Sources, _tidy, context, environment
 from tests import problems
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CASES = ("crane", "path_rows", "parameters", "dense_weight", "tiny", "crane_looped")
 
 
@@ -37,7 +37,7 @@ PROGRAM = """
 import sys
 sys.path[:0] = [{source!r}, {root!r}]
 from tests import problems
-from tests.test_render import digest
+from tests.lowering.test_render import digest
 from nmpc_codegen import generate
 for name in {cases!r}:
     print(digest(generate(problems.CASES[name].make(), problems.CASES[name].options)))

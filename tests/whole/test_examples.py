@@ -27,7 +27,7 @@ from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map
 
 matplotlib.use("Agg")
 
-EXAMPLES = sorted(p.stem for p in (Path(__file__).parents[1] / "examples").glob("*.py") if p.stem != "__init__")
+EXAMPLES = sorted(p.stem for p in (Path(__file__).parents[2] / "examples").glob("*.py") if p.stem != "__init__")
 
 
 @pytest.fixture(scope="module")
@@ -233,7 +233,7 @@ def test_chain_keeps_its_energy(n: int) -> None:
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_run_time_dependencies_are_enough(name: str) -> None:
     """No import but the standard library, the package, and what it depends on itself."""
-    tree = ast.parse((Path(__file__).parents[1] / "examples" / f"{name}.py").read_text(encoding="utf-8"))
+    tree = ast.parse((Path(__file__).parents[2] / "examples" / f"{name}.py").read_text(encoding="utf-8"))
     modules = {
         module.split(".")[0]
         for node in ast.walk(tree)
@@ -357,7 +357,7 @@ def test_every_example_states_a_problem(name: str) -> None:
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_command_line_takes_every_example(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([str(Path(__file__).parents[1] / "examples" / f"{name}.py"), "-o", str(tmp_path / "c")]) == 0
+    assert cli.main([str(Path(__file__).parents[2] / "examples" / f"{name}.py"), "-o", str(tmp_path / "c")]) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
     assert captured.out.count("fewest operations") <= 1

@@ -259,7 +259,7 @@ def test_verbose_shows_the_traceback(state_problem: Any, capsys: pytest.CaptureF
 
 # -- odd surroundings -------------------------------------------------------------------------------------------------
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def command(*arguments: str, where: Path, **environment: str) -> subprocess.CompletedProcess[bytes]:

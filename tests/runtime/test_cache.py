@@ -15,7 +15,7 @@ from nmpc_codegen.runtime import cache
 
 pytestmark = pytest.mark.usefixtures("compiler")
 
-TOY = Path(__file__).parent / "data" / "toy"
+TOY = Path(__file__).parents[1] / "data" / "toy"
 
 
 @pytest.mark.parametrize("case", sorted(set(cache_faults.FAULTS) - {"8 processes at once"}))

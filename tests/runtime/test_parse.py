@@ -13,7 +13,7 @@ from nmpc_codegen.errors import BuildError, ControllerError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.parse import MAX_CHARACTERS, parse
 
-TOY = Path(__file__).parent / "data" / "toy"
+TOY = Path(__file__).parents[1] / "data" / "toy"
 Files = dict[str, str]
 
 

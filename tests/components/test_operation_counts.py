@@ -24,8 +24,8 @@ from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import REGISTRIES
 from tests import problems
 from tests.c_harness import module_of
+from tests.components.test_condensing import PROBLEMS, SPELLINGS
 from tests.models import discrete_map, problem_of
-from tests.test_condensing import PROBLEMS, SPELLINGS
 
 CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
     **{f"condensing {name}": (make, Options()) for name, make in PROBLEMS.items()},
