@@ -15,6 +15,7 @@ from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.runtime.status import Status
 
 Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
 
@@ -70,30 +71,6 @@ class Struct:
     doc: str
     fields: tuple[Field, ...]
     shape: tuple[Size, ...] = ()
-
-
-@dataclass(frozen=True)
-class Status:
-    """A status value: macro name without prefix and what it means."""
-
-    name: str
-    text: str
-
-
-STATUSES = (
-    Status("OK", "ok"),
-    Status("ITERATION_LIMIT", "iteration limit reached"),
-    Status("INFEASIBLE", "the constraints cannot be met"),
-    Status("RELAXED", "soft solution: rows were relaxed"),
-    Status("NUMERICAL_FAILURE", "numerical failure: the Hessian is not positive definite or a number is not finite"),
-    Status("NOT_FINITE", "the measured state is not finite"),
-    Status("NOT_PREPARED", "feedback without prepare"),
-    Status("NOT_INITIALIZED", "init was not called"),
-    Status("BAD_INDEX", "no such node, row or parameter"),
-    Status("BAD_BOUNDS", "lower bound above upper bound"),
-    Status("BAD_ARGUMENT", "argument out of range or not finite"),
-    Status("STALLED", "no further progress"),
-)
 
 
 @dataclass(frozen=True)
@@ -188,12 +165,16 @@ class CModule:
     products: Products
     switches: Mapping[str, int]  # what `#if` in the parts may test besides the sizes
     sections: tuple[Section, ...]
-    statuses: tuple[Status, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
     diagonal_weight: bool
     diagonal_weight_N: bool
     metadata: Mapping[str, Any]
     foreign: tuple[str, ...] = ()  # folders of code that another generator writes
+
+    @property
+    def statuses(self) -> tuple[Status, ...]:
+        """What its functions return, in the order of their values."""
+        return tuple(Status)
 
     @property
     def macro(self) -> str:

@@ -11,7 +11,6 @@ import numpy as np
 from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.frontend.problem import Problem, Row, Signal, Stage, c_identifier
 from nmpc_codegen.ir.cmodule import (
-    STATUSES,
     CModule,
     Enum,
     Field,
@@ -29,6 +28,7 @@ from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.stage_products import PANEL, Products
 from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.lowering.linearize import Linearization
+from nmpc_codegen.runtime.status import Status
 
 # Counters stop here, and integrate() takes at most so many steps.
 MANY = 1_000_000
@@ -70,7 +70,6 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         products=products,
         switches={name: value for c in lin.options.components for name, value in c.switches.items()},
         sections=sections,
-        statuses=STATUSES,
         signals=(
             ("x", problem.state_names),
             ("u", problem.control_names),
@@ -393,7 +392,7 @@ def _metadata(
         "y_names_N": list(p.terminal.y_names),
         "dt": list(p.dt),
         "discrete": p.discrete,
-        "statuses": [s.name for s in STATUSES],
+        "statuses": [s.name for s in Status],
         "shift": getattr(lin.options.algorithm, "shift", None),
         "online": lin.options.online.layouts,
         "options": repr(lin.options),
