@@ -1,4 +1,4 @@
-"""parse.py and the comparison in library.py: whatever is wrong with a description is one error that names the entry."""
+"""PackageDescription.from_json() and the comparison in compiled.py: an error names the entry that is wrong."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import pytest
 from benchmarks.lib import doors_trust, mutated_package
 from nmpc_codegen.errors import BuildError, ControllerError
 from nmpc_codegen.runtime.build import load
-from nmpc_codegen.runtime.parse import MAX_CHARACTERS, parse
+from nmpc_codegen.runtime.package_description import PackageDescription
+from nmpc_codegen.runtime.parse import MAX_CHARACTERS
 
 TOY = Path(__file__).parent / "data" / "toy"
 Files = dict[str, str]
@@ -70,7 +71,7 @@ MEMBER = {"name": "a", "type": "loop", "shape": [], "padded": [], "role": "", "d
 )
 def test_an_entry_that_is_wrong(toy_files: Files, path: str, value: Any, message: str) -> None:
     with pytest.raises(ControllerError, match=message):
-        parse(changed(toy_files["toy.json"], path, value))
+        PackageDescription.from_json(changed(toy_files["toy.json"], path, value))
 
 
 @pytest.mark.parametrize(
@@ -89,14 +90,14 @@ def test_an_entry_that_is_wrong(toy_files: Files, path: str, value: Any, message
 )
 def test_a_text_that_is_no_description(text: str, message: str) -> None:
     with pytest.raises(ControllerError, match=message):
-        parse(text)
+        PackageDescription.from_json(text)
 
 
 # -- what agrees with itself, but not with the compiled code -----------------------------------------------------------
 
 
 def consistent(raw: dict[str, Any], case: str) -> None:
-    """Lies that parse() cannot see."""
+    """Lies that from_json() cannot see."""
     members = {f["name"]: f for f in raw["structs"][-1]["fields"]}
     match case:
         case "sizes":

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, get_args
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
@@ -11,6 +11,7 @@ from nmpc_codegen.components.allowed import Flag, Words, check_options, option, 
 from nmpc_codegen.components.base import SEAMS, Component
 from nmpc_codegen.components.hessians import GaussNewton
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.runtime.package_description import Layout, Layouts, Precision
 
 REGISTRIES: dict[str, dict[str, Any]] = {
     "integrator": dict(integrators.REGISTRY),
@@ -20,9 +21,9 @@ REGISTRIES: dict[str, dict[str, Any]] = {
     "algorithm": dict(algorithms.REGISTRY),
 }
 
-PRECISIONS = ("double", "single")
+PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
-LAYOUTS = ("fixed", "shared", "node")
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,10 @@ class Online:
     diagonal, so that one with entries off its diagonal can be set.
     """
 
-    reference: str = option("node", Words(LAYOUTS))
-    weight: str = option("shared", Words(LAYOUTS))
-    bounds: str = option("shared", Words(LAYOUTS))
-    parameter: str = option("node", Words(LAYOUTS))
+    reference: Layout = option("node", Words(LAYOUTS))
+    weight: Layout = option("shared", Words(LAYOUTS))
+    bounds: Layout = option("shared", Words(LAYOUTS))
+    parameter: Layout = option("node", Words(LAYOUTS))
     dense_weight: bool = option(False, Flag())
 
     def __post_init__(self) -> None:
@@ -49,9 +50,14 @@ class Online:
             )
 
     @property
-    def layouts(self) -> dict[str, str]:
+    def layouts(self) -> Layouts:
         """Kind of data -> how it is stored."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "dense_weight"}
+        return {
+            "reference": self.reference,
+            "weight": self.weight,
+            "bounds": self.bounds,
+            "parameter": self.parameter,
+        }
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ class Options:
     qp: Any = option(None, Chosen("qp", optional=True))
     algorithm: Any = option(RealTimeIteration(), Chosen("algorithm"))
     online: Online = option(Online(), Group(Online))
-    precision: str = option("double", Words(PRECISIONS))
+    precision: Precision = option("double", Words(PRECISIONS))
 
     def __post_init__(self) -> None:
         check_options(self, "")

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.ir.cmodule import Size, Struct, Table
     from nmpc_codegen.ir.kernel import OpCount
     from nmpc_codegen.ir.sweep import Routine
+    from nmpc_codegen.runtime.package_description import Precision
 
 # C function -> operations of one run
 Counts = Mapping[str, "OpCount"]
@@ -74,8 +75,7 @@ class Component(Protocol):
     A condensing component has besides qp_shape(problem) -> QpShape, adapted(problem) -> the component that does the
     same for this problem, itself as a rule, ``gives``, the form of QP it hands on ("condensed", "stages"), and
     ``columns``: it calls the products with columns.
-    A QP solver has ``takes``, the form it reads, and ``automatic``: qp=None may choose it. One that wraps foreign code
-    has foreign_sources(prefix, precision, nv, ng) -> files below the folder of its name.
+    A QP solver has ``takes``, the form it reads, and ``automatic``: qp=None may choose it.
     """
 
     seam: ClassVar[str]
@@ -112,12 +112,19 @@ class Component(Protocol):
         """
         ...
 
+    def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
+        """Code of another generator: path, below a folder of the component's name, -> text."""
+        ...
+
 
 class Defaults:
     """A component that adds nothing to a package besides its part."""
 
     @property
     def switches(self) -> Mapping[str, int]:
+        return {}
+
+    def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
         return {}
 
 

@@ -10,62 +10,22 @@ The terminal stage is a Stage with nu = 0, so nothing exists in triplicate for i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.runtime.package_description import Row as Row
+from nmpc_codegen.runtime.package_description import RowKind as RowKind
+from nmpc_codegen.runtime.package_description import Signal as Signal
+
 Array = NDArray[np.float64]
-
-RowKind = Literal["control", "state", "general", "coupled"]
-
-
-@dataclass(frozen=True)
-class Signal:
-    """A named scalar or vector among the states, controls or parameters.
-
-    ``offset`` is the position of its first element in the stacked vector; ``value`` holds the initial value of a
-    state (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control.
-    """
-
-    name: str
-    size: int
-    unit: str
-    value: tuple[float, ...]
-    offset: int
-    scalar: bool  # declared without size=
-
-    @property
-    def elements(self) -> tuple[str, ...]:
-        """Names of the elements as the user reads them: ``v`` or ``r[0], r[1]``."""
-        return (self.name,) if self.scalar else tuple(f"{self.name}[{i}]" for i in range(self.size))
 
 
 def c_identifier(name: str) -> str:
     """C spelling of an element name: ``r[0]`` becomes ``r_0``."""
     return name.replace("[", "_").replace("]", "")
-
-
-@dataclass(frozen=True)
-class Row:
-    """One scalar row lower <= value <= upper, holding at ``nodes``.
-
-    kind "control": value = u[index], a hard simple bound at every node 0..N-1;
-    kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaced the row altogether (N = 1);
-    kind "general": value = h[index] of the path stage (nodes < N) and h[index_terminal] of the terminal stage (node N),
-    -1 where the row does not exist there;
-    kind "coupled": r[index](x_0, x_N), ``nodes`` is (0, N). ``soft`` is (l1, l2) or None. Equality: lower == upper.
-    """
-
-    name: str
-    kind: RowKind
-    index: int
-    index_terminal: int
-    nodes: tuple[int, ...]
-    lower: float
-    upper: float
-    soft: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)

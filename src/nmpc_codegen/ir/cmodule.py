@@ -7,70 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.runtime.package_description import Field as Field
+from nmpc_codegen.runtime.package_description import Kind, Layouts, PackageDescription, Precision
+from nmpc_codegen.runtime.package_description import Size as Size
+from nmpc_codegen.runtime.package_description import Struct as Struct
 from nmpc_codegen.runtime.status import Status
-
-Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
 
 # Bytes of the C types; "real" depends on the precision.
 REAL_BYTES = {"double": 8, "single": 4}
-
-
-@dataclass(frozen=True)
-class Size:
-    """A compile-time size: a C expression in the package's macros and its value, e.g. ("N + 1", 11).
-
-    ``text`` names macros without prefix; ``c(prefix)`` writes them with it.
-    """
-
-    text: str
-    value: int
-
-    def c(self, macro: str) -> str:
-        """C text with every identifier prefixed, e.g. ``CRANE_N + 1``."""
-        words = (f"{macro}_{w}" if w[0].isalpha() else w for w in self.text.split())
-        return " ".join(words)
-
-
-@dataclass(frozen=True)
-class Field:
-    """A member of a C struct. Zero sizes are padded to 1 in C; ``shape`` keeps the true ones."""
-
-    name: str
-    shape: tuple[Size, ...]
-    doc: str
-    role: Role
-    ctype: str = "real"  # "real", "int32", or the name of a struct
-
-    @property
-    def values(self) -> tuple[int, ...]:
-        """True shape in numbers."""
-        return tuple(s.value for s in self.shape)
-
-    @property
-    def padded(self) -> tuple[int, ...]:
-        """Shape of the C array: every size at least 1."""
-        return tuple(max(1, s.value) for s in self.shape)
-
-
-@dataclass(frozen=True)
-class Struct:
-    """A C struct <prefix>_<name>_t and the member ``name`` of the given shape that holds it in the solver.
-
-    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name.
-    """
-
-    name: str
-    doc: str
-    fields: tuple[Field, ...]
-    shape: tuple[Size, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -124,7 +75,7 @@ class Setting:
 class Setter:
     """Functions that change one kind of data (a word of Online) at run time; ``nodes``: what k may be besides ALL."""
 
-    option: str
+    option: Kind
     nodes: str
 
     @property
@@ -153,14 +104,14 @@ class CModule:
     """Everything the templates print; no decision is left to them."""
 
     name: str
-    precision: str
+    precision: Precision
     macros: tuple[Macro, ...]
     enums: tuple[Enum, ...]
     structs: tuple[Struct, ...]  # "solver" last
     tables: tuple[Table, ...]
     settings: tuple[Setting, ...]
     setters: tuple[Setter, ...]
-    layouts: Mapping[str, str]  # reference, weight, bounds, parameter -> fixed, shared, node
+    layouts: Layouts
     routines: tuple[Routine, ...]
     products: Products
     switches: Mapping[str, int]  # what `#if` in the parts may test besides the sizes
@@ -168,8 +119,8 @@ class CModule:
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
     diagonal_weight: bool
     diagonal_weight_N: bool
-    metadata: Mapping[str, Any]
-    foreign: tuple[str, ...] = ()  # folders of code that another generator writes
+    description: PackageDescription
+    foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text of code that another generator writes
 
     @property
     def statuses(self) -> tuple[Status, ...]:
@@ -180,6 +131,11 @@ class CModule:
     def macro(self) -> str:
         """Prefix of macros and enum constants."""
         return self.name.upper()
+
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """Folders of foreign code."""
+        return tuple(sorted({path.split("/")[0] for path in self.foreign}))
 
     def value(self, macro: str) -> int:
         """Value of a size macro."""
@@ -200,9 +156,9 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
     layout: dict[str, tuple[int, int]] = {}
     for struct in structs:
         size, alignment = 0, 1
-        for field in struct.fields:
-            element, align = layout[field.ctype] if field.ctype in layout else types[field.ctype]
-            size = -(-size // align) * align + element * math.prod(field.padded)
+        for member in struct.fields:
+            element, align = layout[member.ctype] if member.ctype in layout else types[member.ctype]
+            size = -(-size // align) * align + element * math.prod(member.padded)
             alignment = max(alignment, align)
         layout[struct.name] = (-(-size // alignment) * alignment, alignment)
     return layout

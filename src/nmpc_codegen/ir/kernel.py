@@ -8,42 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 
 from nmpc_codegen.errors import ProblemError
-
-
-@dataclass(frozen=True)
-class OpCount:
-    """Floating-point operations by class, counted from the instructions that are printed.
-
-    add: + and -; mul; div; sqrt; call: other functions of math.h; other: negation, absolute value, floor and ceil,
-    comparison, selection.
-    """
-
-    add: int = 0
-    mul: int = 0
-    div: int = 0
-    sqrt: int = 0
-    call: int = 0
-    other: int = 0
-
-    def __add__(self, o: OpCount) -> OpCount:
-        return OpCount(*(getattr(self, f.name) + getattr(o, f.name) for f in fields(self)))
-
-    def __mul__(self, times: int) -> OpCount:
-        return OpCount(*(getattr(self, f.name) * times for f in fields(self)))
-
-    @property
-    def total(self) -> int:
-        """All operations, every class counted once."""
-        return sum(getattr(self, f.name) for f in fields(self))
-
-    def as_dict(self) -> dict[str, int]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}
+from nmpc_codegen.runtime.package_description import OpCount as OpCount
 
 
 @dataclass(frozen=True)

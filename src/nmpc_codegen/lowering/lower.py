@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.components.base import Counts, Dims
-from nmpc_codegen.frontend.problem import Problem, Row, Signal, Stage, c_identifier
+from nmpc_codegen.frontend.problem import Problem, Row, Stage, c_identifier
 from nmpc_codegen.ir.cmodule import (
     CModule,
     Enum,
@@ -28,6 +28,7 @@ from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.stage_products import PANEL, Products
 from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.lowering.linearize import Linearization
+from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report
 from nmpc_codegen.runtime.status import Status
 
 # Counters stop here, and integrate() takes at most so many steps.
@@ -81,8 +82,12 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         ),
         diagonal_weight=problem.path.diagonal_weight,
         diagonal_weight_N=problem.terminal.diagonal_weight,
-        metadata=_metadata(lin, name, macros, structs, products),
-        foreign=tuple(c.name for c in lin.options.components if hasattr(c, "foreign_sources")),
+        description=_description(lin, name, macros, structs, products),
+        foreign={
+            path: text
+            for c in lin.options.components
+            for path, text in c.foreign_sources(name, lin.options.precision, dims).items()
+        },
     )
 
 
@@ -183,12 +188,12 @@ def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
     weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
     weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
     one = Size("1", 1)
-    path = {"shared": one, "node": dims.N}
-    every = {"shared": Size("2", 2), "node": Size("N + 1", dims.N.value + 1)}
+    path: Mapping[Layout, Size] = {"shared": one, "node": dims.N}
+    every: Mapping[Layout, Size] = {"shared": Size("2", 2), "node": Size("N + 1", dims.N.value + 1)}
     which = {"shared": "path, terminal", "node": "every node"}
 
     def setting(
-        option: str, name: str, table: str, shape: tuple[Size, ...], copies: Mapping[str, Size] | None, doc: str
+        option: Kind, name: str, table: str, shape: tuple[Size, ...], copies: Mapping[Layout, Size] | None, doc: str
     ) -> list[Setting]:
         entries = {"W": dims.nw, "W_N": dims.nw_N}.get(name, shape[0])
         layout = layouts[option]
@@ -218,7 +223,7 @@ def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
 
 
 #: What k may be besides ALL, for every kind of data that a package lets change.
-_NODES = {
+_NODES: Mapping[Kind, Mapping[Layout, str]] = {
     "reference": {"shared": "no node", "node": "0 .. N - 1"},
     "weight": {"shared": "no node", "node": "0 .. N - 1"},
     "parameter": {"shared": "N", "node": "0 .. N"},
@@ -328,79 +333,33 @@ def _default_controls(p: Problem) -> list[float]:
     return [float(np.clip(0.0, r.lower, r.upper)) if r else 0.0 for r in rows]
 
 
-def _number(value: float) -> float | str:
-    return float(value) if np.isfinite(value) else str(float(value))
-
-
-def _signal(s: Signal) -> dict[str, Any]:
-    return {
-        "name": s.name,
-        "size": s.size,
-        "unit": s.unit,
-        "value": list(s.value),
-        "offset": s.offset,
-        "scalar": s.scalar,
-    }
-
-
-def _row(r: Row) -> dict[str, Any]:
-    return {
-        "name": r.name,
-        "kind": r.kind,
-        "index": r.index,
-        "index_terminal": r.index_terminal,
-        "nodes": list(r.nodes),
-        "lower": _number(r.lower),
-        "upper": _number(r.upper),
-        "soft": r.soft,
-    }
-
-
-def _metadata(
+def _description(
     lin: Linearization, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...], products: Products
-) -> dict[str, Any]:
+) -> PackageDescription:
     """What Controller and open_package() need besides the C text."""
     p = lin.problem
-    return {
-        "format": 1,
-        "name": name,
-        "precision": lin.options.precision,
-        "sizes": {m.name: m.value for m in macros},
-        "structs": [
-            {
-                "name": s.name,
-                "doc": s.doc,
-                "fields": [
-                    {
-                        "name": f.name,
-                        "type": f.ctype,
-                        "shape": list(f.values),
-                        "padded": list(f.padded),
-                        "role": f.role,
-                        "doc": f.doc,
-                    }
-                    for f in s.fields
-                ],
-            }
-            for s in structs
-        ],
-        "states": [_signal(s) for s in p.states],
-        "controls": [_signal(s) for s in p.controls],
-        "parameters": [_signal(s) for s in p.parameters],
-        "rows": [_row(r) for r in p.rows],
-        "y_names": list(p.path.y_names),
-        "y_names_N": list(p.terminal.y_names),
-        "dt": list(p.dt),
-        "discrete": p.discrete,
-        "statuses": [s.name for s in Status],
-        "shift": getattr(lin.options.algorithm, "shift", None),
-        "online": lin.options.online.layouts,
-        "options": repr(lin.options),
-        "report": _report(lin, structs, products),
-    }
+    return PackageDescription(
+        name=name,
+        precision=lin.options.precision,
+        sizes={m.name: m.value for m in macros},
+        structs=structs,
+        states=p.states,
+        controls=p.controls,
+        parameters=p.parameters,
+        rows=p.rows,
+        y_names=p.path.y_names,
+        y_names_N=p.terminal.y_names,
+        dt=p.dt,
+        discrete=p.discrete,
+        statuses=tuple(Status.__members__),
+        shift=getattr(lin.options.algorithm, "shift", None),
+        online=lin.options.online.layouts,
+        options=repr(lin.options),
+        report=_report(lin, structs, products),
+    )
 
 
-def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products) -> dict[str, Any]:
+def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products) -> Report:
     """Memory, exact operation counts, and what was chosen and why."""
     layout = struct_layout(structs, lin.options.precision)
     known = _known(lin, products)
@@ -410,11 +369,11 @@ def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products)
     dims = _dims(lin)
     for component in lin.options.components:
         counts |= component.cost(dims, known)
-    return {
-        "ram_bytes": layout["solver"][0],
-        "ram_bytes_by_struct": {s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
-        "operations": {name: count.as_dict() for name, count in counts.items()},
-        "linearization_operations": counts["linearize"].total,
-        "choices": list(lin.choices),
-        "looped": [r.name for r in lin.routines if len(r.kernels) > 1],
-    }
+    return Report(
+        ram_bytes=layout["solver"][0],
+        ram_bytes_by_struct={s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
+        operations=counts,
+        linearization_operations=counts["linearize"].total,
+        choices=lin.choices,
+        looped=tuple(r.name for r in lin.routines if len(r.kernels) > 1),
+    )

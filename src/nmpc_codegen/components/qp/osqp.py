@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
     from nmpc_codegen.frontend.problem import Problem
     from nmpc_codegen.ir.sweep import Routine
+    from nmpc_codegen.runtime.package_description import Precision
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ class Osqp(Defaults):
         """Foreign code is not counted."""
         return {}
 
-    def foreign_sources(self, prefix: str, precision: str, nv: int, ng: int) -> Mapping[str, str]:
+    def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
         """OSQP's embedded C for dense matrices of this size: path below osqp/ -> text, and our wrapper around it.
 
         Raises:
@@ -110,6 +111,7 @@ class Osqp(Defaults):
                 "Osqp() (--set qp=osqp) clashes with precision='single' (--set precision=single): its embedded "
                 "code is in double precision"
             )
+        nv, ng = dims.nv.value, dims.ng.value
         with tempfile.TemporaryDirectory(prefix="osqp-") as temporary:
             self._generate(Path(temporary), prefix, nv, ng)
             files = {
