@@ -1,7 +1,7 @@
 """The compiler on one screen.
 
-    OCP --classify--> Problem --linearize--> Linearization --lower--> CModule --render--> Sources --build--> Controller
-    (user, mutable)  (frozen: what)         (frozen: which functions) (frozen: C nouns)  (path -> text)   (NumPy views)
+    OCP --classify--> Problem --linearize--> Model --lower--> CModule --render--> Sources --build--> Controller
+    (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C nouns)  (path -> text)  (NumPy views)
 
 Every stage is a pure function from frozen values to a frozen value; only OCP (before) and Controller (after) mutate.
 CasADi ends in linearize, jinja2 lives in render, cffi in build.

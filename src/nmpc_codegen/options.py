@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
 from nmpc_codegen.components.allowed import Flag, Words, check_options, option, rules
-from nmpc_codegen.components.base import SEAMS, Component
+from nmpc_codegen.components.base import Algorithm, Component, Condensing, Hessian, Integrator, QpSolver, Seam
 from nmpc_codegen.components.hessians import GaussNewton
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.runtime.package_description import Layout, Layouts, Precision
 
-REGISTRIES: dict[str, dict[str, Any]] = {
-    "integrator": dict(integrators.REGISTRY),
-    "hessian": dict(hessians.REGISTRY),
-    "condensing": dict(condensing.REGISTRY),
-    "qp": dict(qp.REGISTRY),
-    "algorithm": dict(algorithms.REGISTRY),
+REGISTRIES: Mapping[str, Mapping[str, type[Component]]] = {
+    "integrator": integrators.REGISTRY,
+    "hessian": hessians.REGISTRY,
+    "condensing": condensing.REGISTRY,
+    "qp": qp.REGISTRY,
+    "algorithm": algorithms.REGISTRY,
 }
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
@@ -64,7 +65,7 @@ class Online:
 class Chosen:
     """Rule of a seam: one of its components, or, ``optional``, None: the compiler chooses."""
 
-    seam: str
+    seam: Seam
     optional: bool = False
 
     def converted(self, value: Any) -> Any:
@@ -99,18 +100,13 @@ class Group:
 class Options:
     """One component per seam; None is chosen from the problem, and the report says why."""
 
-    integrator: Any = option(None, Chosen("integrator", optional=True))
-    hessian: Any = option(GaussNewton(), Chosen("hessian"))
-    condensing: Any = option(None, Chosen("condensing", optional=True))
-    qp: Any = option(None, Chosen("qp", optional=True))
-    algorithm: Any = option(RealTimeIteration(), Chosen("algorithm"))
+    integrator: Integrator | None = option(None, Chosen("integrator", optional=True))
+    hessian: Hessian = option(GaussNewton(), Chosen("hessian"))
+    condensing: Condensing | None = option(None, Chosen("condensing", optional=True))
+    qp: QpSolver | None = option(None, Chosen("qp", optional=True))
+    algorithm: Algorithm = option(RealTimeIteration(), Chosen("algorithm"))
     online: Online = option(Online(), Group(Online))
     precision: Precision = option("double", Words(PRECISIONS))
 
     def __post_init__(self) -> None:
         check_options(self, "")
-
-    @property
-    def components(self) -> tuple[Component, ...]:
-        """The components in the order of their sections; only complete options have them."""
-        return tuple(getattr(self, seam) for seam in SEAMS)

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Literal, get_args
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims
+from nmpc_codegen.components.base import Defaults, Dims, Seam
 from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.components.integrators.quadrature import Quadrature
 from nmpc_codegen.components.integrators.second_order import expand_steps, fuse_steps
@@ -24,8 +24,8 @@ from nmpc_codegen.components.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.components.integrators.tableau import RK4, TABLEAUS, ButcherTableau, combine
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.ir.kernel import OpCount, Port
+from nmpc_codegen.ir.kernel import Port
+from nmpc_codegen.ir.model import Interval
 from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import (
     Affine,
@@ -79,10 +79,10 @@ class ExplicitRungeKutta(Defaults):
     steps: int = option(2, Whole(MAX_STEPS))
     unroll: Unroll = option("auto", Words(get_args(Unroll)))
 
-    seam: ClassVar[str] = "integrator"
+    seam: ClassVar[Seam] = "integrator"
     name: ClassVar[str] = "explicit_runge_kutta"
     template: ClassVar[str] = "integrators/explicit_runge_kutta.c"
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
@@ -90,14 +90,21 @@ class ExplicitRungeKutta(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
+    def check(self, problem: Problem) -> None:
+        """The dynamics have to be a differential equation."""
         if problem.discrete:
             raise OptionError(
                 f"integrator: {problem.name} is a discrete map; expected Discrete() (--set integrator=discrete) "
                 "instead of ExplicitRungeKutta(...) (--set integrator=explicit_runge_kutta)"
             )
-        return self._interval(problem), straight(step_sweep(problem, self.tableau))
+
+    def longest_step(self, problem: Problem) -> float:
+        """The longest interval in ``steps`` equal ones."""
+        return max(problem.dt) / self.steps
+
+    def interval(self, problem: Problem) -> Interval:
+        """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
+        return Interval(self._interval(problem), straight(step_sweep(problem, self.tableau)))
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` fills g and Q from all inputs but lam, the interval
@@ -189,18 +196,8 @@ class ExplicitRungeKutta(Defaults):
                 return program
         return rolled
 
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """No tables."""
-        return ()
-
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("STEPS", self.steps, "Runge-Kutta steps per interval"),)
-
-    def structs(self, dims: Dims) -> tuple[Any, ...]:
-        return ()
-
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
-        return {}
 
 
 class _Builder:
