@@ -15,17 +15,19 @@ import casadi as ca
 import pytest
 
 from nmpc_codegen import OCP, ExplicitRungeKutta, Options
-from nmpc_codegen.components.base import SEAMS
+from nmpc_codegen.components.base import SEAMS, Parts
 from nmpc_codegen.components.integrators import TABLEAUS, ButcherTableau
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
+from nmpc_codegen.ir.model import Interval, StageModel
 from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.stage_products import pattern
 from nmpc_codegen.ir.sweep import print_routine
 from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
-from nmpc_codegen.options import REGISTRIES
+from nmpc_codegen.options import REGISTRIES, Online
 from tests.models import problem_of
 from tests.test_sweep import SWEEP, looped
 

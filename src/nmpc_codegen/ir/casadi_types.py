@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import casadi as ca
 
@@ -14,3 +14,13 @@ Function: TypeAlias = ca.Function
 
 #: Where a matrix may have entries that are not zero.
 Sparsity: TypeAlias = ca.Sparsity
+
+
+def elements(matrix: Expression) -> list[Expression]:
+    """All entries, column by column; CasADi declares a type for them that it does not have."""
+    return cast("list[Expression]", matrix.elements())
+
+
+def nonzeros(matrix: Expression) -> list[Expression]:
+    """Entries that are not structurally zero, column by column."""
+    return cast("list[Expression]", matrix.nonzeros())

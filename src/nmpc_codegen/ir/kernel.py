@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.ir.casadi_types import Function, Sparsity
 from nmpc_codegen.runtime.package_description import OpCount as OpCount
 
 
@@ -196,19 +196,19 @@ class _ValueNumbering:
         return self._known[ins]
 
 
-def lift(function: Any, name: str, doc: str, inputs: Sequence[Port], outputs: Sequence[Port]) -> Kernel:
+def lift(function: Function, name: str, doc: str, inputs: Sequence[Port], outputs: Sequence[Port]) -> Kernel:
     """Lift a CasADi SX Function into a Kernel.
 
     The function takes one dense vector per input port and returns one vector or matrix per output port, of the port's
     rows x cols (cols = 0: a column). Raises ProblemError for an operation that has no C, naming it.
     """
-    for i, port in enumerate(inputs):
+    for number, port in enumerate(inputs):
         assert not port.cols, f"{name}: input {port.name} is a matrix"
-        assert function.size_in(i) == (port.rows, 1), f"{name}: input {port.name}"
+        assert function.size_in(number) == (port.rows, 1), f"{name}: input {port.name}"
     numbering = _ValueNumbering()
     work: dict[int, int] = {}
     stores: list[tuple[int, int, int]] = []
-    patterns = [_row_major(function.sparsity_out(i), port) for i, port in enumerate(outputs)]
+    patterns = [_row_major(function.sparsity_out(number), port) for number, port in enumerate(outputs)]
     for k in range(function.n_instructions()):
         opcode, o, i = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
         if opcode == ca.OP_OUTPUT:
@@ -229,7 +229,7 @@ def lift(function: Any, name: str, doc: str, inputs: Sequence[Port], outputs: Se
     return Kernel(name, doc, tuple(inputs), tuple(outputs), *_live(*_reciprocals(live, live_stores)))
 
 
-def _row_major(sparsity: Any, port: Port) -> list[int]:
+def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
     """Row-major element of every (column-major) nonzero of an output."""
     shape = (port.rows, port.cols or 1)
     assert sparsity.shape == shape or sparsity.nnz() == 0, f"output {port.name}: {sparsity.shape}, expected {shape}"

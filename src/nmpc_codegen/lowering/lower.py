@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from nmpc_codegen.components.base import Counts, Dims
-from nmpc_codegen.frontend.problem import Problem, Row, Stage, c_identifier
+from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage, c_identifier
 from nmpc_codegen.ir.cmodule import (
     CModule,
     Enum,
@@ -267,10 +267,10 @@ def _tables(model: Model) -> tuple[Table, ...]:
     p = model.problem
     rows = p.qp_rows
 
-    def real(name: str, values: Any, doc: str) -> Table:
+    def real(name: str, values: ArrayLike, doc: str) -> Table:
         return Table(name, "real", tuple(float(v) for v in np.ravel(values)), doc)
 
-    def integer(name: str, values: Any, doc: str) -> Table:
+    def integer(name: str, values: Iterable[int], doc: str) -> Table:
         return Table(name, "int", tuple(int(v) for v in values), doc)
 
     longest_step = model.parts.integrator.longest_step(p)
@@ -309,7 +309,7 @@ def _penalty(row: Row) -> tuple[float, float]:
     return (math.inf, 0.0) if row.soft is None else row.soft
 
 
-def _weight_values(stage: Stage) -> Any:
+def _weight_values(stage: Stage) -> Array:
     return np.diag(stage.weight) if stage.diagonal_weight else stage.weight
 
 

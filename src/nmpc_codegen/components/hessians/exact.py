@@ -105,7 +105,7 @@ class ExactHessian(Defaults):
         nx, nz, ne = problem.nx, problem.nx + problem.nu, problem.coupled_rows
         x_0, eta, Q_0 = ca.SX.sym("x_0", nx), ca.SX.sym("eta", ne), ca.SX.sym("Q_0", nz * nz)
         x_N = cost.inputs[0]
-        r = ca.dot(eta, problem.coupled(x_0, x_N)) if ne else ca.SX(0)
+        r = ca.SX(0) if problem.coupled is None else ca.dot(eta, problem.coupled(x_0, x_N))
         first, last = (ca.sparsify(ca.tril(ca.hessian(r, x)[0])) for x in (x_0, x_N))
         Q = ca.sparsify(cost.hessian + last + self._damping(nx))
         ports = [Port("first", nx, doc="x_0"), Port("eta", ne, doc="multipliers of the coupled rows")]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import casadi as ca
 
@@ -24,6 +24,7 @@ from nmpc_codegen.components.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.components.integrators.tableau import RK4, TABLEAUS, ButcherTableau, combine
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.casadi_types import Function, nonzeros
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.model import Interval
 from nmpc_codegen.ir.stage_products import PANEL
@@ -214,24 +215,24 @@ class _Builder:
         self.nz = self.nx + self.nu
         self.ld = -(-self.nz // PANEL) * PANEL
 
-    def leaf_f(self) -> Any:
+    def leaf_f(self) -> Function:
         """K = f(X, u, p)."""
         return ca.Function("f", [self.x, self.u, self.p], [self.f], ["x", "u", "p"], ["K"])
 
-    def leaf_f_and_jacobian(self) -> Any:
+    def leaf_f_and_jacobian(self) -> Function:
         """K = f, the nonzeros of f_x, and the nonzero rows of [0 f_u], ld columns each."""
-        nonzeros = ca.vertcat(*self.fx.nonzeros()) if self.fx.nnz() else ca.SX(0, 1)
+        values = ca.vertcat(ca.SX(0, 1), *nonzeros(self.fx))
         padded = ca.horzcat(ca.SX(self.nx, self.nx), self.fu, ca.SX(self.nx, self.ld - self.nz))
         rows = ca.vertcat(ca.SX(0, 1), *(padded[i, :].T for i in self.fu_rows))
         return ca.Function(
             "linearize_f",
             [self.x, self.u, self.p],
-            [self.f, nonzeros, rows],
+            [self.f, values, rows],
             ["x", "u", "p"],
             ["K", "fx", "Fu"],
         )
 
-    def leaf_slope(self, stage: int) -> Any:
+    def leaf_slope(self, stage: int) -> Function:
         """One column of K_i' = f_x (S + h sum_j a_ij K_j') + [0 f_u]."""
         coefficients = self.tableau.a[stage]
         nonzeros, column, h = ca.SX.sym("fx", self.fx.nnz()), ca.SX.sym("s", self.nx), ca.SX.sym("h")
@@ -245,7 +246,7 @@ class _Builder:
         names = ["fx", "s", "h", "Fu", *(f"K{j}" for j in range(len(slopes)))]
         return ca.Function(f"slope_{stage}", [nonzeros, column, h, fu, *slopes], [value], names, ["Ks"])
 
-    def leaf_combination(self, name: str, coefficients: Sequence[Fraction]) -> Any:
+    def leaf_combination(self, name: str, coefficients: Sequence[Fraction]) -> Function:
         """y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
         x, h = ca.SX.sym("x", self.nx), ca.SX.sym("h")
         slopes = [ca.SX.sym(f"K{j}", self.nx) for j, c in enumerate(coefficients) if c]
@@ -334,7 +335,7 @@ def _locals(b: _Builder, step_only: bool) -> tuple[tuple[str, int], ...]:
     return state if step_only else state + inner
 
 
-def _copy(name: str, n: int) -> Any:
+def _copy(name: str, n: int) -> Function:
     x = ca.SX.sym("x", n)
     return ca.Function(name, [x], [x], ["x"], ["y"])
 
