@@ -208,5 +208,5 @@ def test_bad_damping(bad: object) -> None:
 def test_general_costs_are_refused() -> None:
     ocp = stated(CASES["diagonal"])
     ocp.stage_cost(ca.sin(ocp.u))
-    with pytest.raises(OptionError, match="uses general cost, which hessian .*gauss_newton.* does not support"):
+    with pytest.raises(OptionError, match=r"uses general cost, which hessian GaussNewton\(\)"):
         linearize(classify(ocp), Options())
