@@ -16,7 +16,7 @@ from nmpc_codegen.components.integrators.explicit_runge_kutta import interval_sw
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel
-from nmpc_codegen.ir.sweep import LoopedRoutine, straight
+from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Slice, straight
 from tests.c_harness import Routines
 from tests.models import GRID, LENGTH, discrete_map, problem_of
 from tests.oracles.runge_kutta import MODELS, ORDERS, POINTS, SCHEMES, Array, complex_step, integrate
@@ -240,6 +240,14 @@ def test_maps_and_equations_do_not_mix() -> None:
         ExplicitRungeKutta().check(classify(discrete_map()))
     with pytest.raises(OptionError, match="ordinary differential equation"):
         Discrete().check(stated("crane", True))
+
+
+def test_a_map_has_nothing_to_integrate() -> None:
+    problem = classify(discrete_map())
+    start = Call(ca.Function("nothing", [], [ca.SX(0)]), (), (Slice("l", 1),))
+    for refuse in (Discrete().integrated_cost, Discrete().integrated_gradient):
+        with pytest.raises(OptionError, match="map: a discrete map has no cost per unit of time"):
+            refuse(problem, "path_cost", start, ())
 
 
 # Tableaus and options ----------------------------------------------------------------------------------------------

@@ -148,7 +148,7 @@ class Hessian(Component, Protocol):
         ...
 
 
-class Regularisation(Protocol):
+class Regularization(Protocol):
     """What is done about an indefinite Hessian."""
 
     @property

@@ -16,8 +16,8 @@ from typing import ClassVar
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Named, Number, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
-from nmpc_codegen.components.hessians.regularization import Mirror, Project, Regularization
+from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Regularization, Seam
+from nmpc_codegen.components.hessians.regularization import Mirror, Project
 from nmpc_codegen.components.hessians.stage_cost import StageCost, slices, stage_cost, stage_model
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
