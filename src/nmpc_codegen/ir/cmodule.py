@@ -103,15 +103,12 @@ class Section:
 class CModule:
     """Everything the templates print; no decision is left to them."""
 
-    name: str
-    precision: Precision
+    description: PackageDescription
     macros: tuple[Macro, ...]
     enums: tuple[Enum, ...]
-    structs: tuple[Struct, ...]  # "solver" last
     tables: tuple[Table, ...]
     settings: tuple[Setting, ...]
     setters: tuple[Setter, ...]
-    layouts: Layouts
     routines: tuple[Routine, ...]
     products: Products
     switches: Mapping[str, int]  # what `#if` in the parts may test besides the sizes
@@ -119,8 +116,27 @@ class CModule:
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
     diagonal_weight: bool
     diagonal_weight_N: bool
-    description: PackageDescription
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text of code that another generator writes
+
+    @property
+    def name(self) -> str:
+        """Prefix of functions and types, stem of the files."""
+        return self.description.name
+
+    @property
+    def precision(self) -> Precision:
+        """Working precision."""
+        return self.description.precision
+
+    @property
+    def structs(self) -> tuple[Struct, ...]:
+        """A struct stands after those that it holds, "solver" last."""
+        return self.description.structs
+
+    @property
+    def layouts(self) -> Layouts:
+        """How what can be changed at run time is stored."""
+        return self.description.online
 
     @property
     def statuses(self) -> tuple[Status, ...]:
@@ -139,15 +155,12 @@ class CModule:
 
     def value(self, macro: str) -> int:
         """Value of a size macro."""
-        for m in self.macros:
-            if m.name == macro:
-                return m.value
-        raise KeyError(macro)
+        return self.description.sizes[macro]
 
     @property
     def bytes(self) -> int:
         """sizeof the solver struct."""
-        return struct_layout(self.structs, self.precision)["solver"][0]
+        return self.description.report.ram_bytes
 
 
 def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[int, int]]:

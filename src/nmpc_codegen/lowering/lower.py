@@ -56,18 +56,15 @@ def lower(model: Model, name: str | None = None) -> CModule:
     )
     macros = _macros(model, dims)
     return CModule(
-        name=name,
-        precision=model.precision,
+        description=_description(model, name, macros, structs),
         macros=macros,
         enums=_enums(problem),
-        structs=structs,
         tables=_tables(model),
         settings=_settings(model, dims),
         setters=_setters(model),
-        layouts=model.online.layouts,
         routines=model.routines,
         products=model.products,
-        switches={name: value for c in model.parts.components for name, value in c.switches.items()},
+        switches={switch: value for c in model.parts.components for switch, value in c.switches.items()},
         sections=sections,
         signals=(
             ("x", problem.state_names),
@@ -80,7 +77,6 @@ def lower(model: Model, name: str | None = None) -> CModule:
         ),
         diagonal_weight=problem.path.diagonal_weight,
         diagonal_weight_N=problem.terminal.diagonal_weight,
-        description=_description(model, name, macros, structs),
         foreign={
             path: text
             for c in model.parts.components
