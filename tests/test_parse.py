@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from benchmarks.lib import doors_trust, mutated_package
 from nmpc_codegen.errors import BuildError, ControllerError
 from nmpc_codegen.runtime.build import load
-from nmpc_codegen.runtime.package_description import PackageDescription
+from nmpc_codegen.runtime.package_description import OpCount, PackageDescription, Report
 from nmpc_codegen.runtime.parse import MAX_CHARACTERS
 
 TOY = Path(__file__).parent / "data" / "toy"
@@ -49,6 +50,11 @@ MEMBER = {"name": "a", "type": "loop", "shape": [], "padded": [], "role": "", "d
         ("discrete", 0, "discrete is 0; expected true or false"),
         ("options", "\ud800", "options is .*Unicode"),
         ("report", [], "report is .*an object"),
+        ("report", {"ram_bytes": -1}, r"report\.ram_bytes is -1; expected an integer"),
+        ("report", {"choices": "qp"}, r"report\.choices is 'qp'; expected a list"),
+        ("report", {"operations": {"kkt": {"add": 1}}}, r"report\.operations\.kkt\.mul is missing"),
+        ("report", {"speed": 1}, r"report\.'speed' is an entry that this version does not know"),
+        ("structs.0.fields.0.role", "", r"fields\[0\]\.role is ''; expected one of setting, data"),
         ("online.weight", "often", r"online\.weight is 'often'; expected one of fixed, shared, node"),
         ("states.1.offset", 0, r"states\[1\]\.offset is 0; expected 1"),
         ("states.1.name", "p", r"states\[1\]\.name is 'p'"),
@@ -72,6 +78,16 @@ MEMBER = {"name": "a", "type": "loop", "shape": [], "padded": [], "role": "", "d
 def test_an_entry_that_is_wrong(toy_files: Files, path: str, value: Any, message: str) -> None:
     with pytest.raises(ControllerError, match=message):
         PackageDescription.from_json(changed(toy_files["toy.json"], path, value))
+
+
+def test_what_is_read_is_what_was_written(toy_files: Files) -> None:
+    """Soft penalties and a report included; toy.json was written by hand and says nothing of them."""
+    read = PackageDescription.from_json(toy_files["toy.json"])
+    rows = tuple(replace(row, soft=(10.0, 0.5)) for row in read.rows)
+    report = Report(8, {"kkt": 4}, {"linearize": OpCount(add=1, call=2)}, 3, ("qp: none",), ("path_exact",))
+    described = replace(read, rows=rows, report=report)
+    assert described != read
+    assert PackageDescription.from_json(described.to_json()) == described
 
 
 @pytest.mark.parametrize(
