@@ -66,6 +66,7 @@ MEMBER = {"name": "a", "type": "loop", "shape": [], "padded": [], "role": "", "d
         ("rows.1.nodes", [1, 5], r"rows\[1\]\.nodes\[1\] is 5"),
         ("rows.1.nodes", [2, 1], r"rows\[1\]\.nodes is \[2, 1\]; expected .*ascending"),
         ("rows.0.lower", 6, r"rows\[0\]\.lower is 6; expected at most"),
+        ("rows.0.name", "a[0]_middle", r"expected a name like v or r\[0\]"),
         ("rows.0.name", "a[", r"rows\[0\]\.name is 'a\['"),
         ("rows.1.name", "a", "rows of different names"),
         ("structs.3.name", "solve", "a struct solver among them"),
@@ -81,9 +82,9 @@ def test_an_entry_that_is_wrong(toy_files: Files, path: str, value: Any, message
 
 
 def test_what_is_read_is_what_was_written(toy_files: Files) -> None:
-    """Soft penalties and a report included; toy.json was written by hand and says nothing of them."""
+    """Soft penalties, rows at the end and a report included, of which toy.json, written by hand, says nothing."""
     read = PackageDescription.from_json(toy_files["toy.json"])
-    rows = tuple(replace(row, soft=(10.0, 0.5)) for row in read.rows)
+    rows = tuple(replace(row, name=f"r[{i}]_end", soft=(10.0, 0.5)) for i, row in enumerate(read.rows))
     report = Report(8, {"kkt": 4}, {"linearize": OpCount(add=1, call=2)}, 3, ("qp: none",), ("path_exact",))
     described = replace(read, rows=rows, report=report)
     assert described != read

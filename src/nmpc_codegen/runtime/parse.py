@@ -19,7 +19,7 @@ FORMAT = 1
 MAX_CHARACTERS = 2**24
 MAX_INTEGER = 2**31 - 1
 MAX_SHOWN = 40  # characters of a name in an error
-ELEMENT = re.compile(r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+\])?")
+ELEMENT = re.compile(r"[A-Za-z_][A-Za-z_0-9]*(\[[0-9]+\](_start|_end)?)?")
 
 Word = TypeVar("Word", bound=str)
 
@@ -137,7 +137,7 @@ class Entry:
         return self.text()
 
     def element(self) -> str:
-        """The name of an element: ``v`` or ``r[0]``."""
+        """The name of an element, ``v`` or ``r[0]``, or of a row that holds at one end alone, ``r[0]_end``."""
         if ELEMENT.fullmatch(self.text()) is None:
             self.fail("a name like v or r[0]")
         return self.text()
