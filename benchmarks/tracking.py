@@ -318,12 +318,12 @@ def sizes(report: Report, examples: Sequence[Example] = EXAMPLES) -> None:
         name = example.name
         module = lower(linearize(classify(example.make()), example.options))
         sources = render(module)
-        facts = module.metadata["report"]
-        report.add(f"{name}_ram_bytes", facts["ram_bytes"], "bytes", profile="exact")
+        facts = module.description.report
+        report.add(f"{name}_ram_bytes", facts.ram_bytes, "bytes", profile="exact")
         text = sum(len(sources[f"{name}.{ending}"].encode()) for ending in ("h", "c"))
         report.add(f"{name}_source_bytes", text, "bytes", profile="exact")
-        for part in sorted(COUNTED & facts["operations"].keys()):
-            operations = sum(facts["operations"][part].values())
+        for part in sorted(COUNTED & facts.operations.keys()):
+            operations = facts.operations[part].total
             report.add(f"{name}_{part}_operations", operations, "operations", profile="exact")
         report.add(f"{name}_code_bytes", code_bytes(sources, name), "bytes")
 

@@ -61,7 +61,7 @@ int call_solve(stage_solver_t *s) { return (int)condense_solve(s); }
 
 def solvers() -> dict[str, Options]:
     """Options of every registered pair of condensing and generated QP solver that fit, by "condensing+qp"."""
-    ours = [q for q in qp.REGISTRY.values() if not hasattr(q, "foreign_sources")]
+    ours = [q for q in qp.REGISTRY.values() if q is not qp.Osqp]
     pairs = itertools.product(condensing.REGISTRY.values(), ours)
     return {f"{c.name}+{q.name}": solver_options(c(), q()) for c, q in pairs if c.gives == q.takes}
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from nmpc_codegen import OCP, Options
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
@@ -60,14 +61,14 @@ def count_mismatches(ocp: OCP, options: Options | None = None) -> list[Mismatch]
 
 def mismatches(module: CModule, sources: Sources) -> list[Mismatch]:
     """The same for a lowered package and its text."""
-    stated = {name: _compared(count) for name, count in module.metadata["report"]["operations"].items()}
+    stated = {name: _compared(count) for name, count in module.description.report.operations.items()}
     calls = {name: _call(module, name) for name in stated}
     counted = run_counting(sources, module.name, calls, _room(module))
     return [(name, stated[name], counted[name]) for name in stated if stated[name] != counted[name]]
 
 
-def _compared(count: Mapping[str, int]) -> dict[str, int]:
-    return {name: count[name] for name in CLASSES}
+def _compared(count: OpCount) -> dict[str, int]:
+    return {name: getattr(count, name) for name in CLASSES}
 
 
 def _call(module: CModule, name: str) -> str:

@@ -1,7 +1,7 @@
 """The compiler on one screen.
 
-    OCP --classify--> Problem --linearize--> Linearization --lower--> CModule --render--> Sources --build--> Controller
-    (user, mutable)  (frozen: what)         (frozen: which functions) (frozen: C nouns)  (path -> text)   (NumPy views)
+    OCP --classify--> Problem --linearize--> Model --lower--> CModule --render--> Sources --build--> Controller
+    (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C nouns)  (path -> text)  (NumPy views)
 
 Every stage is a pure function from frozen values to a frozen value; only OCP (before) and Controller (after) mutate.
 CasADi ends in linearize, jinja2 lives in render, cffi in build.
@@ -9,7 +9,6 @@ CasADi ends in linearize, jinja2 lives in render, cffi in build.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
@@ -48,17 +48,15 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
         ProblemError: the problem is stated wrongly.
         OptionError: options clash, or a component does not support the problem.
     """
+    module = compiled(ocp, options, name)
+    return sealed(render(module), module.name)
+
+
+def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
+    """The pipeline up to the last value before text. Raises as generate() does."""
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
-    problem = classify(ocp)
-    linearization = linearize(problem, options or Options())
-    module = lower(linearization, name)
-    sources = render(module)
-    for component in linearization.options.components:
-        if component.name in module.foreign:
-            sizes = module.value("NV"), module.value("NG")
-            sources |= component.foreign_sources(module.name, module.precision, *sizes)  # type: ignore[attr-defined]
-    return sealed(sources, module.name)
+    return lower(linearize(classify(ocp), options or Options()), name)
 
 
 def export(
@@ -83,17 +81,17 @@ def export(
         ProblemError, OptionError: see generate(); foreign code that is not allowed.
         ExportError: a file must not be replaced, or the system refuses to write; the folder is as before.
     """
-    sources = generate(ocp, options, name)
-    foreign = sorted({path.split("/")[0] for path in sources if "/" in path})
+    module = compiled(ocp, options, name)
+    foreign = module.folders
     if foreign and not allow_foreign:
         raise OptionError(
             f"qp {foreign[0]!r} brings foreign code with globals, which export() refuses; "
             "choose another solver, or export(..., allow_foreign=True) (--allow-foreign)"
         )
+    sources = sealed(render(module), module.name)
     folder = write(directory, sources, force=force)
-    prefix = ocp.name if name is None else name
-    report = json.loads(sources[f"{prefix}.json"])["report"]
-    return Package(folder, prefix, tuple(folder / path for path in sources), report)
+    files = tuple(folder / path for path in sources)
+    return Package(folder, module.name, files, module.description.report.as_dict())
 
 
 def build(

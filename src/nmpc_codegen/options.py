@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, get_args
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
 from nmpc_codegen.components.allowed import Flag, Words, check_options, option, rules
-from nmpc_codegen.components.base import SEAMS, Component
+from nmpc_codegen.components.base import Algorithm, Component, Condensing, Hessian, Integrator, QpSolver, Seam
 from nmpc_codegen.components.hessians import GaussNewton
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.runtime.package_description import Layout, Layouts, Precision
 
-REGISTRIES: dict[str, dict[str, Any]] = {
-    "integrator": dict(integrators.REGISTRY),
-    "hessian": dict(hessians.REGISTRY),
-    "condensing": dict(condensing.REGISTRY),
-    "qp": dict(qp.REGISTRY),
-    "algorithm": dict(algorithms.REGISTRY),
+REGISTRIES: Mapping[str, Mapping[str, type[Component]]] = {
+    "integrator": integrators.REGISTRY,
+    "hessian": hessians.REGISTRY,
+    "condensing": condensing.REGISTRY,
+    "qp": qp.REGISTRY,
+    "algorithm": algorithms.REGISTRY,
 }
 
-PRECISIONS = ("double", "single")
+PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
-LAYOUTS = ("fixed", "shared", "node")
+LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 
 @dataclass(frozen=True)
@@ -34,10 +36,10 @@ class Online:
     diagonal, so that one with entries off its diagonal can be set.
     """
 
-    reference: str = option("node", Words(LAYOUTS))
-    weight: str = option("shared", Words(LAYOUTS))
-    bounds: str = option("shared", Words(LAYOUTS))
-    parameter: str = option("node", Words(LAYOUTS))
+    reference: Layout = option("node", Words(LAYOUTS))
+    weight: Layout = option("shared", Words(LAYOUTS))
+    bounds: Layout = option("shared", Words(LAYOUTS))
+    parameter: Layout = option("node", Words(LAYOUTS))
     dense_weight: bool = option(False, Flag())
 
     def __post_init__(self) -> None:
@@ -49,16 +51,21 @@ class Online:
             )
 
     @property
-    def layouts(self) -> dict[str, str]:
+    def layouts(self) -> Layouts:
         """Kind of data -> how it is stored."""
-        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "dense_weight"}
+        return {
+            "reference": self.reference,
+            "weight": self.weight,
+            "bounds": self.bounds,
+            "parameter": self.parameter,
+        }
 
 
 @dataclass(frozen=True)
 class Chosen:
     """Rule of a seam: one of its components, or, ``optional``, None: the compiler chooses."""
 
-    seam: str
+    seam: Seam
     optional: bool = False
 
     def converted(self, value: Any) -> Any:
@@ -93,18 +100,13 @@ class Group:
 class Options:
     """One component per seam; None is chosen from the problem, and the report says why."""
 
-    integrator: Any = option(None, Chosen("integrator", optional=True))
-    hessian: Any = option(GaussNewton(), Chosen("hessian"))
-    condensing: Any = option(None, Chosen("condensing", optional=True))
-    qp: Any = option(None, Chosen("qp", optional=True))
-    algorithm: Any = option(RealTimeIteration(), Chosen("algorithm"))
+    integrator: Integrator | None = option(None, Chosen("integrator", optional=True))
+    hessian: Hessian = option(GaussNewton(), Chosen("hessian"))
+    condensing: Condensing | None = option(None, Chosen("condensing", optional=True))
+    qp: QpSolver | None = option(None, Chosen("qp", optional=True))
+    algorithm: Algorithm = option(RealTimeIteration(), Chosen("algorithm"))
     online: Online = option(Online(), Group(Online))
-    precision: str = option("double", Words(PRECISIONS))
+    precision: Precision = option("double", Words(PRECISIONS))
 
     def __post_init__(self) -> None:
         check_options(self, "")
-
-    @property
-    def components(self) -> tuple[Component, ...]:
-        """The components in the order of their sections; only complete options have them."""
-        return tuple(getattr(self, seam) for seam in SEAMS)

@@ -16,7 +16,7 @@ from nmpc_codegen.components.integrators.explicit_runge_kutta import interval_sw
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel
-from nmpc_codegen.ir.sweep import LoopedRoutine, straight
+from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Slice, straight
 from tests.c_harness import Routines
 from tests.models import GRID, LENGTH, discrete_map, problem_of
 from tests.oracles.runge_kutta import MODELS, ORDERS, POINTS, SCHEMES, Array, complex_step, integrate
@@ -47,7 +47,8 @@ def compiled(request: pytest.FixtureRequest) -> Compiled:
         for steps in STEPS:
             for unroll in UNROLL:
                 component = ExplicitRungeKutta(TABLEAUS[scheme], steps, unroll)  # type: ignore[arg-type]
-                interval, step = component.routines(stated(model, uniform))
+                functions = component.interval(stated(model, uniform))
+                interval, step = functions.linearize, functions.step
                 routines[f"interval_{unroll}_{steps}_{uniform}"] = interval
                 routines["step"] = step
     return model, scheme, Routines(routines)
@@ -108,7 +109,7 @@ def test_sensitivities_in_single_precision(model: str) -> None:
     """64 eps: S carries the rounding of about 30 stages."""
     point, routines = POINTS[model], {}
     for unroll in UNROLL:
-        routines[unroll] = ExplicitRungeKutta(steps=2, unroll=unroll).routines(stated(model, False))[0]
+        routines[unroll] = ExplicitRungeKutta(steps=2, unroll=unroll).interval(stated(model, False)).linearize
     compiled_single = Routines(routines, "single")
     x_next, S = integrate(MODELS[model], "RK4", 2, GRID[0], *point)
     for unroll in UNROLL:
@@ -156,7 +157,7 @@ def test_order_of_convergence(compiled: Compiled) -> None:
 
 def test_unroll_decides_what_is_printed() -> None:
     problem = stated("crane", True)
-    spelled = {unroll: ExplicitRungeKutta(unroll=unroll).routines(problem)[0] for unroll in UNROLL}
+    spelled = {unroll: ExplicitRungeKutta(unroll=unroll).interval(problem).linearize for unroll in UNROLL}
     assert isinstance(spelled["all"], Kernel)
     assert isinstance(spelled["step"], LoopedRoutine)
     assert isinstance(spelled["none"], LoopedRoutine)
@@ -166,12 +167,12 @@ def test_unroll_decides_what_is_printed() -> None:
 
 def test_auto_prefers_straight_line_code_of_a_limited_size(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = stated("crane", True)
-    whole = ExplicitRungeKutta(steps=3, unroll="all").routines(problem)[0]
-    auto = ExplicitRungeKutta(steps=3, unroll="auto").routines(problem)[0]
+    whole = ExplicitRungeKutta(steps=3, unroll="all").interval(problem).linearize
+    auto = ExplicitRungeKutta(steps=3, unroll="auto").interval(problem).linearize
     assert auto == whole
     limit = "nmpc_codegen.components.integrators.explicit_runge_kutta.AUTO_INSTRUCTIONS"
     monkeypatch.setattr(limit, len(whole.instructions) - 1)
-    rolled = ExplicitRungeKutta(steps=3, unroll="auto").routines(problem)[0]
+    rolled = ExplicitRungeKutta(steps=3, unroll="auto").interval(problem).linearize
     assert isinstance(rolled, LoopedRoutine)
     assert "step" not in rolled.leaves
 
@@ -182,7 +183,7 @@ def test_zero_entries_of_the_tableau_cost_nothing() -> None:
     x, u = ocp.state("x"), ocp.control("u")
     ocp.dynamics({x: u})
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0])
-    interval, _ = ExplicitRungeKutta(steps=1, unroll="all").routines(classify(ocp))
+    interval = ExplicitRungeKutta(steps=1, unroll="all").interval(classify(ocp)).linearize
     assert isinstance(interval, Kernel)
     assert interval.count.call == interval.count.div == 0
     assert {e for o, e, _ in interval.stores if o == 1} == {0, 1}
@@ -192,7 +193,7 @@ def test_zero_entries_of_the_tableau_cost_nothing() -> None:
 
 def test_structural_zeros_of_the_crane_are_kept() -> None:
     """The cart does not feel the load: S has 12 nonzeros, the others are never written."""
-    interval = ExplicitRungeKutta(unroll="all").routines(stated("crane", True))[0]
+    interval = ExplicitRungeKutta(unroll="all").interval(stated("crane", True)).linearize
     assert isinstance(interval, Kernel)
     written = {divmod(e, 5) for o, e, _ in interval.stores if o == 1}
     cart = {(0, 0), (0, 1), (0, 4), (1, 1), (1, 4)}
@@ -207,7 +208,7 @@ def test_a_state_that_vanishes_is_written() -> None:
     x, u = ocp.state("x", size=2), ocp.control("u")
     ocp.dynamics(ca.vertcat(-x[0], u))
     ocp.least_squares(ca.vertcat(x, u), weight=np.ones(3))
-    interval, _ = ExplicitRungeKutta(TABLEAUS["Euler"], 1, "all").routines(classify(ocp))
+    interval = ExplicitRungeKutta(TABLEAUS["Euler"], 1, "all").interval(classify(ocp)).linearize
     x_next, S = np.full(2, 7.0), np.zeros((2, 3))
     Routines({"f": interval}).raw("f", np.array([3.0, 4.0]), np.array([5.0]), np.zeros(1), np.ones(1), x_next, S)
     np.testing.assert_array_equal(x_next, [0.0, 9.0])
@@ -219,7 +220,8 @@ def test_a_state_that_vanishes_is_written() -> None:
 
 def test_discrete_map() -> None:
     problem = classify(discrete_map())
-    interval, step = Discrete().routines(problem)
+    functions = Discrete().interval(problem)
+    interval, step = functions.linearize, functions.step
     x, u, p = np.array([0.4, -0.7]), np.array([0.2, 0.3]), np.array([0.8])
 
     def phi(z: Array) -> Array:
@@ -235,9 +237,17 @@ def test_discrete_map() -> None:
 
 def test_maps_and_equations_do_not_mix() -> None:
     with pytest.raises(OptionError, match="discrete map"):
-        ExplicitRungeKutta().routines(classify(discrete_map()))
+        ExplicitRungeKutta().check(classify(discrete_map()))
     with pytest.raises(OptionError, match="ordinary differential equation"):
-        Discrete().routines(stated("crane", True))
+        Discrete().check(stated("crane", True))
+
+
+def test_a_map_has_nothing_to_integrate() -> None:
+    problem = classify(discrete_map())
+    start = Call(ca.Function("nothing", [], [ca.SX(0)]), (), (Slice("l", 1),))
+    for refuse in (Discrete().integrated_cost, Discrete().integrated_gradient):
+        with pytest.raises(OptionError, match="map: a discrete map has no cost per unit of time"):
+            refuse(problem, "path_cost", start, ())
 
 
 # Tableaus and options ----------------------------------------------------------------------------------------------
@@ -276,7 +286,7 @@ def test_a_tableau_of_the_user() -> None:
     F = Fraction
     ralston = ButcherTableau("Ralston", ((F(0), F(0)), (F(2, 3), F(0))), (F(1, 4), F(3, 4)), 2)
     x, u, p = POINTS["tanks"]
-    interval = ExplicitRungeKutta(ralston, 2, "none").routines(stated("tanks", False))[0]
+    interval = ExplicitRungeKutta(ralston, 2, "none").interval(stated("tanks", False)).linearize
     unrolled = straight(interval_sweep(stated("tanks", False), ralston, 2))
     routines = Routines({"loops": interval, "line": unrolled})
     m, h = MODELS["tanks"], 0.1

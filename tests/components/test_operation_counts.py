@@ -66,7 +66,7 @@ def test_both_spellings_of_the_products(name: str, spelling: str, monkeypatch: p
 
 def test_what_is_stated_covers_routines_products_and_components() -> None:
     module = module_of(PROBLEMS["general"](), Options(qp=DenseActiveSet()))
-    stated = set(module.metadata["report"]["operations"])
+    stated = set(module.description.report.operations)
     assert {r.name for r in module.routines} <= stated
     assert set(module.products.counts) <= stated
     assert {"hessian", "linearize", "condense_hessian", "condense_gradient", "condense_embed"} <= stated
@@ -78,11 +78,11 @@ def test_a_wrong_count_is_found() -> None:
     module = module_of(problem_of("reactor"))
     functions = ("integrator_interval", "state_step", "condense_hessian", "linearize", "path_gradient")
     wrong = dict(zip(functions, CLASSES, strict=True))
-    operations = dict(module.metadata["report"]["operations"])
+    operations = dict(module.description.report.operations)
     for function, cls in wrong.items():
-        operations[function] = {**operations[function], cls: operations[function][cls] + 1}
-    report = {**module.metadata["report"], "operations": operations}
-    altered = dataclasses.replace(module, metadata={**module.metadata, "report": report})
+        operations[function] += OpCount(**{cls: 1})
+    report = dataclasses.replace(module.description.report, operations=operations)
+    altered = dataclasses.replace(module, description=dataclasses.replace(module.description, report=report))
     found = mismatches(altered, render(module))
     assert {name for name, _, _ in found} == set(functions)
     for name, stated, counted in found:
@@ -92,7 +92,7 @@ def test_a_wrong_count_is_found() -> None:
 def test_sections_of_the_table_of_contents() -> None:
     """The figure of a section is the sum over its functions, and it is what the text prints."""
     module = module_of(PROBLEMS["general"](), Options(qp=DenseActiveSet()))
-    operations = {name: OpCount(**count) for name, count in module.metadata["report"]["operations"].items()}
+    operations = module.description.report.operations
     expected = {
         "condensing": ("condense_hessian", "condense_gradient", "condense_embed", "condense_expand"),
         "hessian": ("hessian",),
@@ -123,4 +123,4 @@ def test_the_counting_scalar_replaces_the_type_in_both_precisions() -> None:
 def test_lower_states_the_same_counts_twice() -> None:
     """lower() is a pure function: asking again changes nothing."""
     lin = linearize(classify(problem_of("crane")), Options())
-    assert lower(lin).metadata == lower(lin).metadata
+    assert lower(lin).description == lower(lin).description

@@ -12,7 +12,7 @@ import pytest
 
 from examples import bioreactor, cart_pole, chain, crane
 from nmpc_codegen import OCP
-from nmpc_codegen.components.hessians.stage_cost import integrated_kernels
+from nmpc_codegen.components.hessians.stage_cost import stage_model
 from nmpc_codegen.components.integrators import TABLEAUS, Discrete, ExplicitRungeKutta, derivatives, symmetric
 from nmpc_codegen.components.integrators.derivatives import Derivatives
 from nmpc_codegen.frontend.classify import classify
@@ -159,7 +159,8 @@ def test_integrated_cost(steps: int, uniform: bool) -> None:
         component = ExplicitRungeKutta(TABLEAUS["SSPRK3"], steps, unroll)
         for scheme in SWEEPS:
             routines[f"{scheme}_{unroll}"] = curved(economic(uniform), component, scheme)
-        for name, routine in zip(("cost", "gradient"), integrated_kernels(economic(uniform), component), strict=True):
+        path = stage_model(economic(uniform), component, "path")
+        for name, routine in (("cost", path.cost), ("gradient", path.gradient)):
             routines[f"{name}_{unroll}"] = routine
     call = Routines(routines)
     for unroll in UNROLL:

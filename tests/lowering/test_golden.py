@@ -1,6 +1,6 @@
 """Golden files: what is printed rather than written by hand, byte by byte. ``pytest --update-golden`` writes them anew.
 
-All but one come from a hand-written Linearization, so that they change with the printer and the templates only; the
+All but one come from a hand-written Model, so that they change with the printer and the templates only; the
 lifted one also changes with CasADi and is compared under the version that wrote it.
 """
 
@@ -15,17 +15,19 @@ import casadi as ca
 import pytest
 
 from nmpc_codegen import OCP, ExplicitRungeKutta, Options
-from nmpc_codegen.components.base import SEAMS
+from nmpc_codegen.components.base import SEAMS, Parts
 from nmpc_codegen.components.integrators import TABLEAUS, ButcherTableau
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
+from nmpc_codegen.ir.model import Interval, StageModel
 from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.stage_products import pattern
 from nmpc_codegen.ir.sweep import print_routine
-from nmpc_codegen.lowering.linearize import Linearization, linearize
+from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
-from nmpc_codegen.options import REGISTRIES
+from nmpc_codegen.options import REGISTRIES, Online
 from tests.ir.test_sweep import SWEEP, looped
 from tests.models import problem_of
 
@@ -96,7 +98,7 @@ def dynamics() -> tuple[Kernel, Kernel]:
     return kernels[0], kernels[1]
 
 
-def cost(stage: str) -> tuple[Kernel, ...]:
+def cost(stage: str) -> tuple[Kernel, Kernel, Kernel]:
     """Cost, gradient and Hessian of a diagonal least-squares term in (x, u) or x."""
     path = stage == "path"
     inputs = (X, U, P, DT) if path else (X, P)
@@ -134,12 +136,23 @@ def rows() -> tuple[Kernel, Kernel]:
     return path.kernel(), end.kernel()
 
 
-def handwritten() -> Linearization:
-    """The whole Linearization of stated(), with the first component of every seam."""
+def handwritten() -> Model:
+    """The whole Model of stated(), with the first component of every seam."""
     defaults = {seam: next(iter(REGISTRIES[seam].values()))() for seam in SEAMS}
-    options = Options(**{**defaults, "integrator": ExplicitRungeKutta(TABLEAUS["Euler"], 1)})
-    routines = (*dynamics(), *cost("path"), *cost("terminal"), *rows())
-    return Linearization(stated(), options, ("written by hand",), routines, True)
+    parts = Parts(**{**defaults, "integrator": ExplicitRungeKutta(TABLEAUS["Euler"], 1)})
+    path, terminal = (
+        StageModel(value, slope, pattern(block, "Q"), block, rows=row)
+        for (value, slope, block), row in zip((cost("path"), cost("terminal")), rows(), strict=True)
+    )
+    return Model(
+        *(Interval(*dynamics()), path, terminal, None, None),
+        problem=stated(),
+        parts=parts,
+        online=Online(),
+        precision="double",
+        choices=("written by hand",),
+        constant_hessian=True,
+    )
 
 
 @functools.cache

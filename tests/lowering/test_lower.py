@@ -16,6 +16,7 @@ from nmpc_codegen.ir.cmodule import CModule, Field, Size, Struct, check_prefix, 
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
+from nmpc_codegen.runtime.package_description import PackageDescription
 from tests import problems
 from tests.c_harness import memory_layout, shared_library
 
@@ -49,7 +50,7 @@ def test_layout_equals_that_of_the_compiler(case: str, precision: str) -> None:
         assert found[struct.name] == layout[struct.name][0], struct.name
     for field in m.structs[-1].fields:
         assert found[f"offset {field.name}"] == dtype.fields[field.name][1], field.name
-    assert m.bytes == found["solver"] == m.metadata["report"]["ram_bytes"]
+    assert m.bytes == found["solver"] == m.description.report.ram_bytes
     assert f"one {m.name}_solver_t is {m.bytes} bytes" in render(m)[f"{m.name}.h"]
 
 
@@ -144,7 +145,7 @@ def test_every_name_carries_the_prefix() -> None:
     assert all(name.startswith("OTHER_") for name in re.findall(r"^    (\w+) = ", body, re.M))
     assert all(name.startswith("other_") for name in re.findall(r"^(?:[\w* ]+[ *])(\w+)\(", body, re.M))
     assert "parameters" not in set(re.findall(r"\b(\w+?)_\w+\(", body))
-    assert m.metadata["name"] == "other"
+    assert m.description.name == "other"
 
 
 @pytest.mark.parametrize("bad", ["Crane", "2fast", "a-b", "", "_x", "kran\u00fc", "a b"])
@@ -159,11 +160,11 @@ def test_sizes_in_c() -> None:
     assert Field("f", (Size("NH", 0), Size("NX", 4)), "", "data").padded == (1, 4)
 
 
-def test_metadata_is_json_and_agrees_with_the_structs() -> None:
+def test_description_is_json_and_agrees_with_the_structs() -> None:
     for case in CASES:
         m = module(case)
         data = json.loads(render(m)[f"{m.name}.json"])
-        assert data == json.loads(json.dumps(dict(m.metadata)))
+        assert PackageDescription.from_json(render(m)[f"{m.name}.json"]) == m.description
         assert data["sizes"] == {macro.name: macro.value for macro in m.macros}
         described = {s["name"]: [f["name"] for f in s["fields"]] for s in data["structs"]}
         assert described == {s.name: [f.name for f in s.fields] for s in m.structs}

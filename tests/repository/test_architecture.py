@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import importlib
 import inspect
 import json
@@ -16,11 +17,24 @@ from typing import Any
 import pytest
 
 import nmpc_codegen
-from nmpc_codegen.components.base import SEAMS
-from nmpc_codegen.options import REGISTRIES
+from benchmarks.lib import rooms, typing_figures
+from benchmarks.lib.rooms import (
+    MODULES,
+    RANK,
+    ROOT,
+    SOURCE,
+    imports,
+    modules_per_room,
+    own_imports,
+    place,
+    room,
+    upward_imports,
+)
+from nmpc_codegen.components.base import SEAMS, Component, Parts
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.options import REGISTRIES, Options
 
-ROOT = Path(__file__).parents[2]
-SOURCE = ROOT / "src" / "nmpc_codegen"
 TEMPLATES = ROOT / "templates"
 
 #: Seam -> folder, in src and in templates alike.
@@ -31,13 +45,6 @@ FOLDERS = {
     "qp": "qp",
     "algorithm": "algorithms",
 }
-
-#: A room imports only rooms before it; the ground floor (modules of the package itself) is looked at one by one.
-ORDER = (
-    *("errors", "runtime", "ir", "frontend", "components", "options", "lowering", "oracle"),
-    *("compiler", "cli"),
-)
-RANK = {room: rank for rank, room in enumerate(ORDER)}
 
 #: A stage knows the value it is given and the one it makes, not the stages before.
 BLIND = {
@@ -61,37 +68,8 @@ MAX_C_FUNCTION = 50
 HEAD = 12  # lines of a template that state its contract
 DRAWERS = {"util", "utils", "helper", "helpers", "manager", "managers", "misc", "common"}
 
-MODULES = sorted(path for path in SOURCE.rglob("*.py"))
 PYTHON = sorted(path for folder in ("src", "tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
 COMPONENTS = [cls for registry in REGISTRIES.values() for cls in registry.values()]
-
-
-def place(path: Path) -> str:
-    """Dotted name of a module below nmpc_codegen with slashes: "runtime/build"."""
-    return "/".join(path.relative_to(SOURCE).with_suffix("").parts)
-
-
-def room(name: str) -> str:
-    """First part of a place or of a dotted name below nmpc_codegen."""
-    return re.split(r"[./]", name)[0]
-
-
-def imports(path: Path) -> Iterator[str]:
-    """Dotted names of all modules that a file imports, inside functions and for type checking too."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            if node.module == "nmpc_codegen":
-                yield from (f"nmpc_codegen.{alias.name}" for alias in node.names)
-            elif node.module:
-                yield node.module
-
-
-def own_imports(path: Path) -> set[str]:
-    """Dotted names below nmpc_codegen that a source file imports."""
-    return {name.removeprefix("nmpc_codegen.") for name in imports(path) if name.startswith("nmpc_codegen.")}
 
 
 def test_every_module_is_in_a_room() -> None:
@@ -101,10 +79,7 @@ def test_every_module_is_in_a_room() -> None:
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
 def test_imports_run_one_way(path: Path) -> None:
     here = place(path)
-    if here == "__init__":
-        return
-    back = {name for name in own_imports(path) if RANK[room(name)] > RANK[room(here)]}
-    assert not back, f"{here} may not import {back}"
+    assert not upward_imports(path), f"{here} stands before them"
     for blind in BLIND.get(here, set()):
         assert not {name for name in own_imports(path) if name == blind or name.startswith(f"{blind}.")}
     if here.startswith("components/") and here.count("/") > 1:
@@ -113,10 +88,45 @@ def test_imports_run_one_way(path: Path) -> None:
         assert not seen, "components see one another through contracts only"
 
 
+def test_an_upward_import_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inside a function and for type checking, too."""
+    monkeypatch.setattr(rooms, "SOURCE", tmp_path)
+    path = tmp_path / "ir" / "module.py"
+    path.parent.mkdir()
+    path.write_text("def f():\n    from nmpc_codegen.lowering.lower import lower\nimport nmpc_codegen.runtime.status\n")
+    assert upward_imports(path) == {"lowering.lower"}
+
+
 def test_rooms_are_small() -> None:
-    for folder in {path.parent for path in MODULES}:
-        modules = [path.name for path in folder.glob("*.py") if path.name != "__init__.py"]
-        assert len(modules) <= MODULES_PER_ROOM, folder
+    assert max(modules_per_room().values()) <= MODULES_PER_ROOM
+
+
+def test_seams_and_values_are_typed() -> None:
+    """No Any, object or dict of words in options, components, Model and CModule."""
+    assert {Options, Component, Parts, Model, CModule} <= set(typing_figures.classes())
+    assert typing_figures.untyped_options() == []
+
+
+@dataclasses.dataclass(frozen=True)
+class _Untyped:
+    field: Any
+    words: dict[str, int]
+    typed: dict[int, str]
+
+    def method(self, what: object) -> int:
+        return 0
+
+    @property
+    def member(self) -> tuple[Any, ...]:
+        return ()
+
+    def _private(self) -> Any:
+        return None
+
+
+def test_a_missing_type_is_found() -> None:
+    found = [place.split(":")[0] for place in typing_figures.untyped(_Untyped)]
+    assert found == [f"_Untyped.{name}" for name in ("field", "words", "method", "member")]
 
 
 @pytest.mark.parametrize("path", sorted((SOURCE / "runtime").glob("*.py")), ids=lambda p: p.name)

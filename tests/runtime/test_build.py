@@ -19,7 +19,7 @@ from nmpc_codegen.runtime.cache import cache_directory
 
 Files = dict[str, str]
 build = sys.modules["nmpc_codegen.runtime.build"]  # the name nmpc_codegen.runtime.build is the function
-SOURCE = Path(str(build.__file__)).parents[1]
+SOURCE = Path(str(build.__file__)).parents[2]
 
 pytestmark = pytest.mark.usefixtures("compiler")
 

@@ -61,7 +61,7 @@ def test_step_is_optimal(toy: Controller) -> None:
 
 def test_step_is_the_c_function_step(toy: Controller) -> None:
     twin = toy.copy()
-    ffi = twin._library.ffi
+    ffi = twin._package.ffi
     u0 = ffi.new("toy_real[1]")
     assert twin._call("step", twin._s, ffi.new("toy_real[2]", FIRST.tolist()), u0) == 0
     assert toy.step(FIRST)[0] == u0[0]
@@ -339,7 +339,7 @@ def test_names_sizes_stats(toy: Controller) -> None:
     toy.step([1.0, 0.0])
     assert toy.stats.active_set_changes == 2
     assert toy.stats.qp_iterations == 1
-    assert toy.nbytes == toy._library.ffi.sizeof("toy_solver_t")
+    assert toy.nbytes == toy._package.ffi.sizeof("toy_solver_t")
     assert repr(toy).startswith("<Controller toy: N=4, nx=2, nu=1, np=3, test")
 
 

@@ -185,7 +185,7 @@ def use(ctrl: Controller) -> None:
             for i in range(len(ctrl.names.rows))
             if len(ctrl.description.rows[i].nodes) > 1
         ),
-        *(lambda m=m: _rewrite(ctrl.copy(), m.name) for m in ctrl.description.structs["solver"]),
+        *(lambda m=m: _rewrite(ctrl.copy(), m.name) for m in ctrl.description.members("solver").values()),
         *(lambda: pickle.loads(pickle.dumps(ctrl)).step(x0), lambda: ctrl.copy().step(x0)),
         *(lambda: _saved(ctrl), lambda: simulate(ctrl, x0, 2).summary(), lambda: repr(ctrl), lambda: ctrl.reset()),
     ]

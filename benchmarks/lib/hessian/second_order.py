@@ -233,7 +233,7 @@ def promise(report: Report) -> None:
         for word in spelled:
             way: Any = "all" if word == "scalar" else word
             component = ExplicitRungeKutta(RK4, model.steps, way)
-            routines[f"forward_{word}"] = component.routines(forward)[0]
+            routines[f"forward_{word}"] = component.interval(forward).linearize
             for scheme in SWEEPS:
                 routine = curved(problem, component, scheme)
                 assert isinstance(routine, LoopedRoutine)

@@ -121,15 +121,15 @@ class Timed:
     """A package with its timing functions, in profile "fast"."""
 
     def __init__(self, name: str, N: int, options: Options) -> None:
-        linearization = linearize(classify(stretched(BY_NAME[name], N)), options)
-        self.options = linearization.options
-        module = lower(linearization)
+        model = linearize(classify(stretched(BY_NAME[name], N)), options)
+        self.options = model.options
+        module = lower(model)
         sources = render(module)
         self.folder = tempfile.TemporaryDirectory(prefix="qp_times_")
         for file in (f"{name}.h", f"{name}.c"):
             Path(self.folder.name, file).write_text(sources[file], encoding="utf-8")
         command = [*find_compiler(), *PROFILES["fast"].flags, "-std=c99", f"-DNAME={name}", f'-DPACKAGE="{name}.c"']
-        command += ["-DFULL_CONDENSING"] if self.options.condensing.gives == "condensed" else []
+        command += ["-DFULL_CONDENSING"] if model.parts.condensing.gives == "condensed" else []
         command += ["-I.", str(DRIVER), "-w", "-shared", "-fPIC", "-o", "library.so", "-lm"]
         subprocess.run(command, cwd=self.folder.name, check=True)
         self.library = ctypes.CDLL(str(Path(self.folder.name, "library.so")))

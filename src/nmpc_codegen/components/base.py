@@ -1,6 +1,7 @@
 """The seams of the compiler and the contract that every component fulfils.
 
-A component is a frozen dataclass of its own options. lower.py loops over components and never asks which one it holds.
+A component is a frozen dataclass of its own options. Every seam has one protocol; the compiler asks for nothing
+else, and never which component it holds.
 Seams, in the order in which their sections stand in the generated C: integrator, hessian, condensing, qp, algorithm.
 """
 
@@ -8,20 +9,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, get_args
 
 from nmpc_codegen.errors import OptionError
 
 if TYPE_CHECKING:
     from nmpc_codegen.frontend.problem import Problem, Row
     from nmpc_codegen.ir.cmodule import Size, Struct, Table
-    from nmpc_codegen.ir.kernel import OpCount
-    from nmpc_codegen.ir.sweep import Routine
+    from nmpc_codegen.ir.kernel import OpCount, Port
+    from nmpc_codegen.ir.model import Interval, ModelFunctions, QuadraticModel
+    from nmpc_codegen.ir.sweep import Call, Routine
+    from nmpc_codegen.runtime.package_description import Precision
 
 # C function -> operations of one run
 Counts = Mapping[str, "OpCount"]
 
-SEAMS = ("integrator", "hessian", "condensing", "qp", "algorithm")
+Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
+
+SEAMS: tuple[Seam, ...] = get_args(Seam)
 
 
 @dataclass(frozen=True)
@@ -69,23 +74,16 @@ class QpShape:
 
 
 class Component(Protocol):
-    """What lower.py asks of a component.
+    """What the compiler asks of every component, whatever its seam; `Defaults` has empty answers."""
 
-    A condensing component has besides qp_shape(problem) -> QpShape, adapted(problem) -> the component that does the
-    same for this problem, itself as a rule, ``gives``, the form of QP it hands on ("condensed", "stages"), and
-    ``columns``: it calls the products with columns.
-    A QP solver has ``takes``, the form it reads, and ``automatic``: qp=None may choose it. One that wraps foreign code
-    has foreign_sources(prefix, precision, nv, ng) -> files below the folder of its name.
-    """
-
-    seam: ClassVar[str]
+    seam: ClassVar[Seam]
     name: ClassVar[str]  # the word of the command line
     template: ClassVar[str]  # its part, below templates/
-    needs: ClassVar[tuple[str, ...]]  # other seams whose contract it calls
+    needs: ClassVar[tuple[Seam, ...]]  # other seams whose contract it calls
     supports: ClassVar[frozenset[str]]  # problem features it takes
 
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """Functions lifted from CasADi that its template calls."""
+    def check(self, problem: Problem) -> None:
+        """Raise OptionError if its options clash with the problem."""
         ...
 
     @property
@@ -105,19 +103,145 @@ class Component(Protocol):
         """The structs it owns inside the solver struct."""
         ...
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
-        """Exact operation counts of its C functions whose count does not depend on data, by function name.
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
+        """Exact operation counts of its C functions whose count does not depend on data.
 
-        ``known`` has the counts of what they call: the printed routines and the stage products.
+        ``model`` has what they call: the lifted functions and the stage products.
         """
         ...
+
+    def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
+        """Code of another generator: path, below a folder of the component's name, -> text."""
+        ...
+
+
+class Integrator(Component, Protocol):
+    """How the state gets from node to node."""
+
+    def longest_step(self, problem: Problem) -> float:
+        """Length (s) of the longest integration step."""
+        ...
+
+    def interval(self, problem: Problem) -> Interval:
+        """integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next)."""
+        ...
+
+    def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` fills g and Q from all inputs but lam, the interval
+        adds its part d(integrated cost) / dz and d2 (lam' Phi + integrated cost) / dz^2, z = (x, u), lower triangle."""
+        ...
+
+    def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more) -> l: what ``start`` leaves in l, plus the integral of the cost rate."""
+        ...
+
+    def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more) -> g: what ``start`` leaves in g, plus the gradient of that integral."""
+        ...
+
+
+class Hessian(Component, Protocol):
+    """Cost, gradient and Hessian blocks of every node."""
+
+    def quadratic_model(self, problem: Problem, integrator: Integrator) -> QuadraticModel:
+        """The functions of both stages; the integrator helps to write those that integrate."""
+        ...
+
+
+class Regularization(Protocol):
+    """What is done about an indefinite Hessian."""
+
+    @property
+    def floor(self) -> float:
+        """Smallest eigenvalue, relative to the largest absolute one."""
+        ...
+
+    @property
+    def level(self) -> str:
+        """Where: "stage", the block of every node, or "reduced", the Hessian after elimination of the states."""
+        ...
+
+    @property
+    def mirrors(self) -> bool:
+        """True: negative eigenvalues change their sign; False: they become the floor."""
+        ...
+
+
+class Condensing(Component, Protocol):
+    """Stage QP -> QP of the form ``gives``."""
+
+    gives: ClassVar[str]  # "condensed" or "stages"
+    columns: ClassVar[bool]  # it calls the products with columns
+
+    @property
+    def label(self) -> str:
+        """Its name with what distinguishes it among the candidates of one problem."""
+        ...
+
+    def qp_shape(self, problem: Problem) -> QpShape:
+        """Sizes of the QP that it makes."""
+        ...
+
+    def adapted(self, problem: Problem) -> Condensing:
+        """The component that does the same for this problem, itself as a rule."""
+        ...
+
+
+class QpSolver(Component, Protocol):
+    """Solver of a QP of the form ``takes``."""
+
+    takes: ClassVar[str]  # "condensed" or "stages"
+    automatic: ClassVar[bool]  # qp=None may choose it
+
+
+class Algorithm(Component, Protocol):
+    """Entry points of the package: prepare, feedback, step, shift, solve."""
+
+    @property
+    def shift(self) -> str | None:
+        """How the plan moves before every prepare; None: it stays."""
+        ...
+
+
+@dataclass(frozen=True)
+class Parts:
+    """One component per seam, with nothing left to choose."""
+
+    integrator: Integrator
+    hessian: Hessian
+    condensing: Condensing
+    qp: QpSolver
+    algorithm: Algorithm
+
+    @property
+    def components(self) -> tuple[Component, ...]:
+        """The components in the order of their sections."""
+        return (self.integrator, self.hessian, self.condensing, self.qp, self.algorithm)
 
 
 class Defaults:
     """A component that adds nothing to a package besides its part."""
 
+    def check(self, problem: Problem) -> None:
+        return None
+
     @property
     def switches(self) -> Mapping[str, int]:
+        return {}
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        return ()
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return ()
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        return ()
+
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
+        return {}
+
+    def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
         return {}
 
 

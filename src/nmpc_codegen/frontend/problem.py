@@ -10,62 +10,22 @@ The terminal stage is a Stage with nu = 0, so nothing exists in triplicate for i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.ir.casadi_types import Expression, Function
+from nmpc_codegen.runtime.package_description import Row as Row
+from nmpc_codegen.runtime.package_description import RowKind as RowKind
+from nmpc_codegen.runtime.package_description import Signal as Signal
+
 Array = NDArray[np.float64]
-
-RowKind = Literal["control", "state", "general", "coupled"]
-
-
-@dataclass(frozen=True)
-class Signal:
-    """A named scalar or vector among the states, controls or parameters.
-
-    ``offset`` is the position of its first element in the stacked vector; ``value`` holds the initial value of a
-    state (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control.
-    """
-
-    name: str
-    size: int
-    unit: str
-    value: tuple[float, ...]
-    offset: int
-    scalar: bool  # declared without size=
-
-    @property
-    def elements(self) -> tuple[str, ...]:
-        """Names of the elements as the user reads them: ``v`` or ``r[0], r[1]``."""
-        return (self.name,) if self.scalar else tuple(f"{self.name}[{i}]" for i in range(self.size))
 
 
 def c_identifier(name: str) -> str:
     """C spelling of an element name: ``r[0]`` becomes ``r_0``."""
     return name.replace("[", "_").replace("]", "")
-
-
-@dataclass(frozen=True)
-class Row:
-    """One scalar row lower <= value <= upper, holding at ``nodes``.
-
-    kind "control": value = u[index], a hard simple bound at every node 0..N-1;
-    kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaced the row altogether (N = 1);
-    kind "general": value = h[index] of the path stage (nodes < N) and h[index_terminal] of the terminal stage (node N),
-    -1 where the row does not exist there;
-    kind "coupled": r[index](x_0, x_N), ``nodes`` is (0, N). ``soft`` is (l1, l2) or None. Equality: lower == upper.
-    """
-
-    name: str
-    kind: RowKind
-    index: int
-    index_terminal: int
-    nodes: tuple[int, ...]
-    lower: float
-    upper: float
-    soft: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,19 +37,19 @@ class Stage:
     ``cost`` holds its dt already; ``cost_rate`` is a quadrature along the interval and is never scaled.
     """
 
-    x: Any
-    u: Any
-    p: Any
-    dt: Any
-    y: Any  # SX (ny,): residual of the least-squares term
+    x: Expression
+    u: Expression
+    p: Expression
+    dt: Expression
+    y: Expression  # SX (ny,): residual of the least-squares term
     y_names: tuple[str, ...]
     reference: Array  # (ny,)
     weight: Array  # (ny, ny), symmetric positive semidefinite
     scale_with_dt: tuple[bool, ...]  # (ny,): the rows of y whose weight is multiplied by dt_k
-    cost: Any  # SX scalar: general cost at the node (already scaled), or None
-    h: Any  # SX (nh,): general rows
+    cost: Expression | None  # SX scalar: general cost at the node (already scaled)
+    h: Expression  # SX (nh,): general rows
     h_names: tuple[str, ...]
-    cost_rate: Any = None  # SX scalar: general cost per unit of time, integrated with the dynamics, or None
+    cost_rate: Expression | None = None  # SX scalar: general cost per unit of time, integrated with the dynamics
     dense_weight: bool = False  # the weight is stored as a matrix even if it has no entry off its diagonal
 
     @property
@@ -131,11 +91,11 @@ class Problem:
     states: tuple[Signal, ...]
     controls: tuple[Signal, ...]
     parameters: tuple[Signal, ...]
-    dynamics: Any
+    dynamics: Function
     discrete: bool
     path: Stage
     terminal: Stage
-    coupled: Any  # SX Function r(x_0, x_N), or None
+    coupled: Function | None  # SX Function r(x_0, x_N)
     rows: tuple[Row, ...]
     free_initial: tuple[int, ...]
     control_reference: tuple[int, ...]
@@ -202,6 +162,6 @@ class Problem:
         return tuple(e for s in self.parameters for e in s.elements)
 
 
-def symbols(nx: int, nu: int, np_: int) -> tuple[Any, Any, Any, Any]:
+def symbols(nx: int, nu: int, np_: int) -> tuple[Expression, Expression, Expression, Expression]:
     """Fresh SX symbols x, u, p, dt of the given sizes."""
     return ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", np_), ca.SX.sym("dt")

@@ -7,93 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import Routine
-
-Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
+from nmpc_codegen.runtime.package_description import Field as Field
+from nmpc_codegen.runtime.package_description import Kind, Layouts, PackageDescription, Precision
+from nmpc_codegen.runtime.package_description import Size as Size
+from nmpc_codegen.runtime.package_description import Struct as Struct
+from nmpc_codegen.runtime.status import Status
 
 # Bytes of the C types; "real" depends on the precision.
 REAL_BYTES = {"double": 8, "single": 4}
-
-
-@dataclass(frozen=True)
-class Size:
-    """A compile-time size: a C expression in the package's macros and its value, e.g. ("N + 1", 11).
-
-    ``text`` names macros without prefix; ``c(prefix)`` writes them with it.
-    """
-
-    text: str
-    value: int
-
-    def c(self, macro: str) -> str:
-        """C text with every identifier prefixed, e.g. ``CRANE_N + 1``."""
-        words = (f"{macro}_{w}" if w[0].isalpha() else w for w in self.text.split())
-        return " ".join(words)
-
-
-@dataclass(frozen=True)
-class Field:
-    """A member of a C struct. Zero sizes are padded to 1 in C; ``shape`` keeps the true ones."""
-
-    name: str
-    shape: tuple[Size, ...]
-    doc: str
-    role: Role
-    ctype: str = "real"  # "real", "int32", or the name of a struct
-
-    @property
-    def values(self) -> tuple[int, ...]:
-        """True shape in numbers."""
-        return tuple(s.value for s in self.shape)
-
-    @property
-    def padded(self) -> tuple[int, ...]:
-        """Shape of the C array: every size at least 1."""
-        return tuple(max(1, s.value) for s in self.shape)
-
-
-@dataclass(frozen=True)
-class Struct:
-    """A C struct <prefix>_<name>_t and the member ``name`` of the given shape that holds it in the solver.
-
-    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name.
-    """
-
-    name: str
-    doc: str
-    fields: tuple[Field, ...]
-    shape: tuple[Size, ...] = ()
-
-
-@dataclass(frozen=True)
-class Status:
-    """A status value: macro name without prefix and what it means."""
-
-    name: str
-    text: str
-
-
-STATUSES = (
-    Status("OK", "ok"),
-    Status("ITERATION_LIMIT", "iteration limit reached"),
-    Status("INFEASIBLE", "the constraints cannot be met"),
-    Status("RELAXED", "soft solution: rows were relaxed"),
-    Status("NUMERICAL_FAILURE", "numerical failure: the Hessian is not positive definite or a number is not finite"),
-    Status("NOT_FINITE", "the measured state is not finite"),
-    Status("NOT_PREPARED", "feedback without prepare"),
-    Status("NOT_INITIALIZED", "init was not called"),
-    Status("BAD_INDEX", "no such node, row or parameter"),
-    Status("BAD_BOUNDS", "lower bound above upper bound"),
-    Status("BAD_ARGUMENT", "argument out of range or not finite"),
-    Status("STALLED", "no further progress"),
-)
 
 
 @dataclass(frozen=True)
@@ -147,7 +75,7 @@ class Setting:
 class Setter:
     """Functions that change one kind of data (a word of Online) at run time; ``nodes``: what k may be besides ALL."""
 
-    option: str
+    option: Kind
     nodes: str
 
     @property
@@ -175,47 +103,69 @@ class Section:
 class CModule:
     """Everything the templates print; no decision is left to them."""
 
-    name: str
-    precision: str
+    description: PackageDescription
     macros: tuple[Macro, ...]
     enums: tuple[Enum, ...]
-    structs: tuple[Struct, ...]  # "solver" last
     tables: tuple[Table, ...]
     settings: tuple[Setting, ...]
     setters: tuple[Setter, ...]
-    layouts: Mapping[str, str]  # reference, weight, bounds, parameter -> fixed, shared, node
     routines: tuple[Routine, ...]
     products: Products
     switches: Mapping[str, int]  # what `#if` in the parts may test besides the sizes
     sections: tuple[Section, ...]
-    statuses: tuple[Status, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
     diagonal_weight: bool
     diagonal_weight_N: bool
-    metadata: Mapping[str, Any]
-    foreign: tuple[str, ...] = ()  # folders of code that another generator writes
+    foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text of code that another generator writes
+
+    @property
+    def name(self) -> str:
+        """Prefix of functions and types, stem of the files."""
+        return self.description.name
+
+    @property
+    def precision(self) -> Precision:
+        """Working precision."""
+        return self.description.precision
+
+    @property
+    def structs(self) -> tuple[Struct, ...]:
+        """A struct stands after those that it holds, "solver" last."""
+        return self.description.structs
+
+    @property
+    def layouts(self) -> Layouts:
+        """How what can be changed at run time is stored."""
+        return self.description.online
+
+    @property
+    def statuses(self) -> tuple[Status, ...]:
+        """What its functions return, in the order of their values."""
+        return tuple(Status)
 
     @property
     def macro(self) -> str:
         """Prefix of macros and enum constants."""
         return self.name.upper()
 
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """Folders of foreign code."""
+        return tuple(sorted({path.split("/")[0] for path in self.foreign}))
+
     def value(self, macro: str) -> int:
         """Value of a size macro."""
-        for m in self.macros:
-            if m.name == macro:
-                return m.value
-        raise KeyError(macro)
+        return self.description.sizes[macro]
 
     @property
-    def sizes(self) -> dict[str, int]:
+    def sizes(self) -> Mapping[str, int]:
         """What `#if` in the parts may test: the size macros and the switches."""
         return {**{m.name: m.value for m in self.macros}, **self.switches}
 
     @property
     def bytes(self) -> int:
         """sizeof the solver struct."""
-        return struct_layout(self.structs, self.precision)["solver"][0]
+        return self.description.report.ram_bytes
 
 
 def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[int, int]]:
@@ -224,9 +174,9 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
     layout: dict[str, tuple[int, int]] = {}
     for struct in structs:
         size, alignment = 0, 1
-        for field in struct.fields:
-            element, align = layout[field.ctype] if field.ctype in layout else types[field.ctype]
-            size = -(-size // align) * align + element * math.prod(field.padded)
+        for member in struct.fields:
+            element, align = layout[member.ctype] if member.ctype in layout else types[member.ctype]
+            size = -(-size // align) * align + element * math.prod(member.padded)
             alignment = max(alignment, align)
         layout[struct.name] = (-(-size // alignment) * alignment, alignment)
     return layout

@@ -8,42 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
 from nmpc_codegen.errors import ProblemError
-
-
-@dataclass(frozen=True)
-class OpCount:
-    """Floating-point operations by class, counted from the instructions that are printed.
-
-    add: + and -; mul; div; sqrt; call: other functions of math.h; other: negation, absolute value, floor and ceil,
-    comparison, selection.
-    """
-
-    add: int = 0
-    mul: int = 0
-    div: int = 0
-    sqrt: int = 0
-    call: int = 0
-    other: int = 0
-
-    def __add__(self, o: OpCount) -> OpCount:
-        return OpCount(*(getattr(self, f.name) + getattr(o, f.name) for f in fields(self)))
-
-    def __mul__(self, times: int) -> OpCount:
-        return OpCount(*(getattr(self, f.name) * times for f in fields(self)))
-
-    @property
-    def total(self) -> int:
-        """All operations, every class counted once."""
-        return sum(getattr(self, f.name) for f in fields(self))
-
-    def as_dict(self) -> dict[str, int]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}
+from nmpc_codegen.ir.casadi_types import Function, Sparsity
+from nmpc_codegen.runtime.package_description import OpCount as OpCount
 
 
 @dataclass(frozen=True)
@@ -225,19 +196,19 @@ class _ValueNumbering:
         return self._known[ins]
 
 
-def lift(function: Any, name: str, doc: str, inputs: Sequence[Port], outputs: Sequence[Port]) -> Kernel:
+def lift(function: Function, name: str, doc: str, inputs: Sequence[Port], outputs: Sequence[Port]) -> Kernel:
     """Lift a CasADi SX Function into a Kernel.
 
     The function takes one dense vector per input port and returns one vector or matrix per output port, of the port's
     rows x cols (cols = 0: a column). Raises ProblemError for an operation that has no C, naming it.
     """
-    for i, port in enumerate(inputs):
+    for number, port in enumerate(inputs):
         assert not port.cols, f"{name}: input {port.name} is a matrix"
-        assert function.size_in(i) == (port.rows, 1), f"{name}: input {port.name}"
+        assert function.size_in(number) == (port.rows, 1), f"{name}: input {port.name}"
     numbering = _ValueNumbering()
     work: dict[int, int] = {}
     stores: list[tuple[int, int, int]] = []
-    patterns = [_row_major(function.sparsity_out(i), port) for i, port in enumerate(outputs)]
+    patterns = [_row_major(function.sparsity_out(number), port) for number, port in enumerate(outputs)]
     for k in range(function.n_instructions()):
         opcode, o, i = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
         if opcode == ca.OP_OUTPUT:
@@ -258,7 +229,7 @@ def lift(function: Any, name: str, doc: str, inputs: Sequence[Port], outputs: Se
     return Kernel(name, doc, tuple(inputs), tuple(outputs), *_live(*_reciprocals(live, live_stores)))
 
 
-def _row_major(sparsity: Any, port: Port) -> list[int]:
+def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
     """Row-major element of every (column-major) nonzero of an output."""
     shape = (port.rows, port.cols or 1)
     assert sparsity.shape == shape or sparsity.nnz() == 0, f"output {port.name}: {sparsity.shape}, expected {shape}"

@@ -5,10 +5,9 @@ The patterns come from the stores of the lifted kernels, so they are structural 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any
 
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine, nonzeros
@@ -32,12 +31,6 @@ class Products:
     Q: Pattern
     Q_N: Pattern
 
-    @classmethod
-    def of(cls, nx: int, nu: int, hessian: Any, routines: Iterable[Routine]) -> Products:
-        """The patterns that the routines store; those of Q are the Hessian component's."""
-        named = {r.name: r for r in routines}
-        return cls(nx, nu, pattern(named["integrator_interval"], "S"), *hessian.patterns(named))
-
     @property
     def written_out(self) -> bool:
         """True: over the structural nonzeros; False: dense loops."""
@@ -49,45 +42,59 @@ class Products:
         return "nonzeros" if self.written_out else "loops"
 
     @property
-    def counts(self) -> dict[str, OpCount]:
+    def counts(self) -> Mapping[str, OpCount]:
         """Operations of one run of every product with a vector, by C function."""
-        nz = self.nx + self.nu
-        terminal = _accumulated(sum(len(entries) for _, entries in self.terminal))
-        if not self.written_out:
-            cost = sum(len(entries) for _, _, entries in self.adjoint)
-            return {
-                "state_step": _accumulated(self.nx * nz),
-                "adjoint_step": _accumulated(self.nx * nz + cost),
-                "terminal_adjoint": terminal,
-            }
         return {
-            "state_step": _accumulated(len(self.S)),
-            "adjoint_step": _accumulated(sum(len(rows) + len(entries) for _, rows, entries in self.adjoint)),
-            "terminal_adjoint": terminal,
+            "state_step": self.state_step,
+            "adjoint_step": self.adjoint_step,
+            "terminal_adjoint": self.terminal_adjoint,
         }
 
     @property
-    def column_counts(self) -> dict[str, OpCount]:
-        """Operations on one panel of columns."""
-        return self._counts_of_nonzeros() if self.written_out else self._counts_of_loops()
-
-    def _counts_of_nonzeros(self) -> dict[str, OpCount]:
-        terminal = [len(entries) for _, entries in self.terminal]
+    def column_counts(self) -> Mapping[str, OpCount]:
+        """Operations on one panel of columns, by C function."""
         return {
-            "condense_forward_columns": _summed(len(columns) for _, columns in self.A_rows) * PANEL,
-            "condense_terminal_columns": _summed(terminal) * PANEL,
-            "condense_backward_columns": _summed(len(rows) + len(e) for _, rows, e in self.condensed) * PANEL,
+            "condense_forward_columns": self.forward_columns,
+            "condense_terminal_columns": self.terminal_columns,
+            "condense_backward_columns": self.backward_columns,
         }
 
-    def _counts_of_loops(self) -> dict[str, OpCount]:
-        nx, nz = self.nx, self.nx + self.nu
-        terminal = sum(len(entries) for _, entries in self.terminal)
-        cost = sum(len(entries) for _, _, entries in self.condensed)
-        return {
-            "condense_forward_columns": _accumulated(nx * nx) * PANEL,
-            "condense_terminal_columns": _accumulated(terminal) * PANEL,
-            "condense_backward_columns": _accumulated(nx * nz + cost) * PANEL,
-        }
+    @property
+    def state_step(self) -> OpCount:
+        """A dx + B du."""
+        return _accumulated(len(self.S) if self.written_out else self.nx * (self.nx + self.nu))
+
+    @property
+    def adjoint_step(self) -> OpCount:
+        """S' w + Q z."""
+        entries = sum(len(e) for _, _, e in self.adjoint)
+        rows = sum(len(r) for _, r, _ in self.adjoint) if self.written_out else self.nx * (self.nx + self.nu)
+        return _accumulated(rows + entries)
+
+    @property
+    def terminal_adjoint(self) -> OpCount:
+        """Q_N dx."""
+        return _accumulated(sum(len(entries) for _, entries in self.terminal))
+
+    @property
+    def forward_columns(self) -> OpCount:
+        """A G, one panel of columns."""
+        if self.written_out:
+            return _summed(len(columns) for _, columns in self.A_rows) * PANEL
+        return _accumulated(self.nx * self.nx) * PANEL
+
+    @property
+    def terminal_columns(self) -> OpCount:
+        """Q_N G, one panel of columns."""
+        entries = [len(e) for _, e in self.terminal]
+        return (_summed(entries) if self.written_out else _accumulated(sum(entries))) * PANEL
+
+    @property
+    def backward_columns(self) -> OpCount:
+        """S' W + Q (G, 0), one panel of columns."""
+        if self.written_out:
+            return _summed(len(rows) + len(e) for _, rows, e in self.condensed) * PANEL
+        return _accumulated(self.nx * (self.nx + self.nu) + sum(len(e) for _, _, e in self.condensed)) * PANEL
 
     def element(self, j: int) -> str:
         """Element j of z = (dx, du) in C."""

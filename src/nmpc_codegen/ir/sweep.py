@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 
+from nmpc_codegen.ir.casadi_types import Expression, Function, elements
 from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
 from nmpc_codegen.ir.print_c import CStyle, comment, print_body, print_kernel, signature
 
@@ -54,7 +54,7 @@ class Slice:
 class Call:
     """outs = leaf(ins). The leaf is an SX Function of dense vectors; equal names are one C function."""
 
-    leaf: Any
+    leaf: Function
     ins: tuple[Slice, ...]
     outs: tuple[Slice, ...]
     inline: bool = False  # print it in its place, whatever its slices are
@@ -97,10 +97,10 @@ class Sweep:
     body: tuple[Node, ...]
 
 
-def unroll(sweep: Sweep) -> Any:
+def unroll(sweep: Sweep) -> Function:
     """Run the sweep on SX: one CasADi Function with the sweep's ports; matrices lose their structural zeros."""
     symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
-    buffers: dict[str, list[Any]] = {p.name: s.elements() for p, s in zip(sweep.inputs, symbols, strict=True)}
+    buffers: dict[str, list[Expression]] = {p.name: elements(s) for p, s in zip(sweep.inputs, symbols, strict=True)}
     buffers |= {p.name: [ca.SX(0)] * p.size for p in sweep.outputs}
     buffers |= {name: [ca.SX(0)] * size for name, size in sweep.locals}
     _run(sweep.body, buffers, {})
@@ -108,7 +108,7 @@ def unroll(sweep: Sweep) -> Any:
     return ca.Function(sweep.name, symbols, outputs, [p.name for p in sweep.inputs], [p.name for p in sweep.outputs])
 
 
-def _run(nodes: tuple[Node, ...], buffers: dict[str, list[Any]], indices: dict[str, int]) -> None:
+def _run(nodes: tuple[Node, ...], buffers: dict[str, list[Expression]], indices: dict[str, int]) -> None:
     for node in nodes:
         if isinstance(node, For):
             for value in node.values(indices):
@@ -117,14 +117,13 @@ def _run(nodes: tuple[Node, ...], buffers: dict[str, list[Any]], indices: dict[s
         arguments = [ca.vertcat(*(buffers[s.buffer][e] for e in s.elements(indices))) for s in node.ins]
         results = node.leaf.call(arguments)
         for target, result in zip(node.outs, results, strict=True):
-            values = ca.densify(result).elements()
-            for element, value in zip(target.elements(indices), values, strict=True):
-                buffers[target.buffer][element] = value
+            for place, entry in zip(target.elements(indices), elements(ca.densify(result)), strict=True):
+                buffers[target.buffer][place] = entry
 
 
-def _shaped(elements: list[Any], port: Port) -> Any:
+def _shaped(values: list[Expression], port: Port) -> Expression:
     """A dense SX vector, or an SX matrix of the port's shape without structural zeros."""
-    flat = ca.vertcat(*elements) if elements else ca.SX(0, 1)
+    flat = ca.vertcat(*values) if values else ca.SX(0, 1)
     return ca.sparsify(ca.reshape(flat, port.cols, port.rows).T) if port.cols else ca.densify(flat)
 
 
@@ -235,7 +234,7 @@ def looped(sweep: Sweep) -> LoopedRoutine:
     return LoopedRoutine(sweep, leaves)
 
 
-def _dense(leaf: Any) -> Any:
+def _dense(leaf: Function) -> Function:
     symbols = leaf.sx_in()
     return ca.Function(
         leaf.name(), symbols, [ca.densify(o) for o in leaf.call(symbols)], leaf.name_in(), leaf.name_out()

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
-from nmpc_codegen.components.base import Counts, called
+from nmpc_codegen.components.base import Condensing, QpSolver, called
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
 from nmpc_codegen.components.qp import REGISTRY
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.options import Options
 
@@ -23,77 +23,72 @@ BLOCKS = (2, 3, 4, 5, 8, 10)
 class Candidate:
     """A condensing with a solver of its form, and what one warm-started sample takes whose working set is empty."""
 
-    condensing: Any
-    qp: Any
+    condensing: Condensing
+    qp: QpSolver
     operations: int
 
     def __str__(self) -> str:
-        block = f"({self.condensing.block})" if isinstance(self.condensing, PartialCondensing) else ""
-        return f"{self.condensing.name}{block} + {self.qp.name}: {self.operations:,}"
+        return f"{self.condensing.label} + {self.qp.name}: {self.operations:,}"
 
 
-def choose_qp(
-    problem: Problem, options: Options, constant_hessian: bool, known: Counts
-) -> tuple[Options, tuple[str, ...]]:
-    """Complete ``condensing`` and ``qp``; what was chosen and why, with the table of all candidates.
+#: Condensing, QP solver, and why they were chosen.
+Choice = tuple[Condensing, QpSolver, tuple[str, ...]]
+
+
+def choose_qp(problem: Problem, options: Options, constant_hessian: bool, model: ModelFunctions) -> Choice:
+    """Condensing and QP solver: what is given, adapted to the problem, or what takes the fewest operations, with the
+    table of all candidates.
 
     Raises:
         OptionError: the two that are given clash, or nothing that is left supports the problem.
     """
-    given: tuple[Any, Any] = (options.condensing, options.qp)
-    if None not in given:
-        _check_forms(options)
-        return _adapted(problem, options)
+    given = options.condensing
+    if given is not None and options.qp is not None:
+        _check_forms(given, options.qp)
+        condensing = given.adapted(problem)
+        return condensing, options.qp, _instead(given, condensing)
+    pairs = list(_pairs(given, options.qp))
     candidates = []
-    for stated, qp in _pairs(*given):
+    for stated, qp in pairs:
         condensing = stated.adapted(problem)
         if all(problem.features <= c.supports for c in (condensing, qp)):
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian)
-            counts = (condensing.cost(dims, known), qp.cost(dims, known))
-            total = sum((c for count in counts for c in count.values()), OpCount())
-            candidates.append(Candidate(condensing, qp, total.total))
+            counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
+            candidates.append(Candidate(condensing, qp, sum(counts, OpCount()).total))
     if not candidates:
-        first = next(_pairs(*given))  # the component that refuses says why
-        return replace(options, condensing=first[0], qp=first[1]), ()
+        return *pairs[0], ()  # the component that refuses says why
     best = min(candidates, key=lambda c: c.operations)
     table = "; ".join(map(str, sorted(candidates, key=lambda c: c.operations)))
     why = f"fewest operations of a warm-started sample ({table})"
-    chosen = replace(options, condensing=best.condensing, qp=best.qp)
-    parts = zip(("condensing", "qp"), given, strict=True)
-    named = ", ".join(f"{seam}: {getattr(best, seam).name}" for seam, was in parts if was is None)
-    return chosen, (*_instead(given[0], best.condensing), f"{named}; {why}")
+    chosen = [f"condensing: {best.condensing.name}"] if given is None else []
+    chosen += [f"qp: {best.qp.name}"] if options.qp is None else []
+    return best.condensing, best.qp, (*_instead(given, best.condensing), f"{', '.join(chosen)}; {why}")
 
 
-def _adapted(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
-    """The condensing that does for this problem what the stated one does for others."""
-    condensing = options.condensing.adapted(problem)
-    return replace(options, condensing=condensing), _instead(options.condensing, condensing)
-
-
-def _instead(stated: Any, condensing: Any) -> tuple[str, ...]:
+def _instead(stated: Condensing | None, condensing: Condensing) -> tuple[str, ...]:
     """Why it is not the stated one, if it is not."""
     if stated is None or condensing is stated:
         return ()
     return (f"condensing: {condensing} instead of {stated.name}; coupled rows read free components of x_0",)
 
 
-def _pairs(condensing: Any, qp: Any) -> Iterator[tuple[Any, Any]]:
+def _pairs(condensing: Condensing | None, qp: QpSolver | None) -> Iterator[tuple[Condensing, QpSolver]]:
     """Candidates that agree with what is given."""
-    forms: tuple[Any, ...] = (FullCondensing(), NoCondensing(), *(PartialCondensing(block) for block in BLOCKS))
+    forms: tuple[Condensing, ...] = (FullCondensing(), NoCondensing(), *(PartialCondensing(block) for block in BLOCKS))
     for c in forms if condensing is None else (condensing,):
         for q in _solvers(c.gives) if qp is None else (qp,):
             if c.gives == q.takes:
                 yield c, q
 
 
-def _solvers(form: str) -> list[Any]:
+def _solvers(form: str) -> list[QpSolver]:
     """Solvers of a form that may be chosen."""
     return [cls() for cls in REGISTRY.values() if cls.takes == form and cls.automatic]
 
 
-def _check_forms(options: Options) -> None:
-    if options.condensing.gives != options.qp.takes:
+def _check_forms(condensing: Condensing, qp: QpSolver) -> None:
+    if condensing.gives != qp.takes:
         raise OptionError(
-            f"condensing {called(options.condensing)} clashes with qp {called(options.qp)}: it gives a QP in the form "
-            f"{options.condensing.gives!r}, the solver takes {options.qp.takes!r}"
+            f"condensing {called(condensing)} clashes with qp {called(qp)}: it gives a QP in the form "
+            f"{condensing.gives!r}, the solver takes {qp.takes!r}"
         )

@@ -6,75 +6,97 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from nmpc_codegen.components.base import refuse_unsupported
+from nmpc_codegen.components.base import Component, Hessian, Integrator, Parts, refuse_unsupported
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.frontend.problem import Problem, Stage
-from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
-from nmpc_codegen.ir.stage_products import Products
+from nmpc_codegen.ir.kernel import Kernel, Port, lift
+from nmpc_codegen.ir.model import ModelFunctions, StageModel
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.choose import choose_qp
 from nmpc_codegen.options import REGISTRIES, Online, Options
+from nmpc_codegen.runtime.package_description import Precision
 
 
 @dataclass(frozen=True, eq=False)
-class Linearization:
-    """The problem, the completed options, why they were chosen, and every routine of the package.
+class Model(ModelFunctions):
+    """The problem, the components that solve it and why they were chosen, and every function of the package.
 
     ``constant_hessian``: the path Hessian block is the same at all nodes.
     """
 
     problem: Problem
-    options: Options
+    parts: Parts
+    online: Online
+    precision: Precision
     choices: tuple[str, ...]
-    routines: tuple[Routine, ...]
     constant_hessian: bool
 
-    def count(self, name: str) -> OpCount:
-        """Operations of one evaluation of the routine of that name."""
-        return next(r.count for r in self.routines if r.name == name)
-
     @property
-    def products(self) -> Products:
-        """Products with the stage matrices."""
-        return Products.of(self.problem.nx, self.problem.nu, self.options.hessian, self.routines)
+    def options(self) -> Options:
+        """The options with which nothing is left to choose."""
+        parts = self.parts
+        return Options(
+            *(parts.integrator, parts.hessian, parts.condensing, parts.qp, parts.algorithm),
+            online=self.online,
+            precision=self.precision,
+        )
 
 
-def linearize(problem: Problem, options: Options) -> Linearization:
-    """Problem -> Linearization. Raises OptionError for a combination that no component supports."""
+def linearize(problem: Problem, options: Options) -> Model:
+    """Problem -> Model. Raises OptionError for a combination that no component supports."""
     online = options.online
     path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
     problem = replace(problem, path=path, terminal=terminal)
-    options, choices = _choose_integrator(problem, options)
-    first = (options.integrator, options.hessian)
-    refuse_unsupported(problem, first, REGISTRIES)
-    routines: list[Routine] = [r for c in first for r in c.routines(problem)]
-    routines += options.hessian.joint_routines(problem, options.integrator)
-    routines += [_rows(problem.path, "path"), _rows(problem.terminal, "terminal"), _coupled(problem)]
-    constant = _constant_hessian(problem, online, routines)
-    products = Products.of(problem.nx, problem.nu, options.hessian, routines)
-    known = {r.name: r.count for r in routines} | products.counts | products.column_counts
-    options, why = choose_qp(problem, options, constant, known)
-    rest = (options.condensing, options.qp, options.algorithm)
-    refuse_unsupported(problem, rest, REGISTRIES)
-    routines += [r for c in rest for r in c.routines(problem)]
-    return Linearization(problem, options, (*choices, *why), tuple(routines), constant)
+    integrator, choices = _choose_integrator(problem, options.integrator)
+    _check(problem, integrator, options.hessian)
+    functions = _functions(problem, integrator, options.hessian)
+    constant = _constant_hessian(problem, online, functions.path)
+    condensing, qp, why = choose_qp(problem, options, constant, functions)
+    _check(problem, condensing, qp, options.algorithm)
+    return Model(
+        *(functions.interval, functions.path, functions.terminal, functions.initial, functions.coupled),
+        problem=problem,
+        parts=Parts(integrator, options.hessian, condensing, qp, options.algorithm),
+        online=online,
+        precision=options.precision,
+        choices=(*choices, *why),
+        constant_hessian=constant,
+    )
 
 
-def _constant_hessian(problem: Problem, online: Online, routines: list[Routine]) -> bool:
+def _check(problem: Problem, *components: Component) -> None:
+    """Refuse what a component does not take, or what clashes with its options."""
+    refuse_unsupported(problem, components, REGISTRIES)
+    for component in components:
+        component.check(problem)
+
+
+def _functions(problem: Problem, integrator: Integrator, hessian: Hessian) -> ModelFunctions:
+    """Everything that is lifted from CasADi."""
+    interval = integrator.interval(problem)
+    quadratic = hessian.quadratic_model(problem, integrator)
+    return ModelFunctions(
+        replace(interval, curved=quadratic.curved),
+        replace(quadratic.path, rows=_rows(problem.path, "path")),
+        replace(quadratic.terminal, rows=_rows(problem.terminal, "terminal")),
+        quadratic.initial,
+        _coupled(problem),
+    )
+
+
+def _constant_hessian(problem: Problem, online: Online, path: StageModel) -> bool:
     """The path Hessian reads nothing that differs from node to node."""
-    named = {r.name: r for r in routines}
-    block = named.get("path_hessian")  # a routine of its own: it depends on nothing but what it reads
     varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
     varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
-    return block is not None and "path_curvature" not in named and not varying & _inputs_read(block)
+    return path.hessian is not None and path.curvature is None and not varying & _inputs_read(path.hessian)
 
 
-def _choose_integrator(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
-    if options.integrator is not None:
-        return options, ()
+def _choose_integrator(problem: Problem, given: Integrator | None) -> tuple[Integrator, tuple[str, ...]]:
+    if given is not None:
+        return given, ()
     chosen = Discrete() if problem.discrete else ExplicitRungeKutta()
     why = "the dynamics are a discrete map" if problem.discrete else "default for differential equations: RK4"
-    return replace(options, integrator=chosen), (f"integrator: {chosen.name}; {why}",)
+    return chosen, (f"integrator: {chosen.name}; {why}",)
 
 
 def _rows(stage: Stage, name: str) -> Kernel:

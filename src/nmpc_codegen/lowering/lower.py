@@ -1,17 +1,16 @@
-"""Linearization -> CModule: all sizes and all C names. Loops over components and never asks which one it holds."""
+"""Model -> CModule: all sizes and all C names. Loops over components and never asks which one it holds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from nmpc_codegen.components.base import Counts, Dims
-from nmpc_codegen.frontend.problem import Problem, Row, Signal, Stage, c_identifier
+from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage, c_identifier
 from nmpc_codegen.ir.cmodule import (
-    STATUSES,
     CModule,
     Enum,
     Field,
@@ -26,9 +25,11 @@ from nmpc_codegen.ir.cmodule import (
     struct_layout,
 )
 from nmpc_codegen.ir.kernel import OpCount
-from nmpc_codegen.ir.stage_products import PANEL, Products
+from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.lowering.dimensions import dimensions
-from nmpc_codegen.lowering.linearize import Linearization
+from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report
+from nmpc_codegen.runtime.status import Status
 
 # Counters stop here, and integrate() takes at most so many steps.
 MANY = 1_000_000
@@ -36,41 +37,35 @@ MANY = 1_000_000
 MAGIC = 0x4E4D5043
 
 
-def lower(lin: Linearization, name: str | None = None) -> CModule:
+def lower(model: Model, name: str | None = None) -> CModule:
     """Decide every size and name of the package ``name`` (default: the problem's)."""
-    problem = lin.problem
+    problem = model.problem
     name = problem.name if name is None else name
     check_prefix(name)
-    dims = _dims(lin)
-    structs = _structs(lin, dims)
-    layout = struct_layout(structs, lin.options.precision)
-    products = lin.products
-    known = _known(lin, products)
+    dims = _dims(model)
+    structs = _structs(model, dims)
+    layout = struct_layout(structs, model.precision)
     sections = tuple(
         Section(
             f"{c.seam}: {c.name}",
             c.template,
-            _section_count(c.cost(dims, known)),
+            _section_count(c.cost(dims, model)),
             sum(layout[s.name][0] * int(np.prod(s_shape(s))) for s in c.structs(dims) if s.name != "solver"),
         )
-        for c in lin.options.components
+        for c in model.parts.components
     )
-    macros = _macros(lin, dims)
+    macros = _macros(model, dims)
     return CModule(
-        name=name,
-        precision=lin.options.precision,
+        description=_description(model, name, macros, structs),
         macros=macros,
         enums=_enums(problem),
-        structs=structs,
-        tables=_tables(lin),
-        settings=_settings(lin, dims),
-        setters=_setters(lin),
-        layouts=lin.options.online.layouts,
-        routines=lin.routines,
-        products=products,
-        switches={name: value for c in lin.options.components for name, value in c.switches.items()},
+        tables=_tables(model),
+        settings=_settings(model, dims),
+        setters=_setters(model),
+        routines=model.routines,
+        products=model.products,
+        switches={switch: value for c in model.parts.components for switch, value in c.switches.items()},
         sections=sections,
-        statuses=STATUSES,
         signals=(
             ("x", problem.state_names),
             ("u", problem.control_names),
@@ -82,14 +77,12 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         ),
         diagonal_weight=problem.path.diagonal_weight,
         diagonal_weight_N=problem.terminal.diagonal_weight,
-        metadata=_metadata(lin, name, macros, structs, products),
-        foreign=tuple(c.name for c in lin.options.components if hasattr(c, "foreign_sources")),
+        foreign={
+            path: text
+            for c in model.parts.components
+            for path, text in c.foreign_sources(name, model.precision, dims).items()
+        },
     )
-
-
-def _known(lin: Linearization, products: Products) -> Counts:
-    """Operations of the functions that components call: printed routines and stage products."""
-    return {r.name: r.count for r in lin.routines} | products.counts | products.column_counts
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -97,15 +90,15 @@ def s_shape(struct: Struct) -> tuple[int, ...]:
     return tuple(max(1, s.value) for s in struct.shape)
 
 
-def _section_count(counts: dict[str, OpCount]) -> OpCount | None:
+def _section_count(counts: Counts) -> OpCount | None:
     return sum(counts.values(), OpCount()) if counts else None
 
 
-def _dims(lin: Linearization) -> Dims:
-    return dimensions(lin.problem, lin.options.condensing.qp_shape(lin.problem), lin.constant_hessian)
+def _dims(model: Model) -> Dims:
+    return dimensions(model.problem, model.parts.condensing.qp_shape(model.problem), model.constant_hessian)
 
 
-def _macros(lin: Linearization, dims: Dims) -> tuple[Macro, ...]:
+def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
     docs = {
         "N": "intervals",
         "NX": "states",
@@ -133,10 +126,10 @@ def _macros(lin: Linearization, dims: Dims) -> tuple[Macro, ...]:
     }
     macros = [Macro(s.text, s.value, docs[s.text]) for s in vars(dims).values()]
     macros.append(Macro("PANEL", PANEL, "columns processed together"))
-    macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in lin.problem.rows), "rows with a penalty"))
-    macros.append(Macro("PARAMS", len(lin.problem.parameters), "parameters by name"))
-    macros += [Macro(f"SIZE_{s.name.upper()}", s.size, f"numbers of {s.name}") for s in lin.problem.parameters]
-    for component in lin.options.components:
+    macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in model.problem.rows), "rows with a penalty"))
+    macros.append(Macro("PARAMS", len(model.problem.parameters), "parameters by name"))
+    macros += [Macro(f"SIZE_{s.name.upper()}", s.size, f"numbers of {s.name}") for s in model.problem.parameters]
+    for component in model.parts.components:
         macros += [Macro(*entry) for entry in component.sizes(dims)]
     macros.append(Macro("MANY", MANY, "counters stop here"))
     macros.append(Macro("MAGIC", MAGIC, "a struct that init has seen"))
@@ -154,12 +147,12 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
     return tuple(enums)
 
 
-def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
+def _structs(model: Model, dims: Dims) -> tuple[Struct, ...]:
     nodes = Size("N + 1", dims.N.value + 1)
     common = [
         Field("x", (nodes, dims.nx), "states of the plan", "iterate"),
         Field("u", (dims.N, dims.nu), "controls of the plan", "iterate"),
-        *(setting.field for setting in _settings(lin, dims)),
+        *(setting.field for setting in _settings(model, dims)),
     ]
     results = [
         Field("stats", (), "counters", "result", "stats"),
@@ -168,7 +161,7 @@ def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
         Field("status", (), "status of the last prepare, feedback or solve", "result", "int32"),
         Field("magic", (), "set by init", "keep", "int32"),
     ]
-    owned = [s for c in lin.options.components for s in c.structs(dims)]
+    owned = [s for c in model.parts.components for s in c.structs(dims)]
     own_members = [f for s in owned if s.name == "solver" for f in s.fields]
     inner = [s for s in owned if s.name != "solver"]
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner]
@@ -178,18 +171,18 @@ def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
     return (*_result_structs(), *inner, solver)
 
 
-def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
+def _settings(model: Model, dims: Dims) -> tuple[Setting, ...]:
     """Members that hold what can be changed at run time; fixed data have none."""
-    p, layouts = lin.problem, lin.options.online.layouts
+    p, layouts = model.problem, model.online.layouts
     weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
     weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
     one = Size("1", 1)
-    path = {"shared": one, "node": dims.N}
-    every = {"shared": Size("2", 2), "node": Size("N + 1", dims.N.value + 1)}
+    path: Mapping[Layout, Size] = {"shared": one, "node": dims.N}
+    every: Mapping[Layout, Size] = {"shared": Size("2", 2), "node": Size("N + 1", dims.N.value + 1)}
     which = {"shared": "path, terminal", "node": "every node"}
 
     def setting(
-        option: str, name: str, table: str, shape: tuple[Size, ...], copies: Mapping[str, Size] | None, doc: str
+        option: Kind, name: str, table: str, shape: tuple[Size, ...], copies: Mapping[Layout, Size] | None, doc: str
     ) -> list[Setting]:
         entries = {"W": dims.nw, "W_N": dims.nw_N}.get(name, shape[0])
         layout = layouts[option]
@@ -219,7 +212,7 @@ def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
 
 
 #: What k may be besides ALL, for every kind of data that a package lets change.
-_NODES = {
+_NODES: Mapping[Kind, Mapping[Layout, str]] = {
     "reference": {"shared": "no node", "node": "0 .. N - 1"},
     "weight": {"shared": "no node", "node": "0 .. N - 1"},
     "parameter": {"shared": "N", "node": "0 .. N"},
@@ -227,8 +220,8 @@ _NODES = {
 }
 
 
-def _setters(lin: Linearization) -> tuple[Setter, ...]:
-    layouts = lin.options.online.layouts
+def _setters(model: Model) -> tuple[Setter, ...]:
+    layouts = model.online.layouts
     return tuple(Setter(name, nodes[layouts[name]]) for name, nodes in _NODES.items() if layouts[name] != "fixed")
 
 
@@ -266,20 +259,20 @@ def _result_structs() -> tuple[Struct, ...]:
     return kkt, stats
 
 
-def _tables(lin: Linearization) -> tuple[Table, ...]:
-    p = lin.problem
+def _tables(model: Model) -> tuple[Table, ...]:
+    p = model.problem
     rows = p.qp_rows
 
-    def real(name: str, values: Any, doc: str) -> Table:
+    def real(name: str, values: ArrayLike, doc: str) -> Table:
         return Table(name, "real", tuple(float(v) for v in np.ravel(values)), doc)
 
-    def integer(name: str, values: Any, doc: str) -> Table:
+    def integer(name: str, values: Iterable[int], doc: str) -> Table:
         return Table(name, "int", tuple(int(v) for v in values), doc)
 
-    longest_step = max(p.dt) / _steps(lin)
+    longest_step = model.parts.integrator.longest_step(p)
     first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
     offsets = [s.offset for s in p.parameters] + [p.np]
-    fixed = lin.options.online.parameter == "fixed"
+    fixed = model.online.parameter == "fixed"
     return (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
@@ -303,7 +296,7 @@ def _tables(lin: Linearization) -> tuple[Table, ...]:
         real("row_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
         real("row_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
         *([] if fixed else [integer("parameter_offset", offsets, "first element of a parameter in p")]),
-        *(table for component in lin.options.components for table in component.tables(p)),
+        *(table for component in model.parts.components for table in component.tables(p)),
     )
 
 
@@ -312,11 +305,7 @@ def _penalty(row: Row) -> tuple[float, float]:
     return (math.inf, 0.0) if row.soft is None else row.soft
 
 
-def _steps(lin: Linearization) -> int:
-    return int(getattr(lin.options.integrator, "steps", 1))
-
-
-def _weight_values(stage: Stage) -> Any:
+def _weight_values(stage: Stage) -> Array:
     return np.diag(stage.weight) if stage.diagonal_weight else stage.weight
 
 
@@ -329,93 +318,44 @@ def _default_controls(p: Problem) -> list[float]:
     return [float(np.clip(0.0, r.lower, r.upper)) if r else 0.0 for r in rows]
 
 
-def _number(value: float) -> float | str:
-    return float(value) if np.isfinite(value) else str(float(value))
-
-
-def _signal(s: Signal) -> dict[str, Any]:
-    return {
-        "name": s.name,
-        "size": s.size,
-        "unit": s.unit,
-        "value": list(s.value),
-        "offset": s.offset,
-        "scalar": s.scalar,
-    }
-
-
-def _row(r: Row) -> dict[str, Any]:
-    return {
-        "name": r.name,
-        "kind": r.kind,
-        "index": r.index,
-        "index_terminal": r.index_terminal,
-        "nodes": list(r.nodes),
-        "lower": _number(r.lower),
-        "upper": _number(r.upper),
-        "soft": r.soft,
-    }
-
-
-def _metadata(
-    lin: Linearization, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...], products: Products
-) -> dict[str, Any]:
+def _description(model: Model, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...]) -> PackageDescription:
     """What Controller and open_package() need besides the C text."""
-    p = lin.problem
-    return {
-        "format": 1,
-        "name": name,
-        "precision": lin.options.precision,
-        "sizes": {m.name: m.value for m in macros},
-        "structs": [
-            {
-                "name": s.name,
-                "doc": s.doc,
-                "fields": [
-                    {
-                        "name": f.name,
-                        "type": f.ctype,
-                        "shape": list(f.values),
-                        "padded": list(f.padded),
-                        "role": f.role,
-                        "doc": f.doc,
-                    }
-                    for f in s.fields
-                ],
-            }
-            for s in structs
-        ],
-        "states": [_signal(s) for s in p.states],
-        "controls": [_signal(s) for s in p.controls],
-        "parameters": [_signal(s) for s in p.parameters],
-        "rows": [_row(r) for r in p.rows],
-        "y_names": list(p.path.y_names),
-        "y_names_N": list(p.terminal.y_names),
-        "dt": list(p.dt),
-        "discrete": p.discrete,
-        "statuses": [s.name for s in STATUSES],
-        "shift": getattr(lin.options.algorithm, "shift", None),
-        "online": lin.options.online.layouts,
-        "options": repr(lin.options),
-        "report": _report(lin, structs, products),
-    }
+    p = model.problem
+    return PackageDescription(
+        name=name,
+        precision=model.precision,
+        sizes={m.name: m.value for m in macros},
+        structs=structs,
+        states=p.states,
+        controls=p.controls,
+        parameters=p.parameters,
+        rows=p.rows,
+        y_names=p.path.y_names,
+        y_names_N=p.terminal.y_names,
+        dt=p.dt,
+        discrete=p.discrete,
+        statuses=tuple(Status.__members__),
+        shift=model.parts.algorithm.shift,
+        online=model.online.layouts,
+        options=repr(model.options),
+        report=_report(model, structs),
+    )
 
 
-def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products) -> dict[str, Any]:
+def _report(model: Model, structs: tuple[Struct, ...]) -> Report:
     """Memory, exact operation counts, and what was chosen and why."""
-    layout = struct_layout(structs, lin.options.precision)
-    known = _known(lin, products)
-    counts = {r.name: r.count for r in lin.routines} | products.counts
-    if lin.options.condensing.columns:
-        counts |= products.column_counts
-    dims = _dims(lin)
-    for component in lin.options.components:
-        counts |= component.cost(dims, known)
-    return {
-        "ram_bytes": layout["solver"][0],
-        "ram_bytes_by_struct": {s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
-        "operations": {name: count.as_dict() for name, count in counts.items()},
-        "linearization_operations": counts["linearize"].total,
-        "choices": list(lin.choices),
-        "looped": [r.name for r in lin.routines if len(r.kernels) > 1],
-    }
+    layout = struct_layout(structs, model.precision)
+    counts = {r.name: r.count for r in model.routines} | dict(model.products.counts)
+    if model.parts.condensing.columns:
+        counts |= model.products.column_counts
+    dims = _dims(model)
+    for component in model.parts.components:
+        counts |= component.cost(dims, model)
+    return Report(
+        ram_bytes=layout["solver"][0],
+        ram_bytes_by_struct={s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
+        operations=counts,
+        linearization_operations=counts["linearize"].total,
+        choices=model.choices,
+        looped=tuple(r.name for r in model.routines if len(r.kernels) > 1),
+    )

@@ -11,6 +11,7 @@ import re
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.lowering.tolerances import TOLERANCES, tolerance
+from nmpc_codegen.runtime.package_description import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
 FUNCTIONS = ("sqrt", "fabs", "ceil")
@@ -56,10 +57,10 @@ def accessors(module: CModule) -> list[tuple[str, str, str]]:
     """
     layouts = module.layouts
 
-    def member(option: str, text: str, table: str) -> str:
+    def member(option: Kind, text: str, table: str) -> str:
         return table if layouts[option] == "fixed" else f"({text})"
 
-    def at(option: str, k: str, shared: str = "0") -> str:
+    def at(option: Kind, k: str, shared: str = "0") -> str:
         return k if layouts[option] == "node" else shared
 
     def bound(which: str, index: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from functools import cache
 from typing import Any
@@ -14,6 +13,7 @@ from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import print_routine
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
 from nmpc_codegen.lowering.preamble import conditions, preamble
+from nmpc_codegen.runtime.package_description import Layout
 
 # path -> text of one package
 Sources = dict[str, str]
@@ -57,8 +57,8 @@ def render(module: CModule, resolved: bool = True) -> Sources:
         "README.md": "README.md.jinja",
     }
     sources = {path: _tidy(environment().get_template(t).render(names)) for path, t in files.items()}
-    sources[f"{module.name}.json"] = json.dumps(module.metadata, indent=1, allow_nan=False) + "\n"
-    return sources
+    sources[f"{module.name}.json"] = module.description.to_json()
+    return {**sources, **module.foreign}
 
 
 def _names(module: CModule) -> dict[str, Any]:
@@ -70,8 +70,8 @@ def _names(module: CModule) -> dict[str, Any]:
         "values": lambda table: _values(table, style),
         "print_routine": lambda routine: print_routine(routine, style),
         "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
-        "initial": ", ".join(style.literal(v) for s in module.metadata["states"] for v in s["value"]),
-        "dt": style.literal(module.metadata["dt"][0]),
+        "initial": ", ".join(style.literal(v) for s in module.description.states for v in s.value),
+        "dt": style.literal(module.description.dt[0]),
     }
 
 
@@ -96,7 +96,7 @@ _GENERATED = {
 }
 
 
-def _copies(layout: str, path_only: bool) -> str:
+def _copies(layout: Layout, path_only: bool) -> str:
     """Lowest and highest node that has a copy of its own, and how many copies there are."""
     if layout == "node":
         return "0, N - 1, N" if path_only else "0, N, N + 1"

@@ -1,7 +1,7 @@
 """The optimal control problem as a nonlinear program, solved by IPOPT: the oracle of --check, tests and benchmarks.
 
 Direct multiple shooting in CasADi, written apart from the code generator. Signs of multipliers, data of the nodes, and
-the KKT residuals that judge a solution without IPOPT: evaluation.py.
+the KKT residuals that judge a solution without IPOPT: trajectory.py.
 """
 
 from __future__ import annotations

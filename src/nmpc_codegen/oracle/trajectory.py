@@ -235,7 +235,7 @@ def _row_values(problem: Problem, data: Data) -> Callable[[Row, int, Array, Arra
             return float(u[k, row.index])
         if row.kind == "state":
             return float(x[k, row.index])
-        if row.kind == "coupled":
+        if row.kind == "coupled" and problem.coupled is not None:
             return float(problem.coupled(x[0], x[N])[row.index])
         if k == N:
             return float(h_N(x[N], ca.DM(0, 1), data.p[N])[row.index_terminal])

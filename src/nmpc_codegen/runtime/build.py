@@ -31,9 +31,9 @@ import cffi
 
 from nmpc_codegen.errors import BuildError, OptionError
 from nmpc_codegen.runtime.cache import PRODUCT, cached, keep_failed
-from nmpc_codegen.runtime.compiled import Library
+from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.parse import parse
+from nmpc_codegen.runtime.package_description import PackageDescription
 
 BEGIN, END = "/* begin declarations */", "/* end declarations */"
 WARNINGS = (
@@ -112,10 +112,10 @@ def load(
     _check_names(name, files)
     sources = {path: files[path] for path in (f"{name}.h", f"{name}.c", f"{name}.json")}
     sources |= {path: text for path, text in files.items() if "/" in path}
-    description = parse(sources[f"{name}.json"])
+    description = PackageDescription.from_json(sources[f"{name}.json"])
     extra = WARNINGS if warnings_as_errors else ()
     module = _import(name, compile_module(sources, name, (*chosen.flags, *extra)))
-    return Controller(Library(name, sources, description, chosen, module.ffi, module.lib, load))
+    return Controller(CompiledPackage(name, sources, description, chosen, module.ffi, module.lib, load))
 
 
 def _check_names(name: str, files: Mapping[str, str]) -> None:

@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.package_description import Description, Member
+from nmpc_codegen.runtime.package_description import Field, Kind, PackageDescription
 from nmpc_codegen.runtime.status import Kkt, Status
 
 C_REAL = {"double": "double", "single": "float"}
@@ -25,12 +25,12 @@ COUNTERS = (
 
 
 @dataclass(frozen=True, eq=False)
-class Library:
+class CompiledPackage:
     """A compiled package: its texts, their description, its cffi module, and how to make it again (for pickle)."""
 
     name: str
     files: Mapping[str, str]
-    description: Description
+    description: PackageDescription
     profile: Any  # nmpc_codegen.runtime.build.Profile
     ffi: Any
     lib: Any
@@ -43,13 +43,13 @@ class Library:
             self._check_names()
             self._check_sizes()
             self._check_enumerations()
-            for struct, members in self.description.structs.items():
-                self._check_members(struct, members)
+            for struct in self.description.structs:
+                self._check_members(struct.name, struct.fields)
         except self.ffi.error as error:
             raise ControllerError(f"{self.name}: the compiled code lacks what is described: {error}") from error
         self._check_roles()
         for struct in self.description.structs:
-            self._check_layout(struct, self.description.dtype(struct))
+            self._check_layout(struct.name, self.description.dtype(struct.name))
         return self.description.dtype()
 
     @cached_property
@@ -109,7 +109,7 @@ class Library:
             constant = f"{stem}_{name.replace('[', '_').replace(']', '').upper()}"
             self._same(f"the number of the {kind} {name!r}", number, self._constant(constant))
 
-    def _check_members(self, struct: str, members: tuple[Member, ...]) -> None:
+    def _check_members(self, struct: str, members: tuple[Field, ...]) -> None:
         """Names, element types and shapes, one by one."""
         compiled = self.ffi.typeof(f"{self.name}_{struct}_t")
         self._same(f"{struct}: the kind", "struct", compiled.kind)
@@ -124,29 +124,28 @@ class Library:
                 ctype = ctype.item
             where = f"struct {struct}: {member.name}"
             self._same(f"{where}: the shape", list(member.padded), shape)
-            self._same(f"{where}: the type", self._c_type(member.type), ctype.cname)
+            self._same(f"{where}: the type", self._c_type(member.ctype), ctype.cname)
 
     def _c_type(self, word: str) -> str:
         if word == "real":
             return C_REAL[self.description.precision]
-        if word in self.description.structs:
+        if any(word == struct.name for struct in self.description.structs):
             return str(self.ffi.typeof(f"{self.name}_{word}_t").cname)
         return str(self.ffi.typeof(f"{word}_t").cname)
 
     def _check_roles(self) -> None:
         """The members that the Controller reads are there, with the shapes that follow from sizes and layouts."""
-        structs = {s: {m.name: m for m in members} for s, members in self.description.structs.items()}
         for name, allowed in self._roles().items():
-            member = structs["solver"].get(name)
-            found = None if member is None else (member.type, member.shape)
+            member = self.description.members("solver").get(name)
+            found = None if member is None else (member.ctype, member.values)
             if found not in allowed:
                 expected = " or ".join("none" if entry is None else f"{entry[0]} {list(entry[1])}" for entry in allowed)
                 shown = "none" if found is None else f"{found[0]} {list(found[1])}"
                 self._refuse(f"the member {name} of the solver is {shown} in the description; expected {expected}")
         scalars = {("stats", name, "int32") for name in COUNTERS} | {("stats", "violation", "real")}
         for struct, name, ctype in scalars | {("kkt", part, "real") for part in Kkt.__dataclass_fields__}:
-            member = structs[struct].get(name)
-            if member is None or (member.type, member.shape) != (ctype, ()):
+            member = self.description.members(struct).get(name)
+            if member is None or (member.ctype, member.values) != (ctype, ()):
                 self._refuse(f"struct {struct} lacks the {ctype} {name}")
 
     def _roles(self) -> dict[str, tuple[tuple[str, tuple[int, ...]] | None, ...]]:
@@ -170,7 +169,7 @@ class Library:
         d, layouts = self.description.dims, self.description.online
         path, every = {"shared": 1, "node": d.N}, {"shared": 2, "node": d.N + 1}
 
-        def members(kind: str, shapes: Mapping[str, tuple[tuple[int, ...], ...]]) -> dict[str, Any]:
+        def members(kind: Kind, shapes: Mapping[str, tuple[tuple[int, ...], ...]]) -> dict[str, Any]:
             fixed = layouts[kind] == "fixed"
             return {n: (None,) if fixed else tuple(("real", s) for s in allowed) for n, allowed in shapes.items()}
 

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.compiled import Library
-from nmpc_codegen.runtime.package_description import Dimensions, Names
+from nmpc_codegen.runtime.compiled import CompiledPackage
+from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
 from nmpc_codegen.runtime.status import Kkt, Solution, Stats, Status
 from nmpc_codegen.runtime.weight import checked_weight
 
-__all__ = ["Controller", "Kkt", "Library", "Solution", "Stats", "Status"]
+__all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
 EVERY_NODE = -1  # <NAME>_ALL of the C package
@@ -39,19 +39,19 @@ class Controller:
     The arrays x, u, lam, mu_x, mu_u, mu, mu_N are views on the current iterate and may be written: an initial guess.
     """
 
-    def __init__(self, library: Library) -> None:
-        self._library = library
-        self.description = library.description
+    def __init__(self, package: CompiledPackage) -> None:
+        self._package = package
+        self.description = package.description
         self.dims: Dimensions = self.description.dims
         self.names: Names = self.description.names
         self._real = self.description.real
-        self._memory = _aligned(library.dtype.itemsize)
-        self._struct: NDArray[np.void] = self._memory.view(library.dtype).reshape(())
-        self._s = library.ffi.from_buffer(f"{library.name}_solver_t *", self._memory)
+        self._memory = _aligned(package.dtype.itemsize)
+        self._struct: NDArray[np.void] = self._memory.view(package.dtype).reshape(())
+        self._s = package.ffi.from_buffer(f"{package.name}_solver_t *", self._memory)
         self._xhat, self._xhat_c = self._buffer(self.dims.nx)
         self._u0, self._u0_c = self._buffer(self.dims.nu)
-        self._prepare_c = library.function("prepare")
-        self._feedback_c = library.function("feedback")
+        self._prepare_c = package.function("prepare")
+        self._feedback_c = package.function("feedback")
         self._prepare_ns = 0
         self._feedback_ns = 0
         self._expect(self._call("init", self._s), "init")
@@ -322,7 +322,7 @@ class Controller:
 
     def kkt(self) -> Kkt:
         """KKT residuals of the current iterate."""
-        out = self._library.ffi.new(f"{self._library.name}_kkt_t *")
+        out = self._package.ffi.new(f"{self._package.name}_kkt_t *")
         self._call("kkt", self._s, out)
         return Kkt(*(float(getattr(out, part)) for part in Kkt.__dataclass_fields__))
 
@@ -341,23 +341,23 @@ class Controller:
     @property
     def profile(self) -> str:
         """Name of the compiler profile."""
-        return str(self._library.profile.name)
+        return str(self._package.profile.name)
 
     @property
     def nbytes(self) -> int:
         """Size of the solver struct in bytes: all the memory the C package uses, stack apart."""
-        return self._library.dtype.itemsize
+        return self._package.dtype.itemsize
 
     def __repr__(self) -> str:
         d = self.dims
         sizes = f"N={d.N}, nx={d.nx}, nu={d.nu}, np={d.np}"
-        return f"<Controller {self._library.name}: {sizes}, {self.profile}, {self.nbytes} bytes, {self.status.name}>"
+        return f"<Controller {self._package.name}: {sizes}, {self.profile}, {self.nbytes} bytes, {self.status.name}>"
 
     # -- copies -----------------------------------------------------------------------------------------------------
 
     def copy(self) -> Self:
         """An independent controller in the same state."""
-        twin = type(self)(self._library)
+        twin = type(self)(self._package)
         twin._memory[:] = self._memory
         return twin
 
@@ -367,12 +367,12 @@ class Controller:
         return self.copy()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        library = self._library
-        return _restore, (library.reload, dict(library.files), library.name, library.profile, self._memory.tobytes())
+        package = self._package
+        return _restore, (package.reload, dict(package.files), package.name, package.profile, self._memory.tobytes())
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
         """Write the state (the bytes of the struct and what package they belong to) as an .npz archive."""
-        content = {"package": np.array(self._library.fingerprint), "state": np.asarray(self._memory)}
+        content = {"package": np.array(self._package.fingerprint), "state": np.asarray(self._memory)}
         if isinstance(file, str | os.PathLike):
             with Path(file).open("wb") as stream:
                 np.savez(stream, allow_pickle=False, **content)
@@ -385,14 +385,14 @@ class Controller:
             if not {"package", "state"} <= set(archive):
                 raise ControllerError(f"{file} is not a state that Controller.save() wrote")
             package, state = str(archive["package"]), archive["state"]
-        if package != self._library.fingerprint or state.shape != self._memory.shape:
-            raise ControllerError(f"{file} holds the state of another package than this {self._library.name}")
+        if package != self._package.fingerprint or state.shape != self._memory.shape:
+            raise ControllerError(f"{file} holds the state of another package than this {self._package.name}")
         self._memory[:] = state
 
     # -- inner ------------------------------------------------------------------------------------------------------
 
     def _call(self, name: str, *arguments: Any) -> Any:
-        return self._library.function(name)(*arguments)
+        return self._package.function(name)(*arguments)
 
     def _judge(self, status: int, call: str, on_failure: OnFailure) -> Status:
         if on_failure == "raise":
@@ -407,7 +407,7 @@ class Controller:
 
     def _fail(self, status: Status, call: str, what: str) -> NoReturn:
         subject = f" ({what})" if what else ""
-        raise ControllerError(f"{self._library.name}.{call}{subject}: {status}{self._details(status)}")
+        raise ControllerError(f"{self._package.name}.{call}{subject}: {status}{self._details(status)}")
 
     def _details(self, status: Status) -> str:
         """Which row or state is at fault, in the user's names."""
@@ -435,7 +435,7 @@ class Controller:
         contiguous = np.ascontiguousarray(array, dtype=self._real).reshape(-1)
         if contiguous.size == 0:
             contiguous = np.zeros(1, dtype=self._real)
-        return self._library.ffi.from_buffer(f"{self._library.name}_real[]", contiguous)
+        return self._package.ffi.from_buffer(f"{self._package.name}_real[]", contiguous)
 
     def _measure(self, xhat: ArrayLike) -> None:
         """Copy the measured state to where C reads it. NaN passes: the C code answers it."""
@@ -459,7 +459,7 @@ class Controller:
             raise ControllerError(f"{what} holds a NaN or an infinity: {array.tolist()}")
         return array
 
-    def _each_node(self, option: str, what: str, node: int | None = None, terminal: bool = False) -> bool:
+    def _each_node(self, option: Kind, what: str, node: int | None = None, terminal: bool = False) -> bool:
         """True if this kind of data is stored for every node; an error if ``node`` has none of its own.
 
         Args:
@@ -471,12 +471,12 @@ class Controller:
         layout, k = self.description.online[option], self._node(node)
         if layout == "fixed":
             raise ControllerError(
-                f'{self._library.name}: {what} cannot be set: it was generated with Online({option}="fixed")'
+                f'{self._package.name}: {what} cannot be set: it was generated with Online({option}="fixed")'
             )
         if layout == "shared" and k != EVERY_NODE and not (terminal and k == self.dims.N):
             allowed = f"None or {self.dims.N}" if terminal else "None"
             raise ControllerError(
-                f"{self._library.name}: {what} cannot be set at node {node}; expected node {allowed}: "
+                f"{self._package.name}: {what} cannot be set at node {node}; expected node {allowed}: "
                 f'it was generated with Online({option}="shared")'
             )
         return layout == "node"
@@ -516,7 +516,7 @@ class Controller:
 
     def _lookup(self, name: str, known: Sequence[str], kind: str) -> int:
         if name not in known:
-            raise ControllerError(f"{self._library.name} has no {kind} {name!r}; there is {', '.join(known) or 'none'}")
+            raise ControllerError(f"{self._package.name} has no {kind} {name!r}; there is {', '.join(known) or 'none'}")
         return known.index(name)
 
     def _rows(self, name: str) -> list[int]:
@@ -538,11 +538,11 @@ class Controller:
     def _view(self, path: str) -> Array:
         struct, here = "solver", self._struct
         for part in path.split("."):
-            member = next((m for m in self.description.structs.get(struct, ()) if m.name == part), None)
+            member = self.description.members(struct).get(part)
             if member is None:
-                raise AttributeError(f"the algorithm of {self._library.name} has no {path!r}")
-            here, struct = here[part], member.type
-            true_shape: Any = (..., *(slice(n) for n in member.shape))
+                raise AttributeError(f"the algorithm of {self._package.name} has no {path!r}")
+            here, struct = here[part], member.ctype
+            true_shape: Any = (..., *(slice(n) for n in member.values))
             here = here[true_shape] if member.shape else here
         return here
 

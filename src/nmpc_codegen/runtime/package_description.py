@@ -1,20 +1,68 @@
-"""What <name>.json says about a C package, as frozen values: sizes, names, rows and the layout of the solver struct.
+"""What is known about a C package besides its text: sizes, names, rows, the layout of the solver struct, the report.
 
-Everything that runs a package reads it from here; parse.py makes it from the text. Nothing here needs CasADi or a
-compiler.
+One class serves both ends: lowering makes a PackageDescription and to_json() writes <name>.json, from_json() reads it
+for everything that runs a package. Nothing here needs CasADi or a compiler.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.runtime.parse import FORMAT, MAX_INTEGER, Entry, read
+
+Precision = Literal["double", "single"]
+Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
+RowKind = Literal["control", "state", "general", "coupled"]
+
+#: What can be changed at run time, and how it is stored: a table of declared values, once, or once per node.
+Kind = Literal["reference", "weight", "bounds", "parameter"]
+Layout = Literal["fixed", "shared", "node"]
+Layouts = Mapping[Kind, Layout]
+
 REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 INTEGERS: dict[str, type[np.integer[Any]]] = {"int32": np.int32, "int64": np.int64}
+
+#: Largest number of operations that is believed.
+MAX_COUNT = 2**63 - 1
+
+DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
+
+
+@dataclass(frozen=True)
+class OpCount:
+    """Floating-point operations by class, counted from the instructions that are printed.
+
+    add: + and -; mul; div; sqrt; call: other functions of math.h; other: negation, absolute value, floor and ceil,
+    comparison, selection.
+    """
+
+    add: int = 0
+    mul: int = 0
+    div: int = 0
+    sqrt: int = 0
+    call: int = 0
+    other: int = 0
+
+    def __add__(self, o: OpCount) -> OpCount:
+        return OpCount(*(getattr(self, f.name) + getattr(o, f.name) for f in fields(self)))
+
+    def __mul__(self, times: int) -> OpCount:
+        return OpCount(*(getattr(self, f.name) * times for f in fields(self)))
+
+    @property
+    def total(self) -> int:
+        """All operations, every class counted once."""
+        return sum(getattr(self, f.name) for f in fields(self))
+
+    def as_dict(self) -> dict[str, int]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
 @dataclass(frozen=True)
@@ -33,33 +81,95 @@ class Dimensions:
 
 
 @dataclass(frozen=True)
-class SignalInfo:
-    """A named state, control or parameter; ``offset`` is the position of its first element in the stacked vector."""
+class Size:
+    """A compile-time size: a C expression in the package's macros and its value, e.g. ("N + 1", 11).
+
+    ``text`` names macros without prefix; ``c(prefix)`` writes them with it. Two sizes are equal if their values are.
+    """
+
+    text: str = field(compare=False)
+    value: int
+
+    def c(self, macro: str) -> str:
+        """C text with every identifier prefixed, e.g. ``CRANE_N + 1``."""
+        words = (f"{macro}_{w}" if w[0].isalpha() else w for w in self.text.split())
+        return " ".join(words)
+
+
+@dataclass(frozen=True)
+class Field:
+    """A member of a C struct. Zero sizes are padded to 1 in C; ``shape`` keeps the true ones."""
+
+    name: str
+    shape: tuple[Size, ...]
+    doc: str
+    role: Role
+    ctype: str = "real"  # "real", "int32", "int64" or the name of a struct
+
+    @property
+    def values(self) -> tuple[int, ...]:
+        """True shape in numbers."""
+        return tuple(s.value for s in self.shape)
+
+    @property
+    def padded(self) -> tuple[int, ...]:
+        """Shape of the C array: every size at least 1."""
+        return tuple(max(1, s.value) for s in self.shape)
+
+
+@dataclass(frozen=True)
+class Struct:
+    """A C struct <prefix>_<name>_t and the member ``name`` of the given shape that holds it in the solver.
+
+    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name.
+    """
+
+    name: str
+    doc: str
+    fields: tuple[Field, ...]
+    shape: tuple[Size, ...] = ()
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A named scalar or vector among the states, controls or parameters.
+
+    ``offset`` is the position of its first element in the stacked vector; ``value`` holds the initial value of a
+    state (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control.
+    """
 
     name: str
     size: int
     unit: str
     value: tuple[float, ...]
     offset: int
-    scalar: bool
+    scalar: bool  # declared without size=
 
     @property
     def elements(self) -> tuple[str, ...]:
-        """Names of the elements: ``v`` or ``r[0], r[1]``."""
+        """Names of the elements as the user reads them: ``v`` or ``r[0], r[1]``."""
         return (self.name,) if self.scalar else tuple(f"{self.name}[{i}]" for i in range(self.size))
 
 
 @dataclass(frozen=True)
-class RowInfo:
-    """One scalar row lower <= value <= upper, with the bounds it was declared with."""
+class Row:
+    """One scalar row lower <= value <= upper, holding at ``nodes``, with the bounds it was declared with.
+
+    kind "control": value = u[index], a hard simple bound at every node 0..N-1;
+    kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaced the row altogether (N = 1);
+    kind "general": value = h[index] of the path stage (nodes < N) and h[index_terminal] of the terminal stage (node N),
+    -1 where the row does not exist there;
+    kind "coupled": r[index](x_0, x_N), ``nodes`` is (0, N). ``soft`` is (l1, l2) or None. Equality: lower == upper.
+    """
 
     name: str
-    kind: str  # control | state | general | coupled
+    kind: RowKind
     index: int
     index_terminal: int
     nodes: tuple[int, ...]
     lower: float
     upper: float
+    soft: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -75,38 +185,59 @@ class Names:
 
 
 @dataclass(frozen=True)
-class Member:
-    """A member of a C struct: true ``shape``, and ``padded`` as C declares it."""
+class Report:
+    """What the compiler found out about a package.
 
-    name: str
-    type: str  # real | int32 | int64 | name of a struct
-    shape: tuple[int, ...]
-    padded: tuple[int, ...]
-    role: str
-    doc: str
+    ``ram_bytes``: the solver struct, and ``ram_bytes_by_struct`` what is in it; ``operations`` of one call of every C
+    function whose number does not depend on data, and ``linearization_operations`` of all nodes; ``choices``: what was
+    chosen and why; ``looped``: functions that are loops instead of straight-line code.
+    """
+
+    ram_bytes: int = 0
+    ram_bytes_by_struct: Mapping[str, int] = field(default_factory=dict)
+    operations: Mapping[str, OpCount] = field(default_factory=dict)
+    linearization_operations: int = 0
+    choices: tuple[str, ...] = ()
+    looped: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The report in dictionaries, lists and numbers, as <name>.json has it."""
+        return {
+            "ram_bytes": self.ram_bytes,
+            "ram_bytes_by_struct": dict(self.ram_bytes_by_struct),
+            "operations": {name: count.as_dict() for name, count in self.operations.items()},
+            "linearization_operations": self.linearization_operations,
+            "choices": list(self.choices),
+            "looped": list(self.looped),
+        }
 
 
 @dataclass(frozen=True)
-class Description:
-    """A whole package; ``structs`` maps a struct's name to its members, "solver" holds all others."""
+class PackageDescription:
+    """A whole package; a struct stands after those that it holds, "solver", which holds all others, last."""
 
     name: str
-    precision: str
-    dims: Dimensions
+    precision: Precision
     sizes: Mapping[str, int]  # macro without prefix -> value
-    structs: Mapping[str, tuple[Member, ...]]
-    states: tuple[SignalInfo, ...]
-    controls: tuple[SignalInfo, ...]
-    parameters: tuple[SignalInfo, ...]
-    rows: tuple[RowInfo, ...]
+    structs: tuple[Struct, ...]
+    states: tuple[Signal, ...]
+    controls: tuple[Signal, ...]
+    parameters: tuple[Signal, ...]
+    rows: tuple[Row, ...]
     y_names: tuple[str, ...]
     y_names_N: tuple[str, ...]
     dt: tuple[float, ...]
     discrete: bool
     statuses: tuple[str, ...]
-    online: Mapping[str, str]  # reference, weight, bounds, parameter -> fixed, shared, node
+    shift: str | None
+    online: Layouts
     options: str
-    report: Mapping[str, Any]
+    report: Report
+
+    @property
+    def dims(self) -> Dimensions:
+        """Sizes in the notation of the project."""
+        return Dimensions(*(self.sizes[name] for name in DIMENSIONS))
 
     @property
     def real(self) -> np.dtype[Any]:
@@ -130,17 +261,248 @@ class Description:
             y_N=self.y_names_N,
         )
 
+    def members(self, struct: str) -> Mapping[str, Field]:
+        """Members of a struct by name; none if there is no such struct."""
+        return {f.name: f for s in self.structs if s.name == struct for f in s.fields}
+
     def dtype(self, struct: str = "solver") -> np.dtype[Any]:
         """Structured NumPy type of a C struct: members in order, each aligned as C aligns it."""
-        return np.dtype([(m.name, self._member_type(m), m.padded) for m in self.structs[struct]], align=True)
+        members = self.members(struct).values()
+        return np.dtype([(f.name, self._member_type(f), f.padded) for f in members], align=True)
 
-    def _member_type(self, member: Member) -> np.dtype[Any]:
-        if member.type == "real":
+    def _member_type(self, member: Field) -> np.dtype[Any]:
+        if member.ctype == "real":
             return self.real
-        if member.type in INTEGERS:
-            return np.dtype(INTEGERS[member.type])
-        return self.dtype(member.type)
+        if member.ctype in INTEGERS:
+            return np.dtype(INTEGERS[member.ctype])
+        return self.dtype(member.ctype)
+
+    def to_json(self) -> str:
+        """The text of <name>.json; from_json() of it is equal to this."""
+        entries: dict[str, Any] = {"format": FORMAT} | {f.name: getattr(self, f.name) for f in fields(self)}
+        entries |= {
+            "structs": [_struct_entry(s) for s in self.structs],
+            "rows": [_row_entry(r) for r in self.rows],
+            "report": self.report.as_dict(),
+        }
+        for kind in ("states", "controls", "parameters"):
+            entries[kind] = [vars(s) for s in entries[kind]]
+        return json.dumps(entries, indent=1, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> PackageDescription:
+        """Read the text of <name>.json. It is data of unknown origin: every entry is checked, its type, its range and
+        that it fits the others; compiled.py checks that it describes the compiled code as well.
+
+        Raises:
+            ControllerError: the text is no package description, one of another format, or one that contradicts itself.
+        """
+        raw = read(text).members(("format", *(f.name for f in fields(cls))), ("seal",))
+        sizes = raw["sizes"].members(DIMENSIONS, raw["sizes"].object())
+        dims = _dimensions(sizes)
+        return cls(
+            name=raw["name"].identifier(),
+            precision=raw["precision"].word(get_args(Precision)),
+            sizes={name: size.integer(-MAX_INTEGER) for name, size in sizes.items()},
+            structs=_structs(raw["structs"]),
+            states=_signals(raw["states"], dims.nx),
+            controls=_signals(raw["controls"], dims.nu),
+            parameters=_signals(raw["parameters"], dims.np),
+            rows=_rows(raw["rows"], dims),
+            y_names=tuple(name.text() for name in raw["y_names"].items(dims.ny)),
+            y_names_N=tuple(name.text() for name in raw["y_names_N"].items(dims.ny_N)),
+            dt=tuple(_interval(dt) for dt in raw["dt"].items(dims.N)),
+            discrete=raw["discrete"].flag(),
+            statuses=_unique(raw["statuses"], Entry.identifier),
+            shift=None if raw["shift"].value is None else raw["shift"].text(),
+            online=_layouts(raw["online"]),
+            options=raw["options"].text(),
+            report=_report(raw["report"]),
+        )
 
 
-def _elements(signals: tuple[SignalInfo, ...]) -> tuple[str, ...]:
+def _elements(signals: tuple[Signal, ...]) -> tuple[str, ...]:
     return tuple(e for s in signals for e in s.elements)
+
+
+# -- to JSON -----------------------------------------------------------------------------------------------------------
+
+
+def _struct_entry(struct: Struct) -> dict[str, Any]:
+    return {"name": struct.name, "doc": struct.doc, "fields": [_field_entry(f) for f in struct.fields]}
+
+
+def _field_entry(member: Field) -> dict[str, Any]:
+    return {
+        "name": member.name,
+        "type": member.ctype,
+        "shape": list(member.values),
+        "padded": list(member.padded),
+        "role": member.role,
+        "doc": member.doc,
+    }
+
+
+def _row_entry(row: Row) -> dict[str, Any]:
+    return vars(row) | {"lower": _number(row.lower), "upper": _number(row.upper)}
+
+
+def _number(value: float) -> float | str:
+    return float(value) if math.isfinite(value) else str(float(value))
+
+
+# -- from JSON ---------------------------------------------------------------------------------------------------------
+
+
+def _dimensions(sizes: Mapping[str, Entry]) -> Dimensions:
+    return Dimensions(
+        N=sizes["N"].integer(1),
+        nx=sizes["NX"].integer(1),
+        nu=sizes["NU"].integer(),
+        np=sizes["NP"].integer(),
+        ny=sizes["NY"].integer(),
+        ny_N=sizes["NY_N"].integer(),
+        nh=sizes["NH"].integer(),
+        nh_N=sizes["NH_N"].integer(),
+        nr=sizes["NR"].integer(),
+    )
+
+
+def _interval(entry: Entry) -> float:
+    dt = entry.number()
+    return dt if dt > 0 else entry.fail("a positive number")
+
+
+def _unique(entry: Entry, read: Callable[[Entry], str], count: int | None = None) -> tuple[str, ...]:
+    """Names of a list, no two alike."""
+    names: dict[str, None] = {}
+    for item in entry.items(count):
+        if read(item) in names:
+            item.fail("a name that no other entry has")
+        names[read(item)] = None
+    return tuple(names)
+
+
+def _structs(entry: Entry) -> tuple[Struct, ...]:
+    """A member's type is known before, so that no struct contains itself; what holds it in the solver has its shape."""
+    structs: dict[str, Struct] = {}
+    for item in entry.items():
+        raw = item.members(("name", "doc", "fields"))
+        name = raw["name"].identifier()
+        if name in structs or name in ("real", *INTEGERS):
+            raw["name"].fail("a name that no other type has")
+        types = ("real", *INTEGERS, *structs)
+        members = tuple(_member(item, types) for item in raw["fields"].items())
+        if len({member.name for member in members}) != len(members):
+            raw["fields"].fail("members of different names")
+        structs[name] = Struct(name, raw["doc"].text(), members)
+    if "solver" not in structs:
+        entry.fail("a struct solver among them")
+    shapes = {member.ctype: member.shape for member in structs["solver"].fields}
+    return tuple(replace(s, shape=shapes.get(s.name, ())) for s in structs.values())
+
+
+def _member(entry: Entry, types: Iterable[str]) -> Field:
+    raw = entry.members(("name", "type", "shape", "padded", "role", "doc"))
+    shape = tuple(size.integer() for size in raw["shape"].items())
+    padded = tuple(size.integer(1) for size in raw["padded"].items(len(shape)))
+    if padded != tuple(max(1, size) for size in shape):
+        raw["padded"].fail(f"the shape {list(shape)} with 1 for 0")
+    return Field(
+        ctype=raw["type"].word(tuple(types)),
+        name=raw["name"].identifier(),
+        shape=tuple(Size(str(size), size) for size in shape),
+        doc=raw["doc"].text(),
+        role=raw["role"].word(get_args(Role)),
+    )
+
+
+def _signals(entry: Entry, total: int) -> tuple[Signal, ...]:
+    """Signals that fill a vector of ``total`` elements one after the other."""
+    signals: list[Signal] = []
+    offset = 0
+    for item in entry.items():
+        raw = item.members(("name", "size", "unit", "value", "offset", "scalar"))
+        size, scalar = raw["size"].integer(1), raw["scalar"].flag()
+        if scalar and size != 1:
+            raw["size"].fail("1, as it is a scalar")
+        if raw["offset"].integer() != offset:
+            raw["offset"].fail(f"{offset}, where the one before ends")
+        if any(s.name == raw["name"].identifier() for s in signals):
+            raw["name"].fail("a name that no other one has")
+        value = tuple(v.number() for v in raw["value"].items(size))
+        signals.append(Signal(raw["name"].identifier(), size, raw["unit"].text(), value, offset, scalar))
+        offset += size
+    if offset != total:
+        entry.fail(f"{total} elements in all, not {offset}")
+    return tuple(signals)
+
+
+def _rows(entry: Entry, dims: Dimensions) -> tuple[Row, ...]:
+    rows = tuple(_row(item, dims) for item in entry.items(dims.nr))
+    if len({row.name for row in rows}) != len(rows):
+        entry.fail("rows of different names")
+    return rows
+
+
+def _row(entry: Entry, dims: Dimensions) -> Row:
+    raw = entry.members(("name", "kind", "index", "index_terminal", "nodes", "lower", "upper"), ("soft",))
+    kind = raw["kind"].word(get_args(RowKind))
+    limits: dict[RowKind, int] = {"control": dims.nu, "state": dims.nx, "general": dims.nh, "coupled": dims.nr}
+    limit_N = {"general": dims.nh_N, "state": dims.nx}.get(kind, 0)
+    lower, upper = raw["lower"].bound(), raw["upper"].bound()
+    if lower > upper:
+        raw["lower"].fail(f"at most the upper bound {upper}")
+    return Row(
+        name=raw["name"].element(),
+        kind=kind,
+        index=raw["index"].integer(-1 if kind == "general" else 0, limits[kind] - 1),
+        index_terminal=raw["index_terminal"].integer(-1, limit_N - 1),
+        nodes=_nodes(raw["nodes"], kind, dims.N),
+        lower=lower,
+        upper=upper,
+        soft=_penalties(raw["soft"]) if "soft" in raw and raw["soft"].value is not None else None,
+    )
+
+
+def _penalties(entry: Entry) -> tuple[float, float]:
+    l1, l2 = (penalty.bound() for penalty in entry.items(2))
+    return l1, l2
+
+
+def _nodes(entry: Entry, kind: str, N: int) -> tuple[int, ...]:
+    """Nodes of a row; those of controls and of coupled rows are always the same."""
+    nodes = tuple(node.integer(0, N) for node in entry.items())
+    expected = {"control": tuple(range(N)), "coupled": (0, N)}.get(kind, tuple(sorted(set(nodes))))
+    if nodes != expected:
+        entry.fail(
+            "all nodes but the last for a control, the first and the last for a coupled row, else ascending ones"
+        )
+    return nodes
+
+
+def _layouts(entry: Entry) -> Layouts:
+    raw, kinds = entry.members(get_args(Kind)), get_args(Kind)
+    return {kind: raw[kind].word(get_args(Layout)) for kind in kinds}
+
+
+def _report(entry: Entry) -> Report:
+    """The report; a package that was written by hand may leave out what is not known."""
+    raw = entry.members((), [f.name for f in fields(Report)])
+    empty = Entry("", {})
+    sizes = raw.get("ram_bytes_by_struct", empty).object()
+    operations = raw.get("operations", empty).object()
+    total = raw.get("linearization_operations", Entry("", 0))
+    return Report(
+        ram_bytes=raw.get("ram_bytes", Entry("", 0)).integer(),
+        ram_bytes_by_struct={name: size.integer() for name, size in sizes.items()},
+        operations={name: _operations(count) for name, count in operations.items()},
+        linearization_operations=total.integer(high=MAX_COUNT),
+        choices=tuple(choice.text() for choice in raw.get("choices", Entry("", [])).items()),
+        looped=tuple(name.identifier() for name in raw.get("looped", Entry("", [])).items()),
+    )
+
+
+def _operations(entry: Entry) -> OpCount:
+    raw = entry.members([f.name for f in fields(OpCount)])
+    return OpCount(**{name: count.integer(high=MAX_COUNT) for name, count in raw.items()})

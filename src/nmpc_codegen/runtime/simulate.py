@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status, is_positive
+from nmpc_codegen.runtime.package_description import RowKind, Signal
 from nmpc_codegen.runtime.pathrows import PathRows
 from nmpc_codegen.runtime.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, Curve, Trace, draw
 
@@ -224,13 +225,13 @@ def _own_axes(
 
 def _traces(ctrl: Controller, soft: dict[str, tuple[float, float]]) -> tuple[tuple[Trace, ...], tuple[Trace, ...]]:
     """Names, units and the present simple bounds of states and controls, or those of the soft row of that name."""
-    bounds = {
+    bounds: dict[tuple[RowKind, int], tuple[float, float]] = {
         (row.kind, row.index): ctrl.path_bounds(i)
         for i, row in enumerate(ctrl.description.rows)
         if row.kind == "control" or (row.kind == "state" and len(row.nodes) > 1)
     }
 
-    def traces(kind: str, signals: Iterable[Any]) -> tuple[Trace, ...]:
+    def traces(kind: RowKind, signals: Iterable[Signal]) -> tuple[Trace, ...]:
         named = [(element, signal.unit) for signal in signals for element in signal.elements]
         free = (-math.inf, math.inf)
         return tuple(

@@ -14,26 +14,50 @@ Array = NDArray[Any]
 class Status(IntEnum):
     """What a call of the C package returns; the values are those of <name>_status_t.
 
-    Printed it is ``OK: solved``; it compares, converts and formats with ``d`` as the integer it is.
+    ``text`` is what <name>_status_text() says in C, ``meaning`` one line for a person at a controller. Printed it is
+    ``OK: solved``; it compares, converts and formats with ``d`` as the integer it is.
     """
 
-    OK = 0
-    ITERATION_LIMIT = 1
-    INFEASIBLE = 2
-    RELAXED = 3
-    NUMERICAL_FAILURE = 4
-    NOT_FINITE = 5
-    NOT_PREPARED = 6
-    NOT_INITIALIZED = 7
-    BAD_INDEX = 8
-    BAD_BOUNDS = 9
-    BAD_ARGUMENT = 10
-    STALLED = 11
+    text: str
+    meaning: str
 
-    @property
-    def meaning(self) -> str:
-        """One line for a person."""
-        return _MEANINGS[self]
+    def __new__(cls, value: int, text: str = "", meaning: str = "") -> Status:
+        status = int.__new__(cls, value)
+        status._value_, status.text, status.meaning = value, text, meaning
+        return status
+
+    OK = 0, "ok", "solved"
+    ITERATION_LIMIT = (
+        1,
+        "iteration limit reached",
+        "stopped at the iteration limit before the tolerance was reached",
+    )
+    INFEASIBLE = (
+        2,
+        "the constraints cannot be met",
+        "no plan satisfies the constraints; the control is safe but not optimal",
+    )
+    RELAXED = 3, "soft solution: rows were relaxed", "constraints had to be relaxed"
+    NUMERICAL_FAILURE = (
+        4,
+        "numerical failure: the Hessian is not positive definite or a number is not finite",
+        "a factorisation broke down; the control is safe but not optimal",
+    )
+    NOT_FINITE = (
+        5,
+        "the measured state is not finite",
+        "the state, the data or the iterate holds a NaN or an infinity; the control is a safe one",
+    )
+    NOT_PREPARED = (
+        6,
+        "feedback without prepare",
+        "feedback() was called without prepare(); the control is a safe one",
+    )
+    NOT_INITIALIZED = 7, "init was not called", "the struct was never initialised"
+    BAD_INDEX = 8, "no such node, row or parameter", "the node does not exist, or may not be set by itself"
+    BAD_BOUNDS = 9, "lower bound above upper bound", "lower bound above upper bound"
+    BAD_ARGUMENT = 10, "argument out of range or not finite", "an argument is out of range"
+    STALLED = 11, "no further progress", "no further progress was possible before the tolerance was reached"
 
     def __str__(self) -> str:
         return f"{self.name}: {self.meaning}"
@@ -46,22 +70,6 @@ class Status(IntEnum):
 
 #: Last letters of a format specification that ask for a number.
 _INTEGER_TYPES = tuple("bcdeEfFgGnoxX%")
-
-
-_MEANINGS = {
-    Status.OK: "solved",
-    Status.ITERATION_LIMIT: "stopped at the iteration limit before the tolerance was reached",
-    Status.INFEASIBLE: "no plan satisfies the constraints; the control is safe but not optimal",
-    Status.RELAXED: "constraints had to be relaxed",
-    Status.NUMERICAL_FAILURE: "a factorisation broke down; the control is safe but not optimal",
-    Status.NOT_FINITE: "the state, the data or the iterate holds a NaN or an infinity; the control is a safe one",
-    Status.NOT_PREPARED: "feedback() was called without prepare(); the control is a safe one",
-    Status.NOT_INITIALIZED: "the struct was never initialised",
-    Status.BAD_INDEX: "the node does not exist, or may not be set by itself",
-    Status.BAD_BOUNDS: "lower bound above upper bound",
-    Status.BAD_ARGUMENT: "an argument is out of range",
-    Status.STALLED: "no further progress was possible before the tolerance was reached",
-}
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,10 @@
-"""ADD AN ALGORITHM HERE: a component with seam "algorithm": prepare, feedback, step, shift, solve, kkt."""
+"""ADD AN ALGORITHM HERE: a component that fulfils `Algorithm`: prepare, feedback, step, shift, solve, kkt."""
+
+from collections.abc import Mapping
 
 from nmpc_codegen.components.algorithms.real_time_iteration import RealTimeIteration
+from nmpc_codegen.components.base import Algorithm
 
-REGISTRY: dict[str, type[RealTimeIteration]] = {RealTimeIteration.name: RealTimeIteration}
+REGISTRY: Mapping[str, type[Algorithm]] = {RealTimeIteration.name: RealTimeIteration}
 
 __all__ = ["REGISTRY", "RealTimeIteration"]

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nmpc_codegen.components.allowed import Number, Words, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims
+from nmpc_codegen.components.base import Counts, Defaults, Dims, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
-from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.model import ModelFunctions, operations
 
 SHIFTS = (None, "repeat", "periodic", "resample")
 MAX_TRIALS = 30
@@ -41,10 +41,10 @@ class RealTimeIteration(Defaults):
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
     relaxation: float | None = option(None, Number(optional=True))
 
-    seam: ClassVar[str] = "algorithm"
+    seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
     template: ClassVar[str] = "algorithms/real_time_iteration.c"
-    needs: ClassVar[tuple[str, ...]] = ("integrator", "hessian", "condensing")
+    needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing")
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -75,11 +75,6 @@ class RealTimeIteration(Defaults):
                 'RealTimeIteration(shift="resample") (--set algorithm.shift=resample) reads the plan between nodes '
                 "and clashes with a discrete map"
             )
-
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """None of its own."""
-        self.check(problem)
-        return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Which components of x_0 are measured, which accumulate; times of the nodes for shift="resample"."""
@@ -157,11 +152,12 @@ class RealTimeIteration(Defaults):
             ),
         )
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The linearisation of all nodes; a gap is one subtraction per state."""
-        derivatives = known.get("path_exact") or known["integrator_interval"] + known["path_gradient"]
-        node = derivatives + known["path_rows"] + OpCount(add=dims.nx.value)
-        return {"linearize": node * dims.N.value + known["terminal_gradient"] + known["terminal_rows"]}
+        interval, path, terminal = model.interval, model.path, model.terminal
+        derivatives = (interval.linearize, path.gradient) if interval.curved is None else (interval.curved,)
+        node = operations(*derivatives, path.rows) + OpCount(add=dims.nx.value)
+        return {"linearize": node * dims.N.value + operations(terminal.gradient, terminal.rows)}
 
 
 def _coupled_and_step(dims: Dims) -> tuple[Struct, ...]:

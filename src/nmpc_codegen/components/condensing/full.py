@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape
+from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape, Seam
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.ir.stage_products import PANEL
-from nmpc_codegen.ir.sweep import Routine
 
 
 def _panels(width: int) -> int:
@@ -40,15 +40,19 @@ def _columns(dims: Dims) -> int:
 class FullCondensing(Defaults):
     """Eliminate all states but the first; the QP has N nu variables and the free components of x_0."""
 
-    seam: ClassVar[str] = "condensing"
+    seam: ClassVar[Seam] = "condensing"
     name: ClassVar[str] = "full"
     template: ClassVar[str] = "condensing/full.c"
-    needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
+    needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "condensed"
     columns: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
+
+    @property
+    def label(self) -> str:
+        return self.name
 
     def qp_shape(self, problem: Problem) -> QpShape:
         """One stage with all controls; variables are the controls, the free components of x_0 and the slacks."""
@@ -58,9 +62,6 @@ class FullCondensing(Defaults):
     def adapted(self, problem: Problem) -> FullCondensing:
         """It takes every problem of its features."""
         return self
-
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """The slack of every row."""
@@ -90,22 +91,22 @@ class FullCondensing(Defaults):
             ),
         )
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """All but condense_rows, which leaves out zeros of the row gradients; columns are padded to PANEL."""
         N, nx, nu, nf, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf, dims.ng))
 
         def panels(first: int, step: int, nodes: int) -> int:
             return sum(_panels(first + k * step) // PANEL for k in range(nodes))
 
-        hessian = known["condense_forward_columns"] * panels(nx, nu, N)
-        hessian += known["condense_terminal_columns"] * panels(nx + N * nu, 0, 1)
-        hessian += known["condense_backward_columns"] * panels(nx + nu, nu, N)
+        hessian = model.products.forward_columns * panels(nx, nu, N)
+        hessian += model.products.terminal_columns * panels(nx + N * nu, 0, 1)
+        hessian += model.products.backward_columns * panels(nx + nu, nu, N)
         hessian += OpCount(add=nu * (nu + 1) // 2) * N
-        gradient = (known["state_step"] + known["adjoint_step"]) * N + known["terminal_adjoint"]
+        gradient = (model.products.state_step + model.products.adjoint_step) * N + model.products.terminal_adjoint
         rows = N * nu + ng
         return {
             "condense_hessian": hessian,
             "condense_gradient": gradient,
             "condense_embed": OpCount(add=nx + 2, mul=nx) * rows + OpCount(add=nx, mul=nx) * nf,
-            "condense_expand": known["state_step"] * N,
+            "condense_expand": model.products.state_step * N,
         }

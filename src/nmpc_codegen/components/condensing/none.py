@@ -5,36 +5,35 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape
+from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape, Seam
 from nmpc_codegen.components.condensing.partial import PartialCondensing
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Struct, Table
-from nmpc_codegen.ir.kernel import OpCount
-from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.ir.model import ModelFunctions
 
 
 @dataclass(frozen=True)
 class NoCondensing(Defaults):
     """Every shooting interval is a stage of the QP; nothing is eliminated, memory and time are linear in N."""
 
-    seam: ClassVar[str] = "condensing"
+    seam: ClassVar[Seam] = "condensing"
     name: ClassVar[str] = "none"
     template: ClassVar[str] = "condensing/none.c"
-    needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
+    needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
 
+    @property
+    def label(self) -> str:
+        return self.name
+
     def qp_shape(self, problem: Problem) -> QpShape:
         """N stages with the controls of one interval each."""
         return QpShape(problem.N, problem.nu, problem.N * problem.nu)
-
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """No function of the model is called."""
-        return ()
 
     def adapted(self, problem: Problem) -> NoCondensing | PartialCondensing:
         """Where stages need copies of components of x_0: blocks of one interval, which have a place for them."""
@@ -44,14 +43,6 @@ class NoCondensing(Defaults):
         """Where the rows stand in the stages."""
         return stage_tables(problem, 1)
 
-    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        """None beyond the shared ones."""
-        return ()
-
-    def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Nothing of its own: the linearisation of the nodes is the QP."""
-        return ()
-
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Bounds relative to the iterate; the rest is copied."""
         return {"condense_embed": embed_cost(dims)}

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape
+from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape, Seam
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
-from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.model import ModelFunctions
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class PartialCondensing(Defaults):
 
     block: int = option(2, Whole())
 
-    seam: ClassVar[str] = "condensing"
+    seam: ClassVar[Seam] = "condensing"
     name: ClassVar[str] = "partial"
     template: ClassVar[str] = "condensing/partial.c"
-    needs: ClassVar[tuple[str, ...]] = ("hessian", "qp")
+    needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
@@ -42,15 +42,15 @@ class PartialCondensing(Defaults):
     def _block(self, N: int) -> int:
         return min(self.block, N)
 
+    @property
+    def label(self) -> str:
+        return f"{self.name}({self.block})"
+
     def qp_shape(self, problem: Problem) -> QpShape:
         """ceil(N / block) stages with the controls of a block each."""
         block = self._block(problem.N)
         stages = -(-problem.N // block)
         return QpShape(stages, block * problem.nu, stages * block * problem.nu, copies=len(copied_states(problem)))
-
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """No function of the model is called."""
-        return ()
 
     def adapted(self, problem: Problem) -> PartialCondensing:
         """It takes every problem of its features."""
@@ -94,7 +94,7 @@ class PartialCondensing(Defaults):
             ),
         )
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Everything but the gradients and values of the rows."""
         N, nx, nxs, nu, nz = (size.value for size in (dims.N, dims.nx, dims.nxs, dims.nu, dims.nz))
         block = self._block(N)
@@ -109,5 +109,5 @@ class PartialCondensing(Defaults):
         return {
             "condense_matrices": forward + hessian,
             "condense_embed": embed_cost(dims),
-            "condense_expand": known["state_step"] * N,
+            "condense_expand": model.products.state_step * N,
         }

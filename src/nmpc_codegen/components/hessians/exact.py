@@ -10,18 +10,20 @@ section IV). The first time an adjoint pass gives lam.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Named, Number, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims
-from nmpc_codegen.components.hessians.regularization import Mirror, Project, Regularization
-from nmpc_codegen.components.hessians.stage_cost import StageCost, integrated_kernels, slices, stage_cost
+from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Regularization, Seam
+from nmpc_codegen.components.hessians.regularization import Mirror, Project
+from nmpc_codegen.components.hessians.stage_cost import StageCost, slices, stage_cost, stage_model
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
-from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
+from nmpc_codegen.ir.kernel import Kernel, Port, lift
+from nmpc_codegen.ir.model import ModelFunctions, QuadraticModel, operations
 from nmpc_codegen.ir.stage_products import Pattern, irreducible_blocks, pattern
 from nmpc_codegen.ir.sweep import Call, Routine, Slice
 
@@ -69,10 +71,10 @@ class ExactHessian(Defaults):
     sweep: Symmetric | ForwardOverAdjoint = option(Symmetric(), Named(_SWEEPS, (Symmetric, ForwardOverAdjoint)))
     levenberg_marquardt: float = option(0.0, Number(closed=True))
 
-    seam: ClassVar[str] = "hessian"
+    seam: ClassVar[Seam] = "hessian"
     name: ClassVar[str] = "exact"
     template: ClassVar[str] = "hessians/exact.c"
-    needs: ClassVar[tuple[str, ...]] = ("integrator",)
+    needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
@@ -85,20 +87,25 @@ class ExactHessian(Defaults):
         """Where it regularises: "stage", "reduced" or "nowhere"."""
         return "nowhere" if self.regularization is None else self.regularization.level
 
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """Cost and gradient of both stages, Hessian of the terminal one; those that integrate are joint ones."""
-        path, terminal = stage_cost(problem.path, "path"), stage_cost(problem.terminal, "terminal")
-        kernels: list[Routine] = []
-        if problem.path.cost_rate is None:
-            kernels += [path.cost_kernel(), path.gradient_kernel()]
-        return (*kernels, terminal.cost_kernel(), terminal.gradient_kernel(), *self._ends(problem, terminal))
+    def quadratic_model(self, problem: Problem, integrator: Integrator) -> QuadraticModel:
+        """Cost and gradient of both stages, the terminal block, and path_exact(x, u, p, dt, yref, W, mu, lam ->
+        x_next, S, g, Q), which has those of the path."""
+        cost = stage_cost(problem.path, "path")
+        more = (*cost.data_ports, cost.mu_port)
+        last, first = self._ends(problem, stage_cost(problem.terminal, "terminal"))
+        curved = integrator.curved(problem, self.sweep.scheme, "path_exact", self._start(cost), more)
+        curved = self._completed(curved, pattern(first, "Q"))
+        path, terminal = (stage_model(problem, integrator, name) for name in ("path", "terminal"))
+        Q = self._block(_lower(curved) | _lower(first), cost.nz)
+        Q_N = self._block(_lower(last), problem.nx)
+        return QuadraticModel(replace(path, Q=Q), replace(terminal, Q=Q_N, hessian=last), first, curved)
 
     def _ends(self, problem: Problem, cost: StageCost) -> tuple[Routine, Routine]:
         """The terminal block, and what the coupled rows add to the first one."""
         nx, nz, ne = problem.nx, problem.nx + problem.nu, problem.coupled_rows
         x_0, eta, Q_0 = ca.SX.sym("x_0", nx), ca.SX.sym("eta", ne), ca.SX.sym("Q_0", nz * nz)
         x_N = cost.inputs[0]
-        r = ca.dot(eta, problem.coupled(x_0, x_N)) if ne else ca.SX(0)
+        r = ca.SX(0) if problem.coupled is None else ca.dot(eta, problem.coupled(x_0, x_N))
         first, last = (ca.sparsify(ca.tril(ca.hessian(r, x)[0])) for x in (x_0, x_N))
         Q = ca.sparsify(cost.hessian + last + self._damping(nx))
         ports = [Port("first", nx, doc="x_0"), Port("eta", ne, doc="multipliers of the coupled rows")]
@@ -121,14 +128,6 @@ class ExactHessian(Defaults):
         )
         return self._completed(terminal), initial
 
-    def joint_routines(self, problem: Problem, integrator: Any) -> tuple[Routine, ...]:
-        """path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q); path_cost and path_gradient that integrate."""
-        cost = stage_cost(problem.path, "path")
-        more = (*cost.data_ports, cost.mu_port)
-        exact = integrator.curved(problem, self.sweep.scheme, "path_exact", self._start(cost), more)
-        initial = self._ends(problem, stage_cost(problem.terminal, "terminal"))[1]
-        return (*integrated_kernels(problem, integrator), self._completed(exact, pattern(initial, "Q")))
-
     def _start(self, cost: StageCost) -> Call:
         """g and Q of the node's own cost and rows."""
         Q = ca.densify(cost.hessian + self._damping(cost.nz))
@@ -137,11 +136,11 @@ class ExactHessian(Defaults):
         outs = (Slice("g", cost.nz), Slice("Q", cost.nz**2))
         return Call(leaf, slices(*cost.ports, *cost.data_ports, cost.mu_port), outs)
 
-    def _damping(self, n: int) -> Any:
+    def _damping(self, n: int) -> Expression:
         """The Levenberg-Marquardt term, unless it follows after a regularisation of the block."""
         if self.level == "stage" or not self.levenberg_marquardt:
-            return ca.DM(n, n)
-        return self.levenberg_marquardt * ca.DM.eye(n)
+            return ca.SX(n, n)
+        return self.levenberg_marquardt * ca.SX.eye(n)
 
     def _completed(self, routine: Routine, more: Pattern = frozenset()) -> Routine:
         """With zeros stored in the entries ``more``, and in all that a regularisation of the block may fill."""
@@ -152,15 +151,6 @@ class ExactHessian(Defaults):
     def _block(self, lower: Pattern, n: int) -> Pattern:
         """What is nonzero after the regularisation."""
         return filled(lower, n) if self.level == "stage" else lower
-
-    def patterns(self, routines: Mapping[str, Routine]) -> tuple[Pattern, Pattern]:
-        """Nonzeros of Q and Q_N, lower triangles."""
-        path, first, last = (
-            frozenset((r, c) for r, c in pattern(routines[name], "Q") if r >= c)
-            for name in ("path_exact", "initial_hessian", "terminal_hessian")
-        )
-        nz, nx = (routines[name].outputs[-1].rows for name in ("path_exact", "terminal_hessian"))
-        return self._block(path | first, nz), self._block(last, nx)
 
     @property
     def switches(self) -> Mapping[str, int]:
@@ -214,9 +204,14 @@ class ExactHessian(Defaults):
             )
         return (Struct("hessian", "Hessian blocks, lower triangles, z = (x, u)", (*blocks, *scratch)),)
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The terminal block; the work of a regularisation depends on the data."""
-        return {} if self.level == "stage" else {"hessian": known["terminal_hessian"]}
+        return {} if self.level == "stage" else {"hessian": operations(model.terminal.hessian)}
+
+
+def _lower(routine: Routine) -> Pattern:
+    """Nonzeros of its output Q in the lower triangle."""
+    return frozenset((r, c) for r, c in pattern(routine, "Q") if r >= c)
 
 
 def _lanes(nz: int) -> int:

@@ -8,19 +8,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Flag, Number, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims
+from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
 from nmpc_codegen.components.hessians.stage_cost import weight_matrix
 from nmpc_codegen.frontend.problem import Problem, Stage
-from nmpc_codegen.ir.cmodule import Field, Struct, Table
-from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
-from nmpc_codegen.ir.stage_products import Pattern, pattern
-from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.ir.cmodule import Field, Struct
+from nmpc_codegen.ir.kernel import Kernel, Port, lift
+from nmpc_codegen.ir.model import ModelFunctions, QuadraticModel, StageModel, operations
+from nmpc_codegen.ir.stage_products import pattern
 
 
 @dataclass(frozen=True)
@@ -34,20 +35,20 @@ class GaussNewton(Defaults):
     convex_rows: bool = option(False, Flag())
     levenberg_marquardt: float = option(0.0, Number(closed=True))
 
-    seam: ClassVar[str] = "hessian"
+    seam: ClassVar[Seam] = "hessian"
     name: ClassVar[str] = "gauss_newton"
     template: ClassVar[str] = "hessians/gauss_newton.c"
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "accumulators"})
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """cost, gradient and hessian of the path and of the terminal stage."""
-        return (*self._stage(problem.path, "path"), *self._stage(problem.terminal, "terminal"))
+    def quadratic_model(self, problem: Problem, integrator: Integrator) -> QuadraticModel:
+        """cost, gradient and hessian of the path and of the terminal stage; least squares live at the nodes."""
+        return QuadraticModel(self._stage(problem.path, "path"), self._stage(problem.terminal, "terminal"))
 
-    def _stage(self, stage: Stage, name: str) -> tuple[Kernel, ...]:
+    def _stage(self, stage: Stage, name: str) -> StageModel:
         z = ca.vertcat(stage.x, stage.u)
         nz, ny = int(z.numel()), stage.ny
         yref, W, weight, nw = ca.SX.sym("yref", ny), *weight_matrix(stage)
@@ -67,43 +68,31 @@ class GaussNewton(Defaults):
         Wp = Port("W", nw, doc="diagonal of the weight" if stage.diagonal_weight else "weight, row-major")
         yp = Port("yref", ny)
 
-        def kernel(suffix: str, doc: str, more: list[Any], more_ports: list[Port], value: Any, out: Port) -> Kernel:
+        def kernel(
+            suffix: str, doc: str, more: list[Expression], more_ports: list[Port], value: Expression, out: Port
+        ) -> Kernel:
             function = ca.Function(suffix, args + more, [ca.densify(value) if suffix == "cost" else value])
             return lift(function, f"{name}_{suffix}", doc, ports + more_ports, [out])
 
         gradient = ca.sparsify(J.T @ weighted) if ny else ca.SX(nz, 1)
         cost = ca.dot(residual, weighted) / 2 if ny else ca.SX(1, 1)
-        kernels = (
+        value, slope, block = (
             kernel("cost", "l = 1/2 (y - yref)' W (y - yref)", [yref, W], [yp, Wp], cost, Port("l", 1)),
             kernel("gradient", "g = J' W (y - yref)", [yref, W], [yp, Wp], gradient, Port("g", nz)),
             kernel("hessian", "Q = J' W J, lower triangle", [W], [Wp], hessian, Port("Q", nz, nz)),
         )
+        model = StageModel(value, slope, pattern(block, "Q"), block)
         if not self.convex_rows:
-            return kernels
+            return model
         function = ca.Function("curvature", [*args[: 2 if terminal else 3], mu], [curvature])
         doc = "M = sum_i mu_i d2 h_i, lower triangle"
         curved = [*ports[: 2 if terminal else 3], Port("mu", stage.nh)]
-        return (*kernels, lift(function, f"{name}_curvature", doc, curved, [Port("M", nz, nz)]))
-
-    def joint_routines(self, problem: Problem, integrator: Any) -> tuple[Routine, ...]:
-        """None: least squares live at the nodes."""
-        return ()
-
-    def patterns(self, routines: Mapping[str, Routine]) -> tuple[Pattern, Pattern]:
-        """Nonzeros of Q and Q_N, lower triangles."""
-        return pattern(routines["path_hessian"], "Q"), pattern(routines["terminal_hessian"], "Q")
+        return replace(model, curvature=lift(function, f"{name}_curvature", doc, curved, [Port("M", nz, nz)]))
 
     @property
     def switches(self) -> Mapping[str, int]:
         """Whether the curvature of rows is added; the Hessian is never indefinite."""
         return {"CONVEX_ROWS": int(self.convex_rows), "REGULARIZE_REDUCED": 0}
-
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """No tables."""
-        return ()
-
-    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return ()
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Hessian blocks, lower triangles in the order z = (x, u)."""
@@ -120,8 +109,8 @@ class GaussNewton(Defaults):
             ),
         )
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """All blocks that hessian() forms; with convex rows the count depends on the data."""
         if self.convex_rows:
             return {}
-        return {"hessian": known["path_hessian"] * dims.nq.value + known["terminal_hessian"]}
+        return {"hessian": operations(model.path.hessian) * dims.nq.value + operations(model.terminal.hessian)}

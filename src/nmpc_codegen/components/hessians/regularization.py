@@ -21,7 +21,7 @@ LEVELS = ("reduced", "stage")
 
 
 @dataclass(frozen=True)
-class Regularization:
+class EigenvalueFloor:
     """``floor``: smallest eigenvalue, relative to the largest absolute one; ``level``: "reduced" changes nothing unless
     the condensed Hessian is not positive definite, "stage" treats the block of every node."""
 
@@ -35,14 +35,14 @@ class Regularization:
 
 
 @dataclass(frozen=True)
-class Project(Regularization):
+class Project(EigenvalueFloor):
     """Eigenvalues below the floor become the floor."""
 
     mirrors: ClassVar[bool] = False
 
 
 @dataclass(frozen=True)
-class Mirror(Regularization):
+class Mirror(EigenvalueFloor):
     """Negative eigenvalues change their sign, small ones become the floor."""
 
     mirrors: ClassVar[bool] = True

@@ -8,13 +8,15 @@ Weights and references are inputs, as they can change at run time.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 
+from nmpc_codegen.components.base import Integrator
 from nmpc_codegen.frontend.problem import Problem, Stage
+from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
-from nmpc_codegen.ir.sweep import Call, Routine, Slice
+from nmpc_codegen.ir.model import StageModel
+from nmpc_codegen.ir.sweep import Call, Slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,27 +27,27 @@ class StageCost:
     """
 
     name: str
-    inputs: tuple[Any, ...]
+    inputs: tuple[Expression, ...]
     ports: tuple[Port, ...]
-    yref: Any
-    W: Any
+    yref: Expression
+    W: Expression
     data_ports: tuple[Port, Port]
-    mu: Any
-    z: Any
-    value: Any
-    rows: Any  # mu' h
+    mu: Expression
+    z: Expression
+    value: Expression
+    rows: Expression  # mu' h
 
     @property
     def nz(self) -> int:
         return int(self.z.numel())
 
     @property
-    def gradient(self) -> Any:
+    def gradient(self) -> Expression:
         """d l / dz."""
         return ca.sparsify(ca.gradient(self.value, self.z))
 
     @property
-    def hessian(self) -> Any:
+    def hessian(self) -> Expression:
         """Lower triangle of d2 (l + mu' h) / dz^2."""
         return ca.sparsify(ca.tril(ca.hessian(self.value + self.rows, self.z)[0]))
 
@@ -53,7 +55,7 @@ class StageCost:
     def mu_port(self) -> Port:
         return Port("mu", int(self.mu.numel()), doc="multipliers of the general rows")
 
-    def kernel(self, suffix: str, doc: str, value: Any, out: Port, *, mu: bool = False) -> Kernel:
+    def kernel(self, suffix: str, doc: str, value: Expression, out: Port, *, mu: bool = False) -> Kernel:
         """value(inputs, yref, W[, mu]) as the routine <stage>_<suffix>."""
         symbols = [*self.inputs, self.yref, self.W, *([self.mu] if mu else [])]
         ports = [*self.ports, *self.data_ports, *([self.mu_port] if mu else [])]
@@ -95,18 +97,21 @@ def stage_cost(stage: Stage, name: str) -> StageCost:
     )
 
 
-def integrated_kernels(problem: Problem, integrator: Any) -> tuple[Routine, ...]:
-    """path_cost and path_gradient of a problem with an integrated cost, from the scheme of its dynamics; else none."""
-    if problem.path.cost_rate is None:
-        return ()
-    cost = stage_cost(problem.path, "path")
+def stage_model(problem: Problem, integrator: Integrator, name: str) -> StageModel:
+    """Cost and gradient of the stage "path" or "terminal"; those of an integrated cost come from the scheme of the
+    dynamics. Nothing is known about a Hessian block yet."""
+    cost = stage_cost(problem.path if name == "path" else problem.terminal, name)
+    if name == "terminal" or problem.path.cost_rate is None:
+        return StageModel(cost.cost_kernel(), cost.gradient_kernel(), frozenset())
     arguments, symbols = slices(*cost.ports, *cost.data_ports), [*cost.inputs, cost.yref, cost.W]
     value = Call(ca.Function("node_cost", symbols, [ca.densify(cost.value)]), arguments, (Slice("l", 1),))
     leaf = ca.Function("node_gradient", symbols, [ca.densify(cost.gradient)])
     gradient = Call(leaf, arguments, (Slice("g", cost.nz),))
-    return (
+    return StageModel(
         integrator.integrated_cost(problem, "path_cost", value, cost.data_ports),
         integrator.integrated_gradient(problem, "path_gradient", gradient, cost.data_ports),
+        frozenset(),
+        integrated=True,
     )
 
 
@@ -115,7 +120,7 @@ def slices(*ports: Port) -> tuple[Slice, ...]:
     return tuple(Slice(p.name, p.size) for p in ports)
 
 
-def weight_matrix(stage: Stage) -> tuple[Any, Any, int]:
+def weight_matrix(stage: Stage) -> tuple[Expression, Expression, int]:
     """(symbol, matrix, length): a diagonal weight is carried as its diagonal, others row-major; rows scaled by dt."""
     ny = stage.ny
     if stage.diagonal_weight:

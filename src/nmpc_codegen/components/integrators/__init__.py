@@ -1,8 +1,11 @@
-"""ADD AN INTEGRATOR HERE: a component with seam "integrator" that yields the routines
+"""ADD AN INTEGRATOR HERE: a component that fulfils `Integrator` of base.py.
 
-integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next).
+interval() has integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next).
 """
 
+from collections.abc import Mapping
+
+from nmpc_codegen.components.base import Integrator
 from nmpc_codegen.components.integrators.discrete import Discrete
 from nmpc_codegen.components.integrators.explicit_runge_kutta import ExplicitRungeKutta
 from nmpc_codegen.components.integrators.tableau import (
@@ -15,7 +18,7 @@ from nmpc_codegen.components.integrators.tableau import (
     Midpoint,
 )
 
-REGISTRY: dict[str, type[ExplicitRungeKutta] | type[Discrete]] = {
+REGISTRY: Mapping[str, type[Integrator]] = {
     ExplicitRungeKutta.name: ExplicitRungeKutta,
     Discrete.name: Discrete,
 }

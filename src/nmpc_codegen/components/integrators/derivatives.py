@@ -8,16 +8,19 @@ What F_z and H share is evaluated once per stage point and kept ("tape"); H is f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.casadi_types import Expression, Function, nonzeros
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, lift
 
 Entry = tuple[int, int]
+
+#: Number of an instruction -> its value.
+Values = Callable[[int], Expression]
 
 # A tape of at most so many numbers per component of (x, u) is kept at every stage; a longer one is evaluated anew.
 TAPE_PER_COMPONENT = 8
@@ -49,8 +52,8 @@ class Derivatives:
         self._kappa = ca.SX.sym("kappa", self.nF)
         Fz = ca.sparsify(ca.jacobian(self.F, z))
         self.jacobian: list[Entry] = list(zip(*Fz.sparsity().get_triplet(), strict=True))
-        self.constants = [v.is_constant() for v in Fz.nonzeros()]
-        self.Fz_values = Fz.nonzeros()
+        self.Fz_values = nonzeros(Fz)
+        self.constants = [v.is_constant() for v in self.Fz_values]
         H, self._kernel = self._cheapest(z)
         stored = [v for o, _, v in self._kernel.stores if o == 2]
         self._values_of_H = list(dict.fromkeys(stored))
@@ -62,7 +65,7 @@ class Derivatives:
         self.curved = [i for i in range(self.nF) if (3, i) in read]
         self._split()
 
-    def _cheapest(self, z: Any) -> tuple[Any, Kernel]:
+    def _cheapest(self, z: Expression) -> tuple[Expression, Kernel]:
         """Three ways to write H; the one whose program with f and F_z has the fewest operations."""
         L = ca.dot(self._kappa, self.F)
         terms = [self._kappa[i] * ca.tril(ca.hessian(self.F[i], z)[0]) for i in range(self.nF)]
@@ -71,7 +74,7 @@ class Derivatives:
         values = [v for v, constant in zip(self.Fz_values, self.constants, strict=True) if not constant]
         found = []
         for H in map(ca.sparsify, candidates):
-            outputs = [self.F[: self.nx], ca.vertcat(ca.SX(0, 1), *values), ca.vertcat(ca.SX(0, 1), *H.nonzeros())]
+            outputs = [self.F[: self.nx], _column(values), _column(nonzeros(H))]
             found.append((H, _lifted([self.x, self.u, self.p, self._kappa], outputs)))
         return min(found, key=lambda c: c[1].count.total)
 
@@ -96,11 +99,11 @@ class Derivatives:
         """True if the tape of every stage is stored, False if it is evaluated anew from the stage point."""
         return self.tape <= TAPE_PER_COMPONENT * self.nz
 
-    def _values(self, inputs: Sequence[Any], preset: dict[int, Any]) -> Any:
+    def _values(self, inputs: Sequence[Expression], preset: dict[int, Expression]) -> Values:
         """A lookup of the values of the program for the given inputs, evaluated on demand."""
         k, known = self._kernel, dict(preset)
 
-        def value(index: int) -> Any:
+        def value(index: int) -> Expression:
             if index not in known:
                 ins = k.instructions[index]
                 if ins.opcode == ca.OP_INPUT:
@@ -117,11 +120,11 @@ class Derivatives:
 
     # Leaves ----------------------------------------------------------------------------------------------------------
 
-    def leaf_value(self) -> Any:
+    def leaf_value(self) -> Function:
         """K = f(X, u, p)."""
         return ca.Function("f", [self.x, self.u, self.p], [self.F[: self.nx]], ["x", "u", "p"], ["K"])
 
-    def leaf_tape(self, length: int, value: bool = True) -> Any:
+    def leaf_tape(self, length: int, value: bool = True) -> Function:
         """(K,) tape[:length] at a stage point."""
         entry = self._values([self.x, self.u, self.p], {})
         tape = _column([entry(v) for v in self._kept[:length]])
@@ -142,13 +145,13 @@ class Derivatives:
                 todo += ins.args
         return sorted(v for v in found if OPERATIONS[self._kernel.instructions[v].opcode].count == "call")
 
-    def leaf_value_and_functions(self) -> Any:
+    def leaf_value_and_functions(self) -> Function:
         """K, and the values of ``functions``."""
         entry = self._values([self.x, self.u, self.p], {})
         values = _column([entry(v) for v in self.functions])
         return ca.Function("f", [self.x, self.u, self.p], [self._K(entry), values], ["x", "u", "p"], ["K", "m"])
 
-    def leaf_tape_of_functions(self) -> Any:
+    def leaf_tape_of_functions(self) -> Function:
         """The tape from the values of ``functions``: arithmetic alone."""
         values = ca.SX.sym("m", len(self.functions))
         preset = {v: values[n] for n, v in enumerate(self.functions)}
@@ -156,14 +159,14 @@ class Derivatives:
         tape = _column([entry(v) for v in self._kept])
         return ca.Function("tape", [self.x, self.u, self.p, values], [tape], ["x", "u", "p", "m"], ["t"])
 
-    def _K(self, entry: Any) -> Any:
+    def _K(self, entry: Values) -> Expression:
         K = ca.SX.zeros(self.nx)
         for o, e, v in self._kernel.stores:
             if o == 0:
                 K[e] = entry(v)
         return K
 
-    def Fz(self, tape: Any) -> Any:
+    def Fz(self, tape: Expression) -> Expression:
         """F_z as an SX matrix in the symbols of a tape; constant entries are numbers."""
         stored = iter([v for o, _, v in self._kernel.stores if o == 1])
         where = {v: tape[n] for n, v in enumerate(self._kept[: self.slopes])}
@@ -172,7 +175,7 @@ class Derivatives:
             matrix[i, j] = value if constant else where[next(stored)]
         return matrix
 
-    def leaf_hessian(self) -> Any:
+    def leaf_hessian(self) -> Function:
         """The values of H from the stage point, its tape, and kappa of the curved rows."""
         tape, kappa = ca.SX.sym("t", self.tape), ca.SX.sym("kappa", len(self.curved))
         full = ca.SX.zeros(self.nF)
@@ -225,11 +228,11 @@ class Derivatives:
         return True
 
 
-def _column(values: list[Any]) -> Any:
+def _column(values: list[Expression]) -> Expression:
     return ca.vertcat(ca.SX(0, 1), *values)
 
 
-def _lifted(inputs: list[Any], outputs: list[Any]) -> Kernel:
+def _lifted(inputs: list[Expression], outputs: list[Expression]) -> Kernel:
     dense = [ca.densify(o) for o in outputs]
     ports = [Port(f"i{n}", int(s.numel())) for n, s in enumerate(inputs)]
     return lift(

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.components.base import Counts, Defaults, Dims
+from nmpc_codegen.components.base import Defaults, Dims, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.ir.kernel import OpCount, Port, lift
+from nmpc_codegen.ir.kernel import Port, lift
+from nmpc_codegen.ir.model import Interval
 from nmpc_codegen.ir.sweep import Call, Routine
 
 
@@ -19,21 +19,28 @@ from nmpc_codegen.ir.sweep import Call, Routine
 class Discrete(Defaults):
     """The dynamics are already a map from node to node; nothing to choose."""
 
-    seam: ClassVar[str] = "integrator"
+    seam: ClassVar[Seam] = "integrator"
     name: ClassVar[str] = "discrete"
     template: ClassVar[str] = "integrators/discrete.c"
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "accumulators"}
     )
 
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
+    def check(self, problem: Problem) -> None:
+        """The dynamics have to be a map."""
         if not problem.discrete:
             raise OptionError(
                 f"integrator: {problem.name} is an ordinary differential equation; expected ExplicitRungeKutta(...) "
                 "(--set integrator=explicit_runge_kutta) instead of Discrete() (--set integrator=discrete)"
             )
+
+    def longest_step(self, problem: Problem) -> float:
+        """One evaluation of the map per interval."""
+        return max(problem.dt)
+
+    def interval(self, problem: Problem) -> Interval:
+        """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         x, u, p = problem.path.x, problem.path.u, problem.path.p
         dt = ca.SX.sym("dt")
         phi = ca.densify(problem.dynamics(x, u, p))
@@ -42,7 +49,7 @@ class Discrete(Defaults):
         out = Port("x_next", problem.nx)
         interval = ca.Function("interval", [x, u, p, dt], [phi, S])
         step = ca.Function("step", [x, u, p, dt], [phi])
-        return (
+        return Interval(
             lift(
                 interval,
                 "integrator_interval",
@@ -73,15 +80,17 @@ class Discrete(Defaults):
             (Port("x_next", problem.nx), Port("S", problem.nx, nz), Port("g", nz), Port("Q", nz, nz)),
         )
 
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """No tables."""
-        return ()
+    def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """Refused: a map has no time to integrate over."""
+        raise OptionError(_no_time(problem))
+
+    def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """Refused: a map has no time to integrate over."""
+        raise OptionError(_no_time(problem))
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("STEPS", 1, "evaluations of the map per interval"),)
 
-    def structs(self, dims: Dims) -> tuple[Any, ...]:
-        return ()
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
-        return {}
+def _no_time(problem: Problem) -> str:
+    return f"{problem.name}: a discrete map has no cost per unit of time; expected a cost of its nodes"

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims
+from nmpc_codegen.components.base import Defaults, Dims, Seam
 from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.components.integrators.quadrature import Quadrature
 from nmpc_codegen.components.integrators.second_order import expand_steps, fuse_steps
@@ -24,8 +24,9 @@ from nmpc_codegen.components.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.components.integrators.tableau import RK4, TABLEAUS, ButcherTableau, combine
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.ir.kernel import OpCount, Port
+from nmpc_codegen.ir.casadi_types import Function, nonzeros
+from nmpc_codegen.ir.kernel import Port
+from nmpc_codegen.ir.model import Interval
 from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import (
     Affine,
@@ -79,10 +80,10 @@ class ExplicitRungeKutta(Defaults):
     steps: int = option(2, Whole(MAX_STEPS))
     unroll: Unroll = option("auto", Words(get_args(Unroll)))
 
-    seam: ClassVar[str] = "integrator"
+    seam: ClassVar[Seam] = "integrator"
     name: ClassVar[str] = "explicit_runge_kutta"
     template: ClassVar[str] = "integrators/explicit_runge_kutta.c"
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
@@ -90,14 +91,21 @@ class ExplicitRungeKutta(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
+    def check(self, problem: Problem) -> None:
+        """The dynamics have to be a differential equation."""
         if problem.discrete:
             raise OptionError(
                 f"integrator: {problem.name} is a discrete map; expected Discrete() (--set integrator=discrete) "
                 "instead of ExplicitRungeKutta(...) (--set integrator=explicit_runge_kutta)"
             )
-        return self._interval(problem), straight(step_sweep(problem, self.tableau))
+
+    def longest_step(self, problem: Problem) -> float:
+        """The longest interval in ``steps`` equal ones."""
+        return max(problem.dt) / self.steps
+
+    def interval(self, problem: Problem) -> Interval:
+        """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
+        return Interval(self._interval(problem), straight(step_sweep(problem, self.tableau)))
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` fills g and Q from all inputs but lam, the interval
@@ -189,18 +197,8 @@ class ExplicitRungeKutta(Defaults):
                 return program
         return rolled
 
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """No tables."""
-        return ()
-
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("STEPS", self.steps, "Runge-Kutta steps per interval"),)
-
-    def structs(self, dims: Dims) -> tuple[Any, ...]:
-        return ()
-
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
-        return {}
 
 
 class _Builder:
@@ -217,24 +215,24 @@ class _Builder:
         self.nz = self.nx + self.nu
         self.ld = -(-self.nz // PANEL) * PANEL
 
-    def leaf_f(self) -> Any:
+    def leaf_f(self) -> Function:
         """K = f(X, u, p)."""
         return ca.Function("f", [self.x, self.u, self.p], [self.f], ["x", "u", "p"], ["K"])
 
-    def leaf_f_and_jacobian(self) -> Any:
+    def leaf_f_and_jacobian(self) -> Function:
         """K = f, the nonzeros of f_x, and the nonzero rows of [0 f_u], ld columns each."""
-        nonzeros = ca.vertcat(*self.fx.nonzeros()) if self.fx.nnz() else ca.SX(0, 1)
+        values = ca.vertcat(ca.SX(0, 1), *nonzeros(self.fx))
         padded = ca.horzcat(ca.SX(self.nx, self.nx), self.fu, ca.SX(self.nx, self.ld - self.nz))
         rows = ca.vertcat(ca.SX(0, 1), *(padded[i, :].T for i in self.fu_rows))
         return ca.Function(
             "linearize_f",
             [self.x, self.u, self.p],
-            [self.f, nonzeros, rows],
+            [self.f, values, rows],
             ["x", "u", "p"],
             ["K", "fx", "Fu"],
         )
 
-    def leaf_slope(self, stage: int) -> Any:
+    def leaf_slope(self, stage: int) -> Function:
         """One column of K_i' = f_x (S + h sum_j a_ij K_j') + [0 f_u]."""
         coefficients = self.tableau.a[stage]
         nonzeros, column, h = ca.SX.sym("fx", self.fx.nnz()), ca.SX.sym("s", self.nx), ca.SX.sym("h")
@@ -248,7 +246,7 @@ class _Builder:
         names = ["fx", "s", "h", "Fu", *(f"K{j}" for j in range(len(slopes)))]
         return ca.Function(f"slope_{stage}", [nonzeros, column, h, fu, *slopes], [value], names, ["Ks"])
 
-    def leaf_combination(self, name: str, coefficients: Sequence[Fraction]) -> Any:
+    def leaf_combination(self, name: str, coefficients: Sequence[Fraction]) -> Function:
         """y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
         x, h = ca.SX.sym("x", self.nx), ca.SX.sym("h")
         slopes = [ca.SX.sym(f"K{j}", self.nx) for j, c in enumerate(coefficients) if c]
@@ -337,7 +335,7 @@ def _locals(b: _Builder, step_only: bool) -> tuple[tuple[str, int], ...]:
     return state if step_only else state + inner
 
 
-def _copy(name: str, n: int) -> Any:
+def _copy(name: str, n: int) -> Function:
     x = ca.SX.sym("x", n)
     return ca.Function(name, [x], [x], ["x"], ["y"])
 

@@ -7,11 +7,10 @@ adjoint recursion is propagated backward, unsymmetric.
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 
 from nmpc_codegen.components.integrators.second_order import Builder, Local, constant, copy
+from nmpc_codegen.ir.casadi_types import Function
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
 
 
@@ -55,7 +54,7 @@ class AdjointSweep(Builder):
         outs = [self.column("XbarS", needed, stage), self.column("ubarS", len(self.controls))]
         return [*nodes, self.columnwise(self._leaf_bar(stage), ins, outs)]
 
-    def _leaf_bar(self, stage: int) -> Any:
+    def _leaf_bar(self, stage: int) -> Function:
         d, sym = self.d, ca.SX.sym
         needed = d.needed
         tape, h, H = sym("t", d.slopes), sym("h"), sym("H", d.values)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any
 
 import casadi as ca
 
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep
 
@@ -27,7 +27,7 @@ class Quadrature:
         self.nx, self.nu, self.np = stage.nx, stage.nu, problem.np
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
         self.f = problem.dynamics(self.x, self.u, self.p)
-        self.rate = stage.cost_rate
+        self.rate = ca.SX(0) if stage.cost_rate is None else stage.cost_rate
         self.length = problem.dt[0] / steps if problem.uniform else None
 
     def value(self, name: str, doc: str, start: Call, more: tuple[Port, ...]) -> Sweep:
@@ -91,7 +91,7 @@ class Quadrature:
     def _update(self) -> Call:
         return self._combination("update", self.tableau.b, Slice("X", self.nx), Slice("X", self.nx))
 
-    def _add_rates(self, q: Any) -> Call:
+    def _add_rates(self, q: Expression) -> Call:
         h, rates = ca.SX.sym("h"), ca.SX.sym("L", self.stages)
         used = [rates[i] for i, b in enumerate(self.tableau.b) if b]
         leaf = ca.Function("add_rates", [q, h, rates], [combine(q, h, used, self.tableau.b)])

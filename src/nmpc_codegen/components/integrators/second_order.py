@@ -13,13 +13,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from itertools import zip_longest
-from typing import Any
 
 import casadi as ca
 
 from nmpc_codegen.components.integrators.derivatives import Derivatives
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.ir.kernel import Port, lift
 from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, unroll
@@ -97,7 +97,7 @@ class Builder:
         """Column ``index`` of a matrix of packed columns; ``block``: of the block-th matrix of so many rows."""
         return Slice(buffer, rows, Affine(block * rows * self.ld, ((index, 1),)), self.ld)
 
-    def columnwise(self, leaf: Any, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
+    def columnwise(self, leaf: Function, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
         """The leaf for every packed column."""
         return For("c", 0, self.ld, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
 
@@ -119,7 +119,7 @@ class Builder:
 
     # Leaves ----------------------------------------------------------------------------------------------------------
 
-    def combination(self, name: str, coefficients: Sequence[Fraction], size: int) -> Any:
+    def combination(self, name: str, coefficients: Sequence[Fraction], size: int) -> Function:
         """y = x + h sum_j c_j K_j."""
         x, h = ca.SX.sym("x", size), ca.SX.sym("h")
         slopes = [ca.SX.sym(f"K{j}", size) for j, c in enumerate(coefficients) if c]
@@ -130,14 +130,14 @@ class Builder:
         """Stages whose point depends on K_stage."""
         return [j for j in range(stage + 1, self.stages) if self.tableau.a[j][stage]]
 
-    def adjoint_of_slope(self, stage: int, value: Any, h: Any, bars: dict[int, Any]) -> Any:
+    def adjoint_of_slope(self, stage: int, value: Expression, h: Expression, bars: dict[int, Expression]) -> Expression:
         """h b_i value + h sum_j a_ji Xbar_j over later stages j."""
         later = [j for j in self.later(stage) if j in bars]
         coefficients = (self.tableau.b[stage], *(self.tableau.a[j][stage] for j in later))
         slopes = [value, *(bars[j] for j in later)][0 if coefficients[0] else 1 :]
         return combine(ca.SX.zeros(*value.shape), h, slopes, coefficients)
 
-    def leaf_backward(self, stage: int) -> Any:
+    def leaf_backward(self, stage: int) -> Function:
         """kappa_i of the curved rows and Xbar_i = F_x' kappa_i; kappa of an integrated cost is h b_i."""
         d, h, adj = self.d, ca.SX.sym("h"), ca.SX.sym("adj", self.nx)
         tape = ca.SX.sym("t", d.slopes)
@@ -155,7 +155,7 @@ class Builder:
         """F_u depends on the stage point."""
         return any(j >= self.nx and not c for (_, j), c in zip(self.d.jacobian, self.d.constants, strict=True))
 
-    def linear_forcing(self) -> Any:
+    def linear_forcing(self) -> Expression:
         """Constant entries of [0 F_u], rows ``forced`` and packed columns, which leave out closed forms."""
         rows = ca.SX.zeros(len(self.forced), self.ld)
         for (i, j), constant, value in zip(self.d.jacobian, self.d.constants, self.d.Fz_values, strict=True):
@@ -163,25 +163,25 @@ class Builder:
                 rows[self.forced.index(i), self.columns.index(j)] = value
         return ca.vec(rows.T)
 
-    def forcing(self, Fu: Any, tape: Any, units: Any) -> Any:
+    def forcing(self, Fu: Expression, tape: Expression, units: Expression) -> Expression:
         """One column of [0 F_u]: constant entries from a table, the others times the unit rows of the controls."""
         column = ca.SX(self.nF, 1)
         for n, i in enumerate(self.forced):
             column[i] = Fu[n]
         matrix = self.d.Fz(tape)
-        varying: dict[int, dict[Any, Any]] = {}
+        varying: dict[int, dict[str, tuple[Expression, Expression]]] = {}
         for (i, j), constant in zip(self.d.jacobian, self.d.constants, strict=True):
             if j >= self.nx and not constant:
                 key = str(matrix[i, j])
-                value, unit = varying.setdefault(i, {}).get(key, (matrix[i, j], 0))
+                value, unit = varying.setdefault(i, {}).get(key, (matrix[i, j], ca.SX(0)))
                 varying[i][key] = (value, unit + units[self.controls.index(j)])
         for i, terms in varying.items():
             column[i] += sum((value * unit for value, unit in terms.values()), ca.SX(0))
         return column
 
-    def curvature_forcing(self, H: Any, units: Any) -> Any:
+    def curvature_forcing(self, H: Expression, units: Expression) -> Expression:
         """One column of [0 H_u]: rows of H."""
-        terms: dict[tuple[int, int], Any] = {}
+        terms: dict[tuple[int, int], Expression] = {}
         for (r, c), n in self.d.hessian.items():
             for row, j in {(r, c), (c, r)}:
                 if j >= self.nx:
@@ -192,7 +192,7 @@ class Builder:
             column[row] += H[n] * unit
         return column
 
-    def full_hessian(self, values: Any) -> Any:
+    def full_hessian(self, values: Expression) -> Expression:
         """H as a symmetric matrix of its values."""
         full = ca.SX(self.nz, self.nz)
         for (r, c), n in self.d.hessian.items():
@@ -287,8 +287,8 @@ class Builder:
             leaf = ca.Function("update_adjoint", [adj, *bars], [sum(bars, adj)])
             return [*nodes, Call(leaf, (Slice("adj", self.nx), *slices), (Slice("adj", self.nx),))]
         tapes = [ca.SX.sym(f"t{i}", self.d.slopes) for i in stages]
-        found: dict[int, Any] = {}
-        kappas: dict[int, Any] = {}
+        found: dict[int, Expression] = {}
+        kappas: dict[int, Expression] = {}
         for i in reversed(stages):
             kappas[i], found[i] = self.leaf_backward(i)(adj, h, tapes[i], *(found[j] for j in self.later(i)))
         outputs = [*(kappas[i] for i in stages), sum(found.values(), adj)]
@@ -303,7 +303,7 @@ class Builder:
         outs = (self.kappa(stage), Slice("Xbar", self.nx, Affine(stage * self.nx)))
         return Call(self.leaf_backward(stage), ins, outs)
 
-    def stagewise(self, leaf: Any, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
+    def stagewise(self, leaf: Function, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
         """The leaf for every stage of a step."""
         return For("s", 0, self.stages, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
 
@@ -392,7 +392,7 @@ class Builder:
         if j < self.nx:
             s[j] = 1
         for _ in range(self.steps):
-            slopes: list[Any] = []
+            slopes: list[Expression] = []
             for i in range(self.stages):
                 used = [k for k, a in zip(slopes, self.tableau.a[i], strict=False) if a]
                 point = combine(s, h, used, self.tableau.a[i])
@@ -419,7 +419,7 @@ def _row(buffer: str, n: int, offset: int, ld: int) -> Slice:
     return Slice(buffer, n, Affine(offset, (("i", ld),)))
 
 
-def _constants_only(Fx: Any, s: Any) -> Any:
+def _constants_only(Fx: Expression, s: Expression) -> Expression:
     """Fx s, where the columns of Fx that meet nonzeros of s are constant."""
     total = ca.SX.zeros(Fx.shape[0])
     for j in range(int(s.numel())):
@@ -428,18 +428,18 @@ def _constants_only(Fx: Any, s: Any) -> Any:
     return total
 
 
-def copy(name: str, n: int) -> Any:
+def copy(name: str, n: int) -> Function:
     """y = x."""
     x = ca.SX.sym("x", n)
     return ca.Function(name, [x], [x], ["x"], ["y"])
 
 
-def constant(name: str, value: Any) -> Any:
+def constant(name: str, value: Expression) -> Function:
     """y = value."""
     return ca.Function(name, [], [value], [], ["y"])
 
 
-def addition(n: int) -> Any:
+def addition(n: int) -> Function:
     """y = x + a."""
     x, a = ca.SX.sym("x", n), ca.SX.sym("a", n)
     return ca.Function(f"add_{n}", [x, a], [x + a], ["x", "a"], ["y"])

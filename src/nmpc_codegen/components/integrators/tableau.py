@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.ir.casadi_types import Expression
 
 F = Fraction
 
@@ -68,7 +68,7 @@ class ButcherTableau:
         ]
 
 
-def combine(x: Any, h: Any, slopes: Sequence[Any], coefficients: Sequence[Fraction]) -> Any:
+def combine(x: Expression, h: Expression, slopes: Sequence[Expression], coefficients: Sequence[Fraction]) -> Expression:
     """x + h sum_j c_j K_j over the nonzero c_j; ``slopes`` are the K_j of these, equal coefficients share a product."""
     values = [c for c in coefficients if c]
     for c in dict.fromkeys(values):

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import Defaults
-from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.components.base import Defaults, Seam
+from nmpc_codegen.ir.cmodule import Field, Size, Struct
 from nmpc_codegen.ir.kernel import OpCount
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
-    from nmpc_codegen.frontend.problem import Problem
-    from nmpc_codegen.ir.sweep import Routine
+    from nmpc_codegen.ir.model import ModelFunctions
 
 
 @dataclass(frozen=True)
@@ -29,10 +28,10 @@ class DenseActiveSet(Defaults):
     ``max_iterations``: changes of the working set allowed in one feedback phase; None: 10 (NV + NG) + 50.
     """
 
-    seam: ClassVar[str] = "qp"
+    seam: ClassVar[Seam] = "qp"
     name: ClassVar[str] = "dense_active_set"
     template: ClassVar[str] = "qp/dense_active_set.c"
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
@@ -43,14 +42,6 @@ class DenseActiveSet(Defaults):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
-
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """No function of the model is called."""
-        return ()
-
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """No tables."""
-        return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """The iteration cap."""
@@ -116,7 +107,7 @@ class DenseActiveSet(Defaults):
             ),
         )
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Operations of the functions whose count depends on sizes alone (padded columns included)."""
         n = dims.ld.value
         panels = n // 4

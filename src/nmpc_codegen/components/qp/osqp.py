@@ -17,15 +17,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from nmpc_codegen.components.allowed import Number, Whole, check_options, option
-from nmpc_codegen.components.base import Defaults
+from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
 if TYPE_CHECKING:
-    from nmpc_codegen.components.base import Counts, Dims
-    from nmpc_codegen.frontend.problem import Problem
-    from nmpc_codegen.ir.sweep import Routine
+    from nmpc_codegen.components.base import Dims
+    from nmpc_codegen.runtime.package_description import Precision
 
 
 @dataclass(frozen=True)
@@ -35,10 +33,10 @@ class Osqp(Defaults):
     max_iterations: int = option(20_000, Whole())
     eps: float = option(1e-9, Number())
 
-    seam: ClassVar[str] = "qp"
+    seam: ClassVar[Seam] = "qp"
     name: ClassVar[str] = "osqp"
     template: ClassVar[str] = "qp/osqp.c"
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
@@ -47,14 +45,6 @@ class Osqp(Defaults):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
-
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """No function of the model is called."""
-        return ()
-
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """No tables."""
-        return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Entries of the two matrices in OSQP's compressed columns."""
@@ -95,11 +85,7 @@ class Osqp(Defaults):
             ),
         )
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
-        """Foreign code is not counted."""
-        return {}
-
-    def foreign_sources(self, prefix: str, precision: str, nv: int, ng: int) -> Mapping[str, str]:
+    def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
         """OSQP's embedded C for dense matrices of this size: path below osqp/ -> text, and our wrapper around it.
 
         Raises:
@@ -110,6 +96,7 @@ class Osqp(Defaults):
                 "Osqp() (--set qp=osqp) clashes with precision='single' (--set precision=single): its embedded "
                 "code is in double precision"
             )
+        nv, ng = dims.nv.value, dims.ng.value
         with tempfile.TemporaryDirectory(prefix="osqp-") as temporary:
             self._generate(Path(temporary), prefix, nv, ng)
             files = {

@@ -13,17 +13,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import Defaults
+from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.components.qp.riccati import riccati_cost, riccati_sizes, riccati_struct
 from nmpc_codegen.components.qp.riccati_interior_point import MAX_ITERATIONS as INTERIOR_POINT_ITERATIONS
 from nmpc_codegen.components.qp.riccati_interior_point import interior_point_struct
-from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
-    from nmpc_codegen.frontend.problem import Problem
-    from nmpc_codegen.ir.sweep import Routine
+    from nmpc_codegen.ir.model import ModelFunctions
 
 
 #: Working sets that are tried where no cap is given.
@@ -37,10 +35,10 @@ class RiccatiActiveSet(Defaults):
     ``max_iterations``: working sets that are tried in one feedback phase; None: 50.
     """
 
-    seam: ClassVar[str] = "qp"
+    seam: ClassVar[Seam] = "qp"
     name: ClassVar[str] = "riccati_active_set"
     template: ClassVar[str] = "qp/riccati_active_set.c"
-    needs: ClassVar[tuple[str, ...]] = ("condensing",)
+    needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
@@ -51,14 +49,6 @@ class RiccatiActiveSet(Defaults):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
-
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """No function of the model is called."""
-        return ()
-
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """No tables."""
-        return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions and caps."""
@@ -134,6 +124,6 @@ class RiccatiActiveSet(Defaults):
             ),
         )
 
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The recursion and its substitutions: a warm-started sample takes one of each."""
         return riccati_cost(dims)

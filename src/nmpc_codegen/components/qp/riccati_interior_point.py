@@ -12,15 +12,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
-from nmpc_codegen.components.base import Defaults
+from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_struct
-from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
 if TYPE_CHECKING:
-    from nmpc_codegen.components.base import Counts, Dims
-    from nmpc_codegen.frontend.problem import Problem
-    from nmpc_codegen.ir.sweep import Routine
+    from nmpc_codegen.components.base import Dims
 
 #: Cap on the iterations where none is given.
 MAX_ITERATIONS = 80
@@ -121,10 +118,10 @@ class RiccatiInteriorPoint(Defaults):
     max_iterations: int = option(MAX_ITERATIONS, Whole())
     warm_start: bool = option(True, Flag())
 
-    seam: ClassVar[str] = "qp"
+    seam: ClassVar[Seam] = "qp"
     name: ClassVar[str] = "riccati_interior_point"
     template: ClassVar[str] = "qp/riccati_interior_point.c"
-    needs: ClassVar[tuple[str, ...]] = ("condensing",)
+    needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
@@ -133,14 +130,6 @@ class RiccatiInteriorPoint(Defaults):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
-
-    def routines(self, problem: Problem) -> tuple[Routine, ...]:
-        """No function of the model is called."""
-        return ()
-
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """No tables."""
-        return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions of the recursion, the iteration cap, the warm start."""
@@ -177,7 +166,3 @@ class RiccatiInteriorPoint(Defaults):
             ),
         )
         return (riccati_struct(dims), interior_point_struct(dims), qp)
-
-    def cost(self, dims: Dims, known: Counts) -> dict[str, OpCount]:
-        """None so far."""
-        return {}
