@@ -13,7 +13,8 @@ from conftest import require_tool
 from benchmarks import quality
 from nmpc_codegen import Options, RealTimeIteration, generate
 from nmpc_codegen.errors import BuildError
-from nmpc_codegen.runtime.build import CACHE_VARIABLE, load
+from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.cache import CACHE_VARIABLE
 from nmpc_codegen.runtime.status import Status
 
 #: Cases whose C differs in structure; dense_changed differs from dense_weight in data only.

@@ -40,13 +40,17 @@ class Size:
 
 @dataclass(frozen=True)
 class Field:
-    """A member of a C struct. Zero sizes are padded to 1 in C; ``shape`` keeps the true ones."""
+    """A member of a C struct.
+
+    ``only``: name of a switch; where it is 0 the member does not exist, nor does one of size 0.
+    """
 
     name: str
     shape: tuple[Size, ...]
     doc: str
     role: Role
     ctype: str = "real"  # "real", "int32", or the name of a struct
+    only: str = ""
 
     @property
     def values(self) -> tuple[int, ...]:
@@ -63,13 +67,15 @@ class Field:
 class Struct:
     """A C struct <prefix>_<name>_t and the member ``name`` of the given shape that holds it in the solver.
 
-    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name.
+    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name. ``only``: name of
+    a switch; where it is 0 the struct does not exist.
     """
 
     name: str
     doc: str
     fields: tuple[Field, ...]
     shape: tuple[Size, ...] = ()
+    only: str = ""
 
 
 @dataclass(frozen=True)
@@ -206,6 +212,10 @@ class CModule:
             if m.name == macro:
                 return m.value
         raise KeyError(macro)
+
+    def table(self, name: str) -> Table:
+        """The table of that name."""
+        return next(t for t in self.tables if t.name == name)
 
     @property
     def sizes(self) -> dict[str, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from nmpc_codegen.ir.cmodule import (
 )
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.stage_products import PANEL, Products
+from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.lowering.linearize import Linearization
 
@@ -42,7 +44,8 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
     name = problem.name if name is None else name
     check_prefix(name)
     dims = _dims(lin)
-    structs = _structs(lin, dims)
+    switches = _switches(lin)
+    structs = _structs(lin, dims, switches)
     layout = struct_layout(structs, lin.options.precision)
     products = lin.products
     known = _known(lin, products)
@@ -51,7 +54,11 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
             f"{c.seam}: {c.name}",
             c.template,
             _section_count(c.cost(dims, known)),
-            sum(layout[s.name][0] * int(np.prod(s_shape(s))) for s in c.structs(dims) if s.name != "solver"),
+            sum(
+                layout[s.name][0] * int(np.prod(s_shape(s)))
+                for s in c.structs(dims)
+                if s.name in layout and s.name != "solver"
+            ),
         )
         for c in lin.options.components
     )
@@ -66,9 +73,9 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         settings=_settings(lin, dims),
         setters=_setters(lin),
         layouts=lin.options.online.layouts,
-        routines=lin.routines,
+        routines=_printed(lin),
         products=products,
-        switches={name: value for c in lin.options.components for name, value in c.switches.items()},
+        switches=switches,
         sections=sections,
         statuses=STATUSES,
         signals=(
@@ -90,6 +97,47 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
 def _known(lin: Linearization, products: Products) -> Counts:
     """Operations of the functions that components call: printed routines and stage products."""
     return {r.name: r.count for r in lin.routines} | products.counts | products.column_counts
+
+
+#: Kernels that a package may lack; where there is none HAS_<NAME> is 0.
+KERNELS = (
+    *(
+        f"{stage}_{part}"
+        for stage in ("path", "terminal")
+        for part in ("cost", "gradient", "hessian", "rows", "curvature")
+    ),
+    "initial_hessian",
+    "coupled_rows",
+)
+
+
+def _printed(lin: Linearization) -> tuple[Routine, ...]:
+    """The routines that compute anything: a problem without terminal cost has no terminal_cost()."""
+    return tuple(r for r in lin.routines if r.writes)
+
+
+def _switches(lin: Linearization) -> dict[str, int]:
+    """What `#if` in the parts may test besides the sizes: features of the problem and of the options, 1 or 0."""
+    p, layouts = lin.problem, lin.options.online.layouts
+    kinds = {kind for _, kind, _, _ in p.qp_rows}
+    computing = {r.name for r in lin.routines if r.writes}
+    data = {"reference": p.path.ny + p.terminal.ny, "parameter": p.np, "bounds": len(p.rows)}
+    data["weight"] = data["reference"]
+    switches = {f"HAS_{name.upper()}": int(name in computing) for name in KERNELS}
+    switches |= {f"SET_{kind.upper()}": int(layouts[kind] != "fixed" and size > 0) for kind, size in data.items()}
+    switches |= {
+        "SOLVE": int(lin.options.solve),
+        "STATE_ROWS": int(0 in kinds),
+        "GENERAL_ROWS": int(1 in kinds),
+        "HARD_ROWS": int(any(p.rows[row].soft is None for _, _, _, row in p.qp_rows)),
+        "CONTROL_BOUNDS": int(any(row.kind == "control" for row in p.rows)),
+        "ACCUMULATORS": int(bool(p.accumulators)),
+        "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
+    }
+    for component in lin.options.components:
+        switches |= component.switches
+    relaxable = switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0))
+    return {**switches, "RELAXATION": int(bool(relaxable))}
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -154,7 +202,17 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
     return tuple(enums)
 
 
-def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
+#: Seams whose parts still read members of size 0.
+_PADDED = ("condensing", "qp")
+
+
+def _existing(struct: Struct, switches: Mapping[str, int]) -> Struct:
+    """The struct without members that the package lacks: those of size 0, and of features that are switched off."""
+    fields = (f for f in struct.fields if all(f.values) and switches.get(f.only, 1))
+    return replace(struct, fields=tuple(fields))
+
+
+def _structs(lin: Linearization, dims: Dims, switches: Mapping[str, int]) -> tuple[Struct, ...]:
     nodes = Size("N + 1", dims.N.value + 1)
     common = [
         Field("x", (nodes, dims.nx), "states of the plan", "iterate"),
@@ -163,19 +221,30 @@ def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
     ]
     results = [
         Field("stats", (), "counters", "result", "stats"),
-        Field("kkt", (), "KKT residuals of the last solve", "result", "kkt"),
-        Field("relaxation", (), "l1 penalty of hard rows while a QP is relaxed, else infinite", "scratch"),
+        Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
+        Field(
+            "relaxation",
+            (),
+            "l1 penalty of hard rows while a QP is relaxed, else infinite",
+            "scratch",
+            only="RELAXATION",
+        ),
         Field("status", (), "status of the last prepare, feedback or solve", "result", "int32"),
         Field("magic", (), "set by init", "keep", "int32"),
     ]
-    owned = [s for c in lin.options.components for s in c.structs(dims)]
+    owned = [
+        s if c.seam in _PADDED else _existing(s, switches)
+        for c in lin.options.components
+        for s in c.structs(dims)
+        if switches.get(s.only, 1)
+    ]
+    owned = [s for s in owned if s.fields]
     own_members = [f for s in owned if s.name == "solver" for f in s.fields]
     inner = [s for s in owned if s.name != "solver"]
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner]
-    solver = Struct(
-        "solver", "the whole controller: no pointers, copy it with '='", (*common, *own_members, *members, *results)
-    )
-    return (*_result_structs(), *inner, solver)
+    fields = (*common, *own_members, *members, *results)
+    solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
+    return (*_result_structs(), *inner, _existing(solver, switches))
 
 
 def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
@@ -193,7 +262,7 @@ def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
     ) -> list[Setting]:
         entries = {"W": dims.nw, "W_N": dims.nw_N}.get(name, shape[0])
         layout = layouts[option]
-        if layout == "fixed":
+        if layout == "fixed" or not entries.value:
             return []
         count = copies[layout] if copies else one
         leading = (count,) if copies else ()
@@ -228,8 +297,9 @@ _NODES = {
 
 
 def _setters(lin: Linearization) -> tuple[Setter, ...]:
-    layouts = lin.options.online.layouts
-    return tuple(Setter(name, nodes[layouts[name]]) for name, nodes in _NODES.items() if layouts[name] != "fixed")
+    """The setters of data that there are and that may change."""
+    layouts, switches = lin.options.online.layouts, _switches(lin)
+    return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if switches[f"SET_{n.upper()}"])
 
 
 def _result_structs() -> tuple[Struct, ...]:
@@ -279,7 +349,6 @@ def _tables(lin: Linearization) -> tuple[Table, ...]:
     longest_step = max(p.dt) / _steps(lin)
     first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
     offsets = [s.offset for s in p.parameters] + [p.np]
-    fixed = lin.options.online.parameter == "fixed"
     return (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
@@ -302,7 +371,7 @@ def _tables(lin: Linearization) -> tuple[Table, ...]:
         integer("row_first", first, "first QP row of node k"),
         real("row_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
         real("row_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
-        *([] if fixed else [integer("parameter_offset", offsets, "first element of a parameter in p")]),
+        integer("parameter_offset", offsets, "first element of a parameter in p"),
         *(table for component in lin.options.components for table in component.tables(p)),
     )
 
@@ -405,7 +474,7 @@ def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products)
     """Memory, exact operation counts, and what was chosen and why."""
     layout = struct_layout(structs, lin.options.precision)
     known = _known(lin, products)
-    counts = {r.name: r.count for r in lin.routines} | products.counts
+    counts = {r.name: r.count for r in _printed(lin)} | products.counts
     if lin.options.condensing.columns:
         counts |= products.column_counts
     dims = _dims(lin)
@@ -417,5 +486,5 @@ def _report(lin: Linearization, structs: tuple[Struct, ...], products: Products)
         "operations": {name: count.as_dict() for name, count in counts.items()},
         "linearization_operations": counts["linearize"].total,
         "choices": list(lin.choices),
-        "looped": [r.name for r in lin.routines if len(r.kernels) > 1],
+        "looped": [r.name for r in _printed(lin) if len(r.kernels) > 1],
     }

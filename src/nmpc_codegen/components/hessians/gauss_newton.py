@@ -68,8 +68,7 @@ class GaussNewton(Defaults):
         yp = Port("yref", ny)
 
         def kernel(suffix: str, doc: str, more: list[Any], more_ports: list[Port], value: Any, out: Port) -> Kernel:
-            function = ca.Function(suffix, args + more, [ca.densify(value) if suffix == "cost" else value])
-            return lift(function, f"{name}_{suffix}", doc, ports + more_ports, [out])
+            return lift(ca.Function(suffix, args + more, [value]), f"{name}_{suffix}", doc, ports + more_ports, [out])
 
         gradient = ca.sparsify(J.T @ weighted) if ny else ca.SX(nz, 1)
         cost = ca.dot(residual, weighted) / 2 if ny else ca.SX(1, 1)
@@ -96,7 +95,7 @@ class GaussNewton(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         """Whether the curvature of rows is added; the Hessian is never indefinite."""
-        return {"CONVEX_ROWS": int(self.convex_rows), "REGULARIZE_REDUCED": 0}
+        return {"CONVEX_ROWS": int(self.convex_rows), "REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """No tables."""

@@ -51,7 +51,7 @@ class IdentityHessian(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         """The Hessian is never indefinite."""
-        return {"REGULARIZE_REDUCED": 0}
+        return {"REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         return ()
