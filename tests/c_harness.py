@@ -57,9 +57,11 @@ class Routines:
         for key, routine in self.routines.items():
             texts.append(print_routine(routine, style).replace(routine.name, key))
             ports = [f"const real *{p.name}" for p in routine.inputs] + [f"real *{p.name}" for p in routine.outputs]
-            names = ", ".join(p.name for p in (*routine.inputs, *routine.outputs))
+            names = ", ".join(p.name for p in (*routine.reads, *routine.writes))
+            passed = {*routine.reads, *routine.writes}
+            unused = "".join(f"(void){p.name}; " for p in (*routine.inputs, *routine.outputs) if p not in passed)
             texts.append(f"void call_{key}({', '.join(ports)});")
-            texts.append(f"void call_{key}({', '.join(ports)}) {{ {key}({names}); }}")
+            texts.append(f"void call_{key}({', '.join(ports)}) {{ {unused}{key}({names}); }}")
         self.library = shared_library({"routines.c": "\n".join(texts) + "\n"}, "routines.c")
 
     def __call__(self, key: str, *inputs: object) -> list[np.ndarray]:
@@ -120,7 +122,8 @@ class Package:
         return ctypes.c_void_p(self.memory.ctypes.data)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        return self.memory[name]
+        """A member; one of size 0, which does not exist, is an empty array."""
+        return self.memory[name] if name in self.memory.dtype.names else np.zeros(0)
 
     def call(self, function: str) -> None:
         getattr(self.library, f"call_{function}")(self.pointer)

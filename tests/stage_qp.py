@@ -200,18 +200,22 @@ def build_all(wanted: Iterable[tuple[Shape, Options]], workers: int | None = Non
 def write_qp(memory: Any, qp: StageQP) -> None:
     """All of a QP but its bounds and dx_0 into a solver struct whose rows are those of the QP."""
     N, nx, rows = qp.shape.N, qp.shape.nx, qp.rows
-    node, terminal, coupled, hessian = (memory[name] for name in ("node", "terminal", "coupled", "hessian"))
+    node, terminal, hessian = (memory[name] for name in ("node", "terminal", "hessian"))
     memory["x"], memory["u"] = qp.x, qp.u
     node["S"], node["b"], node["g"] = qp.S, qp.b, qp.g
     terminal["g"] = qp.g_N
     hessian["Q"], hessian["Q_N"] = np.tril(qp.Q[: len(hessian["Q"])]), np.tril(qp.Q_N)
     path = (rows.kind == 1) & (rows.node < N)
-    node["h"][rows.node[path], rows.index[path]] = qp.c[path]
-    node["J"][rows.node[path], rows.index[path]] = qp.C[path]
+    if path.any():
+        node["h"][rows.node[path], rows.index[path]] = qp.c[path]
+        node["J"][rows.node[path], rows.index[path]] = qp.C[path]
     end, both = (rows.kind == 1) & (rows.node == N), rows.kind == 2
-    terminal["h"][rows.index[end]], terminal["J"][rows.index[end]] = qp.c[end], qp.C[end, :nx]
-    coupled["r"][rows.index[both]], coupled["J_0"][rows.index[both]] = qp.c[both], qp.C0[both]
-    coupled["J_N"][rows.index[both]] = qp.C[both, :nx]
+    if end.any():
+        terminal["h"][rows.index[end]], terminal["J"][rows.index[end]] = qp.c[end], qp.C[end, :nx]
+    if both.any():
+        coupled = memory["coupled"]
+        coupled["r"][rows.index[both]], coupled["J_0"][rows.index[both]] = qp.c[both], qp.C0[both]
+        coupled["J_N"][rows.index[both]] = qp.C[both, :nx]
 
 
 class StageSolver:

@@ -75,7 +75,7 @@ def _call(module: CModule, name: str) -> str:
     """A call of one C function on data that exist."""
     for routine in module.routines:
         if routine.name == name:
-            return f"{name}({', '.join('w' for _ in (*routine.inputs, *routine.outputs))})"
+            return f"{name}({', '.join('w' for _ in (*routine.reads, *routine.writes))})"
     return f"{name}({ARGUMENTS.get(name, '&s')})"
 
 

@@ -43,7 +43,7 @@ def times(
     for key, routine in routines.items():
         lines.append(print_routine(routine, CStyle("real", False)).replace(routine.name, f"{key}_"))
         lines += [f"static real {key}_{p.name}[{n}][{max(1, p.size)}];" for p in routine.outputs]
-        arguments = [f"in_{p.name}[k]" for p in routine.inputs] + [f"{key}_{p.name}[k]" for p in routine.outputs]
+        arguments = [f"in_{p.name}[k]" for p in routine.reads] + [f"{key}_{p.name}[k]" for p in routine.writes]
         body += [
             "best = 1e30;",
             f"for (q = 0; q < {runs}; q++) {{ t = now(); for (r = 0; r < {repetitions}; r++) for (k = 0; k < {n}; k++)",

@@ -98,7 +98,11 @@ class Group:
 
 @dataclass(frozen=True)
 class Options:
-    """One component per seam; None is chosen from the problem, and the report says why."""
+    """One component per seam; None is chosen from the problem, and the report says why.
+
+    ``solve``: whether the package has <name>_solve(), which iterates to convergence; a controller for the real time
+    alone is smaller without.
+    """
 
     integrator: Integrator | None = option(None, Chosen("integrator", optional=True))
     hessian: Hessian = option(GaussNewton(), Chosen("hessian"))
@@ -107,6 +111,7 @@ class Options:
     algorithm: Algorithm = option(RealTimeIteration(), Chosen("algorithm"))
     online: Online = option(Online(), Group(Online))
     precision: Precision = option("double", Words(PRECISIONS))
+    solve: bool = option(True, Flag())
 
     def __post_init__(self) -> None:
         check_options(self, "")

@@ -1,36 +1,44 @@
 /* What becomes of a QP that has no solution, and of a plan that has become useless. */
 
-/* What the linearised row m exceeds its bounds by after the step; > 0 at the upper bound. */
-static real_t row_excess(const solver_t *s, int m)
-{
-    real_t J[NZ];
-    real_t value = row_gradient(s, m, J);
-    const int k = row_node[m];
-    int i;
-    for (i = 0; i < NX; i++) {
-        value += J[i] * s->step.dx[k][i];
-        value += (row_kind[m] == 2) ? s->coupled.J_0[row_index[m]][i] * s->step.dx[0][i] : R(0);
-    }
-    for (i = 0; k < N && i < NU; i++) {
-        value += J[NX + i] * s->step.du[k][i];
-    }
-    return value - clip(value, row_lower(s, m), row_upper(s, m));
-}
-
 static void forget_violation(solver_t *s)
 {
     s->stats.violated_row = s->stats.violated_node = -1;
     s->stats.violation = R(0);
 }
 
+#if HARD_ROWS || (SOLVE && NG)
+/* What the linearised row m exceeds its bounds by after the step; > 0 at the upper bound. */
+static real_t row_excess(const solver_t *s, int m)
+{
+    real_t J[NZ];
+    real_t value = row_gradient(s, m, J);
+    const int k = row_node[m];
+    for (int i = 0; i < NX; i++) {
+        value += J[i] * s->step.dx[k][i];
+#if NE
+        value += IS_COUPLED(m) ? s->coupled.J_0[row_index[m]][i] * s->step.dx[0][i] : R(0);
+#endif
+    }
+    for (int i = 0; k < N && i < NU; i++) {
+        value += J[NX + i] * s->step.du[k][i];
+    }
+    return value - clip(value, ROW_LOWER(s, m), ROW_UPPER(s, m));
+}
+#endif
+
+#if HARD_ROWS
 /* The hard row that the step, the QP's last or relaxed one, violates most goes to the statistics. */
 static void name_violation(solver_t *s)
 {
-    int m;
     forget_violation(s);
-    for (m = 0; m < NG; m++) {
+    for (int m = 0; m < NG; m++) {
         const real_t excess = FABS(row_excess(s, m));
-        if (excess > s->stats.violation && row_l1[row_id[m]] == (real_t)INFINITY) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+        if (excess > s->stats.violation) {
             s->stats.violation = excess;
             s->stats.violated_row = (int32_t)row_id[m];
             s->stats.violated_node = (int32_t)row_node[m];
@@ -38,23 +46,26 @@ static void name_violation(solver_t *s)
     }
 }
 
-/* The QP is infeasible: its hard rows are relaxed at the weight that the options ask for, or it stays so. */
-static status_t relax_qp(solver_t *s)
+#if RELAX
+/* The QP is infeasible: its hard rows are relaxed at the weight that the options ask for. */
+static status_t give_way(solver_t *s)
 {
-    status_t status = INFEASIBLE;
-    if (relaxation_weight[0] < (real_t)INFINITY) {
-        s->relaxation = relaxation_weight[0];
-        status = run_qp(s);
-        s->relaxation = (real_t)INFINITY;
-    }
+    status_t status;
+    s->relaxation = relaxation_weight[0];
+    status = run_qp(s);
+    s->relaxation = (real_t)INFINITY;
     name_violation(s);
     return (status == OK) ? RELAXED : status;
 }
-
-static int plan_is_finite(const solver_t *s)
+#else
+/* The QP is infeasible, and stays so. */
+static status_t give_way(solver_t *s)
 {
-    return all_finite(&s->x[0][0], (N + 1) * NX) && all_finite(&s->u[0][0], N * NU);
+    name_violation(s);
+    return INFEASIBLE;
 }
+#endif
+#endif
 
 /* After a failure that would come back: where numbers broke down, and where the QP fails for the second time in a row, the states
  * of the plan start anew at the measured one, for the plan may have nothing to do with it any more; its controls stay. Where the

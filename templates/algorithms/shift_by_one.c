@@ -1,36 +1,41 @@
 /* The QP's prediction moves by one interval: the row of node k takes that of node k + 1, if it holds there too. */
 static void shift_working_set(solver_t *s)
 {
-    int source[NG + 1], m, next;
-    for (m = 0; m < NG; m++) {
+#if NG
+    int source[NG];
+    for (int m = 0; m < NG; m++) {
         source[m] = m;
-        for (next = m + 1; next < NG && row_node[next] <= row_node[m] + 1; next++) {
+        for (int next = m + 1; next < NG && row_node[next] <= row_node[m] + 1; next++) {
             if (row_node[next] > row_node[m] && row_id[next] == row_id[m]) {
                 source[m] = next;
             }
         }
     }
+#else
+    const int source[1] = {0}; /* no rows: it is not read */
+#endif
     condense_shift(s, source);
 }
 
 /* Node k takes what node k + 1 has; the last node and the last interval keep theirs. */
 static void shift_by_one(solver_t *s)
 {
-    int k, i, j;
-    for (k = 0; k < N; k++) {
+    for (int k = 0; k < N; k++) {
         const int from = (k + 1 < N) ? k + 1 : k;
-        for (i = 0; i < NX; i++) {
+        for (int i = 0; i < NX; i++) {
             s->x[k][i] = s->x[k + 1][i];
             s->lam[k][i] = s->lam[k + 1][i];
             s->mu_x[k][i] = s->mu_x[from][i];
         }
-        for (j = 0; j < NU; j++) {
-            s->u[k][j] = clip(s->u[from][j], control_lower(s, k, j), control_upper(s, k, j));
+        for (int j = 0; j < NU; j++) {
+            s->u[k][j] = clip(s->u[from][j], CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
             s->mu_u[k][j] = s->mu_u[from][j];
         }
-        for (j = 0; j < NH; j++) {
+#if NH
+        for (int j = 0; j < NH; j++) {
             s->mu[k][j] = s->mu[from][j];
         }
+#endif
     }
     shift_working_set(s);
 }

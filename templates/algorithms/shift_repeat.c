@@ -4,7 +4,7 @@ static void shift_plan(solver_t *s)
 {
     real_t tail[NX];
     shift_by_one(s);
-    interval_value(s->x[N - 1], s->u[N - 1], PARAM(s, N - 1), interval_length[N - 1], tail);
+    interval_value(s, N - 1, tail);
     if (all_finite(tail, NX)) {
         memcpy(s->x[N], tail, sizeof tail);
     }

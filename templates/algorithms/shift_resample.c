@@ -1,42 +1,40 @@
 /* The old plan is read one sampling time later, on any grid: states by integration from the node before, controls as
  * their mean over the moved interval (the last one is held beyond the end), multipliers by linear interpolation. The
- * working set stays. */
+ * working set stays. A new node depends on old ones from its own number on, the last one on the node before: what is
+ * read has not been overwritten, but for that node. */
 
-/* Control j of the old plan (in sqp.u), averaged over [from, to]. */
+/* Control j of the old plan, averaged over [from, to]. */
 static real_t mean_control(const solver_t *s, int j, real_t from, real_t to)
 {
     real_t sum = R(0);
-    int n;
-    for (n = 0; n < N; n++) {
+    for (int n = 0; n < N; n++) {
         const real_t start = (node_time[n] > from) ? node_time[n] : from;
         const real_t end = (n + 1 < N && node_time[n + 1] < to) ? node_time[n + 1] : to;
-        sum += (end > start) ? (end - start) * s->sqp.u[n][j] : R(0);
+        sum += (end > start) ? (end - start) * s->u[n][j] : R(0);
     }
     return sum / (to - from);
 }
 
 static void shift_plan(solver_t *s)
 {
-    real_t lam[NX];
-    int k, i, j, n = 0;
-    memcpy(s->sqp.x, s->x, sizeof s->x);
-    memcpy(s->sqp.u, s->u, sizeof s->u);
-    for (k = 0; k <= N; k++) {
+    real_t last[NX];
+    int n = 0;
+    memcpy(last, s->x[N - 1], sizeof last);
+    for (int k = 0; k <= N; k++) {
         const real_t t = node_time[k] + sampling_time[0];
         while (n + 1 < N && node_time[n + 1] <= t) {
             n++;
         }
-        integrate(s->sqp.x[n], s->sqp.u[n], PARAM(s, n), t - node_time[n], s->x[k]);
-        for (i = 0; i < NX; i++) {
+        integrate_plan(s, n, (n < N - 1) ? s->x[n] : last, t - node_time[n], s->x[k]);
+        for (int i = 0; i < NX; i++) {
             const real_t part = clip((t - node_time[n]) / interval_length[n], R(0), R(1));
-            lam[i] = s->lam[n][i] + part * (s->lam[n + 1][i] - s->lam[n][i]);
+            s->lam[k][i] = s->lam[n][i] + part * (s->lam[n + 1][i] - s->lam[n][i]);
         }
-        memcpy(s->lam[k], lam, sizeof lam);
     }
-    for (k = 0; k < N; k++) {
-        for (j = 0; j < NU; j++) {
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
             const real_t u = mean_control(s, j, node_time[k] + sampling_time[0], node_time[k + 1] + sampling_time[0]);
-            s->u[k][j] = clip(u, control_lower(s, k, j), control_upper(s, k, j));
+            s->u[k][j] = clip(u, CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
         }
     }
 }

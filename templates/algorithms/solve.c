@@ -5,39 +5,86 @@
  * with one second-order correction where the full step is refused, and an elastic QP (rows relaxed at row_weight) where
  * a linearisation is infeasible. Soft rows enter with their penalties l1 v + l2/2 v^2. */
 
-/* Constraints of the present iterate without derivatives: sqp.b = Phi(x_k, u_k) - x_{k+1}, general rows, and
- * their norms; penalties of the soft rows. */
-static void evaluate_constraints(solver_t *s, real_t *gaps, real_t *violation, real_t *penalties)
+/* What the merit function adds up besides the cost: norms of the gaps and of the violation of hard rows, penalties of soft
+ * ones. */
+typedef struct {
+    real_t gaps;
+#if HARD_ROWS
+    real_t violation;
+#endif
+#if SOFT_ROWS
+    real_t penalties;
+#endif
+} merit_terms_t;
+
+#if SOFT_ROWS
+/* A violation v >= 0 of row m. */
+static void add_violation(int m, real_t v, merit_terms_t *terms)
+{
+    if (IS_SOFT(m)) {
+        terms->penalties += soft_penalty(m, v);
+    }
+#if HARD_ROWS
+    if (!IS_SOFT(m)) {
+        terms->violation += v;
+    }
+#endif
+}
+#endif
+
+/* Constraints of the present iterate without derivatives: sqp.b = Phi(x_k, u_k) - x_{k+1}, and the terms of all. */
+static void evaluate_constraints(solver_t *s, merit_terms_t *terms)
 {
     sqp_t *q = &s->sqp;
-    int k, i;
-    *gaps = R(0);
-    *violation = R(0);
-    *penalties = R(0);
-    for (i = 0; i < NX; i++) {
-        if (is_measured[i] || is_accumulator[i]) {
-            *gaps += FABS(s->x[0][i] - s->xhat[i]);
+    memset(terms, 0, sizeof *terms);
+    for (int i = 0; i < NX; i++) {
+#if NF
+        if (!is_measured[i] && !is_accumulator[i]) {
+            continue;
         }
+#endif
+        terms->gaps += FABS(s->x[0][i] - s->xhat[i]);
     }
-    for (k = 0; k < N; k++) {
-        interval_value(s->x[k], s->u[k], PARAM(s, k), interval_length[k], q->b[k]);
-        for (i = 0; i < NX; i++) {
+    for (int k = 0; k < N; k++) {
+        interval_value(s, k, q->b[k]);
+        for (int i = 0; i < NX; i++) {
             q->b[k][i] -= s->x[k + 1][i];
-            *gaps += FABS(q->b[k][i]);
+            terms->gaps += FABS(q->b[k][i]);
         }
-        path_rows(s->x[k], s->u[k], PARAM(s, k), q->h[k], &q->J[0][0]);
-        add_rows_of_node(s, k, q->h[k], q->r, violation, penalties);
     }
-    terminal_rows(s->x[N], PARAM_N(s), q->h_N, &q->J_N[0][0]);
-    coupled_rows(s->x[0], s->x[N], q->r, &q->J_r[0][0], &q->J_r[0][0]);
-    add_rows_of_node(s, N, q->h_N, q->r, violation, penalties);
+#if NG
+    real_t value[NG];
+    evaluate_rows(s, value);
+    for (int m = 0; m < NG; m++) {
+        const real_t v = FABS(value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m)));
+#if SOFT_ROWS
+        add_violation(m, v, terms);
+#else
+        terms->violation += v;
+#endif
+    }
+#endif
+}
+
+/* phi from its terms. */
+static real_t merit_of(const solver_t *s, const merit_terms_t *terms)
+{
+    real_t phi = nodal_cost(s);
+#if SOFT_ROWS
+    phi += terms->penalties;
+#endif
+    phi += s->sqp.gap_weight * terms->gaps;
+#if HARD_ROWS
+    phi += s->sqp.row_weight * terms->violation;
+#endif
+    return phi;
 }
 
 static real_t merit(solver_t *s)
 {
-    real_t gaps, violation, penalties;
-    evaluate_constraints(s, &gaps, &violation, &penalties);
-    return nodal_cost(s) + penalties + s->sqp.gap_weight * gaps + s->sqp.row_weight * violation;
+    merit_terms_t terms;
+    evaluate_constraints(s, &terms);
+    return merit_of(s, &terms);
 }
 
 /* The step of the QP and the point it starts from are put aside. */
@@ -54,16 +101,15 @@ static void put_step_aside(solver_t *s)
 static void move_to(solver_t *s, real_t alpha)
 {
     const sqp_t *q = &s->sqp;
-    int k, i, j;
-    for (k = 0; k <= N; k++) {
-        for (i = 0; i < NX; i++) {
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
             s->x[k][i] = q->x[k][i] + alpha * q->dx[k][i];
         }
     }
-    for (k = 0; k < N; k++) {
-        for (j = 0; j < NU; j++) {
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
             const real_t u = q->u[k][j] + alpha * q->du[k][j];
-            s->u[k][j] = clip(u, control_lower(s, k, j), control_upper(s, k, j));
+            s->u[k][j] = clip(u, CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
         }
     }
 }
@@ -72,94 +118,102 @@ static void move_to(solver_t *s, real_t alpha)
 static void update_weights(solver_t *s)
 {
     real_t lam = R(0);
-    real_t mu = R(0);
-    int k, i, m;
-    for (k = 0; k <= N; k++) {
-        for (i = 0; i < NX; i++) {
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
             enlarge(&lam, s->lam[k][i]);
         }
-    }
-    for (m = 0; m < NG; m++) {
-        enlarge(&mu, (row_l1[row_id[m]] < (real_t)INFINITY) ? R(0) : row_multiplier(s, m));
     }
     if (s->sqp.gap_weight < lam * R(1.5)) {
         s->sqp.gap_weight = lam * R(2);
     }
+#if HARD_ROWS
+    real_t mu = R(0);
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+        enlarge(&mu, ROW_MULTIPLIER(s, m));
+    }
     if (s->sqp.row_weight < mu * R(1.5) && !s->sqp.elastic) {
         s->sqp.row_weight = mu * R(2);
     }
+#endif
 }
 
 /* Directional derivative of the cost, g' (dx, du). */
 static real_t cost_slope(const solver_t *s)
 {
     real_t sum = R(0);
-    int k, i;
-    for (i = 0; i < NX; i++) {
+    for (int i = 0; i < NX; i++) {
         sum += s->terminal.g[i] * s->step.dx[N][i];
     }
-    for (k = 0; k < N; k++) {
-        for (i = 0; i < NX; i++) {
+    for (int k = 0; k < N; k++) {
+        for (int i = 0; i < NX; i++) {
             sum += s->node[k].g[i] * s->step.dx[k][i];
         }
-        for (i = 0; i < NU; i++) {
+        for (int i = 0; i < NU; i++) {
             sum += s->node[k].g[NX + i] * s->step.du[k][i];
         }
     }
     return sum;
 }
 
-/* The linearised rows after the full step: violation of hard ones (0 unless the QP was elastic), penalties of soft ones. */
-static void linear_violation(const solver_t *s, real_t *violation, real_t *penalties)
+/* Second-order correction: the values of the constraints of the QP become those of base + step, of which s has the values,
+ * b = Phi(x + dx, u + du) - x_{k+1} - A dx - B du, rows likewise. */
+static void correct_constraints(solver_t *s)
 {
-    int m;
-    *violation = R(0);
-    *penalties = R(0);
-    for (m = 0; m < NG; m++) {
-        add_violation(m, FABS(row_excess(s, m)), violation, penalties);
-    }
-}
-
-/* Second-order correction: the same QP with the constraint values of base + step,
- * b = Phi(x + dx, u + du) - x_{k+1} - A dx - B du, rows likewise. Leaves the corrected step in sqp.dx, du; 0 if it fails. */
-static int second_order_correction(solver_t *s)
-{
-    sqp_t *q = &s->sqp;
+    const sqp_t *q = &s->sqp;
     const real_t none[NX] = {0};
-    real_t y[NX];
-    int k, i, j, m;
-    for (k = 0; k < N; k++) {
+    for (int k = 0; k < N; k++) {
         node_t *node = &s->node[k];
+        real_t y[NX];
         memcpy(node->b, none, sizeof y);
         state_step(node, q->dx[k], q->du[k], y);
-        for (i = 0; i < NX; i++) {
+        for (int i = 0; i < NX; i++) {
             node->b[i] = q->b[k][i] + q->dx[k + 1][i] - y[i];
         }
-        for (i = 0; i < NH; i++) {
-            real_t value = q->h[k][i];
-            for (j = 0; j < NZ; j++) {
-                value -= node->J[i][j] * ((j < NX) ? q->dx[k][j] : q->du[k][j - NX]);
+#if NH
+        real_t J[NH * NZ];
+        PATH_ROWS(s, k, node->h, J);
+        for (int i = 0; i < NH; i++) {
+            for (int j = 0; j < NZ; j++) {
+                node->h[i] -= node->J[i][j] * ((j < NX) ? q->dx[k][j] : q->du[k][j - NX]);
             }
-            node->h[i] = value;
         }
+#endif
     }
-    for (i = 0; i < NH_N; i++) {
-        s->terminal.h[i] = q->h_N[i];
-        for (j = 0; j < NX; j++) {
+#if NH_N
+    real_t J[NH_N * NX];
+    TERMINAL_ROWS(s, s->terminal.h, J);
+    for (int i = 0; i < NH_N; i++) {
+        for (int j = 0; j < NX; j++) {
             s->terminal.h[i] -= s->terminal.J[i][j] * q->dx[N][j];
         }
     }
-    for (i = 0; i < NE; i++) {
-        s->coupled.r[i] = q->r[i];
-        for (j = 0; j < NX; j++) {
+#endif
+#if NE
+    real_t J_0[NE * NX], J_N[NE * NX];
+    COUPLED_ROWS(s, s->coupled.r, J_0, J_N);
+    for (int i = 0; i < NE; i++) {
+        for (int j = 0; j < NX; j++) {
             s->coupled.r[i] -= s->coupled.J_0[i][j] * q->dx[0][j] + s->coupled.J_N[i][j] * q->dx[N][j];
         }
     }
+#endif
+}
+
+/* The same QP with corrected constraints. Leaves the corrected step in sqp.dx, du; 0 if it fails. */
+static int second_order_correction(solver_t *s)
+{
+    sqp_t *q = &s->sqp;
+    correct_constraints(s);
     memcpy(s->x, q->x, sizeof s->x);
     memcpy(s->u, q->u, sizeof s->u);
     condense_rows(s);
-    for (m = 0; m < NX; m++) {
-        s->step.dx[0][m] = s->xhat[m] - s->x[0][m];
+    for (int i = 0; i < NX; i++) {
+        s->step.dx[0][i] = s->xhat[i] - s->x[0][i];
     }
     if (condense_solve(s) != OK) {
         return 0;
@@ -174,9 +228,8 @@ static int second_order_correction(solver_t *s)
 static real_t merit_to_beat(solver_t *s, int iteration, real_t start)
 {
     real_t largest = start;
-    int n;
     s->sqp.recent[iteration % MEMORY] = start;
-    for (n = 0; n < MEMORY && n <= iteration; n++) {
+    for (int n = 0; n < MEMORY && n <= iteration; n++) {
         if (s->sqp.recent[n] > largest) {
             largest = s->sqp.recent[n];
         }
@@ -189,9 +242,8 @@ static status_t line_search(solver_t *s, real_t start, real_t slope)
 {
     const real_t rounding = TOL_MERIT_ROUNDING * (R(1) + FABS(start));
     real_t alpha = R(1);
-    int trial;
     put_step_aside(s);
-    for (trial = 0; trial < MAX_TRIALS; trial++) {
+    for (int trial = 0; trial < MAX_TRIALS; trial++) {
         move_to(s, alpha);
         if (merit(s) <= start + R(1e-4) * alpha * slope + rounding) {
             return OK;
@@ -214,6 +266,7 @@ static status_t line_search(solver_t *s, real_t start, real_t slope)
     return STALLED;
 }
 
+#if HARD_ROWS
 /* QP of the present linearisation; an infeasible one is solved with relaxed rows, penalty row_weight. */
 static status_t solve_qp(solver_t *s)
 {
@@ -226,12 +279,45 @@ static status_t solve_qp(solver_t *s)
     }
     return status;
 }
+#else
+static status_t solve_qp(solver_t *s)
+{
+    return run_qp(s);
+}
+#endif
+
+/* Directional derivative of the merit function along the step of the QP; the linearised rows after the full step have no
+ * violation unless the QP was elastic. */
+static real_t merit_slope(const solver_t *s, const merit_terms_t *terms)
+{
+    real_t slope = cost_slope(s);
+#if NG
+    merit_terms_t later;
+    memset(&later, 0, sizeof later);
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        add_violation(m, FABS(row_excess(s, m)), &later);
+#else
+        later.violation += FABS(row_excess(s, m));
+#endif
+    }
+#endif
+#if SOFT_ROWS
+    slope += later.penalties - terms->penalties;
+#endif
+    slope -= s->sqp.gap_weight * terms->gaps;
+#if HARD_ROWS
+    slope -= s->sqp.row_weight * (terms->violation - later.violation);
+#endif
+    return slope;
+}
 
 /* One globalised iteration after prepare_here(). */
 static status_t sqp_iteration(solver_t *s, int iteration)
 {
-    real_t gaps, violation, penalties, later, penalties_later, start, slope;
-    status_t status = solve_qp(s);
+    merit_terms_t terms;
+    real_t start, slope;
+    const status_t status = solve_qp(s);
     if (status != OK) {
         return status;
     }
@@ -241,41 +327,54 @@ static status_t sqp_iteration(solver_t *s, int iteration)
     scatter_multipliers(s);
     recover_multipliers(s);
     update_weights(s);
-    evaluate_constraints(s, &gaps, &violation, &penalties);
-    linear_violation(s, &later, &penalties_later);
-    start = nodal_cost(s) + penalties + s->sqp.gap_weight * gaps + s->sqp.row_weight * violation;
-    slope = cost_slope(s) + (penalties_later - penalties) - s->sqp.gap_weight * gaps -
-        s->sqp.row_weight * (violation - later);
+    evaluate_constraints(s, &terms);
+    start = merit_of(s, &terms);
+    slope = merit_slope(s, &terms);
     if (!isfinite(start)) {
         return NUMERICAL_FAILURE;
     }
     return line_search(s, merit_to_beat(s, iteration, start), (slope < R(0)) ? slope : R(0));
 }
 
+/* KKT residuals from the linearisation that prepare has just left; 1 if all are at most tol. */
+static int kkt_converged(solver_t *s, real_t tol)
+{
+    kkt_t *kkt = &s->kkt;
+    memset(kkt, 0, sizeof *kkt);
+    for (int k = 0; k < N; k++) {
+        kkt_node(s, k, &s->node[k], kkt);
+    }
+    kkt_terminal(s, &s->terminal, kkt);
+    kkt_rows(s, kkt);
+    return kkt->stationarity <= tol && kkt->equality <= tol && kkt->inequality <= tol && kkt->complementarity <= tol;
+}
+
+#if HARD_ROWS
 /* 1 if the last step was elastic and moved nothing: the rows cannot be met near this point. */
 static int stuck_infeasible(const solver_t *s, real_t tol)
 {
     real_t step = R(0);
-    int k, i;
-    for (k = 0; k <= N; k++) {
-        for (i = 0; i < NX; i++) {
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
             enlarge(&step, s->sqp.dx[k][i]);
         }
     }
-    for (k = 0; k < N; k++) {
-        for (i = 0; i < NU; i++) {
+    for (int k = 0; k < N; k++) {
+        for (int i = 0; i < NU; i++) {
             enlarge(&step, s->sqp.du[k][i]);
         }
     }
     return s->sqp.elastic && step <= tol;
 }
+#endif
 
 static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
 {
-    int iteration;
     s->sqp.gap_weight = R(1);
+#if HARD_ROWS
     s->sqp.row_weight = R(1);
-    for (iteration = 0;; iteration++) {
+#endif
+    for (int iteration = 0;; iteration++) {
         status_t status = prepare_here(s);
         s->stats.sqp_iterations = iteration;
         if (kkt_converged(s, tol)) {
@@ -287,6 +386,7 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
         if (status == OK) {
             status = sqp_iteration(s, iteration);
         }
+#if HARD_ROWS
         if (s->sqp.elastic && (status == STALLED || (status == OK && stuck_infeasible(s, tol)))) {
             if (s->sqp.row_weight >= R(1e8)) {
                 return INFEASIBLE;
@@ -294,8 +394,54 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
             s->sqp.row_weight *= R(10);
             continue;
         }
+#endif
         if (status != OK) {
             return status;
         }
     }
+}
+
+static int plan_is_finite(const solver_t *s)
+{
+    int finite = 1;
+    for (int k = 0; k <= N; k++) {
+        finite &= all_finite(s->x[k], NX);
+    }
+    for (int k = 0; k < N; k++) {
+        finite &= all_finite(s->u[k], NU);
+    }
+    return finite;
+}
+
+status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
+{
+    status_t status;
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    s->prepared = 0;
+    if (!take_state(s, xhat)) {
+        return finish(s, NOT_FINITE);
+    }
+    if (!(tol > R(0)) || max_iterations < 0) {
+        return finish(s, BAD_ARGUMENT);
+    }
+#if NF
+    for (int f = 0; f < NF; f++) {
+        const real_t guess = xhat[free_state[f]];
+        s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
+    }
+#endif
+    forget_violation(s);
+    if (!plan_is_finite(s)) {
+        start_at(s, s->xhat);
+    }
+    status = solve_here(s, tol, max_iterations);
+#if HARD_ROWS
+    if (status == INFEASIBLE) {
+        name_violation(s);
+    }
+#endif
+    s->samples += (s->samples < MANY);
+    return finish(s, status);
 }

@@ -69,7 +69,7 @@ static void condense_store_slacks(solver_t *s)
     for (m = 0; m < NG; m++) {
         const int row = row_slack[m];
         for (i = 0; row >= 0 && i <= row; i++) {
-            s->qp.H[row][i] = (i == row) ? row_curvature(m) : R(0);
+            s->qp.H[row][i] = (i == row) ? ROW_CURVATURE(m) : R(0);
         }
     }
 }
@@ -121,6 +121,7 @@ static void condense_gradient(solver_t *s)
     }
 }
 
+#if NG
 /* Row m of the QP: A = J_x G_k + J_u at du_k, value v = row + J_x c_k; a state row is J_x = e_i, a coupled row has
  * J_0 dx_0 besides. */
 static void condense_row(solver_t *s, int m)
@@ -132,7 +133,11 @@ static void condense_row(solver_t *s, int m)
     int i, j;
     d->v[m] = row_gradient(s, m, J);
     for (j = 0; j < NX; j++) {
-        d->Ax[m][j] = (row_kind[m] == 2) ? s->coupled.J_0[row_index[m]][j] : R(0);
+#if NE
+        d->Ax[m][j] = IS_COUPLED(m) ? s->coupled.J_0[row_index[m]][j] : R(0);
+#else
+        d->Ax[m][j] = R(0);
+#endif
     }
     for (j = 0; j < NV; j++) {
         a[j] = R(0);
@@ -159,11 +164,12 @@ static void condense_row(solver_t *s, int m)
         a[row_slack[m]] = -R(1);
     }
 }
+#endif
 
 /* Gradient and bounds of the free components of dx_0 and of the slacks; dx0 has zeros at free components. */
 static void condense_embed_others(solver_t *s, const real_t *dx0)
 {
-    int j, i, m;
+    int j, i;
     for (j = 0; j < NF; j++) {
         const int row = N * NU + j;
         s->qp.g[row] = s->condensed.g[row];
@@ -173,15 +179,17 @@ static void condense_embed_others(solver_t *s, const real_t *dx0)
         s->qp.lower[row] = -(real_t)INFINITY;
         s->qp.upper[row] = (real_t)INFINITY;
     }
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         const int slack = row_slack[m];
-        const real_t l1 = row_penalty(s, m);
+        const real_t l1 = ROW_PENALTY(s, m);
         s->qp.penalty[NV + m] = (slack < 0) ? l1 : (real_t)INFINITY;
         if (slack >= 0) {
             s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
             s->qp.penalty[slack] = l1;
         }
     }
+#endif
 }
 
 /* g = g(0) + Hx dx_0, free components of dx_0 apart;  bounds of du and of the rows relative to the present iterate. */
@@ -189,7 +197,7 @@ static void condense_embed(solver_t *s)
 {
     condensed_t *d = &s->condensed;
     real_t dx0[NX];
-    int k, j, m, i;
+    int k, j, i;
     for (i = 0; i < NX; i++) {
         dx0[i] = s->step.dx[0][i];
     }
@@ -205,27 +213,30 @@ static void condense_embed(solver_t *s)
                 sum += d->Hx[row][i] * dx0[i];
             }
             s->qp.g[row] = sum;
-            s->qp.lower[row] = control_lower(s, k, j) - s->u[k][j];
-            s->qp.upper[row] = control_upper(s, k, j) - s->u[k][j];
+            s->qp.lower[row] = CONTROL_LOWER(s, k, j) - s->u[k][j];
+            s->qp.upper[row] = CONTROL_UPPER(s, k, j) - s->u[k][j];
         }
     }
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         real_t value = d->v[m];
         for (i = 0; i < NX; i++) {
             value += d->Ax[m][i] * dx0[i];
         }
-        s->qp.lower[NV + m] = row_lower(s, m) - value;
-        s->qp.upper[NV + m] = row_upper(s, m) - value;
+        s->qp.lower[NV + m] = ROW_LOWER(s, m) - value;
+        s->qp.upper[NV + m] = ROW_UPPER(s, m) - value;
     }
+#endif
 }
 
 static void condense_rows(solver_t *s)
 {
-    int m;
     condense_gradient(s);
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         condense_row(s, m);
     }
+#endif
 }
 
 #if REGULARIZE_REDUCED
@@ -258,9 +269,11 @@ static void condense_expand(solver_t *s)
         }
         state_step(&s->node[k], d->dx[k], d->du[k], d->dx[k + 1]);
     }
+#if NG
     for (j = 0; j < NG; j++) {
         d->mult[j] = s->qp.mult[NV + j];
     }
+#endif
 }
 
 static status_t condense_solve(solver_t *s)

@@ -43,11 +43,22 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
 /* Gradient of the general or coupled row m in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
-    const int k = row_node[m], r = row_index[m];
-    if (row_kind[m] == 2) {
-        return s->coupled.J_N[r];
+#if NE
+    if (IS_COUPLED(m)) {
+        return s->coupled.J_N[row_index[m]];
     }
-    return (k < N) ? s->node[k].J[r] : s->terminal.J[r];
+#endif
+#if NH_N
+    if (row_node[m] == N) {
+        return s->terminal.J[row_index[m]];
+    }
+#endif
+#if NH
+    return s->node[row_node[m]].J[row_index[m]];
+#else
+    (void)m; /* no other row has a gradient */
+    return s->xhat;
+#endif
 }
 
 static void condense_init(solver_t *s)
@@ -55,11 +66,13 @@ static void condense_init(solver_t *s)
     qp_init(s);
 }
 
+#if NG
 /* Constant part of row m in the variables of its stage. */
 static inline real_t stage_row_value(const solver_t *s, int m)
 {
-    return row_constant(s, m);
+    return ROW_CONSTANT(s, m);
 }
+#endif
 
 #include "condensing/embed_stages.c"
 
@@ -70,22 +83,28 @@ static status_t condense_prepare(solver_t *s)
     return qp_factorize(s);
 }
 
+#if SET_REFERENCE
 static void condense_gradient(solver_t *s)
 {
     qp_gradient(s);
 }
+#endif
 
+#if SOLVE
 static void condense_rows(solver_t *s)
 {
     qp_gradient(s);
 }
+#endif
 
 static void condense_expand(solver_t *s)
 {
     memcpy(s->step.dx, s->qp.x, sizeof s->step.dx);
     memcpy(s->step.du, s->qp.z, sizeof s->step.du);
     memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
+#if NG
     memcpy(s->step.mult, s->qp.mult + NV, sizeof s->step.mult[0] * NG);
+#endif
 }
 
 #include "condensing/solve_stages.c"

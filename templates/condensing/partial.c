@@ -136,6 +136,7 @@ static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int n
     }
 }
 
+#if NG
 /* Gradients of the rows of a node in the variables of its block: J_x G_j, and J_u at du_j; a bound of the first state of a
  * block, or of the last one of the horizon, needs none. */
 static void condense_block_rows(solver_t *s, int node)
@@ -149,9 +150,11 @@ static void condense_block_rows(solver_t *s, int node)
         memset(row, 0, sizeof s->blocks.J[m]);
         if (node == N) {
             memcpy(row, J, sizeof row[0] * NX);
-            for (i = NX; row_kind[m] == 2 && i < NXS; i++) {
+#if NE
+            for (i = NX; IS_COUPLED(m) && i < NXS; i++) {
                 row[i] = s->coupled.J_0[row_index[m]][copied_state[i - NX]];
             }
+#endif
             continue;
         }
         for (i = 0; i < NX; i++) {
@@ -164,7 +167,9 @@ static void condense_block_rows(solver_t *s, int node)
         }
     }
 }
+#endif
 
+#if NG
 /* Values of the rows: those of their nodes plus J_x c_j. */
 static void condense_row_values(solver_t *s)
 {
@@ -178,6 +183,7 @@ static void condense_row_values(solver_t *s)
         s->blocks.v[m] = value;
     }
 }
+#endif
 
 /* All blocks: [A B], Hessian. */
 static void condense_matrices(solver_t *s)
@@ -224,7 +230,9 @@ static void condense_vectors(solver_t *s)
         memcpy(block->g, w, sizeof w[0] * NX);
     }
     memcpy(s->blocks.g_N, s->terminal.g, sizeof s->terminal.g);
+#if NG
     condense_row_values(s);
+#endif
 }
 
 static status_t condense_prepare(solver_t *s)
@@ -232,7 +240,9 @@ static status_t condense_prepare(solver_t *s)
     int k;
     condense_matrices(s);
     for (k = 0; k <= N; k++) {
+#if NG
         condense_block_rows(s, k);
+#endif
     }
     condense_vectors(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
@@ -240,24 +250,30 @@ static status_t condense_prepare(solver_t *s)
     return qp_factorize(s);
 }
 
+#if SET_REFERENCE
 static void condense_gradient(solver_t *s)
 {
     condense_vectors(s);
     qp_gradient(s);
 }
+#endif
 
+#if SOLVE
 static void condense_rows(solver_t *s)
 {
     condense_vectors(s);
     qp_gradient(s);
 }
+#endif
 
 static void condense_expand(solver_t *s)
 {
     int k;
     memcpy(s->step.du, s->qp.z, sizeof s->step.du);
     memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
+#if NG
     memcpy(s->step.mult, s->qp.mult + NV, sizeof s->step.mult[0] * NG);
+#endif
     memcpy(s->step.dx[0], s->qp.x[0], sizeof s->step.dx[0]);
     for (k = 0; k < N; k++) {
         state_step(&s->node[k], s->step.dx[k], s->step.du[k], s->step.dx[k + 1]);

@@ -43,18 +43,21 @@ static void add_rows(solver_t *s)
 {
     real_t M[NZ * NZ] = {0};
     real_t copy[NZ * NZ];
-    int k;
-    for (k = 0; k < N; k++) {
-        path_curvature(s->x[k], s->u[k], PARAM(s, k), s->mu[k], M);
+#if HAS_PATH_CURVATURE
+    for (int k = 0; k < N; k++) {
+        PATH_CURVATURE(s, k, M);
         memcpy(copy, M, sizeof M);
         if (is_semidefinite(copy, NZ)) {
             add_lower(&s->hessian.Q[k][0][0], M, NZ);
         }
     }
+#endif
+#if HAS_TERMINAL_CURVATURE
     memset(M, 0, sizeof M);
-    terminal_curvature(s->x[N], PARAM_N(s), s->mu_N, M);
+    TERMINAL_CURVATURE(s, M);
     memcpy(copy, M, sizeof M);
     if (is_semidefinite(copy, NX)) {
         add_lower(&s->hessian.Q_N[0][0], M, NX);
     }
+#endif
 }

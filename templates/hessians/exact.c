@@ -28,9 +28,11 @@ static void adjoint_node(solver_t *s, int k)
         }
         s->lam[k][i] = sum;
     }
+#if NF
     for (i = 0; k == 0 && i < NF; i++) {
         s->lam[0][free_state[i]] = R(0);
     }
+#endif
 }
 
 /* Node k into s->node[k] and its block Q_k: x_next, S, g and second derivatives from one sweep. */
@@ -47,8 +49,7 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
             s->hessian.changed = 0;
         }
     }
-    path_exact(s->x[k], s->u[k], PARAM(s, k), &interval_length[k], YREF(s, k), WEIGHT(s, k), s->mu[k], s->lam[k + 1],
-        x_next, &node->S[0][0], node->g, &s->hessian.Q[k][0][0]);
+    PATH_EXACT(s, k, x_next, &node->S[0][0], node->g, &s->hessian.Q[k][0][0]);
     if (s->hessian.adjoint) {
         adjoint_node(s, k);
     }
@@ -58,15 +59,20 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
 #include "hessians/jacobi.c"
 
 #include "hessians/regularize_stage.c"
-#else
-#include "hessians/keep_stages.c"
 #endif
 
-/* What expand_node() has left: the terminal block, and the regularisation. */
+#if HAS_INITIAL_HESSIAN || HAS_TERMINAL_HESSIAN || REGULARIZE_STAGES
+/* What expand_node() has left: the ends, and the regularisation. */
 static void hessian(solver_t *s)
 {
-    real_t *Q_0 = &s->hessian.Q[0][0][0];
-    initial_hessian(s->x[0], s->x[N], s->eta, Q_0, Q_0);
-    terminal_hessian(s->x[N], PARAM_N(s), YREF_N(s), WEIGHT_N(s), s->mu_N, s->x[0], s->eta, &s->hessian.Q_N[0][0]);
+#if HAS_INITIAL_HESSIAN
+    INITIAL_HESSIAN(s, &s->hessian.Q[0][0][0]);
+#endif
+#if HAS_TERMINAL_HESSIAN
+    TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
+#endif
+#if REGULARIZE_STAGES
     regularize_stages(s);
+#endif
 }
+#endif

@@ -2,6 +2,8 @@
 static void expand_node(solver_t *s, int k, real_t *x_next)
 {
     node_t *node = &s->node[k];
-    integrator_interval(s->x[k], s->u[k], PARAM(s, k), &interval_length[k], x_next, &node->S[0][0]);
-    path_gradient(s->x[k], s->u[k], PARAM(s, k), &interval_length[k], YREF(s, k), WEIGHT(s, k), node->g);
+    INTEGRATOR_INTERVAL(s, k, x_next, &node->S[0][0]);
+#if HAS_PATH_GRADIENT
+    PATH_GRADIENT(s, k, node->g);
+#endif
 }

@@ -7,18 +7,21 @@
 
 #include "hessians/first_order.c"
 
-#if CONVEX_ROWS
+#if CONVEX_ROWS && (HAS_PATH_CURVATURE || HAS_TERMINAL_CURVATURE)
 #include "hessians/convex_rows.c"
-#else
-#include "hessians/flat_rows.c"
 #endif
 
 static void hessian(solver_t *s)
 {
-    int k;
-    for (k = 0; k < NQ; k++) {
-        path_hessian(s->x[k], s->u[k], PARAM(s, k), &interval_length[k], WEIGHT(s, k), &s->hessian.Q[k][0][0]);
+#if HAS_PATH_HESSIAN
+    for (int k = 0; k < NQ; k++) {
+        PATH_HESSIAN(s, k, &s->hessian.Q[k][0][0]);
     }
-    terminal_hessian(s->x[N], PARAM_N(s), WEIGHT_N(s), &s->hessian.Q_N[0][0]);
+#endif
+#if HAS_TERMINAL_HESSIAN
+    TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
+#endif
+#if CONVEX_ROWS && (HAS_PATH_CURVATURE || HAS_TERMINAL_CURVATURE)
     add_rows(s);
+#endif
 }

@@ -5,9 +5,8 @@
 
 static void hessian(solver_t *s)
 {
-    int k;
-    for (k = 0; k < NQ; k++) {
-        path_hessian(&s->hessian.Q[k][0][0]);
+    for (int k = 0; k < NQ; k++) {
+        PATH_HESSIAN(s, k, &s->hessian.Q[k][0][0]);
     }
-    terminal_hessian(&s->hessian.Q_N[0][0]);
+    TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
 }

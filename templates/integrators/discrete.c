@@ -1,13 +1,19 @@
-/* Seam "integrator", contract: integrator_interval (above); interval_value(): its x_next alone;
- * integrate(): x_next = x(dt).
- * Here: a discrete map; dt is its own and is not used. */
+/* Seam "integrator", contract: INTEGRATOR_INTERVAL (above); interval_value(): x_next of interval k alone;
+ * API(integrate): x_next = x(dt), NaN for a solver or an argument that is not fit.
+ * Here: a discrete map; dt is its own, whatever is asked for. */
 
-static void interval_value(const real_t *x, const real_t *u, const real_t *p, real_t dt, real_t *x_next)
+static void interval_value(const solver_t *s, int k, real_t *x_next)
 {
-    integrator_step(x, u, p, &dt, x_next);
+    INTEGRATOR_STEP(s, k, s->x[k], s->u[k], &interval_length[k], x_next);
 }
 
-static void integrate(const real_t *x, const real_t *u, const real_t *p, real_t dt, real_t *x_next)
+void API(integrate)(const solver_t *s, const real_t x[NX], const real_t u[NU], real_t dt, real_t x_next[NX])
 {
-    integrator_step(x, u, p, &dt, x_next);
+    if (s->magic != MAGIC || !all_finite(x, NX) || !all_finite(u, NU) || !isfinite(dt)) {
+        for (int i = 0; i < NX; i++) {
+            x_next[i] = (real_t)NAN;
+        }
+        return;
+    }
+    INTEGRATOR_STEP(s, 0, x, u, &dt, x_next);
 }

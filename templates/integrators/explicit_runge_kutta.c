@@ -1,27 +1,49 @@
-/* Seam "integrator", contract: integrator_interval (above); interval_value(): its x_next alone;
- * integrate(): x_next = x(dt) for any dt >= 0.
- * Here: explicit Runge-Kutta; integrate() takes equal steps no longer than the controller's longest one. */
+/* Seam "integrator", contract: INTEGRATOR_INTERVAL (above); interval_value(): x_next of interval k alone;
+ * integrate_plan(): x_next = x(dt) from x under control u_k, any dt >= 0; API(integrate): likewise for any control, NaN for a
+ * solver or an argument that is not fit.
+ * Here: explicit Runge-Kutta; steps are equal and no longer than the controller's longest one. */
 
-static void interval_value(const real_t *x, const real_t *u, const real_t *p, real_t dt, real_t *x_next)
+static void interval_value(const solver_t *s, int k, real_t *x_next)
 {
-    const real_t h = dt / (real_t)STEPS;
-    int n;
-    integrator_step(x, u, p, &h, x_next);
-    for (n = 1; n < STEPS; n++) {
-        integrator_step(x_next, u, p, &h, x_next);
+    const real_t h = interval_length[k] / (real_t)STEPS;
+    INTEGRATOR_STEP(s, k, s->x[k], s->u[k], &h, x_next);
+#if STEPS > 1
+    for (int n = 1; n < STEPS; n++) {
+        INTEGRATOR_STEP(s, k, x_next, s->u[k], &h, x_next);
     }
+#endif
 }
 
-static void integrate(const real_t *x, const real_t *u, const real_t *p, real_t dt, real_t *x_next)
+/* How many steps dt takes. */
+static int steps_for(real_t dt)
 {
     const real_t count = CEIL(dt / step_length[0] - TOL_STEP_COUNT);
-    const int steps = (count >= R(1)) ? ((count < (real_t)MANY) ? (int)count : MANY) : 1;
+    return (count >= R(1)) ? ((count < (real_t)MANY) ? (int)count : MANY) : 1;
+}
+
+#if SHIFT_RESAMPLE
+static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt, real_t *x_next)
+{
+    const int steps = steps_for(dt);
     const real_t h = dt / (real_t)steps;
-    int n, i;
-    for (i = 0; i < NX; i++) {
+    for (int i = 0; i < NX; i++) {
         x_next[i] = x[i];
     }
-    for (n = 0; n < steps; n++) {
-        integrator_step(x_next, u, p, &h, x_next);
+    for (int n = 0; n < steps; n++) {
+        INTEGRATOR_STEP(s, k, x_next, s->u[k], &h, x_next);
+    }
+}
+#endif
+
+void API(integrate)(const solver_t *s, const real_t x[NX], const real_t u[NU], real_t dt, real_t x_next[NX])
+{
+    const int fit = s->magic == MAGIC && all_finite(x, NX) && all_finite(u, NU) && isfinite(dt);
+    const int steps = steps_for(dt);
+    const real_t h = dt / (real_t)steps;
+    for (int i = 0; i < NX; i++) {
+        x_next[i] = fit ? x[i] : (real_t)NAN;
+    }
+    for (int n = 0; fit && n < steps; n++) {
+        INTEGRATOR_STEP(s, 0, x_next, u, &h, x_next);
     }
 }

@@ -180,13 +180,12 @@ status_t golden_set_parameter(solver_t *s, int param, int k, const real_t *value
 /* 1 if the row of the user holds at node k. */
 static int row_holds(int row, int k)
 {
-    int m, j;
-    for (m = row_first[k]; m < row_first[k + 1]; m++) {
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
         if (row_id[m] == row) {
             return 1;
         }
     }
-    for (j = 0; k < N && j < NU; j++) {
+    for (int j = 0; k < N && j < NU; j++) {
         if (control_row[j] == row) {
             return 1;
         }
@@ -218,16 +217,8 @@ status_t golden_set_bounds(solver_t *s, int row, int k, real_t lower, real_t upp
     return OK;
 }
 
-/* x_next = x after dt (s) under constant u and the parameters of node 0. */
-void golden_integrate(const solver_t *s, const real_t x[GOLDEN_NX], const real_t u[GOLDEN_NU], real_t dt,
-    real_t x_next[GOLDEN_NX])
-{
-    (void)s; /* where parameters are fixed */
-    integrate(x, u, PARAM(s, 0), dt, x_next);
-}
-
 /* Cost of the present iterate: sum_k l_k + l_N and the penalties of soft rows. */
 real_t golden_cost(const solver_t *s)
 {
-    return nodal_cost(s) + soft_penalties(s);
+    return nodal_cost(s);
 }

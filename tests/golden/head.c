@@ -23,7 +23,7 @@
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
  *   condensing: full                condensing/full.c                                   108 operations      328 bytes
  *   qp: dense_active_set            qp/dense_active_set.c                                81 operations     1472 bytes
- *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      560 bytes
+ *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      472 bytes
  */
 #include "golden.h"
 
@@ -55,7 +55,6 @@ typedef golden_condensed_t condensed_t;
 typedef golden_qp_t qp_t;
 typedef golden_node_t node_t;
 typedef golden_terminal_t terminal_t;
-typedef golden_coupled_t coupled_t;
 typedef golden_step_t step_t;
 typedef golden_sqp_t sqp_t;
 typedef golden_solver_t solver_t;
@@ -73,19 +72,16 @@ typedef golden_status_t status_t;
 #define NR GOLDEN_NR
 #define NQ GOLDEN_NQ
 #define NF GOLDEN_NF
-#define NE GOLDEN_NE
 #define NS GOLDEN_NS
 #define NUS GOLDEN_NUS
 #define NV GOLDEN_NV
 #define NG GOLDEN_NG
 #define LDV GOLDEN_LDV
 #define PANEL GOLDEN_PANEL
-#define SOFT_ROWS GOLDEN_SOFT_ROWS
 #define PARAMS GOLDEN_PARAMS
 #define STEPS GOLDEN_STEPS
 #define QP_MAX_ITERATIONS GOLDEN_QP_MAX_ITERATIONS
 #define QP_MAX_PROXIMAL_STEPS GOLDEN_QP_MAX_PROXIMAL_STEPS
-#define SHIFT GOLDEN_SHIFT
 #define MAX_TRIALS GOLDEN_MAX_TRIALS
 #define MEMORY GOLDEN_MEMORY
 #define MANY GOLDEN_MANY
@@ -124,11 +120,33 @@ typedef golden_status_t status_t;
 #define WEIGHT(s, k) ((s)->W[0])
 #define WEIGHT_N(s) ((s)->W_N)
 #define PARAM(s, k) ((s)->p[k])
-#define PARAM_N(s) ((s)->p[N])
 #define PATH_LOWER(s, k, row) ((s)->lower[0])[row]
 #define PATH_UPPER(s, k, row) ((s)->upper[0])[row]
-#define ROW_LOWER(s, k, row) ((s)->lower[(k) == N])[row]
-#define ROW_UPPER(s, k, row) ((s)->upper[(k) == N])[row]
+#define CONTROL_LOWER(s, k, j) PATH_LOWER(s, k, control_row[j])
+#define CONTROL_UPPER(s, k, j) PATH_UPPER(s, k, control_row[j])
+#define CONTROL_REFERENCE(s, k, j) YREF(s, k)[control_reference[j]]
+#define IS_GENERAL(m) (row_kind[m] == ROW_GENERAL)
+#define ROW_MULTIPLIER(s, m) (*((row_kind[m] == ROW_STATE) ? &((s)->mu_x[row_node[m]])[row_index[m]] : \
+    &((row_node[m] == N) ? (s)->mu_N : (s)->mu[row_node[m]])[row_index[m]]))
+#define ROW_CONSTANT(s, m) (*((row_kind[m] == ROW_STATE) ? &((s)->x[row_node[m]])[row_index[m]] : &((row_node[m] \
+    == N) ? (s)->terminal.h : (s)->node[row_node[m]].h)[row_index[m]]))
+#define ROW_VALUE(s, m, h, r) (*((row_kind[m] == ROW_STATE) ? &((s)->x[row_node[m]])[row_index[m]] : \
+    &(h)[row_index[m]]))
+#define ROW_LOWER(s, m) ((s)->lower[row_node[m] == N])[row_id[m]]
+#define ROW_UPPER(s, m) ((s)->upper[row_node[m] == N])[row_id[m]]
+#define ROW_PENALTY(s, m) ((s)->relaxation)
+#define ROW_CURVATURE(m) R(0)
+#define INTEGRATOR_INTERVAL(s, k, x_next, S) integrator_interval((s)->x[k], (s)->u[k], PARAM(s, k), \
+    &interval_length[k], x_next, S)
+#define INTEGRATOR_STEP(s, k, x, u, h, x_next) integrator_step(x, u, PARAM(s, k), h, x_next)
+#define PATH_COST(s, k, l) path_cost((s)->x[k], (s)->u[k], YREF(s, k), WEIGHT(s, k), l)
+#define PATH_GRADIENT(s, k, g) path_gradient((s)->x[k], (s)->u[k], YREF(s, k), WEIGHT(s, k), g)
+#define PATH_HESSIAN(s, k, Q) path_hessian(WEIGHT(s, k), Q)
+#define TERMINAL_COST(s, l) terminal_cost((s)->x[N], YREF_N(s), WEIGHT_N(s), l)
+#define TERMINAL_GRADIENT(s, g) terminal_gradient((s)->x[N], YREF_N(s), WEIGHT_N(s), g)
+#define TERMINAL_HESSIAN(s, Q) terminal_hessian(WEIGHT_N(s), Q)
+#define PATH_ROWS(s, k, h, J) path_rows((s)->x[k], (s)->u[k], h, J)
+#define TERMINAL_ROWS(s, h, J) terminal_rows((s)->x[N], h, J)
 
 /* dt_k */
 static const real_t interval_length[2] = { 0.5, 0.5 };
@@ -168,18 +186,8 @@ static const int row_index[5] = { 0, 0, 0, 0, 0 };
 static const int row_id[5] = { 2, 1, 2, 1, 3 };
 /* first QP row of node k */
 static const int row_first[4] = { 0, 1, 3, 5 };
-/* l1 penalty of a row of the user; infinite: hard */
-static const real_t row_l1[4] = { (real_t)INFINITY, (real_t)INFINITY, (real_t)INFINITY, (real_t)INFINITY };
-/* quadratic penalty of its violation */
-static const real_t row_l2[4] = { 0.0, 0.0, 0.0, 0.0 };
 /* first element of a parameter in p */
 static const int parameter_offset[2] = { 0, 1 };
 /* slack variable of QP row m, or -1 */
 static const int row_slack[5] = { -1, -1, -1, -1, -1 };
-/* 1: the state starts at 0 at every sample */
-static const int is_accumulator[1] = { 0 };
-/* 1: x_0 is what is measured */
-static const int is_measured[1] = { 1 };
-/* l1 penalty of hard rows whose QP is infeasible; infinite: they stay hard */
-static const real_t relaxation_weight[1] = { (real_t)INFINITY };
 

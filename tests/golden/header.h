@@ -9,8 +9,8 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2864 bytes, holds no pointers and may be copied with '='.
- * One context per instance; not interrupt-safe by itself: copy measurements first. Arrays of size 0 are padded to 1. */
+ * The caller owns the memory: one golden_solver_t is 2768 bytes, holds no pointers and may be copied with '='.
+ * One context per instance; not interrupt-safe by itself: copy measurements first. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
 #define GOLDEN_H
 
@@ -87,8 +87,6 @@ typedef enum {
     GOLDEN_BAD_ARGUMENT = 10, /* argument out of range or not finite */
     GOLDEN_STALLED = 11 /* no further progress */
 } golden_status_t;
-
-
 
 
 

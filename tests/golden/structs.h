@@ -90,12 +90,6 @@ typedef struct { /* linearisation of the terminal node */
     golden_real J[GOLDEN_NH_N][GOLDEN_NX]; /* their Jacobian C_N */
 } golden_terminal_t;
 
-typedef struct { /* linearisation of the coupled rows */
-    golden_real r[1]; /* values r(x_0, x_N) */
-    golden_real J_0[1][GOLDEN_NX]; /* Jacobian E_0 = d r / d x_0 */
-    golden_real J_N[1][GOLDEN_NX]; /* Jacobian E_N = d r / d x_N */
-} golden_coupled_t;
-
 typedef struct { /* solution of the QP */
     golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
     golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
@@ -111,12 +105,6 @@ typedef struct { /* line search of solve() */
     golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* the same before the second-order correction */
     golden_real du_full[GOLDEN_N][GOLDEN_NU]; /* likewise */
     golden_real b[GOLDEN_N][GOLDEN_NX]; /* gaps at a trial point */
-    golden_real h[GOLDEN_N][GOLDEN_NH]; /* general path rows at a trial point */
-    golden_real h_N[GOLDEN_NH_N]; /* general terminal rows at a trial point */
-    golden_real J[GOLDEN_NH][GOLDEN_NZ]; /* their Jacobian, not used */
-    golden_real J_N[GOLDEN_NH_N][GOLDEN_NX]; /* likewise */
-    golden_real r[1]; /* coupled rows at a trial point */
-    golden_real J_r[1][GOLDEN_NX]; /* their Jacobians, not used */
     golden_real gap_weight; /* weight of the gaps in the merit function */
     golden_real row_weight; /* weight of the rows; penalty of the elastic QP */
     golden_real recent[GOLDEN_MEMORY]; /* last merit values */
@@ -138,7 +126,6 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real mu_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
     golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
     golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
-    golden_real eta[1]; /* multipliers of the coupled rows */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
@@ -149,7 +136,6 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_qp_t qp; /* condensed QP and its active-set factorisation */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
     golden_terminal_t terminal; /* linearisation of the terminal node */
-    golden_coupled_t coupled; /* linearisation of the coupled rows */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
     golden_stats_t stats; /* counters */

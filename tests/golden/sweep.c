@@ -45,11 +45,10 @@ static void recursion_double(const real *i0, real *o)
 
 /* a test of everything
  *   A [12]
- *   unused [2]
  *   y [3]
  *   Y [2 x 3]
  * 27 add, 15 mul, 3 call */
-static void recursion(const real *A, const real *unused, real *y, real *Y)
+static void recursion(const real *A, real *y, real *Y)
 {
     real s[3];
     int k, c, r;
@@ -80,5 +79,4 @@ static void recursion(const real *A, const real *unused, real *y, real *Y)
             Y[c + 3] = t1;
         }
     }
-    (void)unused;
 }

@@ -148,7 +148,7 @@ def test_printed_loops() -> None:
     text = print_routine(looped(SWEEP), CStyle("real", False))
     body = text[text.index("static void recursion(") :]
     expected = """\
-static void recursion(const real *A, const real *unused, real *y, real *Y)
+static void recursion(const real *A, real *y, real *Y)
 {
     real s[3];
     int k, c, r;
@@ -179,7 +179,6 @@ static void recursion(const real *A, const real *unused, real *y, real *Y)
             Y[c + 3] = t1;
         }
     }
-    (void)unused;
 }"""
     assert body == expected
 

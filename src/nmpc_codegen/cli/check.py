@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from rich.table import Table
 
 from nmpc_codegen.cli.printing import Printer
+from nmpc_codegen.compiler import generate
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, Tableau, node_data
@@ -38,6 +40,9 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     refuse_long(options, len(problem.dt))
     files = {f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")}
     controller = load(files, name, "verify", warnings_as_errors=True)
+    if not options.solve:
+        printer.line("--check: the package has no solve(); what is compared is the same package with it")
+        controller = load(generate(ocp, replace(options, solve=True), name), name, "verify", warnings_as_errors=True)
     solution = controller.solve(problem.x_initial, CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS)
     nlp = Reference(problem, *_tableau(options))
     data = node_data(problem)

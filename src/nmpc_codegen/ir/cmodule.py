@@ -157,6 +157,10 @@ class CModule:
         """Value of a size macro."""
         return self.description.sizes[macro]
 
+    def table(self, name: str) -> Table:
+        """The table of that name."""
+        return next(t for t in self.tables if t.name == name)
+
     @property
     def sizes(self) -> Mapping[str, int]:
         """What `#if` in the parts may test: the size macros and the switches."""

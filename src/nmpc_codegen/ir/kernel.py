@@ -150,6 +150,18 @@ class Kernel:
         """The straight-line functions that it consists of."""
         return (self,)
 
+    @property
+    def reads(self) -> tuple[Port, ...]:
+        """The inputs that it loads from: the ones that its C function takes."""
+        used = {ins.args[0] for ins in self.instructions if ins.opcode == ca.OP_INPUT}
+        return tuple(p for i, p in enumerate(self.inputs) if i in used)
+
+    @property
+    def writes(self) -> tuple[Port, ...]:
+        """The outputs that it stores to; none: it computes nothing and is not printed."""
+        stored = {o for o, _, _ in self.stores}
+        return tuple(p for o, p in enumerate(self.outputs) if o in stored)
+
     def nonzero_values(self, inputs: Sequence[Sequence[bool]]) -> list[bool]:
         """Which values are not structurally zero, given which input elements are not."""
         marks: list[bool] = []

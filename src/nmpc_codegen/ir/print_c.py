@@ -50,21 +50,17 @@ def comment(doc: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], extra
 
 
 def print_kernel(kernel: Kernel, style: CStyle) -> str:
-    """The whole C function."""
+    """The whole C function; it takes the ports that it reads or writes, no others."""
     count = ", ".join(f"{v} {k}" for k, v in kernel.count.as_dict().items() if v) or "no operations"
-    lines = [comment(kernel.doc, kernel.inputs, kernel.outputs, count)]
-    lines += [signature(kernel.name, kernel.inputs, kernel.outputs, style), "{"]
+    lines = [comment(kernel.doc, kernel.reads, kernel.writes, count)]
+    lines += [signature(kernel.name, kernel.reads, kernel.writes, style), "{"]
     lines += print_body(
         kernel,
         style,
         lambda port, element: f"{kernel.inputs[port].name}[{element}]",
         lambda port, element: f"{kernel.outputs[port].name}[{element}]",
     )
-    used = {ins.args[0] for ins in kernel.instructions if ins.opcode == ca.OP_INPUT}
-    stored = {o for o, _, _ in kernel.stores}
-    unused = [p.name for i, p in enumerate(kernel.inputs) if i not in used]
-    unused += [p.name for i, p in enumerate(kernel.outputs) if i not in stored]
-    return "\n".join([*lines, *(f"    (void){name};" for name in unused), "}"])
+    return "\n".join([*lines, "}"])
 
 
 def print_body(

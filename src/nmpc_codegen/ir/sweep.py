@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
@@ -161,6 +162,21 @@ class LoopedRoutine:
         return _count(self.sweep.body, self.leaves, {})
 
     @property
+    def reads(self) -> tuple[Port, ...]:
+        """The inputs that a call loads from: the ones that its C function takes."""
+        return tuple(p for p in self.inputs if p.name in self.touched)
+
+    @property
+    def writes(self) -> tuple[Port, ...]:
+        """The outputs that a call loads from or stores to."""
+        return tuple(p for p in self.outputs if p.name in self.touched)
+
+    @cached_property
+    def touched(self) -> frozenset[str]:
+        """Buffers that its text names."""
+        return frozenset(b for c in _calls(self.sweep.body) for b in _touched(c, self.leaves[c.leaf.name()]))
+
+    @property
     def statements(self) -> int:
         """Instructions of all calls as they are written, loops once: the size of the code if every leaf is inlined."""
         return sum(len(self.leaves[c.leaf.name()].instructions) for c in _calls(self.sweep.body))
@@ -272,24 +288,25 @@ def print_routine(routine: Routine, style: CStyle) -> str:
     texts = [print_kernel(kernel, style) for name, kernel in routine.leaves.items() if name in called]
     sweep, count = routine.sweep, routine.count
     written = ", ".join(f"{v} {k}" for k, v in count.as_dict().items() if v)
-    lines = [comment(sweep.doc, sweep.inputs, sweep.outputs, written)]
-    lines += [signature(sweep.name, sweep.inputs, sweep.outputs, style), "{"]
+    lines = [comment(sweep.doc, routine.reads, routine.writes, written)]
+    lines += [signature(sweep.name, routine.reads, routine.writes, style), "{"]
     indices = dict.fromkeys(_indices(sweep.body))
-    used = {buffer for call in _calls(sweep.body) for buffer in _touched(call, routine.leaves[call.leaf.name()])}
-    lines += [f"    {style.real} {name}[{max(1, size)}];" for name, size in sweep.locals if name in used]
+    lines += [f"    {style.real} {name}[{size}];" for name, size in sweep.locals if name in routine.touched]
     if indices:
         lines.append(f"    int {', '.join(indices)};")
     lines += _print_nodes(sweep.body, routine, style, "    ")
-    lines += [f"    (void){p.name};" for p in (*sweep.inputs, *sweep.outputs) if p.name not in used]
     return "\n\n".join([*texts, "\n".join([*lines, "}"])])
 
 
 def _touched(call: Call, leaf: Kernel) -> Iterator[str]:
-    """Buffers that the text of a call names: of a leaf that is written out those that it loads or stores."""
-    loaded = {ins.args[0] for ins in leaf.instructions if ins.opcode == ca.OP_INPUT}
-    stored = {o for o, _, _ in leaf.stores}
-    for slices, touched in ((call.ins, loaded), (call.outs, stored)):
-        yield from (s.buffer for i, s in enumerate(slices) if not call.written_out or i in touched)
+    """Buffers that the text of a call names: those that its leaf loads or stores."""
+    yield from (s.buffer for s in _passed(call, leaf))
+
+
+def _passed(call: Call, leaf: Kernel) -> Iterator[Slice]:
+    """The slices of a call that its leaf loads or stores: the arguments of its C function."""
+    yield from (s for s, port in zip(call.ins, leaf.inputs, strict=True) if port in leaf.reads)
+    yield from (s for s, port in zip(call.outs, leaf.outputs, strict=True) if port in leaf.writes)
 
 
 def _indices(nodes: tuple[Node, ...]) -> Iterator[str]:
@@ -326,7 +343,7 @@ def _print_call(call: Call, routine: LoopedRoutine, style: CStyle, indent: str) 
     """A call of a static leaf; a leaf on strided slices is written out, so that the loop around it vectorises."""
     kernel = routine.leaves[call.leaf.name()]
     if not call.written_out:
-        arguments = (f"&{s.buffer}[{s.offset.c()}]" for s in (*call.ins, *call.outs))
+        arguments = (f"&{s.buffer}[{s.offset.c()}]" for s in _passed(call, kernel))
         return [f"{indent}{kernel.name}({', '.join(arguments)});"]
 
     def element(slices: tuple[Slice, ...], port: int, e: int) -> str:

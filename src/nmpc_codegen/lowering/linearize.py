@@ -28,6 +28,7 @@ class Model(ModelFunctions):
     parts: Parts
     online: Online
     precision: Precision
+    solve: bool
     choices: tuple[str, ...]
     constant_hessian: bool
 
@@ -39,6 +40,7 @@ class Model(ModelFunctions):
             *(parts.integrator, parts.hessian, parts.condensing, parts.qp, parts.algorithm),
             online=self.online,
             precision=self.precision,
+            solve=self.solve,
         )
 
 
@@ -59,6 +61,7 @@ def linearize(problem: Problem, options: Options) -> Model:
         parts=Parts(integrator, options.hessian, condensing, qp, options.algorithm),
         online=online,
         precision=options.precision,
+        solve=options.solve,
         choices=(*choices, *why),
         constant_hessian=constant,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +27,7 @@ from nmpc_codegen.ir.cmodule import (
 )
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.stage_products import PANEL
+from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report
@@ -43,14 +45,19 @@ def lower(model: Model, name: str | None = None) -> CModule:
     name = problem.name if name is None else name
     check_prefix(name)
     dims = _dims(model)
-    structs = _structs(model, dims)
+    switches = _switches(model)
+    structs = _structs(model, dims, switches)
     layout = struct_layout(structs, model.precision)
     sections = tuple(
         Section(
             f"{c.seam}: {c.name}",
             c.template,
             _section_count(c.cost(dims, model)),
-            sum(layout[s.name][0] * int(np.prod(s_shape(s))) for s in c.structs(dims) if s.name != "solver"),
+            sum(
+                layout[s.name][0] * int(np.prod(s_shape(s)))
+                for s in c.structs(dims)
+                if s.name in layout and s.name != "solver"
+            ),
         )
         for c in model.parts.components
     )
@@ -62,9 +69,9 @@ def lower(model: Model, name: str | None = None) -> CModule:
         tables=_tables(model),
         settings=_settings(model, dims),
         setters=_setters(model),
-        routines=model.routines,
+        routines=_printed(model),
         products=model.products,
-        switches={switch: value for c in model.parts.components for switch, value in c.switches.items()},
+        switches=switches,
         sections=sections,
         signals=(
             ("x", problem.state_names),
@@ -83,6 +90,47 @@ def lower(model: Model, name: str | None = None) -> CModule:
             for path, text in c.foreign_sources(name, model.precision, dims).items()
         },
     )
+
+
+#: Kernels that a package may lack; where there is none HAS_<NAME> is 0.
+KERNELS = (
+    *(
+        f"{stage}_{part}"
+        for stage in ("path", "terminal")
+        for part in ("cost", "gradient", "hessian", "rows", "curvature")
+    ),
+    "initial_hessian",
+    "coupled_rows",
+)
+
+
+def _printed(model: Model) -> tuple[Routine, ...]:
+    """The routines that compute anything: a problem without terminal cost has no terminal_cost()."""
+    return tuple(r for r in model.routines if r.writes)
+
+
+def _switches(model: Model) -> dict[str, int]:
+    """What `#if` in the parts may test besides the sizes: features of the problem and of the options, 1 or 0."""
+    p, layouts = model.problem, model.online.layouts
+    kinds = {kind for _, kind, _, _ in p.qp_rows}
+    computing = {r.name for r in model.routines if r.writes}
+    residuals = p.path.ny + p.terminal.ny
+    data: dict[Kind, int] = {"reference": residuals, "weight": residuals, "parameter": p.np, "bounds": len(p.rows)}
+    switches = {f"HAS_{name.upper()}": int(name in computing) for name in KERNELS}
+    switches |= {f"SET_{kind.upper()}": int(layouts[kind] != "fixed" and size > 0) for kind, size in data.items()}
+    switches |= {
+        "SOLVE": int(model.solve),
+        "STATE_ROWS": int(0 in kinds),
+        "GENERAL_ROWS": int(1 in kinds),
+        "HARD_ROWS": int(any(p.rows[row].soft is None for _, _, _, row in p.qp_rows)),
+        "CONTROL_BOUNDS": int(any(row.kind == "control" for row in p.rows)),
+        "ACCUMULATORS": int(bool(p.accumulators)),
+        "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
+    }
+    for component in model.parts.components:
+        switches |= component.switches
+    relaxable = switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0))
+    return {**switches, "RELAXATION": int(bool(relaxable))}
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -147,7 +195,17 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
     return tuple(enums)
 
 
-def _structs(model: Model, dims: Dims) -> tuple[Struct, ...]:
+#: Seams whose parts still read members of size 0.
+_PADDED = ("condensing", "qp")
+
+
+def _existing(struct: Struct, switches: Mapping[str, int]) -> Struct:
+    """The struct without members that the package lacks: those of size 0, and of features that are switched off."""
+    fields = (f for f in struct.fields if all(f.values) and switches.get(f.only, 1))
+    return replace(struct, fields=tuple(fields))
+
+
+def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Struct, ...]:
     nodes = Size("N + 1", dims.N.value + 1)
     common = [
         Field("x", (nodes, dims.nx), "states of the plan", "iterate"),
@@ -156,19 +214,30 @@ def _structs(model: Model, dims: Dims) -> tuple[Struct, ...]:
     ]
     results = [
         Field("stats", (), "counters", "result", "stats"),
-        Field("kkt", (), "KKT residuals of the last solve", "result", "kkt"),
-        Field("relaxation", (), "l1 penalty of hard rows while a QP is relaxed, else infinite", "scratch"),
+        Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
+        Field(
+            "relaxation",
+            (),
+            "l1 penalty of hard rows while a QP is relaxed, else infinite",
+            "scratch",
+            only="RELAXATION",
+        ),
         Field("status", (), "status of the last prepare, feedback or solve", "result", "int32"),
         Field("magic", (), "set by init", "keep", "int32"),
     ]
-    owned = [s for c in model.parts.components for s in c.structs(dims)]
+    owned = [
+        s if c.seam in _PADDED else _existing(s, switches)
+        for c in model.parts.components
+        for s in c.structs(dims)
+        if switches.get(s.only, 1)
+    ]
+    owned = [s for s in owned if s.fields]
     own_members = [f for s in owned if s.name == "solver" for f in s.fields]
     inner = [s for s in owned if s.name != "solver"]
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner]
-    solver = Struct(
-        "solver", "the whole controller: no pointers, copy it with '='", (*common, *own_members, *members, *results)
-    )
-    return (*_result_structs(), *inner, solver)
+    fields = (*common, *own_members, *members, *results)
+    solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
+    return (*_result_structs(), *inner, _existing(solver, switches))
 
 
 def _settings(model: Model, dims: Dims) -> tuple[Setting, ...]:
@@ -186,7 +255,7 @@ def _settings(model: Model, dims: Dims) -> tuple[Setting, ...]:
     ) -> list[Setting]:
         entries = {"W": dims.nw, "W_N": dims.nw_N}.get(name, shape[0])
         layout = layouts[option]
-        if layout == "fixed":
+        if layout == "fixed" or not entries.value:
             return []
         count = copies[layout] if copies else one
         leading = (count,) if copies else ()
@@ -221,8 +290,9 @@ _NODES: Mapping[Kind, Mapping[Layout, str]] = {
 
 
 def _setters(model: Model) -> tuple[Setter, ...]:
-    layouts = model.online.layouts
-    return tuple(Setter(name, nodes[layouts[name]]) for name, nodes in _NODES.items() if layouts[name] != "fixed")
+    """The setters of data that there are and that may change."""
+    layouts, switches = model.online.layouts, _switches(model)
+    return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if switches[f"SET_{n.upper()}"])
 
 
 def _result_structs() -> tuple[Struct, ...]:
@@ -272,7 +342,6 @@ def _tables(model: Model) -> tuple[Table, ...]:
     longest_step = model.parts.integrator.longest_step(p)
     first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
     offsets = [s.offset for s in p.parameters] + [p.np]
-    fixed = model.online.parameter == "fixed"
     return (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
@@ -295,7 +364,7 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("row_first", first, "first QP row of node k"),
         real("row_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
         real("row_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
-        *([] if fixed else [integer("parameter_offset", offsets, "first element of a parameter in p")]),
+        integer("parameter_offset", offsets, "first element of a parameter in p"),
         *(table for component in model.parts.components for table in component.tables(p)),
     )
 
@@ -345,7 +414,7 @@ def _description(model: Model, name: str, macros: tuple[Macro, ...], structs: tu
 def _report(model: Model, structs: tuple[Struct, ...]) -> Report:
     """Memory, exact operation counts, and what was chosen and why."""
     layout = struct_layout(structs, model.precision)
-    counts = {r.name: r.count for r in model.routines} | dict(model.products.counts)
+    counts = {r.name: r.count for r in _printed(model)} | dict(model.products.counts)
     if model.parts.condensing.columns:
         counts |= model.products.column_counts
     dims = _dims(model)
@@ -357,5 +426,5 @@ def _report(model: Model, structs: tuple[Struct, ...]) -> Report:
         operations=counts,
         linearization_operations=counts["linearize"].total,
         choices=model.choices,
-        looped=tuple(r.name for r in model.routines if len(r.kernels) > 1),
+        looped=tuple(r.name for r in _printed(model) if len(r.kernels) > 1),
     )

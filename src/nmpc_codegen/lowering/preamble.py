@@ -1,4 +1,4 @@
-"""The preamble of a package's .c: short names for what the header declares, and where run-time data stand.
+"""The preamble of a package's .c: short names for what the header declares, where run-time data stand, kernel calls.
 
 Inside the one translation unit everything is static, so names need no prefix: NX is CRANE_NX, solver_t is
 crane_solver_t. Only names that the unit uses are defined.
@@ -7,9 +7,12 @@ crane_solver_t. Only names that the unit uses are defined.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from textwrap import wrap
 
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.tolerances import TOLERANCES, tolerance
 from nmpc_codegen.runtime.package_description import Kind
 
@@ -17,29 +20,60 @@ from nmpc_codegen.runtime.package_description import Kind
 FUNCTIONS = ("sqrt", "fabs", "ceil")
 
 
+#: Columns of a line, its continuation apart.
+WIDTH = 114
+
 #: A number in the working precision: R(0.5).
 REAL_CONSTANT = ("R", "x", "((real_t)(x))")
 
 
+# (name, arguments or None, text)
+Definition = tuple[str, str | None, str]
+
+
 def preamble(module: CModule, body: str) -> str:
     """Type definitions and macros that ``body`` uses."""
-    used = set(re.findall(r"[A-Za-z_]\w*", body))
-    p, P = module.name, module.macro
+    found = definitions(module, body)
+    used = names_in(body, *(text for _, _, text in found))
     types = [*(s.name for s in module.structs), "status"]
-    lines = [f"typedef {p}_real real_t;"]
-    lines += [f"typedef {p}_{name}_t {name}_t;" for name in types if f"{name}_t" in used]
-    macros: list[tuple[str, str]] = [(m.name, f"{P}_{m.name}") for m in module.macros]
-    macros += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
-    macros += arithmetic(module.precision)
-    lines += [f"#define {name} {value}" for name, value in macros if name in used]
-    parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module)]
-    lines += [f"#define {name}({arguments}) {text}" for name, arguments, text in parametric if name in used]
+    lines = [f"typedef {module.name}_real real_t;"]
+    lines += [f"typedef {module.name}_{name}_t {name}_t;" for name in types if f"{name}_t" in used]
+    for name, arguments, text in found:
+        define = f"#define {name}{'' if arguments is None else f'({arguments})'} {text}"
+        lines.append(" \\\n    ".join(wrap(define, WIDTH, break_long_words=False, break_on_hyphens=False)))
     return "\n".join(lines)
+
+
+def definitions(module: CModule, body: str) -> list[Definition]:
+    """The macros that ``body`` uses, and those that these use."""
+    known = _definitions(module)
+    used = names_in(body)
+    found: set[str] = set()
+    while more := {name for name, _, _ in known if name in used} - found:
+        found |= more
+        used |= names_in(*(text for name, _, text in known if name in more))
+    return [definition for definition in known if definition[0] in found]
+
+
+def names_in(*texts: str) -> set[str]:
+    """The identifiers of C texts."""
+    return {name for text in texts for name in re.findall(r"[A-Za-z_]\w*", text)}
+
+
+def _definitions(module: CModule) -> list[Definition]:
+    """Every macro that a unit may use."""
+    p, P = module.name, module.macro
+    constants = [(m.name, f"{P}_{m.name}") for m in module.macros]
+    constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
+    constants += arithmetic(module.precision)
+    parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
+    parametric += [kernel_call(routine) for routine in module.routines]
+    return [*((name, None, text) for name, text in constants), *parametric]
 
 
 def conditions(module: CModule) -> str:
     """Macros that the `#if`s of unresolved parts need besides the preamble: the switches."""
-    return "\n".join(f"#define {name} {value}" for name, value in module.switches.items())
+    return "".join(f"\n#define {name} {value}" for name, value in module.switches.items())
 
 
 def arithmetic(precision: str) -> list[tuple[str, str]]:
@@ -49,7 +83,7 @@ def arithmetic(precision: str) -> list[tuple[str, str]]:
     return functions + [(f"TOL_{name.upper()}", style.literal(tolerance(name, precision))) for name in TOLERANCES]
 
 
-def accessors(module: CModule) -> list[tuple[str, str, str]]:
+def accessors(module: CModule) -> list[Definition]:
     """(macro, arguments, text): where references, weights, parameters and bounds of a node stand.
 
     Data that may change are members of the solver ``s``, once, once per node, or once and for the terminal node;
@@ -63,12 +97,8 @@ def accessors(module: CModule) -> list[tuple[str, str, str]]:
     def at(option: Kind, k: str, shared: str = "0") -> str:
         return k if layouts[option] == "node" else shared
 
-    def bound(which: str, index: str) -> str:
-        return f"{member('bounds', f'(s)->{which}[{index}]', f'default_{which}')}[row]"
-
     weight = f"(s)->W[{at('weight', 'k')}]"
     path_weight = weight if module.diagonal_weight else f"&{weight}[0][0]"
-    every = at("bounds", "k", "(k) == N")
     return [
         ("YREF", "s, k", member("reference", f"(s)->yref[{at('reference', 'k')}]", "default_reference")),
         ("YREF_N", "s", member("reference", "(s)->yref_N", "default_terminal_reference")),
@@ -80,8 +110,126 @@ def accessors(module: CModule) -> list[tuple[str, str, str]]:
         ),
         ("PARAM", "s, k", member("parameter", f"(s)->p[{at('parameter', 'k')}]", "default_parameter")),
         ("PARAM_N", "s", member("parameter", f"(s)->p[{at('parameter', 'N', '1')}]", "default_parameter")),
-        ("PATH_LOWER", "s, k, row", bound("lower", at("bounds", "k"))),
-        ("PATH_UPPER", "s, k, row", bound("upper", at("bounds", "k"))),
-        ("ROW_LOWER", "s, k, row", bound("lower", every)),
-        ("ROW_UPPER", "s, k, row", bound("upper", every)),
+        ("PATH_LOWER", "s, k, row", member("bounds", f"(s)->lower[{at('bounds', 'k')}]", "default_lower") + "[row]"),
+        ("PATH_UPPER", "s, k, row", member("bounds", f"(s)->upper[{at('bounds', 'k')}]", "default_upper") + "[row]"),
     ]
+
+
+def rows(module: CModule) -> list[Definition]:
+    """(macro, arguments, text): bounds and references of control j at node k, bounds and penalties of QP row m.
+
+    What the user left out is a constant: infinite bounds, reference 0, an infinite penalty.
+    """
+    layout, sizes = module.layouts["bounds"], module.sizes
+    copy = {"fixed": "", "shared": "row_node[m] == N", "node": "row_node[m]"}[layout]
+
+    def row_bound(which: str) -> str:
+        place = f"default_{which}" if layout == "fixed" else f"((s)->{which}[{copy}])"
+        return f"{place}[row_id[m]]"
+
+    def of_control(table: str, text: str, otherwise: str) -> str:
+        values = module.table(table).values
+        if all(value < 0 for value in values):
+            return otherwise
+        return text if min(values) >= 0 else f"(({table}[j] >= 0) ? {text} : {otherwise})"
+
+    kinds = {kind for kind, exists in _row_kinds(sizes).items() if exists}
+
+    def place(state: str, path: str, terminal: str, coupled: str) -> str:
+        """The element that belongs to row m of the array of its kind."""
+        arrays = {"state": state, "coupled": coupled, "general": _general(sizes, path, terminal)}
+        found = [f"({arrays[kind]})[row_index[m]]" for kind in arrays if kind in kinds]
+        tests = [f"(row_kind[m] == ROW_{kind.upper()})" for kind in arrays if kind in kinds][:-1]
+        text = f"&{found[-1]}" if found else "0"
+        for test, element in zip(reversed(tests), reversed(found[:-1]), strict=True):
+            text = f"{test} ? &{element} : {text}"
+        return f"(*({text}))" if tests else f"({found[-1]})" if found else "0"
+
+    infinity, soft, relaxed = "((real_t)INFINITY)", "row_l1[row_id[m]]", "((s)->relaxation)"
+    hard = relaxed if sizes["RELAXATION"] else infinity
+    penalty = f"(IS_SOFT(m) ? {soft} : {hard})" if sizes["RELAXATION"] else soft
+    return [
+        ("CONTROL_LOWER", "s, k, j", of_control("control_row", "PATH_LOWER(s, k, control_row[j])", f"(-{infinity})")),
+        ("CONTROL_UPPER", "s, k, j", of_control("control_row", "PATH_UPPER(s, k, control_row[j])", infinity)),
+        (
+            "CONTROL_REFERENCE",
+            "s, k, j",
+            of_control("control_reference", "YREF(s, k)[control_reference[j]]", "R(0)"),
+        ),
+        ("IS_GENERAL", "m", "(row_kind[m] == ROW_GENERAL)" if kinds > {"general"} else "1"),
+        ("IS_COUPLED", "m", "(row_kind[m] == ROW_COUPLED)" if kinds > {"coupled"} else "1"),
+        (
+            "ROW_MULTIPLIER",
+            "s, m",
+            place("(s)->mu_x[row_node[m]]", "(s)->mu[row_node[m]]", "(s)->mu_N", "(s)->eta"),
+        ),
+        (
+            "ROW_CONSTANT",
+            "s, m",
+            place("(s)->x[row_node[m]]", "(s)->node[row_node[m]].h", "(s)->terminal.h", "(s)->coupled.r"),
+        ),
+        ("ROW_VALUE", "s, m, h, r", place("(s)->x[row_node[m]]", "h", "h", "r")),
+        ("ROW_LOWER", "s, m", row_bound("lower")),
+        ("ROW_UPPER", "s, m", row_bound("upper")),
+        ("IS_SOFT", "m", f"({soft} < (real_t)INFINITY)"),
+        ("ROW_PENALTY", "s, m", penalty if sizes["SOFT_ROWS"] else hard),
+        ("ROW_CURVATURE", "m", "row_l2[row_id[m]]" if sizes["SOFT_ROWS"] else "R(0)"),
+    ]
+
+
+def _row_kinds(sizes: Mapping[str, int]) -> dict[str, int]:
+    """Kinds of rows of the QP, and whether there are any."""
+    return {"state": sizes["STATE_ROWS"], "general": sizes["GENERAL_ROWS"], "coupled": sizes["NE"]}
+
+
+def _general(sizes: Mapping[str, int], path: str, terminal: str) -> str:
+    """The array of a general row of the node of row m."""
+    if path == terminal or not sizes["NH_N"]:
+        return path
+    return f"(row_node[m] == N) ? {terminal} : {path}" if sizes["NH"] else terminal
+
+
+#: Where an input of a kernel stands at node k of the solver s, and, at the terminal node, what differs.
+PLACES = {
+    "x": "(s)->x[k]",
+    "u": "(s)->u[k]",
+    "p": "PARAM(s, k)",
+    "dt": "&interval_length[k]",
+    "yref": "YREF(s, k)",
+    "W": "WEIGHT(s, k)",
+    "mu": "(s)->mu[k]",
+    "lam": "(s)->lam[(k) + 1]",
+    "x_0": "(s)->x[0]",
+    "x_N": "(s)->x[N]",
+    "first": "(s)->x[0]",
+    "last": "(s)->x[N]",
+    "eta": "(s)->eta",
+    "block": "Q",
+}
+TERMINAL_PLACES = {
+    "x": "(s)->x[N]",
+    "p": "PARAM_N(s)",
+    "yref": "YREF_N(s)",
+    "W": "WEIGHT_N(s)",
+    "mu": "(s)->mu_N",
+}
+
+
+def kernel_call(routine: Routine) -> Definition:
+    """(macro, arguments, text): call of a printed kernel, which takes what it reads and writes, nothing else.
+
+    The arguments of the macro are always the same: the solver, the node of a path kernel, the outputs;
+    INTEGRATOR_STEP is told the state, the control and the step length.
+    """
+    if routine.name == "integrator_step":
+        places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h"}
+        leading = ["s", "k", "x", "u", "h"]
+    elif routine.name.startswith("terminal_"):
+        places, leading = {**PLACES, **TERMINAL_PLACES}, ["s"]
+    elif routine.name.startswith(("coupled_", "initial_")):
+        places, leading = PLACES, ["s"]
+    else:
+        places, leading = PLACES, ["s", "k"]
+    passed = [places[p.name] for p in routine.reads] + [p.name for p in routine.writes]
+    arguments = ", ".join([*leading, *(p.name for p in routine.outputs)])
+    return routine.name.upper(), arguments, f"{routine.name}({', '.join(passed)})"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -12,7 +13,7 @@ from nmpc_codegen.ir.cmodule import CModule, Field, Table
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import print_routine
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
-from nmpc_codegen.lowering.preamble import conditions, preamble
+from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble
 from nmpc_codegen.runtime.package_description import Layout
 
 # path -> text of one package
@@ -47,8 +48,9 @@ def render(module: CModule, resolved: bool = True) -> Sources:
     """All files of the package. Not ``resolved``: the `#if`s of the parts are left to the compiler, for comparison."""
     names = _names(module)
     body = render_unit(module, names, resolved)
-    short_names = preamble(module, body) if resolved else f"{preamble(module, body)}\n{conditions(module)}"
-    names |= {"body": body, "preamble": short_names}
+    tables = render_tables(module, names, body)
+    short_names = preamble(module, tables + body)
+    names |= {"body": body, "tables": tables, "preamble": short_names if resolved else short_names + conditions(module)}
     files = {
         f"{module.name}.h": "solver.h.jinja",
         f"{module.name}.c": "solver.c.jinja",
@@ -63,20 +65,30 @@ def render(module: CModule, resolved: bool = True) -> Sources:
 
 def _names(module: CModule) -> dict[str, Any]:
     style = unit_style(module.precision)
-    return context(module.name, module.precision) | {
+    names: dict[str, Any] = context(module.name, module.precision)
+    names |= {
         "m": module,
         "member": lambda field: _member(field, module),
         "dim": lambda macro: _dim(macro, module),
         "values": lambda table: _values(table, style),
         "print_routine": lambda routine: print_routine(routine, style),
+        "resolved": lambda template: resolve(environment().get_template(template).render(names), module.sizes).rstrip(),
         "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
         "initial": ", ".join(style.literal(v) for s in module.description.states for v in s.value),
         "dt": style.literal(module.description.dt[0]),
     }
+    return names
+
+
+def render_tables(module: CModule, names: dict[str, Any], body: str) -> str:
+    """The tables that the body reads, by itself or by what the preamble defines for it."""
+    used = names_in(body, *(text for _, _, text in definitions(module, body)))
+    tables = [replace(t, values=t.values or (0,)) for t in module.tables if t.name in used]
+    return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
 def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -> str:
-    """The translation unit after its preamble: tables, printed kernels, parts."""
+    """The translation unit after its tables: printed kernels, parts."""
 
     def generated(path: str) -> str:
         return environment().get_template(_GENERATED[path].format(spelling=module.products.spelling)).render(names)
@@ -85,7 +97,10 @@ def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -
         text = read_part(path, generated)
         return (resolve(text, module.sizes) if resolved else text).rstrip("\n")
 
-    return environment().get_template("unit.c.jinja").render(names | {"part": part, "generated": generated})
+    more: dict[str, Any] = {"part": part, "generated": generated}
+    if not resolved:
+        more["resolved"] = lambda template: environment().get_template(template).render(names).rstrip("\n")
+    return environment().get_template("unit.c.jinja").render(names | more)
 
 
 #: What parts include as a file that is generated for the package -> its template.
@@ -104,7 +119,7 @@ def _copies(layout: Layout, path_only: bool) -> str:
 
 
 def _member(field: Field, module: CModule) -> str:
-    """Declaration of a struct member; sizes of 0 are padded to 1."""
+    """Declaration of a struct member."""
     ctype = {"real": f"{module.name}_real", "int32": "int32_t"}.get(field.ctype, f"{module.name}_{field.ctype}_t")
     sizes = "".join(f"[{s.c(module.macro) if s.value else 1}]" for s in field.shape)
     return f"{ctype} {field.name}{sizes};"
@@ -115,8 +130,6 @@ def _dim(macro: str, module: CModule) -> str:
 
 
 def _values(table: Table, style: CStyle) -> str:
-    if not table.values:
-        return "0" if table.ctype == "int" else style.literal(0.0)
     return ", ".join(_value(v, style) if table.ctype == "real" else str(v) for v in table.values)
 
 

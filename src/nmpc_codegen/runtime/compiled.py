@@ -58,6 +58,11 @@ class CompiledPackage:
         texts = (self.files[f"{self.name}.{ext}"] for ext in ("h", "c"))
         return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
+    @cached_property
+    def solves(self) -> bool:
+        """Whether the package has <prefix>_solve()."""
+        return hasattr(self.lib, f"{self.name}_solve")
+
     def function(self, name: str) -> Any:
         """The C function <prefix>_<name>."""
         try:
@@ -158,11 +163,20 @@ class CompiledPackage:
         return {
             "status": (("int32", ()),),
             "stats": (("stats", ()),),
-            "kkt": (("kkt", ()),),
+            "kkt": (("kkt", ()),) if self.solves else (None,),
             **{name: (("real", shape),) for name, shape in required.items()},
             **{name: (("real", shape), None) for name, shape in optional.items()},
             **self._settings(),
         }
+
+    @property
+    def empty(self) -> dict[str, tuple[int, ...]]:
+        """Members of the solver that the package lacks because their size is 0 -> their shape."""
+        d = self.description.dims
+        shapes = {"mu": (d.N, d.nh), "mu_N": (d.nh_N,), "eta": (0,), "p": (d.N + 1, d.np)}
+        shapes |= {"yref": (d.N, d.ny), "yref_N": (d.ny_N,), "W": (d.N, d.ny), "W_N": (d.ny_N,)}
+        shapes |= {"lower": (d.N + 1, d.nr), "upper": (d.N + 1, d.nr)}
+        return {name: shape for name, shape in shapes.items() if not all(shape)}
 
     def _settings(self) -> dict[str, tuple[tuple[str, tuple[int, ...]] | None, ...]]:
         """The same of what can be set: absent where it is fixed, else of the shape that its layout says."""
@@ -171,7 +185,11 @@ class CompiledPackage:
 
         def members(kind: Kind, shapes: Mapping[str, tuple[tuple[int, ...], ...]]) -> dict[str, Any]:
             fixed = layouts[kind] == "fixed"
-            return {n: (None,) if fixed else tuple(("real", s) for s in allowed) for n, allowed in shapes.items()}
+            none: tuple[None, ...] = (None,)
+            return {
+                n: none if fixed else (*(("real", s) for s in allowed), *(() if all(allowed[0]) else none))
+                for n, allowed in shapes.items()
+            }
 
         W, p = path.get(layouts["weight"], 0), every.get(layouts["parameter"], 0)
         y, bounds = path.get(layouts["reference"], 0), ((every.get(layouts["bounds"], 0), d.nr),)

@@ -110,6 +110,10 @@ class Controller:
             raise ControllerError(f"tol is {tol!r}; expected a positive number")
         if not _is_integer(max_iterations) or max_iterations < 1:
             raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
+        if not self._package.solves:
+            raise ControllerError(
+                f"{self._package.name} was exported without solve(): Options(solve=False) (--set solve=False)"
+            )
         self._measure(xhat)
         start = perf_counter_ns()
         status = Status(self._call("solve", self._s, self._xhat_c, float(tol), int(max_iterations)))
@@ -144,6 +148,7 @@ class Controller:
         """
         call, shape = "set_reference", (self.dims.ny,)
         each = self._each_node("reference", "the reference", node)
+        self._expect_some(self.dims.ny, "path residual")
         if isinstance(y, Mapping):
             columns = self._columns(y, self.names.y)
             current = self._view("yref")
@@ -159,6 +164,7 @@ class Controller:
     def set_terminal_reference(self, y: ArrayLike | Mapping[str, float]) -> None:
         """Reference of the terminal residual: (ny_N,), or {name: value}."""
         self._each_node("reference", "the terminal reference")
+        self._expect_some(self.dims.ny_N, "terminal residual")
         if isinstance(y, Mapping):
             value = self._replaced(self._view("yref_N"), self._columns(y, self.names.y_N))
         else:
@@ -174,6 +180,7 @@ class Controller:
             node: 0..N-1, or None for every node. With Online(weight="shared") only None, and no (N, ny, ny).
         """
         each, ny = self._each_node("weight", "the weight", node), self.dims.ny
+        self._expect_some(ny, "path residual")
         dense = self._view("W").ndim == 3
         if node is None and each and _ndim(W) == 3:
             matrices = self._array("weight", W, (self.dims.N, ny, ny))
@@ -186,6 +193,7 @@ class Controller:
     def set_terminal_weight(self, W: ArrayLike) -> None:
         """Weight of the terminal residual: (ny_N,) or (ny_N, ny_N)."""
         self._each_node("weight", "the terminal weight")
+        self._expect_some(self.dims.ny_N, "terminal residual")
         value = self._weight("terminal weight", W, self.dims.ny_N, self._view("W_N").ndim == 2)
         self._expect(self._call("set_terminal_weight", self._s, self._pointer(value)), "set_terminal_weight")
 
@@ -300,7 +308,8 @@ class Controller:
     @property
     def stats(self) -> Stats:
         """Counts, residuals and times of the last call."""
-        counts, kkt = self._struct["stats"], self._struct["kkt"]
+        counts = self._struct["stats"]
+        kkt = self._struct["kkt"] if self._package.solves else dict.fromkeys(Kkt.__dataclass_fields__, math.nan)
         return Stats(
             qp_iterations=int(counts["qp_iterations"]),
             active_set_changes=int(counts["active_set_changes"]),
@@ -481,6 +490,10 @@ class Controller:
             )
         return layout == "node"
 
+    def _expect_some(self, size: int, what: str) -> None:
+        if not size:
+            raise ControllerError(f"{self._package.name} has no {what}")
+
     def _weight(self, what: str, W: ArrayLike, size: int, matrix: bool) -> Array:
         """W checked and in the form in which the struct stores it: diagonal (size,) or matrix (size, size)."""
         given = self._array(what, W, (size,) if _ndim(W) == 1 else (size, size))
@@ -539,6 +552,8 @@ class Controller:
         struct, here = "solver", self._struct
         for part in path.split("."):
             member = self.description.members(struct).get(part)
+            if member is None and path in self._package.empty:
+                return np.zeros(self._package.empty[path], dtype=self._real)
             if member is None:
                 raise AttributeError(f"the algorithm of {self._package.name} has no {path!r}")
             here, struct = here[part], member.ctype

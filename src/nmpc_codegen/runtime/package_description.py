@@ -98,13 +98,17 @@ class Size:
 
 @dataclass(frozen=True)
 class Field:
-    """A member of a C struct. Zero sizes are padded to 1 in C; ``shape`` keeps the true ones."""
+    """A member of a C struct. Zero sizes are padded to 1 in C; ``shape`` keeps the true ones.
+
+    ``only``: name of a switch; where it is 0 the member does not exist, nor does one of size 0.
+    """
 
     name: str
     shape: tuple[Size, ...]
     doc: str
     role: Role
     ctype: str = "real"  # "real", "int32", "int64" or the name of a struct
+    only: str = ""
 
     @property
     def values(self) -> tuple[int, ...]:
@@ -121,13 +125,15 @@ class Field:
 class Struct:
     """A C struct <prefix>_<name>_t and the member ``name`` of the given shape that holds it in the solver.
 
-    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name.
+    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name. ``only``: name of
+    a switch; where it is 0 the struct does not exist.
     """
 
     name: str
     doc: str
     fields: tuple[Field, ...]
     shape: tuple[Size, ...] = ()
+    only: str = ""
 
 
 @dataclass(frozen=True)

@@ -59,8 +59,12 @@ class RealTimeIteration(Defaults):
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """How shift() moves the plan; without an option, by one interval."""
-        return {"SHIFT_RESAMPLE": int(self.shift == "resample"), "SHIFT_PERIODIC": int(self.shift == "periodic")}
+        """How shift() moves the plan, without an option by one interval; whether infeasible QPs are relaxed."""
+        return {
+            "SHIFT_RESAMPLE": int(self.shift == "resample"),
+            "SHIFT_PERIODIC": int(self.shift == "periodic"),
+            "RELAX": int(self.relaxation is not None),
+        }
 
     def check(self, problem: Problem) -> None:
         """Moving by an interval needs intervals of one length, reading between nodes a differential equation."""
@@ -147,7 +151,14 @@ class RealTimeIteration(Defaults):
                     Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
                     Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
                     Field("failing", (), "1: the last QP had no solution, 2: nor had the one before", "keep", "int32"),
-                    Field("reference_changed", (), "1: gradients are renewed in feedback", "keep", "int32"),
+                    Field(
+                        "reference_changed",
+                        (),
+                        "1: gradients are renewed in feedback",
+                        "keep",
+                        "int32",
+                        only="SET_REFERENCE",
+                    ),
                 ),
             ),
         )
@@ -200,15 +211,10 @@ def _line_search(dims: Dims) -> Struct:
             Field("dx_full", (nodes, dims.nx), "the same before the second-order correction", "scratch"),
             Field("du_full", (dims.N, dims.nu), "likewise", "scratch"),
             Field("b", (dims.N, dims.nx), "gaps at a trial point", "scratch"),
-            Field("h", (dims.N, dims.nh), "general path rows at a trial point", "scratch"),
-            Field("h_N", (dims.nh_N,), "general terminal rows at a trial point", "scratch"),
-            Field("J", (dims.nh, dims.nz), "their Jacobian, not used", "scratch"),
-            Field("J_N", (dims.nh_N, dims.nx), "likewise", "scratch"),
-            Field("r", (dims.ne,), "coupled rows at a trial point", "scratch"),
-            Field("J_r", (dims.ne, dims.nx), "their Jacobians, not used", "scratch"),
             Field("gap_weight", (), "weight of the gaps in the merit function", "scratch"),
-            Field("row_weight", (), "weight of the rows; penalty of the elastic QP", "scratch"),
+            Field("row_weight", (), "weight of the rows; penalty of the elastic QP", "scratch", only="HARD_ROWS"),
             Field("recent", (Size("MEMORY", MEMORY),), "last merit values", "scratch"),
-            Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
+            Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32", only="HARD_ROWS"),
         ),
+        only="SOLVE",
     )

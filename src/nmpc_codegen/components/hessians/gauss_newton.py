@@ -71,8 +71,7 @@ class GaussNewton(Defaults):
         def kernel(
             suffix: str, doc: str, more: list[Expression], more_ports: list[Port], value: Expression, out: Port
         ) -> Kernel:
-            function = ca.Function(suffix, args + more, [ca.densify(value) if suffix == "cost" else value])
-            return lift(function, f"{name}_{suffix}", doc, ports + more_ports, [out])
+            return lift(ca.Function(suffix, args + more, [value]), f"{name}_{suffix}", doc, ports + more_ports, [out])
 
         gradient = ca.sparsify(J.T @ weighted) if ny else ca.SX(nz, 1)
         cost = ca.dot(residual, weighted) / 2 if ny else ca.SX(1, 1)
@@ -92,7 +91,7 @@ class GaussNewton(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         """Whether the curvature of rows is added; the Hessian is never indefinite."""
-        return {"CONVEX_ROWS": int(self.convex_rows), "REGULARIZE_REDUCED": 0}
+        return {"CONVEX_ROWS": int(self.convex_rows), "REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Hessian blocks, lower triangles in the order z = (x, u)."""

@@ -43,7 +43,7 @@ class IdentityHessian(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         """The Hessian is never indefinite."""
-        return {"REGULARIZE_REDUCED": 0}
+        return {"REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Hessian blocks, lower triangles in the order z = (x, u)."""

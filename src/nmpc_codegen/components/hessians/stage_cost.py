@@ -62,8 +62,8 @@ class StageCost:
         return lift(ca.Function(suffix, symbols, [value]), f"{self.name}_{suffix}", doc, ports, [out])
 
     def cost_kernel(self) -> Kernel:
-        """<stage>_cost -> l."""
-        return self.kernel("cost", "l = cost of the node", ca.densify(self.value), Port("l", 1))
+        """<stage>_cost -> l, which is not stored where the stage has no cost."""
+        return self.kernel("cost", "l = cost of the node", ca.sparsify(self.value), Port("l", 1))
 
     def gradient_kernel(self) -> Kernel:
         """<stage>_gradient -> g."""

@@ -1,0 +1,51 @@
+"""Traces that a feature which a problem lacks leaves in the .c of its package, counted by kind.
+
+Kinds: loops of no trip over a size, ``(void)`` statements, empty functions, functions that nothing calls (inline ones
+too), macros and tables that nothing uses, tables of size 0.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+WARNINGS = {
+    "unused_functions": "unused-function",
+    "unused_macros": "unused-macros",
+    "unused_tables": "unused-const-variable=2",
+}
+
+
+def traces(sources: Mapping[str, str]) -> dict[str, int]:
+    """Kind of trace -> how often it is found in a package (path -> text, as generate() returns it)."""
+    unit = next(path for path in sources if path.endswith(".c") and path != "main.c" and "/" not in path)
+    prefix = unit.removesuffix(".c").upper()
+    text = re.sub(r"/\*.*?\*/", " ", sources[unit], flags=re.DOTALL)
+    header = sources[unit.removesuffix(".c") + ".h"]
+    zero = {name for name, value in re.findall(rf"#define {prefix}_(\w+) (\d+)", header) if int(value) == 0}
+    heads = re.findall(r"\bfor \((?:int )?[^;]*;([^;]*);", text)
+    return {
+        "empty_loops": sum(
+            any(re.search(rf"<=? *(?:{prefix}_)?{name}\b *(?:$|&&|\))", h) for name in zero) for h in heads
+        )
+        + sum(bool(re.search(r"< *0 *(?:$|&&|\))", h)) for h in heads),
+        "void_statements": len(re.findall(r"^\s*\(void\)\s*\w+\s*;", text, re.MULTILINE)),
+        "empty_functions": len(re.findall(r"^\w[^;{}]*\)\s*\{\s*(?:\(void\)\s*\w+\s*;\s*)*\}", text, re.MULTILINE)),
+        "empty_tables": len(re.findall(r"\bstatic const \w+ \w+\[(?:0|1)\] = \{ 0(?:\.0f?)? \};", text)),
+        **{kind: _warned(sources, unit, warning) for kind, warning in WARNINGS.items()},
+    }
+
+
+def _warned(sources: Mapping[str, str], unit: str, warning: str) -> int:
+    """How often gcc gives a warning about the unit; functions count as if none were inline."""
+    with tempfile.TemporaryDirectory() as folder:
+        for path, text in sources.items():
+            if path.endswith((".c", ".h")):
+                (Path(folder) / path).parent.mkdir(parents=True, exist_ok=True)
+                (Path(folder) / path).write_text(text.replace("static inline ", "static "), encoding="utf-8")
+        command = ["gcc", "-std=c99", "-fsyntax-only", f"-W{warning}", unit]
+        run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    return run.stderr.count(f"[-W{warning}]")

@@ -1,0 +1,173 @@
+/* KKT residuals of the present iterate. */
+
+/* max |a|, a NaN wins. */
+static void enlarge(real_t *largest, real_t value)
+{
+    const real_t a = FABS(value);
+    if (!(a <= *largest)) {
+        *largest = a;
+    }
+}
+
+/* One row lower <= value <= upper with multiplier mu: violation, and |mu| times the distance to the bound it pushes at. */
+static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t mu)
+{
+    if (!(value >= lower)) {
+        enlarge(&kkt->inequality, lower - value);
+    }
+    if (!(value <= upper)) {
+        enlarge(&kkt->inequality, value - upper);
+    }
+    if (lower < upper && mu > R(0)) {
+        enlarge(&kkt->complementarity, mu * (upper - value));
+    }
+    if (lower < upper && mu < R(0)) {
+        enlarge(&kkt->complementarity, mu * (value - lower));
+    }
+}
+
+#if SOFT_ROWS
+/* One side of a soft row, excess over its bound and multiplier m >= 0: conditions of min l1 v + l2/2 v^2, v >= excess, v >= 0
+ * at v = max(0, excess); nu = l1 + l2 v - m >= 0 is the multiplier of v >= 0. */
+static void kkt_soft_side(kkt_t *kkt, real_t excess, real_t m, real_t l1, real_t l2)
+{
+    const real_t v = (excess > R(0)) ? excess : R(0);
+    const real_t nu = l1 + l2 * v - m;
+    enlarge(&kkt->complementarity, nu * v);
+    if (!(nu >= R(0))) {
+        enlarge(&kkt->complementarity, nu);
+    }
+    if (m > R(0)) {
+        enlarge(&kkt->complementarity, m * (excess - v));
+    }
+}
+
+static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
+{
+    const real_t l1 = row_l1[row_id[m]], l2 = ROW_CURVATURE(m), mu = ROW_MULTIPLIER(s, m);
+    kkt_soft_side(kkt, value - ROW_UPPER(s, m), (mu > R(0)) ? mu : R(0), l1, l2);
+    kkt_soft_side(kkt, ROW_LOWER(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2);
+}
+#endif
+
+/* Violation and complementarity of all rows and control bounds. */
+static void kkt_rows(const solver_t *s, kkt_t *kkt)
+{
+#if NG
+    real_t value[NG];
+    evaluate_rows(s, value);
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            kkt_soft_row(s, m, value[m], kkt);
+            continue;
+        }
+#endif
+        kkt_row(kkt, value[m], ROW_LOWER(s, m), ROW_UPPER(s, m), ROW_MULTIPLIER(s, m));
+    }
+#endif
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            kkt_row(kkt, s->u[k][j], CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j), s->mu_u[k][j]);
+        }
+    }
+}
+
+#if NE
+/* sum += J' eta of the coupled rows, J = dr / dx_0 for k = 0 and dr / dx_N for k = N. */
+static void add_coupled_forces(const solver_t *s, int k, real_t *sum)
+{
+    real_t r[NE], J_0[NE * NX] = {0}, J_N[NE * NX] = {0};
+    COUPLED_ROWS(s, r, J_0, J_N);
+    for (int i = 0; i < NX; i++) {
+        for (int j = 0; j < NE; j++) {
+            sum[i] += ((k == 0) ? J_0 : J_N)[j * NX + i] * s->eta[j];
+        }
+    }
+}
+#endif
+
+/* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + mu_x, mu_u + J' mu, and the gap. */
+static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
+{
+    real_t sum[NZ];
+    for (int i = 0; i < NZ; i++) {
+        sum[i] = node->g[i];
+        for (int j = 0; j < NX; j++) {
+            sum[i] += node->S[j][i] * s->lam[k + 1][j];
+        }
+#if NH
+        for (int j = 0; j < NH; j++) {
+            sum[i] += node->J[j][i] * s->mu[k][j];
+        }
+#endif
+        sum[i] += (i < NX) ? s->mu_x[k][i] - s->lam[k][i] : s->mu_u[k][i - NX];
+    }
+#if NE
+    if (k == 0) {
+        add_coupled_forces(s, k, sum);
+    }
+#endif
+    for (int i = 0; i < NZ; i++) {
+        enlarge(&kkt->stationarity, sum[i]);
+    }
+    for (int i = 0; i < NX; i++) {
+        enlarge(&kkt->equality, node->b[i]);
+    }
+}
+
+/* The terminal node: gradient of the Lagrangian; and the initial condition. */
+static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
+{
+    real_t sum[NX];
+    for (int i = 0; i < NX; i++) {
+        sum[i] = terminal->g[i] + s->mu_x[N][i] - s->lam[N][i];
+#if NH_N
+        for (int j = 0; j < NH_N; j++) {
+            sum[i] += terminal->J[j][i] * s->mu_N[j];
+        }
+#endif
+    }
+#if NE
+    add_coupled_forces(s, N, sum);
+#endif
+    for (int i = 0; i < NX; i++) {
+        enlarge(&kkt->stationarity, sum[i]);
+#if NF
+        if (!is_measured[i] && !is_accumulator[i]) {
+            continue;
+        }
+#endif
+        enlarge(&kkt->equality, s->xhat[i] - s->x[0][i]);
+    }
+}
+
+/* First derivatives of node k alone: S = [A_k B_k], gradient, gap, general rows. */
+static void linearize_node(const solver_t *s, int k, node_t *node)
+{
+    real_t x_next[NX];
+    INTEGRATOR_INTERVAL(s, k, x_next, &node->S[0][0]);
+#if HAS_PATH_GRADIENT
+    PATH_GRADIENT(s, k, node->g);
+#endif
+    complete_node(s, k, x_next, node);
+}
+
+/* KKT residuals of the present iterate, linearised afresh (on the stack: one node). */
+void API(kkt)(const solver_t *s, kkt_t *out)
+{
+    node_t node;
+    terminal_t terminal;
+    memset(out, 0, sizeof *out);
+    memset(&node, 0, sizeof node);
+    memset(&terminal, 0, sizeof terminal);
+    for (int k = 0; k < N; k++) {
+        linearize_node(s, k, &node);
+        kkt_node(s, k, &node, out);
+    }
+#if HAS_TERMINAL_GRADIENT || NH_N
+    linearize_terminal(s, &terminal);
+#endif
+    kkt_terminal(s, &terminal, out);
+    kkt_rows(s, out);
+}
