@@ -48,6 +48,7 @@ static real_t row_upper(const solver_t *s, int m)
     return ROW_UPPER(s, row_node[m], row_id[m]);
 }
 
+#if NG
 /* Penalty l1 v + l2/2 v^2 of the violation v of row m: infinite l1 for hard rows, unless the present QP is relaxed. */
 static real_t row_penalty(const solver_t *s, int m)
 {
@@ -55,6 +56,7 @@ static real_t row_penalty(const solver_t *s, int m)
     return (l1 < (real_t)INFINITY) ? l1 : s->relaxation;
 }
 
+#endif
 static real_t row_curvature(int m)
 {
     return row_l2[row_id[m]];

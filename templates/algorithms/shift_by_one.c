@@ -1,7 +1,8 @@
-/* The QP's prediction moves by one interval: the row of node k takes that of node k + 1, if it holds there too. */
-static void shift_working_set(solver_t *s)
+#if NG
+/* The prediction of the row of node k is that of node k + 1, if it holds there too. */
+static void shift_rows(solver_t *s)
 {
-    int source[NG + 1], m, next;
+    int source[NG], m, next;
     for (m = 0; m < NG; m++) {
         source[m] = m;
         for (next = m + 1; next < NG && row_node[next] <= row_node[m] + 1; next++) {
@@ -10,8 +11,10 @@ static void shift_working_set(solver_t *s)
             }
         }
     }
-    condense_shift(s, source);
+    condense_shift_rows(s, source);
 }
+
+#endif
 
 /* Node k takes what node k + 1 has; the last node and the last interval keep theirs. */
 static void shift_by_one(solver_t *s)
@@ -32,5 +35,8 @@ static void shift_by_one(solver_t *s)
             s->mu[k][j] = s->mu[from][j];
         }
     }
-    shift_working_set(s);
+    condense_shift(s);
+#if NG
+    shift_rows(s);
+#endif
 }

@@ -21,8 +21,8 @@
  *   terminal_rows                   printed kernel                                        2 operations
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c                    - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
- *   condensing: full                condensing/full.c                                   108 operations      328 bytes
- *   qp: dense_active_set            qp/dense_active_set.c                                81 operations     1472 bytes
+ *   condensing: full                condensing/full.c                                   108 operations      552 bytes
+ *   qp: dense_active_set            qp/dense_active_set.c                                81 operations     1984 bytes
  *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      560 bytes
  */
 #include "golden.h"
@@ -51,6 +51,7 @@
 /* Short names inside this translation unit. */
 typedef golden_real real_t;
 typedef golden_kkt_t kkt_t;
+typedef golden_columns_t columns_t;
 typedef golden_condensed_t condensed_t;
 typedef golden_qp_t qp_t;
 typedef golden_node_t node_t;
@@ -83,6 +84,7 @@ typedef golden_status_t status_t;
 #define SOFT_ROWS GOLDEN_SOFT_ROWS
 #define PARAMS GOLDEN_PARAMS
 #define STEPS GOLDEN_STEPS
+#define LDG GOLDEN_LDG
 #define QP_MAX_ITERATIONS GOLDEN_QP_MAX_ITERATIONS
 #define QP_MAX_PROXIMAL_STEPS GOLDEN_QP_MAX_PROXIMAL_STEPS
 #define SHIFT GOLDEN_SHIFT
@@ -174,8 +176,6 @@ static const real_t row_l1[4] = { (real_t)INFINITY, (real_t)INFINITY, (real_t)IN
 static const real_t row_l2[4] = { 0.0, 0.0, 0.0, 0.0 };
 /* first element of a parameter in p */
 static const int parameter_offset[2] = { 0, 1 };
-/* slack variable of QP row m, or -1 */
-static const int row_slack[5] = { -1, -1, -1, -1, -1 };
 /* 1: the state starts at 0 at every sample */
 static const int is_accumulator[1] = { 0 };
 /* 1: x_0 is what is measured */

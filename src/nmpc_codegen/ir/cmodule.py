@@ -63,13 +63,16 @@ class Field:
 class Struct:
     """A C struct <prefix>_<name>_t and the member ``name`` of the given shape that holds it in the solver.
 
-    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name.
+    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name. A struct that
+    another one has as a member has none of its own in the solver. ``union``: its members share their memory, for
+    phases that never overlap; every component that states a union of that name adds its members to it.
     """
 
     name: str
     doc: str
     fields: tuple[Field, ...]
     shape: tuple[Size, ...] = ()
+    union: bool = False
 
 
 @dataclass(frozen=True)
@@ -221,7 +224,8 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
         size, alignment = 0, 1
         for field in struct.fields:
             element, align = layout[field.ctype] if field.ctype in layout else types[field.ctype]
-            size = -(-size // align) * align + element * math.prod(field.padded)
+            end = element * math.prod(field.padded)
+            size = max(size, end) if struct.union else -(-size // align) * align + end
             alignment = max(alignment, align)
         layout[struct.name] = (-(-size // alignment) * alignment, alignment)
     return layout

@@ -68,15 +68,16 @@ class Products:
 
     @property
     def column_counts(self) -> dict[str, OpCount]:
-        """Operations on one panel of columns."""
-        return self._counts_of_nonzeros() if self.written_out else self._counts_of_loops()
+        """Operations on one panel of columns; without a Hessian of the last node nothing is multiplied by it."""
+        counts = self._counts_of_nonzeros() if self.written_out else self._counts_of_loops()
+        return {name: count for name, count in counts.items() if self.Q_N or name != "condense_terminal_panel"}
 
     def _counts_of_nonzeros(self) -> dict[str, OpCount]:
         terminal = [len(entries) for _, entries in self.terminal]
         return {
-            "condense_forward_columns": _summed(len(columns) for _, columns in self.A_rows) * PANEL,
-            "condense_terminal_columns": _summed(terminal) * PANEL,
-            "condense_backward_columns": _summed(len(rows) + len(e) for _, rows, e in self.condensed) * PANEL,
+            "condense_forward_panel": _summed(len(columns) for _, columns in self.A_rows) * PANEL,
+            "condense_terminal_panel": _summed(terminal) * PANEL,
+            "condense_backward_panel": _summed(len(rows) + len(e) for _, rows, e in self.condensed) * PANEL,
         }
 
     def _counts_of_loops(self) -> dict[str, OpCount]:
@@ -84,9 +85,9 @@ class Products:
         terminal = sum(len(entries) for _, entries in self.terminal)
         cost = sum(len(entries) for _, _, entries in self.condensed)
         return {
-            "condense_forward_columns": _accumulated(nx * nx) * PANEL,
-            "condense_terminal_columns": _accumulated(terminal) * PANEL,
-            "condense_backward_columns": _accumulated(nx * nz + cost) * PANEL,
+            "condense_forward_panel": _accumulated(nx * nx) * PANEL,
+            "condense_terminal_panel": _accumulated(terminal) * PANEL,
+            "condense_backward_panel": _accumulated(nx * nz + cost) * PANEL,
         }
 
     def element(self, j: int) -> str:
@@ -95,7 +96,12 @@ class Products:
 
     def target(self, i: int) -> str:
         """Row of W, or of T, that row i of the backward sweep belongs to."""
-        return f"d->W[0][{i}]" if i < self.nx else f"d->T[{i - self.nx}]"
+        return f"p->W[{i}]" if i < self.nx else f"p->T[{i - self.nx}]"
+
+    @property
+    def column_switches(self) -> dict[str, int]:
+        """What `#if` may test about the products with columns: a Hessian of the last node, if there is one at all."""
+        return {"TERMINAL_CURVATURE": int(bool(self.Q_N))}
 
     @property
     def S_rows(self) -> list[tuple[int, list[int]]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
         layouts=lin.options.online.layouts,
         routines=lin.routines,
         products=products,
-        switches={name: value for c in lin.options.components for name, value in c.switches.items()},
+        switches=_switches(lin),
         sections=sections,
         statuses=STATUSES,
         signals=(
@@ -90,6 +91,15 @@ def lower(lin: Linearization, name: str | None = None) -> CModule:
 def _known(lin: Linearization, products: Products) -> Counts:
     """Operations of the functions that components call: printed routines and stage products."""
     return {r.name: r.count for r in lin.routines} | products.counts | products.column_counts
+
+
+def _switches(lin: Linearization) -> dict[str, int]:
+    """What `#if` in the parts may test besides the sizes: features of the problem and of the options, 1 or 0."""
+    kinds = {kind for _, kind, _, _ in lin.problem.qp_rows}
+    switches = {"STATE_ROWS": int(0 in kinds), "GENERAL_ROWS": int(1 in kinds)}
+    for component in lin.options.components:
+        switches |= component.switches
+    return switches
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -170,12 +180,32 @@ def _structs(lin: Linearization, dims: Dims) -> tuple[Struct, ...]:
     ]
     owned = [s for c in lin.options.components for s in c.structs(dims)]
     own_members = [f for s in owned if s.name == "solver" for f in s.fields]
-    inner = [s for s in owned if s.name != "solver"]
-    members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner]
+    inner = _inner_structs(owned)
+    held = {f.ctype for s in inner for f in s.fields}
+    members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held]
     solver = Struct(
         "solver", "the whole controller: no pointers, copy it with '='", (*common, *own_members, *members, *results)
     )
     return (*_result_structs(), *inner, solver)
+
+
+def _inner_structs(owned: list[Struct]) -> list[Struct]:
+    """The structs that the solver holds, every one after those that are its members; unions of one name are one."""
+    stated = {s.name: s for s in owned if s.name != "solver"}
+    for name in (s.name for s in owned if s.union):
+        alternatives = [f for s in owned if s.name == name for f in s.fields]
+        stated[name] = replace(stated[name], fields=tuple(alternatives))
+    order: dict[str, Struct] = {}
+
+    def place(struct: Struct) -> None:
+        for field in struct.fields:
+            if field.ctype in stated:
+                place(stated[field.ctype])
+        order.setdefault(struct.name, struct)
+
+    for struct in stated.values():
+        place(struct)
+    return list(order.values())
 
 
 def _settings(lin: Linearization, dims: Dims) -> tuple[Setting, ...]:
@@ -382,6 +412,7 @@ def _metadata(
                     }
                     for f in s.fields
                 ],
+                **({"union": True} if s.union else {}),
             }
             for s in structs
         ],

@@ -76,7 +76,7 @@ def _names(module: CModule) -> dict[str, Any]:
 
 def render_unit(module: CModule, names: dict[str, Any]) -> str:
     """The translation unit after its preamble: tables, printed kernels, parts."""
-    sizes = {**{m.name: m.value for m in module.macros}, **module.switches}
+    sizes = {**{m.name: m.value for m in module.macros}, **module.switches, **module.products.column_switches}
 
     def generated(path: str) -> str:
         return environment().get_template(_GENERATED[path].format(spelling=module.products.spelling)).render(names)

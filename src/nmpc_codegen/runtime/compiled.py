@@ -112,7 +112,8 @@ class Library:
     def _check_members(self, struct: str, members: tuple[Member, ...]) -> None:
         """Names, element types and shapes, one by one."""
         compiled = self.ffi.typeof(f"{self.name}_{struct}_t")
-        self._same(f"{struct}: the kind", "struct", compiled.kind)
+        kind = "union" if struct in self.description.unions else "struct"
+        self._same(f"{struct}: the kind", kind, compiled.kind)
         fields = dict(compiled.fields or ())
         differing = sorted(set(fields) ^ {member.name for member in members})
         if differing:

@@ -6,7 +6,7 @@ compiler.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,6 +95,7 @@ class Description:
     dims: Dimensions
     sizes: Mapping[str, int]  # macro without prefix -> value
     structs: Mapping[str, tuple[Member, ...]]
+    unions: frozenset[str]  # structs whose members share their memory
     states: tuple[SignalInfo, ...]
     controls: tuple[SignalInfo, ...]
     parameters: tuple[SignalInfo, ...]
@@ -131,8 +132,9 @@ class Description:
         )
 
     def dtype(self, struct: str = "solver") -> np.dtype[Any]:
-        """Structured NumPy type of a C struct: members in order, each aligned as C aligns it."""
-        return np.dtype([(m.name, self._member_type(m), m.padded) for m in self.structs[struct]], align=True)
+        """Structured NumPy type of a C struct: members in order and aligned as in C; those of a union overlap."""
+        members = [(m.name, self._member_type(m), m.padded) for m in self.structs[struct]]
+        return union_dtype(members) if struct in self.unions else np.dtype(members, align=True)
 
     def _member_type(self, member: Member) -> np.dtype[Any]:
         if member.type == "real":
@@ -140,6 +142,14 @@ class Description:
         if member.type in INTEGERS:
             return np.dtype(INTEGERS[member.type])
         return self.dtype(member.type)
+
+
+def union_dtype(members: Sequence[tuple[str, np.dtype[Any], tuple[int, ...]]]) -> np.dtype[Any]:
+    """Structured NumPy type of a C union: (name, type, shape) of every member, all at offset 0."""
+    names, formats, shapes = zip(*members, strict=True)
+    of_members = [np.dtype((f, shape)) for f, shape in zip(formats, shapes, strict=True)]
+    layout = {"names": list(names), "formats": of_members, "offsets": [0] * len(names)}
+    return np.dtype(layout, align=True)  # type: ignore[call-overload, no-any-return]
 
 
 def _elements(signals: tuple[SignalInfo, ...]) -> tuple[str, ...]:

@@ -184,6 +184,7 @@ def _description(whole: Entry) -> Description:
         dims=dims,
         sizes={name: size.integer(-MAX_INTEGER) for name, size in sizes.items()},
         structs=_structs(raw["structs"]),
+        unions=_unions(raw["structs"]),
         states=_signals(raw["states"], dims.nx),
         controls=_signals(raw["controls"], dims.nu),
         parameters=_signals(raw["parameters"], dims.np),
@@ -232,7 +233,7 @@ def _structs(entry: Entry) -> dict[str, tuple[Member, ...]]:
     """Structs by name; a member's type is known before, so that no struct contains itself."""
     structs: dict[str, tuple[Member, ...]] = {}
     for item in entry.items():
-        raw = item.members(("name", "doc", "fields"))
+        raw = item.members(("name", "doc", "fields"), ("union",))
         raw["doc"].text()
         name = raw["name"].identifier()
         if name in structs or name in ("real", *INTEGERS):
@@ -244,6 +245,12 @@ def _structs(entry: Entry) -> dict[str, tuple[Member, ...]]:
     if "solver" not in structs:
         entry.fail("a struct solver among them")
     return structs
+
+
+def _unions(entry: Entry) -> frozenset[str]:
+    """Names of the structs whose members share their memory."""
+    raw = [item.object() for item in entry.items()]
+    return frozenset(item["name"].identifier() for item in raw if "union" in item and item["union"].flag())
 
 
 def _member(entry: Entry, types: Iterable[str]) -> Member:

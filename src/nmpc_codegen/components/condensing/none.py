@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -31,6 +32,11 @@ class NoCondensing(Defaults):
     def qp_shape(self, problem: Problem) -> QpShape:
         """N stages with the controls of one interval each."""
         return QpShape(problem.N, problem.nu, problem.N * problem.nu)
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """Whether a state bound may be a general row of a stage."""
+        return {"BLOCK_ROWS": 0}
 
     def routines(self, problem: Problem) -> tuple[Routine, ...]:
         """No function of the model is called."""

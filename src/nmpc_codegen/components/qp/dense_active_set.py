@@ -66,6 +66,20 @@ class DenseActiveSet(Defaults):
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         return (
             Struct(
+                "basis",
+                "factors of the working set",
+                (
+                    Field("Q", (ld, ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
+                    Field("R", (ld, ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
+                ),
+            ),
+            Struct(
+                "work",
+                "memory of phases that never overlap",
+                (Field("basis", (), "from qp_factorize to the end of the feedback", "scratch", "basis"),),
+                union=True,
+            ),
+            Struct(
                 "qp",
                 "condensed QP and its active-set factorisation",
                 (
@@ -77,8 +91,9 @@ class DenseActiveSet(Defaults):
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("inverse", (ld,), "D^{-1/2}", "scratch"),
-                    Field("Q", (ld, ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
-                    Field("R", (ld, ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
+                    Field(
+                        "work", (), "factors of the working set; before qp_factorize the caller's", "scratch", "work"
+                    ),
                     Field("R_inverse", (ld,), "inverse diagonal of R", "scratch"),
                     Field("lam", (ld,), "multipliers of the members", "scratch"),
                     Field("y0", (ld,), "unconstrained minimiser, y = D^{1/2} L'z", "scratch"),
@@ -98,7 +113,7 @@ class DenseActiveSet(Defaults):
                     Field("direction", (ld,), "direction of the last proximal step", "scratch"),
                     Field("total", (), "s'(H + E)s of it; 0: no conjugate direction follows", "scratch"),
                     Field("step", (), "length of the proximal step", "scratch"),
-                    Field("work", (ld,), "rows in the working set, in the order of the basis", "scratch", "int32"),
+                    Field("row", (ld,), "rows in the working set, in the order of the basis", "scratch", "int32"),
                     Field(
                         "side", (rows,), "+-1: member at upper, lower bound; +-2: saturated; else 0", "keep", "int32"
                     ),
