@@ -157,9 +157,11 @@ static void condense_block_rows(solver_t *s, int node)
         memset(row, 0, sizeof s->blocks.J[m]);
         if (node == N) {
             memcpy(row, J, sizeof row[0] * NX);
+#if NXS > NX
             for (i = NX; row_kind[m] == 2 && i < NXS; i++) {
                 row[i] = s->coupled.J_0[row_index[m]][copied_state[i - NX]];
             }
+#endif
             continue;
         }
         for (i = 0; i < NX; i++) {
@@ -242,10 +244,9 @@ static void condense_vectors(solver_t *s)
 
 static status_t condense_prepare(solver_t *s)
 {
-    int k;
     condense_matrices(s);
 #if NG
-    for (k = 0; k <= N; k++) {
+    for (int k = 0; k <= N; ++k) {
         condense_block_rows(s, k);
     }
 #endif

@@ -63,7 +63,7 @@ static real_t ipm_cost_unit(const solver_t *s)
 /* sum |a_i| |z_i| of row c: what the rounding of its value is relative to. */
 static real_t ipm_terms(solver_t *s, int c)
 {
-#if GENERAL_ROWS || NE || BLOCK_ROWS
+#if NG && (GENERAL_ROWS || NE || BLOCK_ROWS)
     if (c >= NV && stage_state[c - NV] < 0) {
         const int k = stage_of_row[c - NV];
         const real_t *a = stage_row(s, c - NV);

@@ -39,9 +39,9 @@ _FALLBACKS: dict[str, RiccatiInteriorPoint | None] = {"riccati_interior_point": 
 class RiccatiActiveSet(Defaults):
     """Options of the Riccati active-set solver.
 
-    ``max_iterations``: working sets that are tried in one feedback phase; None: 50. ``fallback``: the method that solves
-    a QP for which no working set is found, with its options, or None: such a QP, and one that is infeasible, then ends
-    with ITERATION_LIMIT (crossed bounds still with INFEASIBLE), and the package is smaller.
+    ``max_iterations``: working sets that are tried in one feedback phase; None: 50. ``fallback``: the method that
+    solves a QP for which no working set is found, with its options, or None: such a QP, an infeasible one included,
+    then ends with ITERATION_LIMIT (crossed bounds still with INFEASIBLE), and the package is smaller.
     """
 
     seam: ClassVar[str] = "qp"
