@@ -65,20 +65,7 @@ class DenseActiveSet(Defaults):
         nv, ng, ld = dims.nv, dims.ng, dims.ld
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         return (
-            Struct(
-                "basis",
-                "factors of the working set",
-                (
-                    Field("Q", (ld, ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
-                    Field("R", (ld, ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
-                ),
-            ),
-            Struct(
-                "work",
-                "memory of phases that never overlap",
-                (Field("basis", (), "from qp_factorize to the end of the feedback", "scratch", "basis"),),
-                union=True,
-            ),
+            *_working_memory(dims),
             Struct(
                 "qp",
                 "condensed QP and its active-set factorisation",
@@ -145,6 +132,19 @@ class DenseActiveSet(Defaults):
             "qp_forward": substitution + scale,
             "qp_backward": substitution + scale,
         }
+
+
+def _working_memory(dims: Dims) -> tuple[Struct, ...]:
+    """Factors of the working set, and the union through which the caller may use their memory before there are any."""
+    basis = (
+        Field("Q", (dims.ld, dims.ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
+        Field("R", (dims.ld, dims.ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
+    )
+    alternatives = (Field("basis", (), "from qp_factorize to the end of the feedback", "scratch", "basis"),)
+    return (
+        Struct("basis", "factors of the working set", basis),
+        Struct("work", "memory of phases that never overlap", alternatives, union=True),
+    )
 
 
 def _factorization(dims: Dims) -> OpCount:
