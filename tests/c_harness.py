@@ -23,6 +23,7 @@ from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.runtime.build import PROFILES, WARNINGS, find_compiler
+from nmpc_codegen.runtime.package_description import union_dtype
 
 SCALARS = {"double": np.float64, "single": np.float32}
 
@@ -88,7 +89,8 @@ def memory_layout(module: CModule) -> np.dtype:
     """NumPy view of the solver struct, laid out by NumPy's rendering of the C rules."""
     types: dict[str, object] = {"real": SCALARS[module.precision], "int32": np.int32}
     for struct in module.structs:
-        types[struct.name] = np.dtype([(f.name, types[f.ctype], f.padded) for f in struct.fields], align=True)
+        members = [(f.name, np.dtype(types[f.ctype]), f.padded) for f in struct.fields]
+        types[struct.name] = union_dtype(members) if struct.union else np.dtype(members, align=True)
     return np.dtype(types["solver"])
 
 

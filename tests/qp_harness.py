@@ -20,6 +20,7 @@ from nmpc_codegen.ir.cmodule import Size, Struct
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.tolerances import TOLERANCES
+from nmpc_codegen.runtime.package_description import union_dtype
 
 STATUSES = (
     "OK", "ITERATION_LIMIT", "INFEASIBLE", "RELAXED", "NUMERICAL_FAILURE", "NOT_FINITE", "NOT_PREPARED",
@@ -28,6 +29,17 @@ STATUSES = (
 WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
 FAST = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
 SCALARS = {"double": np.float64, "single": np.float32}
+
+
+#: A part that is tested alone has all kinds of rows, and the fall-back of the active set.
+SWITCHES = {
+    "SHIFT_RESAMPLE": 0,
+    "REGULARIZE_REDUCED": 0,
+    "STATE_ROWS": 1,
+    "GENERAL_ROWS": 1,
+    "BLOCK_ROWS": 1,
+    "INTERIOR_POINT": 1,
+}
 
 
 def qp_dims(nv: int, ng: int) -> Dims:
@@ -69,12 +81,13 @@ def unit_head(sizes: Mapping[str, int], precision: str) -> str:
 
 def struct_text(struct: Struct) -> str:
     """The type definition of a struct."""
-    return "\n".join(["typedef struct {", *(f"    {line}" for line in members(struct)), f"}} {struct.name}_t;"])
+    kind = "union" if struct.union else "struct"
+    return "\n".join([f"typedef {kind} {{", *(f"    {line}" for line in members(struct)), f"}} {struct.name}_t;"])
 
 
 def part_text(path: str, sizes: Mapping[str, int]) -> str:
     """A part with what it includes, its conditions decided."""
-    return resolve(read_part(path, no_generated_part), {**sizes, "SHIFT_RESAMPLE": 0, "REGULARIZE_REDUCED": 0})
+    return resolve(read_part(path, no_generated_part), {**SWITCHES, **sizes})
 
 
 def no_generated_part(path: str) -> str:
@@ -102,7 +115,15 @@ int test_size(void);
 void test_init(qp_t *q) { qp_init(q); }
 int test_factorize(qp_t *q) { return (int)qp_factorize(q); }
 int test_solve(qp_t *q) { return (int)qp_solve(q); }
-void test_shift(qp_t *q, int n, const int *source) { qp_shift_working_set(q, n, source); }
+void test_shift(qp_t *q, int n, const int *source)
+{
+    qp_shift_controls(q, n);
+#if NG
+    qp_shift_rows(q, source);
+#else
+    (void)source;
+#endif
+}
 int test_size(void) { return (int)sizeof(qp_t); }
 #ifdef __cplusplus
 }
@@ -131,9 +152,11 @@ def library(nv: int, ng: int, precision: str = "double", max_iterations: int | N
 
 def memory_layout(nv: int, ng: int, precision: str) -> np.dtype:
     """NumPy view of the C struct."""
-    types = {"real": SCALARS[precision], "int32": np.int32, "int64": np.int64}
-    (struct,) = DenseActiveSet().structs(qp_dims(nv, ng))
-    return np.dtype([(f.name, types[f.ctype], f.padded) for f in struct.fields], align=True)
+    types: dict[str, object] = {"real": SCALARS[precision], "int32": np.int32, "int64": np.int64}
+    for struct in DenseActiveSet().structs(qp_dims(nv, ng)):
+        members = [(f.name, np.dtype(types[f.ctype]), f.padded) for f in struct.fields]
+        types[struct.name] = union_dtype(members) if struct.union else np.dtype(members, align=True)
+    return types["qp"]
 
 
 class QP:

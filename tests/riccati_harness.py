@@ -124,6 +124,8 @@ def source(
     }
     lines = [unit_head(values, precision)]
     for name, entries in tables.items():
+        if name.startswith("stage_") and not shape.rows:
+            continue
         text = ", ".join(map(str, entries)) or "0"
         lines.append(f"static const int {name}[{max(1, len(entries))}] = {{ {text} }};")
     lines += [struct_text(struct) for struct in structs(shape, extra)]
@@ -167,7 +169,15 @@ void test_qp_init(solver_t *s) { qp_init(s); }
 int test_qp_factorize(solver_t *s) { return (int)qp_factorize(s); }
 void test_qp_gradient(solver_t *s) { qp_gradient(s); }
 int test_qp_solve(solver_t *s) { return (int)qp_solve(s); }
-void test_qp_shift(solver_t *s, int n, const int *source) { qp_shift_working_set(s, n, source); }
+void test_qp_shift(solver_t *s, int n, const int *source)
+{
+    qp_shift_controls(s, n);
+#if NG
+    qp_shift_rows(s, source);
+#else
+    (void)source;
+#endif
+}
 int test_qp_size(void) { return (int)sizeof(solver_t); }
 """
 
@@ -180,7 +190,7 @@ class RiccatiQP:
         extra = tuple(s for s in component.structs(shape.dims) if s.name != "riccati")
         known = {name for name, _, _ in riccati_sizes(shape.dims)}
         sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-        text = source(shape, (component.template, component.shift_template), sizes, extra, precision) + SOLVER
+        text = source(shape, component.template, sizes, extra, precision) + SOLVER
         self.library = compiled(text, flags)
         self.memory = np.zeros((), memory_layout(shape, extra, precision))
         assert self.library.test_qp_size() == self.memory.nbytes

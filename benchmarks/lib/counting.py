@@ -29,9 +29,9 @@ ARGUMENTS = {
     "state_step": "&s.node[0], w, w, w",
     "adjoint_step": "&s.node[0], s.hessian.Q[0], w, w, w",
     "terminal_adjoint": "&s.terminal, s.hessian.Q_N, w, w",
-    "condense_forward_columns": "&s.condensed, &s.node[0], 0, 1",
-    "condense_terminal_columns": "&s.condensed, s.hessian.Q_N, 1",
-    "condense_backward_columns": "&s.condensed, &s.node[0], s.hessian.Q[0], 0, 1",
+    "condense_forward_panel": "&s.qp.work.columns, &s.node[0], 0",
+    "condense_terminal_panel": "&s.qp.work.columns, s.hessian.Q_N",
+    "condense_backward_panel": "&s.qp.work.columns, &s.node[0], s.hessian.Q[0], 0",
     "qp_factorize_hessian": "&s.qp",
     "qp_forward": "&s.qp, w, 0",
     "riccati_factorize": "&s, PREFIX_NS",
@@ -40,10 +40,16 @@ ARGUMENTS = {
     "qp_backward": "&s.qp, w, w",
 }
 
+#: Functions that are called more than once for their count: the statement that does it.
+STATEMENTS = {
+    "condense_hessian": "for (int c = 0; c < PREFIX_LDG; c += PREFIX_PANEL) "
+    "{ condense_propagate(&s, c); condense_hessian(&s, c); }",
+}
+
 #: What must run before, for functions that overwrite what they read; the count of a factorisation is that of a positive
 #: definite matrix.
 BEFORE = {
-    "qp_factorize_hessian": "condense_hessian(&s); for (int i = 0; i < PREFIX_LDV; i++) { s.qp.H[i][i] += 1.0; }",
+    "qp_factorize_hessian": "condense_matrices(&s); for (int i = 0; i < PREFIX_LDV; i++) { s.qp.H[i][i] += 1.0; }",
     "riccati_factorize": "riccati_init(&s); for (int k = 0; k < PREFIX_NS; k++) for (int j = 0; j < PREFIX_NUS; j++) "
     "{ s.riccati.diagonal[k][PREFIX_NX + j] = 1.0; }",
     "riccati_backward": "for (int k = 0; k < PREFIX_NS; k++) { s.riccati.b[k][0] = 1.0; }",
@@ -76,7 +82,7 @@ def _call(module: CModule, name: str) -> str:
     for routine in module.routines:
         if routine.name == name:
             return f"{name}({', '.join('w' for _ in (*routine.reads, *routine.writes))})"
-    return f"{name}({ARGUMENTS.get(name, '&s')})"
+    return STATEMENTS.get(name, f"{name}({ARGUMENTS.get(name, '&s')})")
 
 
 def _room(module: CModule) -> int:

@@ -1,7 +1,7 @@
-/* The QP's prediction moves by one interval: the row of node k takes that of node k + 1, if it holds there too. */
-static void shift_working_set(solver_t *s)
-{
 #if NG
+/* The prediction of the row of node k is that of node k + 1, if it holds there too. */
+static void shift_rows(solver_t *s)
+{
     int source[NG];
     for (int m = 0; m < NG; m++) {
         source[m] = m;
@@ -11,11 +11,10 @@ static void shift_working_set(solver_t *s)
             }
         }
     }
-#else
-    const int source[1] = {0}; /* no rows: it is not read */
-#endif
-    condense_shift(s, source);
+    condense_shift_rows(s, source);
 }
+
+#endif
 
 /* Node k takes what node k + 1 has; the last node and the last interval keep theirs. */
 static void shift_by_one(solver_t *s)
@@ -37,5 +36,8 @@ static void shift_by_one(solver_t *s)
         }
 #endif
     }
-    shift_working_set(s);
+    condense_shift(s);
+#if NG
+    shift_rows(s);
+#endif
 }

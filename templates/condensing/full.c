@@ -4,8 +4,10 @@
  *   condense_gradient  gradients of the nodes have changed, nothing else
  *   condense_rows      gaps b and values of the rows have changed, no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set moves by one interval
- * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k, all states but dx_0 eliminated in O(N^2). Variables of the QP are
+ *   condense_shift     the predicted working set of the controls moves by one interval
+ *   condense_shift_rows  that of row m takes what row source[m] had
+ * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k, all states but dx_0 eliminated in O(N^2), PANEL columns at a time in
+ * memory that the QP solver lends: qp.work.columns, which qp_factorize overwrites. Variables of the QP are
  * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
  * lower <= row - sigma <= upper, cost l2/2 sigma^2, sigma = 0 elastic with penalty l1. */
 
@@ -17,85 +19,276 @@ static status_t qp_solve(qp_t *q);
 
 static void condense_init(solver_t *s)
 {
-    int i;
     qp_init(&s->qp);
-    for (i = 0; i < NX; i++) {
-        s->condensed.G[0][i][i] = R(1);
-    }
 }
 
-/* The block row k of T goes to the condensed Hessian (lower triangle, plus R_k) and to its coupling to dx_0. */
-static void condense_store_rows(solver_t *s, real_t (*Q)[NZ], int k)
+/* Node at whose start the first of the columns of a panel is not zero any more: 0 for dx_0, k + 1 for du_k. */
+static int condense_first_node(int column)
 {
-    int i, j;
-    for (j = 0; j < NU; j++) {
-        const int row = k * NU + j;
-        const real_t *t = s->condensed.T[j];
-        for (i = 0; i < NX; i++) {
-            s->condensed.Hx[row][i] = t[i];
-        }
-        for (i = 0; i < k * NU; i++) {
-            s->qp.H[row][i] = t[NX + i];
-        }
-        for (i = 0; i <= j; i++) {
-            s->qp.H[row][k * NU + i] = t[NX + k * NU + i] + Q[NX + j][NX + i];
+    return (column < NX) ? 0 : (column - NX) / NU + 1;
+}
+
+/* Columns of G_k or W that are zero. */
+static void condense_clear(real_t (*columns)[PANEL])
+{
+    for (int i = 0; i < NX; ++i) {
+        for (int l = 0; l < PANEL; ++l) {
+            columns[i][l] = R(0.0);
         }
     }
 }
 
-/* Rows of the free components of dx_0, from W_0 = d2 cost / d(dx_0)^2 and the coupling of the controls. */
+/* B_k comes into the columns of du_k of G_{k+1}. */
+static void condense_enter(columns_t *p, const node_t *node, int k, int column)
+{
+    const int entering = NX + k * NU - column;
+    for (int j = (entering < 0) ? -entering : 0; j < NU && entering + j < PANEL; ++j) {
+        for (int i = 0; i < NX; ++i) {
+            p->G[k + 1][i][entering + j] = node->S[i][NX + j];
+        }
+    }
+}
+
+/* G_k of a panel from its first node on: G_0 = [I 0], G_{k+1} = [A_k G_k, B_k at du_k]; zero at the node before. */
+static void condense_propagate(solver_t *s, int column)
+{
+    columns_t *p = &s->qp.work.columns;
+    const int first = condense_first_node(column), last = condense_first_node(column + PANEL - 1);
+    condense_clear(p->G[first]);
+    for (int i = column; i < NX && i < column + PANEL; ++i) {
+        p->G[0][i][i - column] = R(1.0);
+    }
+    if (first > 0) {
+        condense_clear(p->G[first - 1]);
+        condense_enter(p, &s->node[first - 1], first - 1, column);
+    }
+    for (int k = first; k < N; ++k) {
+        condense_forward_panel(p, &s->node[k], k);
+        if (k < last) {
+            condense_enter(p, &s->node[k], k, column);
+        }
+    }
+}
+
+/* A panel of a row of (Hx, H) or (Ax, A), of which `width` columns of du count. */
+static void condense_store(const real_t *panel, int column, int width, real_t *dx0, real_t *du)
+{
+    if (column + PANEL <= NX) {
+        memcpy(dx0 + column, panel, sizeof(real_t) * PANEL);
+    } else if (column >= NX && column + PANEL - NX <= width) {
+        memcpy(du + (column - NX), panel, sizeof(real_t) * PANEL);
+    } else {
+        for (int i = column; i < NX; ++i) {
+            dx0[i] = panel[i - column];
+        }
+        for (int i = (column < NX) ? 0 : column - NX; i < width && NX + i < column + PANEL; ++i) {
+            du[i] = panel[NX + i - column];
+        }
+    }
+}
+
+/* T += R_k, its lower triangle, at du_k. */
+static void condense_add_curvature(columns_t *p, real_t (*Q)[NZ], int k, int column)
+{
+    const int diagonal = NX + k * NU - column;
+    for (int j = 0; j < NU; ++j) {
+        for (int i = (diagonal < 0) ? -diagonal : 0; i <= j && diagonal + i < PANEL; ++i) {
+            p->T[j][diagonal + i] += Q[NX + j][NX + i];
+        }
+    }
+}
+
+/* A panel of the block row k, T, goes to the condensed Hessian (lower triangle, plus R_k) and to its coupling to dx_0. */
+static void condense_store_rows(solver_t *s, real_t (*Q)[NZ], int k, int column)
+{
+    columns_t *p = &s->qp.work.columns;
+    if (column + PANEL > NX + k * NU) {
+        condense_add_curvature(p, Q, k, column);
+    }
+    for (int j = 0; j < NU; ++j) {
+        const int row = k * NU + j;
+        condense_store(p->T[j], column, row + 1, s->condensed.Hx[row], s->qp.H[row]);
+    }
+}
+
+/* A panel of the condensed Hessian: W_N = Q_N G_N, then its block rows T from the last to the first. */
+static void condense_hessian(solver_t *s, int column)
+{
+    columns_t *p = &s->qp.work.columns;
+    const int first = condense_first_node(column);
+#if TERMINAL_CURVATURE
+    condense_terminal_panel(p, s->hessian.Q_N);
+#else
+    condense_clear(p->W);
+#endif
+    for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
+        real_t (*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
+        condense_backward_panel(p, &s->node[k], Q, k);
+        condense_store_rows(s, Q, k, column);
+    }
+#if NF
+    for (int f = 0; f < NF; ++f) {
+        for (int i = column; i < NX && i < column + PANEL; ++i) {
+            s->condensed.Hx[N * NU + f][i] = p->W[free_state[f]][i - column];
+        }
+    }
+#endif
+}
+
+#if NF
+/* Rows of the free components of dx_0, whose entries are those of the coupling to dx_0. */
 static void condense_store_free(solver_t *s)
 {
-    int f, e, i;
-    for (f = 0; f < NF; f++) {
+    for (int f = 0; f < NF; ++f) {
         const int row = N * NU + f;
-        const real_t *w = s->condensed.W[0][free_state[f]];
-        for (i = 0; i < NX; i++) {
-            s->condensed.Hx[row][i] = w[i];
-        }
-        for (i = 0; i < N * NU; i++) {
+        for (int i = 0; i < N * NU; ++i) {
             s->qp.H[row][i] = s->condensed.Hx[i][free_state[f]];
         }
-        for (e = 0; e <= f; e++) {
-            s->qp.H[row][N * NU + e] = w[free_state[e]];
+        for (int e = 0; e <= f; ++e) {
+            s->qp.H[row][N * NU + e] = s->condensed.Hx[row][free_state[e]];
         }
     }
 }
 
+#endif
+#if NSL
 /* Hessian rows of the slacks: l2 on the diagonal. */
 static void condense_store_slacks(solver_t *s)
 {
-    int m, i;
-    for (m = 0; m < NG; m++) {
+    for (int m = 0; m < NG; ++m) {
         const int row = row_slack[m];
-        for (i = 0; row >= 0 && i <= row; i++) {
-            s->qp.H[row][i] = (i == row) ? ROW_CURVATURE(m) : R(0);
+        for (int i = 0; row >= 0 && i <= row; ++i) {
+            s->qp.H[row][i] = (i == row) ? ROW_CURVATURE(m) : R(0.0);
         }
     }
 }
 
-/* Forward: G_{k+1} = [A_k G_k, B_k at du_k]. Backward: block rows of the condensed Hessian from the last to the first. */
-static void condense_hessian(solver_t *s)
+#endif
+#if STATE_ROWS
+/* A panel of the state row m, a row of G_k. */
+static void condense_take_state(const solver_t *s, int m, int column, real_t *sum)
 {
-    condensed_t *d = &s->condensed;
-    int k, i, j;
-    for (k = 0; k < N; k++) {
-        const int width = NX + k * NU;
-        condense_forward_columns(d, &s->node[k], k, width);
-        for (i = 0; i < NX; i++) {
-            for (j = 0; j < NU; j++) {
-                d->G[k + 1][i][width + j] = s->node[k].S[i][NX + j];
+    if (row_node[m] + 1 >= condense_first_node(column)) {
+        memcpy(sum, s->qp.work.columns.G[row_node[m]][row_index[m]], sizeof(real_t) * PANEL);
+    }
+}
+
+#endif
+#if GENERAL_ROWS || NE
+/* Gradient (J_x, J_u) of the general or coupled row m; of a coupled one that in x_N. */
+static const real_t *condense_row_gradient(const solver_t *s, int m)
+{
+#if NE && GENERAL_ROWS
+    if (IS_COUPLED(m)) {
+        return s->coupled.J_N[row_index[m]];
+    }
+#endif
+#if NH && NH_N
+    return (row_node[m] < N) ? s->node[row_node[m]].J[row_index[m]] : s->terminal.J[row_index[m]];
+#elif NH
+    return s->node[row_node[m]].J[row_index[m]];
+#elif NH_N
+    return s->terminal.J[row_index[m]];
+#else
+    return s->coupled.J_N[row_index[m]];
+#endif
+}
+
+/* J_x'c */
+static real_t condense_dot(const real_t *J, const real_t *c)
+{
+    real_t sum = R(0.0);
+    for (int i = 0; i < NX; ++i) {
+        sum += J[i] * c[i];
+    }
+    return sum;
+}
+
+/* Adds a panel of J_x G_k + J_u at du_k of the general or coupled row m; of a coupled one J_0 dx_0 besides. */
+static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
+{
+    const int k = row_node[m], entering = NX + k * NU - column;
+    const real_t *J = condense_row_gradient(s, m);
+    const int last = (k + 1 >= condense_first_node(column)) ? NX : 0;
+#if NE
+    for (int i = column; IS_COUPLED(m) && i < NX && i < column + PANEL; ++i) {
+        sum[i - column] = s->coupled.J_0[row_index[m]][i];
+    }
+#endif
+    for (int i = 0; i < last; ++i) {
+        if (J[i] != R(0.0)) {
+            for (int l = 0; l < PANEL; ++l) {
+                sum[l] += J[i] * s->qp.work.columns.G[k][i][l];
             }
         }
     }
-    condense_terminal_columns(d, s->hessian.Q_N, NX + N * NU);
-    for (k = N - 1; k >= 0; k--) {
-        real_t (*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
-        condense_backward_columns(d, &s->node[k], Q, k, NX + (k + 1) * NU);
-        condense_store_rows(s, Q, k);
+    for (int j = (entering < 0) ? -entering : 0; k < N && j < NU && entering + j < PANEL; ++j) {
+        sum[entering + j] = J[NX + j];
     }
+}
+
+#endif
+#if NG
+/* A panel of row m of the QP: A = J_x G_k + J_u at du_k; a state row is J_x = e_i, a coupled row has J_0 dx_0 besides. */
+static void condense_row(solver_t *s, int m, int column)
+{
+    real_t sum[PANEL] = { R(0.0) };
+#if STATE_ROWS && (GENERAL_ROWS || NE)
+    if (row_kind[m] == ROW_STATE) {
+        condense_take_state(s, m, column, sum);
+    } else {
+        condense_add_row(s, m, column, sum);
+    }
+#elif STATE_ROWS
+    condense_take_state(s, m, column, sum);
+#else
+    condense_add_row(s, m, column, sum);
+#endif
+    condense_store(sum, column, N * NU, s->condensed.Ax[m], s->qp.A[m]);
+}
+
+#if NF || NSL
+/* Entries of the rows at the free components of dx_0 and at the slacks. */
+static void condense_store_others(solver_t *s)
+{
+    for (int m = 0; m < NG; ++m) {
+        real_t *a = s->qp.A[m];
+#if NF
+        for (int f = 0; f < NF; ++f) {
+            a[N * NU + f] = s->condensed.Ax[m][free_state[f]];
+        }
+#endif
+#if NSL
+        for (int i = N * NU + NF; i < NV; ++i) {
+            a[i] = (i == row_slack[m]) ? -R(1.0) : R(0.0);
+        }
+#endif
+    }
+}
+
+#endif
+#endif
+/* Hessian and rows of the QP, a panel of columns after the other. */
+static void condense_matrices(solver_t *s)
+{
+    for (int column = 0; column < LDG; column += PANEL) {
+        condense_propagate(s, column);
+        condense_hessian(s, column);
+#if NG
+        for (int m = 0; m < NG; ++m) {
+            condense_row(s, m, column);
+        }
+#endif
+    }
+#if NF
     condense_store_free(s);
+#endif
+#if NSL
     condense_store_slacks(s);
+#endif
+#if NG && (NF || NSL)
+    condense_store_others(s);
+#endif
 }
 
 /* c_0 = 0, c_{k+1} = A_k c_k + b_k;  w_N = q_N + Q_N c_N;  g_k = r_k + S_k c_k + B_k' w_{k+1};
@@ -105,112 +298,82 @@ static void condense_gradient(solver_t *s)
     condensed_t *d = &s->condensed;
     const real_t du[NU] = {0};
     real_t w[NZ];
-    int k, j;
-    for (k = 0; k < N; k++) {
+    for (int k = 0; k < N; ++k) {
         state_step(&s->node[k], d->c[k], du, d->c[k + 1]);
     }
     terminal_adjoint(&s->terminal, s->hessian.Q_N, d->c[N], w);
-    for (k = N - 1; k >= 0; k--) {
+    for (int k = N - 1; k >= 0; --k) {
         adjoint_step(&s->node[k], s->hessian.Q[NQ == 1 ? 0 : k], d->c[k], du, w);
-        for (j = 0; j < NU; j++) {
+        for (int j = 0; j < NU; ++j) {
             d->g[k * NU + j] = w[NX + j];
         }
     }
-    for (j = 0; j < NF; j++) {
-        d->g[N * NU + j] = w[free_state[j]];
+#if NF
+    for (int f = 0; f < NF; ++f) {
+        d->g[N * NU + f] = w[free_state[f]];
     }
+#endif
 }
 
-#if NG
-/* Row m of the QP: A = J_x G_k + J_u at du_k, value v = row + J_x c_k; a state row is J_x = e_i, a coupled row has
- * J_0 dx_0 besides. */
-static void condense_row(solver_t *s, int m)
-{
-    condensed_t *d = &s->condensed;
-    const int k = row_node[m];
-    real_t J[NZ];
-    real_t *a = s->qp.A[m];
-    int i, j;
-    d->v[m] = row_gradient(s, m, J);
-    for (j = 0; j < NX; j++) {
-#if NE
-        d->Ax[m][j] = IS_COUPLED(m) ? s->coupled.J_0[row_index[m]][j] : R(0);
-#else
-        d->Ax[m][j] = R(0);
-#endif
-    }
-    for (j = 0; j < NV; j++) {
-        a[j] = R(0);
-    }
-    for (i = 0; i < NX; i++) {
-        if (J[i] != R(0)) {
-            const real_t *g = d->G[k][i];
-            for (j = 0; j < NX; j++) {
-                d->Ax[m][j] += J[i] * g[j];
-            }
-            for (j = 0; j < k * NU; j++) {
-                a[j] += J[i] * g[NX + j];
-            }
-            d->v[m] += J[i] * d->c[k][i];
-        }
-    }
-    for (j = 0; k < N && j < NU; j++) {
-        a[k * NU + j] = J[NX + j];
-    }
-    for (j = 0; j < NF; j++) {
-        a[N * NU + j] = d->Ax[m][free_state[j]];
-    }
-    if (row_slack[m] >= 0) {
-        a[row_slack[m]] = -R(1);
-    }
-}
-#endif
-
+#if NF || NSL
 /* Gradient and bounds of the free components of dx_0 and of the slacks; dx0 has zeros at free components. */
 static void condense_embed_others(solver_t *s, const real_t *dx0)
 {
-    int j, i;
-    for (j = 0; j < NF; j++) {
-        const int row = N * NU + j;
+#if NF
+    for (int row = N * NU; row < N * NU + NF; ++row) {
         s->qp.g[row] = s->condensed.g[row];
-        for (i = 0; i < NX; i++) {
+        for (int i = 0; i < NX; ++i) {
             s->qp.g[row] += s->condensed.Hx[row][i] * dx0[i];
         }
         s->qp.lower[row] = -(real_t)INFINITY;
         s->qp.upper[row] = (real_t)INFINITY;
     }
-#if NG
-    for (int m = 0; m < NG; m++) {
+#endif
+#if NSL
+    for (int m = 0; m < NG; ++m) {
         const int slack = row_slack[m];
-        const real_t l1 = ROW_PENALTY(s, m);
-        s->qp.penalty[NV + m] = (slack < 0) ? l1 : (real_t)INFINITY;
         if (slack >= 0) {
-            s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
-            s->qp.penalty[slack] = l1;
+            s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0.0);
+            s->qp.penalty[slack] = ROW_PENALTY(s, m);
+            s->qp.penalty[NV + m] = (real_t)INFINITY;
         }
     }
 #endif
 }
 
+#endif
+#if NG
+/* Bounds of the rows relative to their values at du = 0, and what their violation costs. */
+static void condense_embed_rows(solver_t *s, const real_t *dx0)
+{
+    for (int m = 0; m < NG; ++m) {
+        real_t value = s->condensed.v[m];
+        for (int i = 0; i < NX; ++i) {
+            value += s->condensed.Ax[m][i] * dx0[i];
+        }
+        s->qp.lower[NV + m] = ROW_LOWER(s, m) - value;
+        s->qp.upper[NV + m] = ROW_UPPER(s, m) - value;
+        s->qp.penalty[NV + m] = ROW_PENALTY(s, m);
+    }
+}
+
+#endif
 /* g = g(0) + Hx dx_0, free components of dx_0 apart;  bounds of du and of the rows relative to the present iterate. */
 static void condense_embed(solver_t *s)
 {
-    condensed_t *d = &s->condensed;
     real_t dx0[NX];
-    int k, j, i;
-    for (i = 0; i < NX; i++) {
-        dx0[i] = s->step.dx[0][i];
+    memcpy(dx0, s->step.dx[0], sizeof dx0);
+#if NF
+    for (int f = 0; f < NF; ++f) {
+        dx0[free_state[f]] = R(0.0);
     }
-    for (j = 0; j < NF; j++) {
-        dx0[free_state[j]] = R(0);
-    }
-    condense_embed_others(s, dx0);
-    for (k = 0; k < N; k++) {
-        for (j = 0; j < NU; j++) {
+#endif
+    for (int k = 0; k < N; ++k) {
+        for (int j = 0; j < NU; ++j) {
             const int row = k * NU + j;
-            real_t sum = d->g[row];
-            for (i = 0; i < NX; i++) {
-                sum += d->Hx[row][i] * dx0[i];
+            real_t sum = s->condensed.g[row];
+            for (int i = 0; i < NX; ++i) {
+                sum += s->condensed.Hx[row][i] * dx0[i];
             }
             s->qp.g[row] = sum;
             s->qp.lower[row] = CONTROL_LOWER(s, k, j) - s->u[k][j];
@@ -218,23 +381,28 @@ static void condense_embed(solver_t *s)
         }
     }
 #if NG
-    for (int m = 0; m < NG; m++) {
-        real_t value = d->v[m];
-        for (i = 0; i < NX; i++) {
-            value += d->Ax[m][i] * dx0[i];
-        }
-        s->qp.lower[NV + m] = ROW_LOWER(s, m) - value;
-        s->qp.upper[NV + m] = ROW_UPPER(s, m) - value;
-    }
+    condense_embed_rows(s, dx0);
+#endif
+#if NF || NSL
+    condense_embed_others(s, dx0);
 #endif
 }
 
+/* Gradients, and the values of the rows at du = 0, dx_0 = 0: v = row + J_x c_k. */
 static void condense_rows(solver_t *s)
 {
     condense_gradient(s);
 #if NG
-    for (int m = 0; m < NG; m++) {
-        condense_row(s, m);
+    for (int m = 0; m < NG; ++m) {
+        const real_t *c = s->condensed.c[row_node[m]];
+#if STATE_ROWS && (GENERAL_ROWS || NE)
+        const real_t change = (row_kind[m] == ROW_STATE) ? c[row_index[m]] : condense_dot(condense_row_gradient(s, m), c);
+#elif STATE_ROWS
+        const real_t change = c[row_index[m]];
+#else
+        const real_t change = condense_dot(condense_row_gradient(s, m), c);
+#endif
+        s->condensed.v[m] = ROW_CONSTANT(s, m) + change;
     }
 #endif
 }
@@ -247,7 +415,7 @@ static void condense_rows(solver_t *s)
 
 static status_t condense_prepare(solver_t *s)
 {
-    condense_hessian(s);
+    condense_matrices(s);
     condense_rows(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
@@ -258,20 +426,21 @@ static status_t condense_prepare(solver_t *s)
 static void condense_expand(solver_t *s)
 {
     step_t *d = &s->step;
-    int k, j;
-    for (j = 0; j < NF; j++) {
-        d->dx[0][free_state[j]] = s->qp.z[N * NU + j];
+#if NF
+    for (int f = 0; f < NF; ++f) {
+        d->dx[0][free_state[f]] = s->qp.z[N * NU + f];
     }
-    for (k = 0; k < N; k++) {
-        for (j = 0; j < NU; j++) {
+#endif
+    for (int k = 0; k < N; ++k) {
+        for (int j = 0; j < NU; ++j) {
             d->du[k][j] = s->qp.z[k * NU + j];
             d->mult_u[k][j] = s->qp.mult[k * NU + j];
         }
         state_step(&s->node[k], d->dx[k], d->du[k], d->dx[k + 1]);
     }
 #if NG
-    for (j = 0; j < NG; j++) {
-        d->mult[j] = s->qp.mult[NV + j];
+    for (int m = 0; m < NG; ++m) {
+        d->mult[m] = s->qp.mult[NV + m];
     }
 #endif
 }
@@ -286,7 +455,10 @@ static status_t condense_solve(solver_t *s)
 }
 
 #if !SHIFT_RESAMPLE
-static void qp_shift_working_set(qp_t *q, int n, const int *source);
+static void qp_shift_controls(qp_t *q, int n);
+#if NG
+static void qp_shift_rows(qp_t *q, const int *source);
+#endif
 
 #include "condensing/shift_condensed.c"
 #endif

@@ -4,7 +4,8 @@
  *   condense_gradient  gradients of the nodes have changed, nothing else
  *   condense_rows      gaps b and values of the rows have changed, no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set moves by one interval
+ *   condense_shift     the predicted working set of the controls moves by one interval
+ *   condense_shift_rows  that of row m takes what row source[m] had
  * Here: nothing is eliminated, the QP has the stages of the problem.
  * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient
  * of a general row), tables stage_first, stage_of_row, stage_state. */
@@ -40,26 +41,27 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
     return s->hessian.Q_N;
 }
 
+#if GENERAL_ROWS || NE
 /* Gradient of the general or coupled row m in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
-#if NE
+#if NE && GENERAL_ROWS
     if (IS_COUPLED(m)) {
         return s->coupled.J_N[row_index[m]];
     }
 #endif
-#if NH_N
-    if (row_node[m] == N) {
-        return s->terminal.J[row_index[m]];
-    }
-#endif
-#if NH
+#if NH && NH_N
+    return (row_node[m] < N) ? s->node[row_node[m]].J[row_index[m]] : s->terminal.J[row_index[m]];
+#elif NH
     return s->node[row_node[m]].J[row_index[m]];
+#elif NH_N
+    return s->terminal.J[row_index[m]];
 #else
-    (void)m; /* no other row has a gradient */
-    return s->xhat;
+    return s->coupled.J_N[row_index[m]];
 #endif
 }
+
+#endif
 
 static void condense_init(solver_t *s)
 {
@@ -72,8 +74,8 @@ static inline real_t stage_row_value(const solver_t *s, int m)
 {
     return ROW_CONSTANT(s, m);
 }
-#endif
 
+#endif
 #include "condensing/embed_stages.c"
 
 static status_t condense_prepare(solver_t *s)
@@ -88,29 +90,32 @@ static void condense_gradient(solver_t *s)
 {
     qp_gradient(s);
 }
-#endif
 
+#endif
 #if SOLVE
 static void condense_rows(solver_t *s)
 {
     qp_gradient(s);
 }
-#endif
 
+#endif
 static void condense_expand(solver_t *s)
 {
     memcpy(s->step.dx, s->qp.x, sizeof s->step.dx);
     memcpy(s->step.du, s->qp.z, sizeof s->step.du);
     memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
 #if NG
-    memcpy(s->step.mult, s->qp.mult + NV, sizeof s->step.mult[0] * NG);
+    memcpy(s->step.mult, s->qp.mult + NV, sizeof s->step.mult);
 #endif
 }
 
 #include "condensing/solve_stages.c"
 
 #if !SHIFT_RESAMPLE
-static void qp_shift_working_set(solver_t *s, int n, const int *source);
+static void qp_shift_controls(solver_t *s, int n);
+#if NG
+static void qp_shift_rows(solver_t *s, const int *source);
+#endif
 
 #include "condensing/shift_stages.c"
 #endif

@@ -4,7 +4,8 @@
  *   condense_gradient  gradients of the nodes have changed, nothing else
  *   condense_rows      gaps b and values of the rows have changed, no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set moves by one interval
+ *   condense_shift     the predicted working set of the controls moves by one interval
+ *   condense_shift_rows  that of row m takes what row source[m] had
  * Here: blocks of BLOCK intervals become one stage: all states but the first of a block are eliminated,
  *     dx_{kB+j} = G_j (dx_kB, du_kB .. du_{kB+B-1}) + c_j,   [A B] = G_B,  b = c_B,
  *     Q = sum_j Z_j' Q_{kB+j} Z_j,   g = sum_j Z_j' (g_{kB+j} + Q_{kB+j} (c_j, 0)),   Z_j = [G_j; selection of du_{kB+j}].
@@ -45,18 +46,22 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
     return s->blocks.Q_N;
 }
 
+#if NG
 /* Gradient of the general or coupled row m in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
     return s->blocks.J[m];
 }
 
+#endif
+#if NG
 /* Constant part of row m in the variables of its stage. */
 static inline real_t stage_row_value(const solver_t *s, int m)
 {
     return s->blocks.v[m];
 }
 
+#endif
 static void condense_init(solver_t *s)
 {
     int k, j;
@@ -65,9 +70,11 @@ static void condense_init(solver_t *s)
         s->block[NS - 1].Q[j][j] = R(1);
     }
     for (k = 0; k < NS; k++) {
+#if NXS > NX
         for (j = NX; j < NXS; j++) {
             s->block[k].S[j][j] = R(1);
         }
+#endif
     }
     for (k = 0; k < N; k += BLOCK) {
         for (j = 0; j < NX; j++) {
@@ -150,7 +157,7 @@ static void condense_block_rows(solver_t *s, int node)
         memset(row, 0, sizeof s->blocks.J[m]);
         if (node == N) {
             memcpy(row, J, sizeof row[0] * NX);
-#if NE
+#if NXS > NX && NE
             for (i = NX; IS_COUPLED(m) && i < NXS; i++) {
                 row[i] = s->coupled.J_0[row_index[m]][copied_state[i - NX]];
             }
@@ -167,8 +174,8 @@ static void condense_block_rows(solver_t *s, int node)
         }
     }
 }
-#endif
 
+#endif
 #if NG
 /* Values of the rows: those of their nodes plus J_x c_j. */
 static void condense_row_values(solver_t *s)
@@ -183,8 +190,8 @@ static void condense_row_values(solver_t *s)
         s->blocks.v[m] = value;
     }
 }
-#endif
 
+#endif
 /* All blocks: [A B], Hessian. */
 static void condense_matrices(solver_t *s)
 {
@@ -237,13 +244,12 @@ static void condense_vectors(solver_t *s)
 
 static status_t condense_prepare(solver_t *s)
 {
-    int k;
     condense_matrices(s);
-    for (k = 0; k <= N; k++) {
 #if NG
+    for (int k = 0; k <= N; ++k) {
         condense_block_rows(s, k);
-#endif
     }
+#endif
     condense_vectors(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
@@ -256,23 +262,23 @@ static void condense_gradient(solver_t *s)
     condense_vectors(s);
     qp_gradient(s);
 }
-#endif
 
+#endif
 #if SOLVE
 static void condense_rows(solver_t *s)
 {
     condense_vectors(s);
     qp_gradient(s);
 }
-#endif
 
+#endif
 static void condense_expand(solver_t *s)
 {
     int k;
     memcpy(s->step.du, s->qp.z, sizeof s->step.du);
     memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
 #if NG
-    memcpy(s->step.mult, s->qp.mult + NV, sizeof s->step.mult[0] * NG);
+    memcpy(s->step.mult, s->qp.mult + NV, sizeof s->step.mult);
 #endif
     memcpy(s->step.dx[0], s->qp.x[0], sizeof s->step.dx[0]);
     for (k = 0; k < N; k++) {
@@ -283,7 +289,10 @@ static void condense_expand(solver_t *s)
 #include "condensing/solve_stages.c"
 
 #if !SHIFT_RESAMPLE
-static void qp_shift_working_set(solver_t *s, int n, const int *source);
+static void qp_shift_controls(solver_t *s, int n);
+#if NG
+static void qp_shift_rows(solver_t *s, const int *source);
+#endif
 
 #include "condensing/shift_stages.c"
 #endif

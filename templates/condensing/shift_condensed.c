@@ -1,11 +1,19 @@
-/* Slacks follow their rows. */
-static void condense_shift(solver_t *s, const int *source)
+static void condense_shift(solver_t *s)
 {
-    int m;
-    for (m = 0; m < NG; m++) {
+    qp_shift_controls(&s->qp, NU);
+}
+
+#if NG
+/* Slacks follow their rows. */
+static void condense_shift_rows(solver_t *s, const int *source)
+{
+#if NSL
+    for (int m = 0; m < NG; ++m) {
         if (row_slack[m] >= 0) {
             s->qp.side[row_slack[m]] = (source[m] < 0) ? 0 : s->qp.side[row_slack[source[m]]];
         }
     }
-    qp_shift_working_set(&s->qp, NU, source);
+#endif
+    qp_shift_rows(&s->qp, source);
 }
+#endif

@@ -47,6 +47,6 @@ static status_t condense_factorize(solver_t *s)
     if (status != NUMERICAL_FAILURE) {
         return status;
     }
-    condense_hessian(s);
-    return regularize_reduced(&s->qp.H[0][0], NV - NSL, LDV, &s->qp.Q[0][0]) ? qp_factorize(&s->qp) : status;
+    condense_matrices(s);
+    return regularize_reduced(&s->qp.H[0][0], NV - NSL, LDV, &s->qp.work.basis.Q[0][0]) ? qp_factorize(&s->qp) : status;
 }

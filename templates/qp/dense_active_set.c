@@ -15,13 +15,14 @@
  *   qp_solve      feedback: g, lower, upper and penalty are known. Writes z, mult, iterations, changes, dropped, relaxed.
  *                 OK; ITERATION_LIMIT, STALLED (a working set came back), INFEASIBLE: z is the last iterate, 0 if bounds cross;
  *                 NUMERICAL_FAILURE (data not finite, cost unbounded below): z = mult = 0.
- *   qp_shift_working_set  before qp_factorize: the prediction moves n variables towards the front, and rows as told.
+ *   qp_shift_controls, qp_shift_rows  before qp_factorize: the prediction moves n controls towards the front, and rows as told.
  * Bounds may be infinite; equality = equal bounds. Redundant consistent equalities get multiplier 0 and are counted in
  * dropped; elastic rows that are violated, in relaxed. Bounds that cross are INFEASIBLE, of elastic rows too; without
  * crossed bounds and hard rows the answer is never INFEASIBLE. After INFEASIBLE certificate[] holds weights f, |f| <= 1, with
  *     sum_c f_c a_c = 0   and   sum_c f_c (upper_c if f_c > 0, lower_c if f_c < 0) < 0       (0 if bounds cross).
  * side[] is the working set and stays for the warm start (+-1: member at its upper or lower bound, +-2: saturated there); a
  * caller may edit it before qp_factorize.
+ * Between qp_solve and qp_factorize the caller may use work, all of it.
  * Columns NV to LDV of A are zero; those of H, its rows NV to LDV and its upper triangle are not read.
  *
  * Method (Goldfarb and Idnani 1983) in the coordinates y = D^{1/2} L'z of H = L D L', L unit lower triangular. There the
@@ -54,19 +55,19 @@ static void qp_init(qp_t *q)
     for (int i = 0; i < LDV; ++i) {
         for (int j = 0; j < LDV; ++j) {
             q->H[i][j] = R(0.0);
-            q->Q[i][j] = R(0.0);
-            q->R[i][j] = R(0.0);
         }
         q->inverse[i] = q->R_inverse[i] = q->y0[i] = q->y[i] = q->x[i] = R(0.0);
         q->m[i] = q->v[i] = q->d[i] = q->lam[i] = R(0.0);
         q->weight[i] = q->proximal[i] = q->center[i] = q->direction[i] = R(0.0);
-        q->work[i] = 0;
+        q->row[i] = 0;
     }
+#if NG
     for (int j = 0; j < NG; ++j) {
         for (int i = 0; i < LDV; ++i) {
             q->A[j][i] = R(0.0);
         }
     }
+#endif
     for (int i = 0; i < NV; ++i) {
         q->g[i] = R(0.0);
     }

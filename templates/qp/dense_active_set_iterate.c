@@ -7,7 +7,7 @@ static int qp_wrong_multiplier(const qp_t *q)
     int worst = -1;
     real_t most = R(0.0);
     for (int k = 0; k < q->nw; ++k) {
-        const int c = q->work[k];
+        const int c = q->row[k];
         const real_t lam = q->side[c] > 0 ? q->lam[k] : -q->lam[k];
         real_t excess = q->lower[c] < q->upper[c] ? -lam : R(0.0);
         if (q->elastic) {
@@ -15,7 +15,7 @@ static int qp_wrong_multiplier(const qp_t *q)
             excess = above > excess ? above : excess;
         }
         if (excess > R(0.0)) {
-            const real_t weighted = excess * SQRT(qp_dot(q->R[k], q->R[k], (k + 4) / 4 * 4));
+            const real_t weighted = excess * SQRT(qp_dot(q->work.basis.R[k], q->work.basis.R[k], (k + 4) / 4 * 4));
             const real_t rounding = q->scale + q->shift + SQRT(qp_dot(q->y, q->y, LDV));
             if (weighted > most && weighted > TOL_QP_SIGN * rounding) {
                 most = weighted;
@@ -39,7 +39,7 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
             return ITERATION_LIMIT;
         }
         ++q->iterations;
-        const int c = q->work[k], side = q->lam[k] > R(0.0) ? 1 : -1;
+        const int c = q->row[k], side = q->lam[k] > R(0.0) ? 1 : -1;
         if (q->lower[c] < q->upper[c] && side != q->side[c]) {
             qp_remove(q, k);
         } else {
@@ -116,7 +116,7 @@ static int qp_most_violated(const qp_t *q, int *side, real_t *violation)
  * which it saturates there, 0 if it is dropped. */
 static real_t qp_room(const qp_t *q, int k, int falls, int *leave)
 {
-    const int c = q->work[k], side = q->side[c] > 0 ? 1 : -1;
+    const int c = q->row[k], side = q->side[c] > 0 ? 1 : -1;
     const real_t lam = side > 0 ? q->lam[k] : -q->lam[k];
     if (falls && q->lower[c] < q->upper[c]) {
         *leave = 0;
@@ -132,12 +132,12 @@ static int qp_blocking(const qp_t *q, const real_t *r, int side, real_t mm, real
 {
     int first = -1;
     for (int k = 0; k < q->nw; ++k) {
-        const int falls = ((q->side[q->work[k]] > 0) == (side > 0)) == (r[k] > R(0.0));
+        const int falls = ((q->side[q->row[k]] > 0) == (side > 0)) == (r[k] > R(0.0));
         const real_t rate = FABS(r[k]);
         int end;
         const real_t room = qp_room(q, k, falls, &end);
         if (rate > R(0.0) && room < (real_t)INFINITY) {
-            const real_t norm2 = qp_dot(q->R[k], q->R[k], (k + 4) / 4 * 4);
+            const real_t norm2 = qp_dot(q->work.basis.R[k], q->work.basis.R[k], (k + 4) / 4 * 4);
             if (rate * rate * norm2 > TOL_QP_DEPENDENT * TOL_QP_DEPENDENT * mm &&
                 (first < 0 || room < *step * rate)) {
                 first = k;
@@ -177,7 +177,7 @@ static real_t qp_rounding(const qp_t *q, const real_t *r, real_t bound, real_t m
     return outside + size * (vv * (most * most) > mm * (least * least) ? least * SQRT(mm / vv) : most);
 }
 
-/* The rows c and work[k] contradict each other: certificate = side (e_c - sum_k r_k e_k), normalised, rounding left out. */
+/* The rows c and row[k] contradict each other: certificate = side (e_c - sum_k r_k e_k), normalised, rounding left out. */
 static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 {
     real_t most = R(1.0);
@@ -186,9 +186,9 @@ static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
     }
     q->certificate[c] = side > 0 ? R(1.0) : -R(1.0);
     for (int k = 0; k < q->nw; ++k) {
-        const real_t norm2 = qp_dot(q->R[k], q->R[k], (k + 4) / 4 * 4);
+        const real_t norm2 = qp_dot(q->work.basis.R[k], q->work.basis.R[k], (k + 4) / 4 * 4);
         if (r[k] * r[k] * norm2 > TOL_QP_DEPENDENT * TOL_QP_DEPENDENT * mm) {
-            q->certificate[q->work[k]] = side > 0 ? -r[k] : r[k];
+            q->certificate[q->row[k]] = side > 0 ? -r[k] : r[k];
             most = FABS(r[k]) > most ? FABS(r[k]) : most;
         }
     }
@@ -381,7 +381,7 @@ static int qp_write_result(qp_t *q)
         qp_write_saturated(q);
     }
     for (int k = 0; k < q->nw; ++k) {
-        const int c = q->work[k];
+        const int c = q->row[k];
         const real_t lam = q->elastic ? qp_clip_multiplier(q, c, q->lam[k]) : q->lam[k];
         const int side = lam > R(0.0) ? 1 : lam < R(0.0) ? -1 : q->side[c];
         total += FABS(lam);

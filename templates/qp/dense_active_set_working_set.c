@@ -4,7 +4,7 @@
 static void qp_forward_working_set(const qp_t *q, real_t *w)
 {
     for (int b = 0; b < q->nw; b += 4) {
-        const real_t *r0 = q->R[b], *r1 = q->R[b + 1], *r2 = q->R[b + 2], *r3 = q->R[b + 3];
+        const real_t *r0 = q->work.basis.R[b], *r1 = q->work.basis.R[b + 1], *r2 = q->work.basis.R[b + 2], *r3 = q->work.basis.R[b + 3];
         const real_t w0 = (w[b] - qp_dot(r0, w, b)) * q->R_inverse[b];
         const real_t w1 = (w[b + 1] - qp_dot(r1, w, b) - r1[b] * w0) * q->R_inverse[b + 1];
         const real_t w2 = (w[b + 2] - qp_dot(r2, w, b) - r2[b] * w0 - r2[b + 1] * w1) * q->R_inverse[b + 2];
@@ -24,7 +24,7 @@ static void qp_backward_working_set(const qp_t *q, const real_t *c, real_t *x)
         x[k] = c[k];
     }
     for (int b = (q->nw + 3) / 4 * 4 - 4; b >= 0; b -= 4) {
-        const real_t *r1 = q->R[b + 1] + b, *r2 = q->R[b + 2] + b, *r3 = q->R[b + 3] + b;
+        const real_t *r1 = q->work.basis.R[b + 1] + b, *r2 = q->work.basis.R[b + 2] + b, *r3 = q->work.basis.R[b + 3] + b;
         const real_t x3 = x[b + 3] * q->R_inverse[b + 3];
         const real_t x2 = (x[b + 2] - r3[2] * x3) * q->R_inverse[b + 2];
         const real_t x1 = (x[b + 1] - r3[1] * x3 - r2[1] * x2) * q->R_inverse[b + 1];
@@ -33,7 +33,7 @@ static void qp_backward_working_set(const qp_t *q, const real_t *c, real_t *x)
         x[b + 1] = x1;
         x[b + 2] = x2;
         x[b + 3] = x3;
-        qp_add_panel(x, q->R[b], -x0, -x1, -x2, -x3, 0, b);
+        qp_add_panel(x, q->work.basis.R[b], -x0, -x1, -x2, -x3, 0, b);
     }
 }
 
@@ -41,8 +41,8 @@ static void qp_backward_working_set(const qp_t *q, const real_t *c, real_t *x)
 static void qp_coefficients(const qp_t *q, const real_t *v, real_t *d)
 {
     for (int b = 0; b < q->nw; b += 4) {
-        const real_t d0 = qp_dot(q->Q[b], v, LDV), d1 = qp_dot(q->Q[b + 1], v, LDV);
-        const real_t d2 = qp_dot(q->Q[b + 2], v, LDV), d3 = qp_dot(q->Q[b + 3], v, LDV);
+        const real_t d0 = qp_dot(q->work.basis.Q[b], v, LDV), d1 = qp_dot(q->work.basis.Q[b + 1], v, LDV);
+        const real_t d2 = qp_dot(q->work.basis.Q[b + 2], v, LDV), d3 = qp_dot(q->work.basis.Q[b + 3], v, LDV);
         d[b] = d0;
         d[b + 1] = d1;
         d[b + 2] = d2;
@@ -54,7 +54,7 @@ static void qp_coefficients(const qp_t *q, const real_t *v, real_t *d)
 static void qp_subtract_span(const qp_t *q, const real_t *d, real_t *v)
 {
     for (int b = 0; b < q->nw; b += 4) {
-        qp_add_panel(v, q->Q[b], -d[b], -d[b + 1], -d[b + 2], -d[b + 3], 0, LDV);
+        qp_add_panel(v, q->work.basis.Q[b], -d[b], -d[b + 1], -d[b + 2], -d[b + 3], 0, LDV);
     }
 }
 
@@ -108,21 +108,27 @@ static void qp_append(qp_t *q, int c, int side, real_t vv, real_t lam)
         for (int i = k; i < k + 4; ++i) {
             q->R_inverse[i] = R(0.0);
             for (int j = 0; j < LDV; ++j) {
-                q->Q[i][j] = R(0.0);
-                q->R[i][j] = R(0.0);
+                q->work.basis.Q[i][j] = R(0.0);
+                q->work.basis.R[i][j] = R(0.0);
             }
         }
     }
-    for (int j = 0; j < LDV; ++j) {
-        q->Q[k][j] = q->v[j] * scale;
+    for (int j = 0; j < LDV; j += 4) {
+        real_t u[4];
+        for (int l = 0; l < 4; ++l) {
+            u[l] = q->v[j + l] * scale;
+        }
+        for (int l = 0; l < 4; ++l) {
+            q->work.basis.Q[k][j + l] = u[l];
+        }
     }
     for (int j = 0; j < k; ++j) {
-        q->R[k][j] = q->d[j];
+        q->work.basis.R[k][j] = q->d[j];
     }
-    q->R[k][k] = norm;
+    q->work.basis.R[k][k] = norm;
     q->R_inverse[k] = scale;
     q->lam[k] = lam;
-    q->work[k] = c;
+    q->row[k] = c;
     q->side[c] = side;
     q->nw = k + 1;
 }
@@ -130,25 +136,25 @@ static void qp_append(qp_t *q, int c, int side, real_t vv, real_t lam)
 /* Givens rotation of the rows k, k+1 of R (columns of its transpose) and of Q that restores R_{k+1,k} = 0. */
 static void qp_rotate(qp_t *q, int k)
 {
-    const real_t a = q->R[k][k], b = q->R[k][k + 1];
+    const real_t a = q->work.basis.R[k][k], b = q->work.basis.R[k][k + 1];
     const real_t norm = SQRT(a * a + b * b), scale = R(1.0) / norm, c = a * scale, s = b * scale;
-    q->R[k][k] = norm;
-    q->R[k][k + 1] = R(0.0);
+    q->work.basis.R[k][k] = norm;
+    q->work.basis.R[k][k + 1] = R(0.0);
     q->R_inverse[k] = scale;
     for (int i = k + 1; i < q->nw; ++i) {
-        const real_t u = q->R[i][k], v = q->R[i][k + 1];
-        q->R[i][k] = c * u + s * v;
-        q->R[i][k + 1] = c * v - s * u;
+        const real_t u = q->work.basis.R[i][k], v = q->work.basis.R[i][k + 1];
+        q->work.basis.R[i][k] = c * u + s * v;
+        q->work.basis.R[i][k + 1] = c * v - s * u;
     }
     for (int j = 0; j < LDV; j += 4) {
         real_t u[4], v[4];
         for (int l = 0; l < 4; ++l) {
-            u[l] = c * q->Q[k][j + l] + s * q->Q[k + 1][j + l];
-            v[l] = c * q->Q[k + 1][j + l] - s * q->Q[k][j + l];
+            u[l] = c * q->work.basis.Q[k][j + l] + s * q->work.basis.Q[k + 1][j + l];
+            v[l] = c * q->work.basis.Q[k + 1][j + l] - s * q->work.basis.Q[k][j + l];
         }
         for (int l = 0; l < 4; ++l) {
-            q->Q[k][j + l] = u[l];
-            q->Q[k + 1][j + l] = v[l];
+            q->work.basis.Q[k][j + l] = u[l];
+            q->work.basis.Q[k + 1][j + l] = v[l];
         }
     }
 }
@@ -157,12 +163,12 @@ static void qp_rotate(qp_t *q, int k)
 static void qp_remove(qp_t *q, int k)
 {
     const int last = q->nw - 1;
-    q->side[q->work[k]] = 0;
+    q->side[q->row[k]] = 0;
     for (int i = k; i < last; ++i) {
-        q->work[i] = q->work[i + 1];
+        q->row[i] = q->row[i + 1];
         q->lam[i] = q->lam[i + 1];
         for (int j = 0; j <= i + 1; ++j) {
-            q->R[i][j] = q->R[i + 1][j];
+            q->work.basis.R[i][j] = q->work.basis.R[i + 1][j];
         }
     }
     q->nw = last;
@@ -171,8 +177,8 @@ static void qp_remove(qp_t *q, int k)
     }
     q->R_inverse[last] = R(0.0);
     for (int j = 0; j < LDV; ++j) {
-        q->Q[last][j] = R(0.0);
-        q->R[last][j] = R(0.0);
+        q->work.basis.Q[last][j] = R(0.0);
+        q->work.basis.R[last][j] = R(0.0);
     }
     ++q->changes;
 }
@@ -180,7 +186,7 @@ static void qp_remove(qp_t *q, int k)
 /* Active bound of member k. */
 static real_t qp_active_bound(const qp_t *q, int k)
 {
-    const int c = q->work[k];
+    const int c = q->row[k];
     return q->side[c] > 0 ? q->upper[c] : q->lower[c];
 }
 
@@ -204,14 +210,14 @@ static inline real_t qp_outside_multiplier(const qp_t *q, int c)
 /* Member k leaves the working set with its multiplier at the limit of the given side: y0 -= mult m, m = Q'R. */
 static void qp_saturate(qp_t *q, int k, int side)
 {
-    const int c = q->work[k];
+    const int c = q->row[k];
     const real_t limit = qp_limit(q, c), mult = side > 0 ? limit : -limit;
     for (int i = 0; i <= k; ++i) {
         for (int j = 0; j < LDV; ++j) {
-            q->y0[j] -= mult * q->R[k][i] * q->Q[i][j];
+            q->y0[j] -= mult * q->work.basis.R[k][i] * q->work.basis.Q[i][j];
         }
     }
-    q->shift += limit * SQRT(qp_dot(q->R[k], q->R[k], (k + 4) / 4 * 4));
+    q->shift += limit * SQRT(qp_dot(q->work.basis.R[k], q->work.basis.R[k], (k + 4) / 4 * 4));
     qp_remove(q, k);
     q->side[c] = 2 * side;
 }

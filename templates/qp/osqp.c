@@ -1,4 +1,4 @@
-/* Seam "qp", contract: qp_init, qp_factorize, qp_solve, qp_shift_working_set on the condensed QP
+/* Seam "qp", contract: qp_init, qp_factorize, qp_solve, qp_shift_controls, qp_shift_rows on the condensed QP
  *     min  1/2 z'H z + g'z   s.t.   lower[i] <= z_i <= upper[i],  i < NV;   lower[NV+j] <= A[j] z <= upper[NV+j],  j < NG
  * Here: OSQP, foreign code in the folder osqp/ with one static workspace: copies of this struct share it, and solves must not
  * overlap. All data are loaded anew for every solve. */
@@ -88,5 +88,5 @@ static status_t qp_solve(qp_t *q)
 }
 
 #if !SHIFT_RESAMPLE
-#include "qp/osqp_shift.c"
+#include "qp/dense_active_set_shift.c"
 #endif

@@ -10,7 +10,7 @@
  *   qp_gradient   gradients of the stages changed, matrices did not.
  *   qp_solve      feedback: dx_0 in step.dx[0], lower, upper, penalty are known. Writes x, z, mult, iterations, changes, relaxed.
  *                 OK; ITERATION_LIMIT, STALLED (a working set came back), INFEASIBLE; NUMERICAL_FAILURE: x = z = mult = 0.
- *   qp_shift_working_set  before qp_factorize: the prediction moves n controls towards the front, and rows as told.
+ *   qp_shift_controls, qp_shift_rows  before qp_factorize: the prediction moves n controls towards the front, and rows as told.
  * Bounds may be infinite; equality = equal bounds. Soft rows (penalty finite) cost penalty v + curvature / 2 v^2 for a
  * violation v; how many are violated is counted in relaxed.
  * side[] is the working set and stays for the warm start (+-1: member at its upper or lower bound, +-2: soft and violated); a
@@ -30,9 +30,17 @@
 
 #include "qp/riccati_active_set_iterate.c"
 
+#include "riccati/units.c"
+
+#include "qp/riccati_active_set_start.c"
+
+#if INTERIOR_POINT
 #include "qp/riccati_interior_point_core.c"
 
 #include "qp/riccati_active_set_fall_back.c"
+#else
+#include "qp/riccati_active_set_start_again.c"
+#endif
 
 static status_t qp_fail(qp_t *q, status_t status)
 {
@@ -55,23 +63,27 @@ static void qp_init(solver_t *s)
         q->lower[c] = -(real_t)INFINITY;
         q->upper[c] = (real_t)INFINITY;
     }
+#if NG
     for (c = 0; c < NG; c++) {
         q->penalty[c] = (real_t)INFINITY;
         q->root[c] = R(1);
     }
+#endif
 }
 
 /* The last stage with a member, or -1: later factors are those without members. */
 static int qp_last_member(const qp_t *q)
 {
-    int c, m, last = -1;
+    int c, last = -1;
     for (c = 0; c < NV; c++) {
         last = (q->side[c] != 0) ? c / NUS : last;
     }
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         const int k = stage_of_row[m];
         last = (q->side[NV + m] != 0 && k > last) ? k : last;
     }
+#endif
     return last;
 }
 
@@ -79,15 +91,19 @@ static status_t qp_factorize(solver_t *s)
 {
     qp_t *q = &s->qp;
     const int plain = riccati_convexify(s);
+#if NG
     if (!q->scaled) {
         qp_scale_rows(s);
     }
+#endif
     qp_enter(s);
     q->stale = plain ? qp_last_member(q) : NS;
     q->factorized = qp_renew(s);
     if (!q->factorized) { /* weights and members may be those of a QP in other units */
         memset(q->side, 0, sizeof q->side);
+#if NG
         qp_scale_rows(s);
+#endif
         qp_enter(s);
         q->factorized = qp_renew(s);
     }
@@ -143,7 +159,7 @@ static status_t qp_solve(solver_t *s)
     q->changes = 0;
     status = qp_iterate(s, QP_MAX_ITERATIONS);
     q->exact = 1;
-    if (status != OK) { /* a breakdown that the interior point method does not cure: no minimum, or bad numbers */
+    if (status != OK) { /* a breakdown that another attempt does not cure: no minimum, or bad numbers */
         const status_t next = qp_fall_back(s);
         status = (status == NUMERICAL_FAILURE && next == ITERATION_LIMIT) ? status : next;
         status = qp_has_multipliers(q) ? status : NUMERICAL_FAILURE;

@@ -38,6 +38,7 @@ static int qp_side_of_control(const solver_t *s, int c)
     return mult >= -TOL_RICCATI_SIGN * size ? side : 0;
 }
 
+#if NG
 /* The side of row m: members leave by the sign of their multiplier, soft ones become violated at the limit of it, and
  * violated ones come back when they are not. */
 static int qp_side_of_row(const solver_t *s, int m)
@@ -67,6 +68,8 @@ static int qp_side_of_row(const solver_t *s, int m)
     return -mult > q->penalty[m] + rounding ? -2 * sign : side;
 }
 
+#endif
+#if NG
 /* Violation of row m, which is no member, relative to what its value sums and its bound. */
 static real_t qp_violation(const solver_t *s, int m)
 {
@@ -77,16 +80,18 @@ static real_t qp_violation(const solver_t *s, int m)
     return (over > under ? over : under) / (qp_row_size(s, m) + bound);
 }
 
+#endif
 /* Every side anew; returns the number of changes. Of the rows only the most violated ones enter: when one of them is met its
  * neighbours in time are too, as a rule, and more members than controls contradict each other. */
 static int qp_revise(solver_t *s)
 {
     qp_t *q = &s->qp;
     const int before = q->changes;
+    int c;
+#if NG
     real_t worst = R(0);
-    int c, m;
     q->largest = q->largest_mult = R(0);
-    for (m = 0; m < NG; m++) {
+    for (int m = 0; m < NG; m++) {
         const real_t force = FABS(q->mult[NV + m]);
         q->largest_mult = force > q->largest_mult ? force : q->largest_mult;
         q->largest = force > q->largest * q->root[m] ? force / q->root[m] : q->largest;
@@ -95,12 +100,13 @@ static int qp_revise(solver_t *s)
             worst = violation > worst ? violation : worst;
         }
     }
-    for (m = 0; m < NG; m++) {
+    for (int m = 0; m < NG; m++) {
         c = NV + m;
         if (q->side[c] != 0 || qp_violation(s, m) >= R(0.5) * worst) {
             qp_set_row(s, m, qp_allowed(q, c, qp_side_of_row(s, m), q->penalty[m]));
         }
     }
+#endif
     for (c = 0; c < NV; c++) {
         qp_set_control(s, c, qp_side_of_control(s, c));
     }
@@ -139,6 +145,7 @@ static int qp_renew(solver_t *s)
     return 1;
 }
 
+#if NG
 /* Members that are still off their bounds get a larger weight; 0 if none can. */
 static int qp_raise_weights(solver_t *s)
 {
@@ -159,6 +166,7 @@ static int qp_raise_weights(solver_t *s)
     return raised;
 }
 
+#endif
 /* The minimiser on the working set, refined if nothing but rounding is to be gained otherwise. changed: sides that it changes. */
 static status_t qp_minimize(solver_t *s, int *changed)
 {
@@ -197,7 +205,13 @@ static status_t qp_iterate(solver_t *s, int most)
         if (status == NUMERICAL_FAILURE || (status == OK && changed == 0)) {
             return status;
         }
-        if (changed == 0 && !qp_raise_weights(s)) {
+#if NG
+        if (changed == 0 && qp_raise_weights(s)) {
+            s->qp.iterations++;
+            continue;
+        }
+#endif
+        if (changed == 0) {
             return s->qp.residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
         }
         if (changed > 0 && qp_seen(&s->qp, tried)) {

@@ -21,11 +21,13 @@ static inline void qp_add_symmetric(real_t *y, const real_t *H, int ld, const re
 static int qp_is_approximate(const solver_t *s)
 {
     int k, c;
+#if NG
     for (c = 0; c < NG; c++) {
         if (s->qp.side[NV + c] == 1 || s->qp.side[NV + c] == -1) {
             return 1;
         }
     }
+#endif
     for (k = 0; k < NS; k++) {
         for (c = 0; c < NUS; c++) {
             if (s->riccati.proximal[k][c] > R(0)) {
@@ -33,11 +35,13 @@ static int qp_is_approximate(const solver_t *s)
             }
         }
     }
+#if NF
     for (c = 0; c < NF; c++) {
         if (s->riccati.proximal_free[c] > R(0)) {
             return 1;
         }
     }
+#endif
     return 0;
 }
 
@@ -47,7 +51,7 @@ static void qp_residual(solver_t *s, int k)
     qp_t *q = &s->qp;
     riccati_t *r = &s->riccati;
     real_t z[NZS], *y = r->g[k];
-    int i, m;
+    int i;
     memcpy(z, q->x[k], sizeof q->x[0]);
     memcpy(y, stage_g(s, k), sizeof z[0] * (k < NS ? NZS : NXS));
     if (k < NS) {
@@ -68,11 +72,13 @@ static void qp_residual(solver_t *s, int k)
     for (i = 0; k > 0 && i < NXS; i++) {
         y[i] -= q->lam[k][i];
     }
-    for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
+#if NG
+    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
         if (q->side[NV + m] != 0) {
             qp_add_row(s, m, q->mult[NV + m], y);
         }
     }
+#endif
 }
 
 /* The largest entry of the gradient relative to multipliers of the dynamics, or what they exert on the controls. */
@@ -109,6 +115,7 @@ static real_t qp_gradient_size(solver_t *s)
     return worst;
 }
 
+#if NG
 /* By how much to stretch the correction (dx, dz), d = distances of the members: to the least (d + times change)'W(d + times change).
  * Where members nearly depend on each other the method of multipliers takes short steps in one direction. */
 static real_t qp_stretch(solver_t *s)
@@ -130,6 +137,7 @@ static real_t qp_stretch(solver_t *s)
     return gain < R(65536) * size ? gain / size : R(65536);
 }
 
+#endif
 /* Adds `times` the correction (dx, dz) and what it does to the multipliers: those of members from its value, small as it is, for
  * the rounding of a'z - t would be multiplied by the weight. */
 static void qp_add_correction(solver_t *s, real_t times)
@@ -137,7 +145,7 @@ static void qp_add_correction(solver_t *s, real_t times)
     qp_t *q = &s->qp;
     riccati_t *r = &s->riccati;
     real_t lam[NXS];
-    int k, i, c, m;
+    int k, i, c;
     for (k = 0; k <= NS; k++) {
         riccati_adjoint(r, k, q->dx[k], lam);
         for (i = 0; i < NXS; i++) {
@@ -154,7 +162,8 @@ static void qp_add_correction(solver_t *s, real_t times)
     for (c = 0; c < NV; c++) {
         q->z[c] += times * q->dz[c];
     }
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         const real_t change = qp_row_value(s, m, q->dx, q->dz);
         c = NV + m;
         if (q->side[c] == 1 || q->side[c] == -1) {
@@ -164,8 +173,10 @@ static void qp_add_correction(solver_t *s, real_t times)
         }
         q->value[m] = qp_row_value(s, m, q->x, q->z);
     }
+#endif
 }
 
+#if NG
 /* The largest distance of a member from its bound, relative. */
 static real_t qp_distance(const solver_t *s)
 {
@@ -183,22 +194,22 @@ static real_t qp_distance(const solver_t *s)
     return largest;
 }
 
+#endif
 /* The correction of (x, z, lam, mult) for the residuals in the right-hand sides; weight (a'z - t) a of members joins them. */
-static void qp_correct(solver_t *s, int stretched)
+static void qp_direction(solver_t *s)
 {
     qp_t *q = &s->qp;
-    int m;
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         const int c = NV + m;
         if (q->side[c] == 1 || q->side[c] == -1) {
             qp_add_row(s, m, s->riccati.weight[m] * (q->value[m] - q->target[c]), s->riccati.g[stage_of_row[m]]);
         }
     }
+#endif
     riccati_backward(s, NS);
     memset(q->dx[0], 0, sizeof q->dx[0]);
     riccati_forward(s, q->dx, q->dz);
-    qp_add_correction(s, stretched ? qp_stretch(s) : R(1));
-    q->refinements++;
 }
 
 /* Corrections until the residuals are rounding; slow ones near to it are stretched, every other one. OK; STALLED: they fall no
@@ -221,8 +232,11 @@ static status_t qp_refine(solver_t *s)
             qp_residual(s, k);
         }
         q->residual = qp_gradient_size(s);
+        distance = R(0);
+#if NG
         distance = qp_distance(s);
         q->residual = distance > q->residual ? distance : q->residual;
+#endif
         if (!isfinite(q->residual) || !qp_measure(q)) {
             return NUMERICAL_FAILURE;
         }
@@ -236,7 +250,13 @@ static status_t qp_refine(solver_t *s)
             }
             slow = q->residual;
         }
-        qp_correct(s, stretched);
+        qp_direction(s);
+#if NG
+        qp_add_correction(s, stretched ? qp_stretch(s) : R(1.0));
+#else
+        qp_add_correction(s, R(1.0));
+#endif
+        q->refinements++;
     }
     return STALLED;
 }

@@ -9,52 +9,64 @@ static inline real_t qp_target(const qp_t *q, int c)
     return q->side[c] > 0 ? q->upper[c] : q->lower[c];
 }
 
+#if NG
 /* a'z of row m. */
 static inline real_t qp_row_value(const solver_t *s, int m, real_t (*x)[NXS], const real_t *u)
 {
     const int k = stage_of_row[m];
-    const real_t *a;
-    real_t sum;
-    int j;
-    if (stage_state[m] >= 0) {
-        return x[k][stage_state[m]];
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+    if (stage_state[m] < 0) {
+        const real_t *a = stage_row(s, m);
+        real_t sum = riccati_dot(a, x[k], NXS);
+        for (int j = 0; k < NS && j < NUS; ++j) {
+            sum += a[NXS + j] * u[k * NUS + j];
+        }
+        return sum;
     }
-    a = stage_row(s, m);
-    sum = riccati_dot(a, x[k], NXS);
-    for (j = 0; k < NS && j < NUS; j++) {
-        sum += a[NXS + j] * u[k * NUS + j];
-    }
-    return sum;
+#else
+    (void)s;
+    (void)u;
+#endif
+    return x[k][stage_state[m]];
 }
 
+#endif
+#if NG
 /* y += f a of row m; y has the entries of z at its stage. */
 static inline void qp_add_row(solver_t *s, int m, real_t f, real_t *y)
 {
-    if (stage_state[m] >= 0) {
-        y[stage_state[m]] += f;
-    } else {
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+    if (stage_state[m] < 0) {
         riccati_combine(y, &f, stage_row(s, m), NZS, 1, stage_of_row[m] < NS ? NZS : NXS);
+        return;
     }
+#else
+    (void)s;
+#endif
+    y[stage_state[m]] += f;
 }
 
+#endif
+#if NG
 /* |a|'|z| of row m with the largest entry of every component. */
 static real_t qp_row_size(const solver_t *s, int m)
 {
     const real_t *scale = s->qp.scale;
-    const int n = stage_of_row[m] < NS ? NZS : NXS;
-    const real_t *a;
-    real_t sum = R(0);
-    int i;
-    if (stage_state[m] >= 0) {
-        return scale[stage_state[m]];
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+    if (stage_state[m] < 0) {
+        const int n = stage_of_row[m] < NS ? NZS : NXS;
+        const real_t *a = stage_row(s, m);
+        real_t sum = R(0.0);
+        for (int i = 0; i < n; ++i) {
+            sum += FABS(a[i]) * scale[i];
+        }
+        return sum;
     }
-    a = stage_row(s, m);
-    for (i = 0; i < n; i++) {
-        sum += FABS(a[i]) * scale[i];
-    }
-    return sum;
+#endif
+    return scale[stage_state[m]];
 }
 
+#endif
 /* The factors of the stages up to k do not fit the working set any more. */
 static inline void qp_outdate(qp_t *q, int k)
 {
@@ -62,6 +74,7 @@ static inline void qp_outdate(qp_t *q, int k)
     q->stale_vectors = k > q->stale_vectors ? k : q->stale_vectors;
 }
 
+#if NG
 /* What row m adds to the Hessian along a a'. */
 static inline real_t qp_weight(const qp_t *q, int m, int side)
 {
@@ -71,6 +84,7 @@ static inline real_t qp_weight(const qp_t *q, int m, int side)
     return (side == 1 || side == -1) ? q->weight[m] : q->curvature[m];
 }
 
+#endif
 static void qp_set_control(solver_t *s, int c, int side)
 {
     qp_t *q = &s->qp;
@@ -82,6 +96,7 @@ static void qp_set_control(solver_t *s, int c, int side)
     }
 }
 
+#if NG
 /* What enters has no multiplier yet. */
 static void qp_set_row(solver_t *s, int m, int side)
 {
@@ -96,6 +111,7 @@ static void qp_set_row(solver_t *s, int m, int side)
     }
 }
 
+#endif
 /* A side that the bounds of c allow: equations stay members, infinite bounds and hard rows have no violated side. */
 static inline int qp_allowed(const qp_t *q, int c, int side, real_t penalty)
 {
@@ -120,16 +136,18 @@ static inline void qp_outdate_target(qp_t *q, int c, int k)
 static void qp_take_bounds(solver_t *s)
 {
     qp_t *q = &s->qp;
-    int c, m;
+    int c;
     for (c = 0; c < NV; c++) {
         qp_set_control(s, c, qp_allowed(q, c, q->side[c], (real_t)INFINITY));
         qp_outdate_target(q, c, c / NUS);
     }
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         c = NV + m;
         qp_set_row(s, m, qp_allowed(q, c, q->side[c], q->penalty[m]));
         qp_outdate_target(q, c, stage_of_row[m]);
     }
+#endif
 }
 
 /* Right-hand sides of the stages whose vectors are stale. */
@@ -137,7 +155,7 @@ static void qp_load(solver_t *s)
 {
     qp_t *q = &s->qp;
     riccati_t *r = &s->riccati;
-    int k, m, c;
+    int k, c;
     for (k = 0; k <= q->stale_vectors; k++) {
         memcpy(r->g[k], stage_g(s, k), sizeof r->g[0][0] * (k < NS ? NZS : NXS));
         if (k < NS) {
@@ -147,7 +165,8 @@ static void qp_load(solver_t *s)
             r->du[c] = q->side[c] != 0 ? qp_target(q, c) : R(0);
             q->target[c] = r->du[c];
         }
-        for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
+#if NG
+        for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
             const int side = q->side[NV + m];
             if (side != 0) {
                 const real_t l1 = side > 0 ? q->penalty[m] : -q->penalty[m];
@@ -156,6 +175,7 @@ static void qp_load(solver_t *s)
                 qp_add_row(s, m, q->center[m] - r->weight[m] * q->target[NV + m], r->g[k]);
             }
         }
+#endif
     }
 }
 
@@ -190,7 +210,7 @@ static int qp_take_multipliers(solver_t *s)
     qp_t *q = &s->qp;
     riccati_t *r = &s->riccati;
     real_t sum = R(0);
-    int k, c, m;
+    int k, c;
     for (c = 0; c < NV; c++) {
         k = c / NUS;
         q->mult[c] = R(0);
@@ -200,11 +220,13 @@ static int qp_take_multipliers(solver_t *s)
             sum += FABS(q->mult[c]);
         }
     }
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         c = NV + m;
         q->value[m] = qp_row_value(s, m, q->x, q->z);
         q->mult[c] = q->side[c] != 0 ? q->center[m] + r->weight[m] * (q->value[m] - q->target[c]) : R(0);
         sum += FABS(q->value[m]);
     }
+#endif
     return isfinite(sum);
 }

@@ -7,10 +7,12 @@
  *   qp_gradient   gradients or gaps have changed, no matrix.
  *   qp_solve      feedback: dx_0 in step.dx[0], bounds and penalties as they are now. Writes x, z, mult, side, iterations,
  *                 relaxed. OK; ITERATION_LIMIT; INFEASIBLE: certificate[] holds a contradiction; NUMERICAL_FAILURE.
- *   qp_shift_working_set  the warm start moves n controls towards the front, and rows as told.
+ *   qp_shift_controls, qp_shift_rows  the warm start moves n controls towards the front, and rows as told.
  * ------------------------------------------------------------------------------------------------------------------ */
 
 #include "riccati/recursion.c"
+
+#include "riccati/units.c"
 
 #include "qp/riccati_interior_point_core.c"
 
@@ -20,13 +22,16 @@ static void qp_init(solver_t *s)
     memset(&s->qp, 0, sizeof s->qp);
     riccati_init(s);
     memset(&s->ipm, 0, sizeof s->ipm);
+    memset(&s->units, 0, sizeof s->units);
     for (c = 0; c < NV + NG; c++) {
         s->qp.lower[c] = -(real_t)INFINITY;
         s->qp.upper[c] = (real_t)INFINITY;
     }
+#if NG
     for (c = 0; c < NG; c++) {
         s->qp.penalty[c] = (real_t)INFINITY;
     }
+#endif
 }
 
 static status_t qp_factorize(solver_t *s)

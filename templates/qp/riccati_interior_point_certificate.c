@@ -1,5 +1,6 @@
 /* Contract of this part: the multipliers against the dynamics, as stationarity or as a proof that there is no feasible point. */
 
+#if NXS > NX
 /* Entries of vectors of the states that belong to copies of components of x_0 join those of the originals. */
 static inline void ipm_fold(real_t *w)
 {
@@ -10,6 +11,7 @@ static inline void ipm_fold(real_t *w)
     }
 }
 
+#endif
 /* w = S_k'lam + g_k, lam the adjoint of x_{k+1}. */
 static inline void ipm_adjoint_step(solver_t *s, int k, const real_t *lam, real_t *w)
 {
@@ -66,7 +68,7 @@ static real_t ipm_stationarity(solver_t *s)
             if (q->kind[c] == 2) {
                 s->qp.mult[c] -= w[NXS + j];
             } else {
-                ipm_take_gradient(w[NXS + j], size[j], q->reach[c], &worst, &most);
+                ipm_take_gradient(w[NXS + j], size[j], s->units.reach[c], &worst, &most);
             }
         }
         for (j = 0; j < NXS; j++) {
@@ -75,12 +77,16 @@ static real_t ipm_stationarity(solver_t *s)
         riccati_combine(w, w + NXS, s->riccati.K[k][0], LDX, NUS, NXS);
         memcpy(lam, w, sizeof lam);
     }
+#if NXS > NX
     ipm_fold(lam);
     ipm_fold(next);
+#endif
+#if NF
     for (j = 0; j < NF; j++) {
         const real_t unit = R(1) / SQRT(s->riccati.F[j][j]);
         ipm_take_gradient(lam[free_state[j]], next[free_state[j]], unit, &worst, &most);
     }
+#endif
     return (worst > R(0)) ? worst / most : R(0);
 }
 
@@ -122,6 +128,7 @@ static inline int ipm_vanishes(solver_t *s, int k, int j, const real_t *nu, real
     return FABS(w) <= TOL_IPM_RAY * ipm_ray_terms(s, k, j, nu);
 }
 
+#if NF
 /* The same for component j of x_0 with its copies. */
 static int ipm_free_vanishes(solver_t *s, int j, const real_t *nu, const real_t *w)
 {
@@ -136,6 +143,7 @@ static int ipm_free_vanishes(solver_t *s, int j, const real_t *nu, const real_t 
     return FABS(sum) <= TOL_IPM_RAY * size;
 }
 
+#endif
 /* The weights f of the rows leave sum_c f_c a_c = w for the controls and free states of stage k. The bound of a control takes
  * -w_j if there is one on that side; else w_j must be rounding. Returns 0 if it is not. */
 static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w)
@@ -149,11 +157,13 @@ static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w)
             return 0;
         }
     }
+#if NF
     for (j = 0; k == 0 && j < NF; j++) {
         if (!ipm_free_vanishes(s, free_state[j], nu, w)) {
             return 0;
         }
     }
+#endif
     return 1;
 }
 
@@ -216,13 +226,14 @@ static int ipm_infeasible(solver_t *s)
     return 0;
 }
 
+#if NG
 /* Rows that no control moves are met or not, whatever is done. 1, with the certificate, if one is not. */
 static int ipm_constant_rows(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     int c;
     for (c = NV; c < NV + NG; c++) {
-        const int constant = !(q->reach[c] > R(0));
+        const int constant = !(s->units.reach[c] > R(0));
         const int hard = !(s->qp.penalty[c - NV] < (real_t)INFINITY);
         if (constant && hard && ipm_violation(s, c) > R(0)) {
             memset(q->ray, 0, sizeof q->ray);
@@ -235,3 +246,5 @@ static int ipm_constant_rows(solver_t *s)
     }
     return 0;
 }
+
+#endif

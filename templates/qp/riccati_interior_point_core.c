@@ -38,7 +38,7 @@ static void ipm_write_sides(solver_t *s)
         s->qp.side[c] = (q->kind[c] == 0) ? 0 : (s->qp.mult[c] < R(0)) ? -1 : 1;
     }
     for (i = 0; i < q->sides; i++) {
-        const real_t square = q->reach[q->row[i]] * q->reach[q->row[i]];
+        const real_t square = s->units.reach[q->row[i]] * s->units.reach[q->row[i]];
         if (q->lam[i] * square > q->t[i]) {
             const int violated = i >= q->hard && q->e[i - q->hard] > q->kappa[i - q->hard] * square;
             s->qp.side[q->row[i]] = (q->sign[i] > R(0) ? 1 : -1) * (violated ? 2 : 1);
@@ -46,11 +46,15 @@ static void ipm_write_sides(solver_t *s)
         }
     }
     for (c = 0; c < NV + NG; c++) {
-        if (c >= NV && !(q->reach[c] > R(0))) {
+#if NG
+        if (c >= NV && !(s->units.reach[c] > R(0))) {
             const real_t mult = ipm_constant_multiplier(s, c);
             s->qp.side[c] = (mult > R(0)) ? 2 : (mult < R(0)) ? -2 : s->qp.side[c];
             s->qp.relaxed += s->qp.side[c] == 2 || s->qp.side[c] == -2;
-        } else if (s->qp.side[c] == 0 && FABS(s->qp.mult[c]) * q->reach[c] <= least) {
+            continue;
+        }
+#endif
+        if (s->qp.side[c] == 0 && FABS(s->qp.mult[c]) * s->units.reach[c] <= least) {
             s->qp.mult[c] = R(0);
         }
     }
@@ -114,7 +118,15 @@ static status_t ipm_run(solver_t *s)
 static status_t ipm_attempt(solver_t *s)
 {
     s->ipm.ready = 0;
-    return !ipm_first_point(s) ? NUMERICAL_FAILURE : ipm_constant_rows(s) ? INFEASIBLE : ipm_run(s);
+    if (!ipm_first_point(s)) {
+        return NUMERICAL_FAILURE;
+    }
+#if NG
+    if (ipm_constant_rows(s)) {
+        return INFEASIBLE;
+    }
+#endif
+    return ipm_run(s);
 }
 
 /* The solution for dx_0 and the present bounds. A warm start that does not get there by half the cap is given up for a cold one. */

@@ -1,12 +1,13 @@
 /* Contract of this part: predictor-corrector iterations from started sides to the solution. */
 
+#if NG
 /* Multiplier of a soft row that no control moves, 0 of any other row. */
 static real_t ipm_constant_multiplier(const solver_t *s, int c)
 {
     const ipm_t *q = &s->ipm;
     const int m = c - NV;
     real_t violation;
-    if (q->reach[c] > R(0) || !(s->qp.penalty[m] < (real_t)INFINITY)) {
+    if (s->units.reach[c] > R(0) || !(s->qp.penalty[m] < (real_t)INFINITY)) {
         return R(0);
     }
     violation = ipm_violation(s, c);
@@ -17,6 +18,7 @@ static real_t ipm_constant_multiplier(const solver_t *s, int c)
     return (q->v[c] > s->qp.upper[c]) ? violation : -violation;
 }
 
+#endif
 /* Multipliers of the rows, without those of fixed controls. */
 static void ipm_net_multipliers(solver_t *s)
 {
@@ -25,9 +27,11 @@ static void ipm_net_multipliers(solver_t *s)
     for (i = 0; i < NV; i++) {
         s->qp.mult[i] = R(0);
     }
+#if NG
     for (i = NV; i < NV + NG; i++) {
         s->qp.mult[i] = (q->kind[i] == 1) ? q->y[i] : ipm_constant_multiplier(s, i);
     }
+#endif
     for (i = 0; i < q->sides; i++) {
         s->qp.mult[q->row[i]] += q->sign[i] * q->lam[i];
     }
@@ -42,13 +46,13 @@ static real_t ipm_cost_unit(const solver_t *s)
     real_t most = R(0), sum = R(0), way = R(0);
     int c;
     for (c = 0; c < NV + NG; c++) {
-        const real_t force = FABS(s->qp.mult[c]) * q->reach[c];
+        const real_t force = FABS(s->qp.mult[c]) * s->units.reach[c];
         most = (force > most) ? force : most;
         sum += s->qp.mult[c] * (q->origin[c] - q->v[c]);
     }
     for (c = 0; c < NV; c++) {
         const real_t v = FABS(q->v[c]);
-        way = (q->kind[c] == 0 && v > way * q->reach[c] && q->reach[c] > R(0)) ? v / q->reach[c] : way;
+        way = (q->kind[c] == 0 && v > way * s->units.reach[c] && s->units.reach[c] > R(0)) ? v / s->units.reach[c] : way;
     }
     sum = R(0.5) * FABS(sum);
     most = (sum < most * most) ? sum : most * most;
@@ -59,21 +63,21 @@ static real_t ipm_cost_unit(const solver_t *s)
 /* sum |a_i| |z_i| of row c: what the rounding of its value is relative to. */
 static real_t ipm_terms(solver_t *s, int c)
 {
-    const int m = c - NV, k = (m >= 0) ? stage_of_row[m] : 0;
-    real_t sum = R(0);
-    const real_t *a;
-    int i;
-    if (m < 0 || stage_state[m] >= 0) {
-        return FABS(s->ipm.v[c]);
+#if NG && (GENERAL_ROWS || NE || BLOCK_ROWS)
+    if (c >= NV && stage_state[c - NV] < 0) {
+        const int k = stage_of_row[c - NV];
+        const real_t *a = stage_row(s, c - NV);
+        real_t sum = R(0.0);
+        for (int i = 0; i < NXS; ++i) {
+            sum += FABS(a[i] * s->qp.x[k][i]);
+        }
+        for (int i = 0; k < NS && i < NUS; ++i) {
+            sum += FABS(a[NXS + i] * s->qp.z[k * NUS + i]);
+        }
+        return sum;
     }
-    a = stage_row(s, m);
-    for (i = 0; i < NXS; i++) {
-        sum += FABS(a[i] * s->qp.x[k][i]);
-    }
-    for (i = 0; k < NS && i < NUS; i++) {
-        sum += FABS(a[NXS + i] * s->qp.z[k * NUS + i]);
-    }
-    return sum;
+#endif
+    return FABS(s->ipm.v[c]);
 }
 
 /* |residual| of row c relative to |bound|, the terms of its value and the way that the unit of cost allows, if larger than the one
@@ -82,7 +86,7 @@ static void ipm_take_residual(solver_t *s, int c, real_t bound, real_t residual,
 {
     ipm_t *q = &s->ipm;
     const real_t amount = FABS(residual);
-    real_t size = FABS(bound) + FABS(q->v[c]) + root * q->reach[c];
+    real_t size = FABS(bound) + FABS(q->v[c]) + root * s->units.reach[c];
     if (amount > q->primal * size) {
         size += ipm_terms(s, c) - FABS(q->v[c]);
         q->primal = (amount > q->primal * size) ? amount / size : q->primal;
@@ -94,7 +98,7 @@ static void ipm_measure(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     real_t root;
-    int i, c;
+    int i;
     ipm_values(s, s->qp.x, s->qp.z, q->v);
     ipm_net_multipliers(s);
     ipm_side_residuals(s);
@@ -105,11 +109,13 @@ static void ipm_measure(solver_t *s)
     for (i = 0; i < q->sides; i++) {
         ipm_take_residual(s, q->row[i], q->bound[i], q->r[i], root);
     }
-    for (c = NV; c < NV + NG; c++) {
+#if NG
+    for (int c = NV; c < NV + NG; c++) {
         if (q->stiffness[c] > R(0)) {
             ipm_take_residual(s, c, s->qp.lower[c], q->v[c] - s->qp.lower[c], root);
         }
     }
+#endif
 }
 
 /* Regularisation keeps a full step from meeting the rows exactly. What it leaves to rows to which others leave little room may not
@@ -192,11 +198,13 @@ static void ipm_move(solver_t *s, real_t step)
     for (c = 0; c < NV; c++) {
         s->qp.z[c] += step * q->du[c];
     }
+#if NG
     for (c = NV; c < NV + NG; c++) {
         if (q->kind[c] == 1) {
             q->y[c] += step * q->weight[c] * ((q->v[c] - s->qp.lower[c]) + q->dv[c]);
         }
     }
+#endif
     for (i = 0; i < q->sides; i++) {
         q->t[i] += step * q->dt[i];
         q->lam[i] += step * q->dlam[i];
@@ -224,14 +232,15 @@ static real_t ipm_stretch(const solver_t *s)
 {
     const ipm_t *q = &s->ipm;
     real_t gain = R(0), size = R(0);
-    int c;
-    for (c = NV; c < NV + NG; c++) {
+#if NG
+    for (int c = NV; c < NV + NG; c++) {
         if (q->kind[c] == 1) {
             const real_t residual = q->v[c] - s->qp.lower[c];
             gain += q->weight[c] * residual * residual;
             size -= q->weight[c] * residual * q->dv[c];
         }
     }
+#endif
     if (!(q->stretched && gain > size)) {
         return R(1);
     }

@@ -3,44 +3,62 @@
 /* Value of every row at (x, u). */
 static void ipm_values(solver_t *s, real_t (*x)[NXS], const real_t *u, real_t *v)
 {
-    int m;
     memcpy(v, u, sizeof v[0] * NV);
-    for (m = 0; m < NG; m++) {
+#if !NG
+    (void)s;
+    (void)x;
+#endif
+#if NG
+    for (int m = 0; m < NG; m++) {
         const int k = stage_of_row[m];
-        if (stage_state[m] >= 0) {
-            v[NV + m] = x[k][stage_state[m]];
-        } else {
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+        if (stage_state[m] < 0) {
             const real_t *a = stage_row(s, m);
             v[NV + m] = riccati_dot(a, x[k], NXS);
             if (k < NS) {
                 v[NV + m] += riccati_dot(a + NXS, u + k * NUS, NUS);
             }
+            continue;
         }
+#else
+        (void)s;
+#endif
+        v[NV + m] = x[k][stage_state[m]];
     }
+#endif
 }
 
 /* g += sum_c force_c a_c, stage by stage. */
 static void ipm_add_forces(solver_t *s, const real_t *force, real_t (*g)[NZS])
 {
-    int k, j, m, i;
+    int k, j;
+#if !NG
+    (void)s;
+#endif
     for (k = 0; k < NS; k++) {
         for (j = 0; j < NUS; j++) {
             g[k][NXS + j] += force[k * NUS + j];
         }
     }
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         const real_t f = force[NV + m];
         real_t *w = g[stage_of_row[m]];
-        if (stage_state[m] >= 0) {
-            w[stage_state[m]] += f;
-        } else if (f != R(0)) {
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+        if (stage_state[m] < 0) {
             const real_t *a = stage_row(s, m);
             const int width = (stage_of_row[m] < NS) ? NZS : NXS;
-            for (i = 0; i < width; i++) {
+            for (int i = 0; f != R(0.0) && i < width; ++i) {
                 w[i] += f * a[i];
             }
+            continue;
         }
+#else
+        (void)s;
+#endif
+        w[stage_state[m]] += f;
     }
+#endif
 }
 
 /* w += Q z, Q symmetric of n rows (lower triangle), in blocks of four rows. */
@@ -114,14 +132,16 @@ static int ipm_take_kinds(solver_t *s)
 /* Bounds and penalties: NUMERICAL_FAILURE if one is invalid, INFEASIBLE if bounds cross, else OK. */
 static status_t ipm_check_bounds(const solver_t *s)
 {
-    int valid = 1, ordered = 1, c, m;
+    int valid = 1, ordered = 1, c;
     for (c = 0; c < NV + NG; c++) {
         valid &= s->qp.lower[c] < (real_t)INFINITY && s->qp.upper[c] > -(real_t)INFINITY;
         ordered &= s->qp.lower[c] <= s->qp.upper[c];
     }
-    for (m = 0; m < NG; m++) {
+#if NG
+    for (int m = 0; m < NG; m++) {
         valid &= s->qp.penalty[m] >= R(0) && s->qp.curvature[m] >= R(0) && isfinite(s->qp.curvature[m]);
     }
+#endif
     return !valid ? NUMERICAL_FAILURE : ordered ? OK : INFEASIBLE;
 }
 
@@ -149,7 +169,7 @@ static void ipm_list_sides(solver_t *s)
     for (pass = 0; pass < 2; pass++) {
         for (c = 0; c < NV + NG; c++) {
             const int soft = c >= NV && s->qp.penalty[c - NV] < (real_t)INFINITY;
-            if (soft == pass && q->kind[c] == 0 && q->reach[c] > R(0)) {
+            if (soft == pass && q->kind[c] == 0 && s->units.reach[c] > R(0)) {
                 ipm_add_side(s, c, 0);
                 ipm_add_side(s, c, 1);
             }
@@ -167,9 +187,11 @@ static void ipm_set_weights(solver_t *s)
             s->riccati.diagonal[k][NXS + j] = s->ipm.weight[k * NUS + j] + s->ipm.proximal[NXS + j];
         }
     }
+#if NF
     for (j = 0; j < NF; j++) {
         s->riccati.diagonal[0][free_state[j]] = s->ipm.proximal[free_state[j]];
     }
+#endif
     memcpy(s->riccati.weight, s->ipm.weight + NV, sizeof s->ipm.weight[0] * NG);
 }
 
@@ -203,7 +225,7 @@ static void ipm_weigh(solver_t *s)
         q->weight[c] = q->stiffness[c] * q->stiffening;
     }
     for (i = 0; i < q->sides; i++) {
-        const real_t reach = q->reach[q->row[i]];
+        const real_t reach = s->units.reach[q->row[i]];
         q->ratio[i] = q->t[i] / q->lam[i];
         q->omega[i] = q->ratio[i] + share * reach * reach;
     }

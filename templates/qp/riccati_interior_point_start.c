@@ -1,128 +1,5 @@
 /* Contract of this part: units of the rows and the first iterate, from the minimiser that knows equations only. */
 
-/* Stage k under u = K x + G xi, unit covariance of xi: G' (columns of fixed controls 0, G G' = M_uu^{-1}) into `noise`,
- * (A + B K)' into `closed`, (B G)' into `push`. */
-static void ipm_closed_loop(solver_t *s, int k)
-{
-    const riccati_t *r = &s->riccati;
-    ipm_t *q = &s->ipm;
-    real_t (*S)[NZS] = stage_S(s, k);
-    real_t column[LDX] = {0};
-    int i, j, l;
-    for (l = 0; l < NUS; l++) {
-        const int fixed = r->fixed[k * NUS + l];
-        for (j = NUS - 1; j >= 0; j--) {
-            q->noise[l][j] = (j == l && !fixed) ? SQRT(r->inverse[k][l]) : R(0);
-            for (i = j + 1; i <= l; i++) {
-                q->noise[l][j] -= r->L[k][i][j] * q->noise[l][i];
-            }
-        }
-    }
-    for (l = 0; l < NXS; l++) {
-        for (i = 0; i < NXS; i++) {
-            q->closed[l][i] = S[i][l];
-        }
-    }
-    memset(q->push, 0, sizeof q->push);
-    for (j = 0; j < NUS; j++) {
-        for (i = 0; i < NXS; i++) {
-            column[i] = S[i][NXS + j];
-        }
-        for (l = 0; l < NXS; l++) {
-            riccati_add(q->closed[l], r->K[k][j][l], column, LDX);
-        }
-        for (l = 0; l < NUS; l++) {
-            riccati_add(q->push[l], q->noise[l][j], column, LDX);
-        }
-    }
-}
-
-/* Covariance of x_{k+1}:  closed' C closed + push' push. */
-static void ipm_propagate_covariance(solver_t *s)
-{
-    ipm_t *q = &s->ipm;
-    real_t *C = q->covariance[0], *U = q->product[0], *F = q->closed[0];
-    int i, j;
-    memset(q->product, 0, sizeof q->product);
-    for (i = 0; i < LDX; i += 4) {
-        riccati_rows(U + i * LDX, LDX, C + i, LDX, F, LDX, NXS, LDX);
-    }
-    memset(q->covariance, 0, sizeof q->covariance);
-    for (i = 0; i < LDX; i += 4) {
-        riccati_rows(C + i * LDX, LDX, F + i, LDX, U, LDX, NXS, i + 4);
-        riccati_rows(C + i * LDX, LDX, q->push[0] + i, LDX, q->push[0], LDX, NUS, i + 4);
-    }
-    for (i = 0; i < LDX; i++) {
-        for (j = i + 1; j < LDX; j++) {
-            q->covariance[i][j] = q->covariance[j][i];
-        }
-    }
-}
-
-/* (a' Cov(x, u) a)^{1/2} at stage k:  c = a_x + K'a_u,  c' C c + |G'a_u|^2. */
-static real_t ipm_reach(solver_t *s, int k, const real_t *a_x, const real_t *a_u)
-{
-    ipm_t *q = &s->ipm;
-    real_t c[LDX] = {0}, w[LDX] = {0}, sum = R(0);
-    int l;
-    memcpy(c, a_x, sizeof c[0] * NXS);
-    for (l = 0; k < NS && l < NUS; l++) {
-        const real_t part = riccati_dot(q->noise[l], a_u, NUS);
-        riccati_add(c, a_u[l], s->riccati.K[k][l], LDX);
-        sum += part * part;
-    }
-    riccati_combine(w, c, q->covariance[0], LDX, NXS, LDX);
-    sum += riccati_dot(w, c, LDX);
-    return (sum > R(0)) ? SQRT(sum) : R(0);
-}
-
-/* Controls and rows of stage k. */
-static void ipm_stage_reach(solver_t *s, int k)
-{
-    ipm_t *q = &s->ipm;
-    real_t zero[NZS] = {0};
-    int j, m;
-    for (j = 0; k < NS && j < NUS; j++) {
-        zero[NXS + j] = R(1);
-        q->reach[k * NUS + j] = ipm_reach(s, k, zero, zero + NXS);
-        zero[NXS + j] = R(0);
-    }
-    for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
-        const int i = stage_state[m];
-        if (i >= 0) {
-            const real_t variance = q->covariance[i][i];
-            q->reach[NV + m] = (variance > R(0)) ? SQRT(variance) : R(0);
-        } else {
-            const real_t *a = stage_row(s, m);
-            q->reach[NV + m] = ipm_reach(s, k, a, (k < NS) ? a + NXS : zero);
-        }
-    }
-}
-
-/* reach_c = (a_c'H^{-1}a_c)^{1/2}: how far one half unit of cost moves row c, H that of the factorisation on the null space of
- * the dynamics. Covariances of a linear system driven by unit noise: those of the variables have the inverse H^{-1}. 0: no control
- * moves the row. */
-static void ipm_set_reach(solver_t *s)
-{
-    ipm_t *q = &s->ipm;
-    int k, f;
-    memset(q->covariance, 0, sizeof q->covariance);
-    for (f = 0; f < NF; f++) {
-        memset(s->riccati.p[0], 0, sizeof s->riccati.p[0]);
-        s->riccati.p[0][free_state[f]] = -R(1);
-        riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
-    }
-    for (f = 0; f < NXS - NX; f++) {
-        memcpy(q->covariance[NX + f], q->covariance[copied_state[f]], sizeof q->covariance[0]);
-    }
-    for (k = 0; k < NS; k++) {
-        ipm_closed_loop(s, k);
-        ipm_stage_reach(s, k);
-        ipm_propagate_covariance(s);
-    }
-    ipm_stage_reach(s, NS);
-}
-
 /* Recursion with the present weights; where a pivot may be zero, with an addition to it that grows until it is enough. */
 static int ipm_factorize(solver_t *s)
 {
@@ -162,20 +39,6 @@ static real_t ipm_damping_cost(solver_t *s)
     return (most > R(0)) ? most : R(1);
 }
 
-/* What is added to a pivot that is zero and has no scale of its own. */
-static real_t ipm_least_pivot(solver_t *s)
-{
-    real_t most = R(0);
-    int k, i;
-    for (k = 0; k <= NS; k++) {
-        for (i = 0; i < ((k < NS) ? NZS : NXS); i++) {
-            const real_t d = (k < NS) ? stage_Q(s, k)[i][i] : stage_Q_N(s)[i][i];
-            most = (d > most) ? d : most;
-        }
-    }
-    return SQRT(TOL_UNIT) * ((most > R(0) && isfinite(most)) ? most : R(1));
-}
-
 /* Where the Hessian is singular the steps are those of the proximal point method, or rounding drives them along its null space:
  * a small share of the largest diagonal entry of each control and free component of x_0. */
 static void ipm_set_proximal(solver_t *s)
@@ -213,10 +76,10 @@ static int ipm_set_stiffness(solver_t *s)
     ipm_t *q = &s->ipm;
     int c, any = 0;
     for (c = 0; c < NV + NG; c++) {
-        const int equation = q->kind[c] == 1 && q->reach[c] > R(0);
+        const int equation = q->kind[c] == 1 && s->units.reach[c] > R(0);
         q->stiffness[c] = R(0);
         if (equation) {
-            q->stiffness[c] = R(1) / (TOL_IPM_EQUATION_REGULARIZATION * q->reach[c] * q->reach[c]);
+            q->stiffness[c] = R(1) / (TOL_IPM_EQUATION_REGULARIZATION * s->units.reach[c] * s->units.reach[c]);
         }
         any |= equation;
     }
@@ -232,7 +95,7 @@ static int ipm_first_factorization(solver_t *s, int plain)
     memset(q->proximal, 0, sizeof q->proximal);
     q->damping = R(0);
     q->stiffening = R(1);
-    q->least_pivot = ipm_least_pivot(s);
+    q->least_pivot = riccati_least_pivot(s);
     ipm_first_weights(s);
     s->riccati.regularize = 0;
     for (c = 0; c < NV; c++) {
@@ -246,7 +109,7 @@ static int ipm_first_factorization(solver_t *s, int plain)
             return 0;
         }
     }
-    ipm_set_reach(s);
+    riccati_set_reach(s);
     if (ipm_set_stiffness(s)) {
         ipm_first_weights(s);
         return ipm_factorize(s);
@@ -327,8 +190,8 @@ static real_t ipm_violation_cost(const solver_t *s, int *count)
     int c;
     *count = 0;
     for (c = 0; c < NV + NG; c++) {
-        if (s->ipm.kind[c] == 0 && s->ipm.reach[c] > R(0)) {
-            const real_t d = ipm_violation(s, c) / s->ipm.reach[c];
+        if (s->ipm.kind[c] == 0 && s->units.reach[c] > R(0)) {
+            const real_t d = ipm_violation(s, c) / s->units.reach[c];
             sum += d * d;
             *count += d > R(0);
         }
@@ -351,7 +214,7 @@ static void ipm_start_soft_side(solver_t *s, int i, real_t mu, real_t distance)
     ipm_t *q = &s->ipm;
     const int c = q->row[i], j = i - q->hard;
     const real_t l1 = s->qp.penalty[c - NV], l2 = s->qp.curvature[c - NV];
-    const real_t least = SQRT(mu) * q->reach[c];
+    const real_t least = SQRT(mu) * s->units.reach[c];
     if (!(l1 > R(0))) {
         q->kappa[j] = R(0);
         q->e[j] = q->lam[i] / l2;
@@ -379,7 +242,7 @@ static void ipm_start_sides(solver_t *s, real_t mu, real_t cost)
     int i;
     for (i = 0; i < q->sides; i++) {
         const int c = q->row[i];
-        const real_t reach = q->reach[c], distance = q->sign[i] * (q->bound[i] - q->v[c]);
+        const real_t reach = s->units.reach[c], distance = q->sign[i] * (q->bound[i] - q->v[c]);
         const real_t half = R(0.5) * (s->qp.upper[c] - s->qp.lower[c]);
         real_t force = q->warm ? q->sign[i] * q->before[c] * reach : R(0), t = root_mu * reach;
         t = (half < t && half > R(0)) ? half : t;

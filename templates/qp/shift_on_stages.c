@@ -1,16 +1,22 @@
-/* Warm start of a shifted problem: the side of control c + n becomes the prediction for control c, the last n keep theirs; row m
- * takes that of row source[m] >= m, or none if source[m] < 0. */
-static void qp_shift_working_set(solver_t *s, int n, const int *source)
+/* Warm start of a shifted problem: the side of control c + n becomes the prediction for control c, the last n keep theirs. */
+static void qp_shift_controls(solver_t *s, int n)
 {
     qp_t *q = &s->qp;
-    int c, m;
-    for (c = 0; c + n < NV; c++) {
+    for (int c = 0; c + n < NV; ++c) {
         q->side[c] = q->side[c + n];
         q->mult[c] = q->mult[c + n];
     }
-    for (m = 0; m < NG; m++) {
+}
+
+#if NG
+/* Row m takes the prediction of row source[m] >= m, or none if source[m] < 0. */
+static void qp_shift_rows(solver_t *s, const int *source)
+{
+    qp_t *q = &s->qp;
+    for (int m = 0; m < NG; ++m) {
         const int from = NV + source[m];
         q->side[NV + m] = source[m] < 0 ? 0 : q->side[from];
-        q->mult[NV + m] = source[m] < 0 ? R(0) : q->mult[from];
+        q->mult[NV + m] = source[m] < 0 ? R(0.0) : q->mult[from];
     }
 }
+#endif

@@ -43,15 +43,17 @@ static int riccati_units(solver_t *s, real_t *unit)
 static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hold, int given)
 {
     riccati_t *r = &s->riccati;
-    int c, f;
+    int c;
     for (c = 0; c < N * NU; c++) {
         const int j = NXS + c % NUS, held = s->qp.side[c] != 0;
         r->fixed[c] = given && held;
         r->diagonal[c / NUS][j] = (held ? shift + hold : shift) * unit[j];
     }
-    for (f = 0; f < NF; f++) {
+#if NF
+    for (int f = 0; f < NF; f++) {
         r->diagonal[0][free_state[f]] = shift * unit[free_state[f]];
     }
+#endif
     return riccati_factorize(s, NS);
 }
 

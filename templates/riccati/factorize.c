@@ -56,20 +56,25 @@ static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A,
     }
 }
 
+#if NG
 /* weight a a' of the rows of stage k: state bounds on the diagonal, the others in groups of four. */
 static void riccati_add_weights(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
+#if GENERAL_ROWS || NE || BLOCK_ROWS
     const int width = k < NS ? NZS : NXS;
-    int n = 0, m, i;
-    for (m = stage_first[k]; m < stage_first[k + 1]; m++) {
+    int n = 0;
+#endif
+    for (int m = stage_first[k]; m < stage_first[k + 1]; ++m) {
         const int state = stage_state[m];
         const real_t w = r->weight[m];
-        if (w != R(0) && state >= 0) {
+        if (w != R(0.0) && state >= 0) {
             r->P[k][state][state] += w;
-        } else if (w != R(0)) {
+        }
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+        if (w != R(0.0) && state < 0) {
             const real_t *a = stage_row(s, m);
-            for (i = 0; i < width; i++) {
+            for (int i = 0; i < width; ++i) {
                 r->W[n][i] = w * a[i];
                 r->T[n][i] = a[i];
             }
@@ -82,9 +87,11 @@ static void riccati_add_weights(solver_t *s, int k)
             }
             n = 0;
         }
+#endif
     }
 }
 
+#endif
 /* T = P_{k+1} S_k, S_k padded in W. */
 static void riccati_propagate(solver_t *s, int k)
 {
@@ -194,7 +201,9 @@ static int riccati_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
     riccati_load_stage(s, k);
+#if NG
     riccati_add_weights(s, k);
+#endif
     riccati_propagate(s, k);
     riccati_update_controls(r, k, r->W[0], r->T[0], NXS);
     if (!riccati_eliminate_controls(r, k)) {
@@ -207,6 +216,7 @@ static int riccati_stage(solver_t *s, int k)
     return 1;
 }
 
+#if NXS > NX
 /* Copies of components of x_0 are no variables of their own: P_0 gets their rows and columns where the originals have theirs. */
 static inline void riccati_fold(riccati_t *r)
 {
@@ -222,6 +232,8 @@ static inline void riccati_fold(riccati_t *r)
     }
 }
 
+#endif
+#if NF
 /* L D L' of the block of P_0 that belongs to the free components of x_0; pivots as above. */
 static int riccati_factorize_free(riccati_t *r)
 {
@@ -249,13 +261,16 @@ static int riccati_factorize_free(riccati_t *r)
     return 1;
 }
 
+#endif
 /* The recursion from stage last down to 0; last = NS: P_NS too. */
 static int riccati_factorize(solver_t *s, int last)
 {
     int k = last;
     if (k == NS) {
         riccati_load_terminal(s);
+#if NG
         riccati_add_weights(s, k);
+#endif
         riccati_mirror(s->riccati.P[k]);
         k--;
     }
@@ -264,6 +279,12 @@ static int riccati_factorize(solver_t *s, int last)
             return 0;
         }
     }
+#if NXS > NX
     riccati_fold(&s->riccati);
+#endif
+#if NF
     return riccati_factorize_free(&s->riccati);
+#else
+    return 1;
+#endif
 }

@@ -63,12 +63,15 @@ static void riccati_backward(solver_t *s, int last)
     for (; k >= 0; k--) {
         riccati_backward_stage(s, k);
     }
+#if NXS > NX
     for (k = 0; k < NXS - NX; k++) {
         s->riccati.p[0][copied_state[k]] += s->riccati.p[0][NX + k];
         s->riccati.p[0][NX + k] = R(0);
     }
+#endif
 }
 
+#if NF
 /* Free components of x_0 and their copies: P_ff x_f = -(p_f + P_fm x_m), m the others. */
 static void riccati_solve_free(const riccati_t *r, real_t *x)
 {
@@ -100,13 +103,16 @@ static void riccati_solve_free(const riccati_t *r, real_t *x)
     }
 }
 
+#endif
 /* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */
 static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
 {
     const riccati_t *r = &s->riccati;
     real_t z[LDZ] = {0};
     int i, j, k;
+#if NF
     riccati_solve_free(r, x[0]);
+#endif
     memcpy(z, x[0], sizeof x[0]);
     for (k = 0; k < NS; k++) {
         real_t (*S)[NZS] = stage_S(s, k);

@@ -22,7 +22,7 @@ from tests.c_harness import Package, module_of
 from tests.oracles.condensing import Condensed, StageData, condense, condense_row, multipliers
 
 FUNCTIONS = (
-    "condense_hessian",
+    "condense_matrices",
     "condense_gradient",
     "condense_rows",
     "condense_embed",

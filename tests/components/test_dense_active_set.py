@@ -503,7 +503,10 @@ int main(void)
         {
             int source[NG + 1];
             for (int j = 0; j < NG; ++j) { source[j] = j + 1 < NG ? j + 1 : j; }
-            qp_shift_working_set(&q, 1, source);
+            qp_shift_controls(&q, 1);
+#if NG
+            qp_shift_rows(&q, source);
+#endif
         }
     }
     return ok == 0;
@@ -555,7 +558,7 @@ def test_operation_counts(tmp_path: Path, need, nv: int) -> None:
     report = 'std::printf("%ld %ld %ld\\n", counting::add, counting::mul, counting::other); '
     clear = "counting::add = counting::mul = counting::other = 0; "
     text += "int main() { static qp_t q; static counting y[LDV], z[LDV]; (void)qp_solve;"
-    text += "(void)qp_factorize; (void)qp_shift_working_set; qp_init(&q);"
+    text += "(void)qp_factorize; (void)qp_shift_controls; (void)qp_shift_rows; qp_init(&q);"
     text += f"{clear} qp_forward(&q, y, 0); {report} {clear} qp_backward(&q, y, z); {report} }}\n"
     compile_source(text, tmp_path / "qp.cpp", "g++", "-std=c++17")
     lines = subprocess.run([str(tmp_path / "qp.out")], check=True, capture_output=True, text=True).stdout.split("\n")

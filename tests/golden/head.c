@@ -21,7 +21,7 @@
  *   terminal_rows                   printed kernel                                        2 operations
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c                    - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
- *   condensing: full                condensing/full.c                                   108 operations      328 bytes
+ *   condensing: full                condensing/full.c                                   108 operations      136 bytes
  *   qp: dense_active_set            qp/dense_active_set.c                                81 operations     1472 bytes
  *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      472 bytes
  */
@@ -51,6 +51,7 @@
 /* Short names inside this translation unit. */
 typedef golden_real real_t;
 typedef golden_kkt_t kkt_t;
+typedef golden_columns_t columns_t;
 typedef golden_condensed_t condensed_t;
 typedef golden_qp_t qp_t;
 typedef golden_node_t node_t;
@@ -71,7 +72,6 @@ typedef golden_status_t status_t;
 #define NH_N GOLDEN_NH_N
 #define NR GOLDEN_NR
 #define NQ GOLDEN_NQ
-#define NF GOLDEN_NF
 #define NS GOLDEN_NS
 #define NUS GOLDEN_NUS
 #define NV GOLDEN_NV
@@ -80,6 +80,7 @@ typedef golden_status_t status_t;
 #define PANEL GOLDEN_PANEL
 #define PARAMS GOLDEN_PARAMS
 #define STEPS GOLDEN_STEPS
+#define LDG GOLDEN_LDG
 #define QP_MAX_ITERATIONS GOLDEN_QP_MAX_ITERATIONS
 #define QP_MAX_PROXIMAL_STEPS GOLDEN_QP_MAX_PROXIMAL_STEPS
 #define MAX_TRIALS GOLDEN_MAX_TRIALS
@@ -135,7 +136,6 @@ typedef golden_status_t status_t;
 #define ROW_LOWER(s, m) ((s)->lower[row_node[m] == N])[row_id[m]]
 #define ROW_UPPER(s, m) ((s)->upper[row_node[m] == N])[row_id[m]]
 #define ROW_PENALTY(s, m) ((s)->relaxation)
-#define ROW_CURVATURE(m) R(0)
 #define INTEGRATOR_INTERVAL(s, k, x_next, S) integrator_interval((s)->x[k], (s)->u[k], PARAM(s, k), \
     &interval_length[k], x_next, S)
 #define INTEGRATOR_STEP(s, k, x, u, h, x_next) integrator_step(x, u, PARAM(s, k), h, x_next)
@@ -174,8 +174,6 @@ static const real_t default_upper[4] = { 1.0, 2.0, 3.0, 4.0 };
 static const int control_reference[1] = { 1 };
 /* row that bounds control j, or -1 */
 static const int control_row[1] = { 0 };
-/* state that is free component f of x_0 */
-static const int free_state[1] = { 0 };
 /* node of QP row m */
 static const int row_node[5] = { 0, 1, 1, 2, 2 };
 /* 0: state bound, 1: general row, 2: coupled row */
@@ -188,6 +186,4 @@ static const int row_id[5] = { 2, 1, 2, 1, 3 };
 static const int row_first[4] = { 0, 1, 3, 5 };
 /* first element of a parameter in p */
 static const int parameter_offset[2] = { 0, 1 };
-/* slack variable of QP row m, or -1 */
-static const int row_slack[5] = { -1, -1, -1, -1, -1 };
 

@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2768 bytes, holds no pointers and may be copied with '='.
+ * The caller owns the memory: one golden_solver_t is 2576 bytes, holds no pointers and may be copied with '='.
  * One context per instance; not interrupt-safe by itself: copy measurements first. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
 #define GOLDEN_H
@@ -93,6 +93,15 @@ typedef enum {
 
 
 
+
+
+
+
+
+typedef union { /* memory of phases that never overlap */
+    golden_columns_t columns; /* while the QP is formed */
+    golden_basis_t basis; /* from qp_factorize to the end of the feedback */
+} golden_work_t;
 
 
 

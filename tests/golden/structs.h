@@ -21,11 +21,19 @@ typedef struct { /* Hessian blocks, lower triangles, z = (x, u) */
     golden_real Q_N[GOLDEN_NX][GOLDEN_NX]; /* terminal block */
 } golden_hessian_t;
 
-typedef struct { /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0 */
-    golden_real G[GOLDEN_N + 1][GOLDEN_NX][GOLDEN_LDG]; /* columns: dx_0, then du_0 .. du_{N-1} */
+typedef struct { /* a panel of columns of dx_k = G_k (dx_0, du) + c_k, as long as the QP is formed */
+    golden_real G[GOLDEN_N + 1][GOLDEN_NX][GOLDEN_PANEL]; /* columns of G_0 .. G_N */
+    golden_real W[GOLDEN_NX][GOLDEN_PANEL]; /* W_k of the backward sweep */
+    golden_real T[GOLDEN_NU][GOLDEN_PANEL]; /* one block row of the condensed Hessian */
+} golden_columns_t;
+
+typedef struct { /* factors of the working set */
+    golden_real Q[GOLDEN_LDV][GOLDEN_LDV]; /* rows: orthonormal basis of the normals in the working set */
+    golden_real R[GOLDEN_LDV][GOLDEN_LDV]; /* row j: coefficients of member j in that basis (R transposed) */
+} golden_basis_t;
+
+typedef struct { /* the condensed QP's dependence on dx_0 */
     golden_real c[GOLDEN_N + 1][GOLDEN_NX]; /* free response of the gaps b_k */
-    golden_real W[2][GOLDEN_NX][GOLDEN_LDG]; /* W_k of the backward sweep */
-    golden_real T[GOLDEN_NU][GOLDEN_LDG]; /* one block row of the condensed Hessian */
     golden_real g[GOLDEN_NV]; /* condensed gradient at dx_0 = 0 */
     golden_real Hx[GOLDEN_NV][GOLDEN_NX]; /* coupling of the controls to dx_0 */
     golden_real Ax[GOLDEN_NG][GOLDEN_NX]; /* coupling of the rows to dx_0 */
@@ -41,8 +49,7 @@ typedef struct { /* condensed QP and its active-set factorisation */
     golden_real z[GOLDEN_NV]; /* minimiser */
     golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
     golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
-    golden_real Q[GOLDEN_LDV][GOLDEN_LDV]; /* rows: orthonormal basis of the normals in the working set */
-    golden_real R[GOLDEN_LDV][GOLDEN_LDV]; /* row j: coefficients of member j in that basis (R transposed) */
+    golden_work_t work; /* factors of the working set; before qp_factorize the caller's */
     golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
     golden_real lam[GOLDEN_LDV]; /* multipliers of the members */
     golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
@@ -62,7 +69,7 @@ typedef struct { /* condensed QP and its active-set factorisation */
     golden_real direction[GOLDEN_LDV]; /* direction of the last proximal step */
     golden_real total; /* s'(H + E)s of it; 0: no conjugate direction follows */
     golden_real step; /* length of the proximal step */
-    int32_t work[GOLDEN_LDV]; /* rows in the working set, in the order of the basis */
+    int32_t row[GOLDEN_LDV]; /* rows in the working set, in the order of the basis */
     int32_t side[GOLDEN_NV + GOLDEN_NG]; /* +-1: member at upper, lower bound; +-2: saturated; else 0 */
     int32_t snapshot[GOLDEN_NV + GOLDEN_NG]; /* an earlier side, to recognise cycles */
     int32_t nw; /* members of the working set */
@@ -132,7 +139,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
     int32_t reference_changed; /* 1: gradients are renewed in feedback */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
-    golden_condensed_t condensed; /* dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0 */
+    golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
     golden_qp_t qp; /* condensed QP and its active-set factorisation */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
     golden_terminal_t terminal; /* linearisation of the terminal node */

@@ -150,6 +150,7 @@ def handwritten() -> Model:
         parts=parts,
         online=Online(),
         precision="double",
+        solve=True,
         choices=("written by hand",),
         constant_hessian=True,
     )

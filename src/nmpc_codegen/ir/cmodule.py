@@ -180,7 +180,8 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
         size, alignment = 0, 1
         for member in struct.fields:
             element, align = layout[member.ctype] if member.ctype in layout else types[member.ctype]
-            size = -(-size // align) * align + element * math.prod(member.padded)
+            end = element * math.prod(member.padded)
+            size = max(size, end) if struct.union else -(-size // align) * align + end
             alignment = max(alignment, align)
         layout[struct.name] = (-(-size // alignment) * alignment, alignment)
     return layout

@@ -52,11 +52,12 @@ class Products:
 
     @property
     def column_counts(self) -> Mapping[str, OpCount]:
-        """Operations on one panel of columns, by C function."""
+        """Operations on one panel of columns, by C function; without a Hessian of the last node none are with it."""
+        terminal = {"condense_terminal_panel": self.terminal_panel} if self.Q_N else {}
         return {
-            "condense_forward_columns": self.forward_columns,
-            "condense_terminal_columns": self.terminal_columns,
-            "condense_backward_columns": self.backward_columns,
+            "condense_forward_panel": self.forward_panel,
+            **terminal,
+            "condense_backward_panel": self.backward_panel,
         }
 
     @property
@@ -77,20 +78,20 @@ class Products:
         return _accumulated(sum(len(entries) for _, entries in self.terminal))
 
     @property
-    def forward_columns(self) -> OpCount:
+    def forward_panel(self) -> OpCount:
         """A G, one panel of columns."""
         if self.written_out:
             return _summed(len(columns) for _, columns in self.A_rows) * PANEL
         return _accumulated(self.nx * self.nx) * PANEL
 
     @property
-    def terminal_columns(self) -> OpCount:
+    def terminal_panel(self) -> OpCount:
         """Q_N G, one panel of columns."""
         entries = [len(e) for _, e in self.terminal]
         return (_summed(entries) if self.written_out else _accumulated(sum(entries))) * PANEL
 
     @property
-    def backward_columns(self) -> OpCount:
+    def backward_panel(self) -> OpCount:
         """S' W + Q (G, 0), one panel of columns."""
         if self.written_out:
             return _summed(len(rows) + len(e) for _, rows, e in self.condensed) * PANEL
@@ -102,7 +103,7 @@ class Products:
 
     def target(self, i: int) -> str:
         """Row of W, or of T, that row i of the backward sweep belongs to."""
-        return f"d->W[0][{i}]" if i < self.nx else f"d->T[{i - self.nx}]"
+        return f"p->W[{i}]" if i < self.nx else f"p->T[{i - self.nx}]"
 
     @property
     def S_rows(self) -> list[tuple[int, list[int]]]:

@@ -48,6 +48,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
     switches = _switches(model)
     structs = _structs(model, dims, switches)
     layout = struct_layout(structs, model.precision)
+    held = {f.ctype for s in structs if s.name != "solver" for f in s.fields}
     sections = tuple(
         Section(
             f"{c.seam}: {c.name}",
@@ -56,7 +57,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
             sum(
                 layout[s.name][0] * int(np.prod(s_shape(s)))
                 for s in c.structs(dims)
-                if s.name in layout and s.name != "solver"
+                if s.name in layout and s.name != "solver" and s.name not in held
             ),
         )
         for c in model.parts.components
@@ -126,6 +127,7 @@ def _switches(model: Model) -> dict[str, int]:
         "CONTROL_BOUNDS": int(any(row.kind == "control" for row in p.rows)),
         "ACCUMULATORS": int(bool(p.accumulators)),
         "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
+        "TERMINAL_CURVATURE": int(bool(model.products.Q_N)),
     }
     for component in model.parts.components:
         switches |= component.switches
@@ -233,11 +235,31 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
     ]
     owned = [s for s in owned if s.fields]
     own_members = [f for s in owned if s.name == "solver" for f in s.fields]
-    inner = [s for s in owned if s.name != "solver"]
-    members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner]
+    inner = _inner_structs(owned)
+    held = {f.ctype for s in inner for f in s.fields}
+    members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held]
     fields = (*common, *own_members, *members, *results)
     solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
     return (*_result_structs(), *inner, _existing(solver, switches))
+
+
+def _inner_structs(owned: list[Struct]) -> list[Struct]:
+    """The structs that the solver holds, every one after those that are its members; unions of one name are one."""
+    stated = {s.name: s for s in owned if s.name != "solver"}
+    for name in (s.name for s in owned if s.union):
+        alternatives = [f for s in owned if s.name == name for f in s.fields]
+        stated[name] = replace(stated[name], fields=tuple(alternatives))
+    order: dict[str, Struct] = {}
+
+    def place(struct: Struct) -> None:
+        for member in struct.fields:
+            if member.ctype in stated:
+                place(stated[member.ctype])
+        order.setdefault(struct.name, struct)
+
+    for struct in stated.values():
+        place(struct)
+    return list(order.values())
 
 
 def _settings(model: Model, dims: Dims) -> tuple[Setting, ...]:

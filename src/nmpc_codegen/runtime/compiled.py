@@ -14,7 +14,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.package_description import Field, Kind, PackageDescription
+from nmpc_codegen.runtime.package_description import Kind, PackageDescription, Struct
 from nmpc_codegen.runtime.status import Kkt, Status
 
 C_REAL = {"double": "double", "single": "float"}
@@ -44,7 +44,7 @@ class CompiledPackage:
             self._check_sizes()
             self._check_enumerations()
             for struct in self.description.structs:
-                self._check_members(struct.name, struct.fields)
+                self._check_members(struct)
         except self.ffi.error as error:
             raise ControllerError(f"{self.name}: the compiled code lacks what is described: {error}") from error
         self._check_roles()
@@ -114,20 +114,20 @@ class CompiledPackage:
             constant = f"{stem}_{name.replace('[', '_').replace(']', '').upper()}"
             self._same(f"the number of the {kind} {name!r}", number, self._constant(constant))
 
-    def _check_members(self, struct: str, members: tuple[Field, ...]) -> None:
+    def _check_members(self, struct: Struct) -> None:
         """Names, element types and shapes, one by one."""
-        compiled = self.ffi.typeof(f"{self.name}_{struct}_t")
-        self._same(f"{struct}: the kind", "struct", compiled.kind)
+        compiled = self.ffi.typeof(f"{self.name}_{struct.name}_t")
+        self._same(f"{struct.name}: the kind", "union" if struct.union else "struct", compiled.kind)
         fields = dict(compiled.fields or ())
-        differing = sorted(set(fields) ^ {member.name for member in members})
+        differing = sorted(set(fields) ^ {member.name for member in struct.fields})
         if differing:
-            self._refuse(f"struct {struct} and its description differ in the members {', '.join(differing)}")
-        for member in members:
+            self._refuse(f"struct {struct.name} and its description differ in the members {', '.join(differing)}")
+        for member in struct.fields:
             shape, ctype = [], fields[member.name].type
             while ctype.kind == "array":
                 shape.append(ctype.length)
                 ctype = ctype.item
-            where = f"struct {struct}: {member.name}"
+            where = f"struct {struct.name}: {member.name}"
             self._same(f"{where}: the shape", list(member.padded), shape)
             self._same(f"{where}: the type", self._c_type(member.ctype), ctype.cname)
 

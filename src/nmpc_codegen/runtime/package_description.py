@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, get_args
 
@@ -125,8 +125,10 @@ class Field:
 class Struct:
     """A C struct <prefix>_<name>_t and the member ``name`` of the given shape that holds it in the solver.
 
-    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name. ``only``: name of
-    a switch; where it is 0 the struct does not exist.
+    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name. A struct that
+    another one has as a member has none of its own in the solver. ``only``: name of a switch; where it is 0 the struct
+    does not exist. ``union``: its members share their memory, for phases that never overlap; every component that
+    states a union of that name adds its members to it.
     """
 
     name: str
@@ -134,6 +136,7 @@ class Struct:
     fields: tuple[Field, ...]
     shape: tuple[Size, ...] = ()
     only: str = ""
+    union: bool = False
 
 
 @dataclass(frozen=True)
@@ -272,9 +275,10 @@ class PackageDescription:
         return {f.name: f for s in self.structs if s.name == struct for f in s.fields}
 
     def dtype(self, struct: str = "solver") -> np.dtype[Any]:
-        """Structured NumPy type of a C struct: members in order, each aligned as C aligns it."""
-        members = self.members(struct).values()
-        return np.dtype([(f.name, self._member_type(f), f.padded) for f in members], align=True)
+        """Structured NumPy type of a C struct: members in order and aligned as in C; those of a union overlap."""
+        members = [(f.name, self._member_type(f), f.padded) for f in self.members(struct).values()]
+        overlap = any(s.union for s in self.structs if s.name == struct)
+        return union_dtype(members) if overlap else np.dtype(members, align=True)
 
     def _member_type(self, member: Field) -> np.dtype[Any]:
         if member.ctype == "real":
@@ -327,6 +331,14 @@ class PackageDescription:
         )
 
 
+def union_dtype(members: Sequence[tuple[str, np.dtype[Any], tuple[int, ...]]]) -> np.dtype[Any]:
+    """Structured NumPy type of a C union: (name, type, shape) of every member, all at offset 0."""
+    names, formats, shapes = zip(*members, strict=True)
+    of_members = [np.dtype((f, shape)) for f, shape in zip(formats, shapes, strict=True)]
+    layout = {"names": list(names), "formats": of_members, "offsets": [0] * len(names)}
+    return np.dtype(layout, align=True)  # type: ignore[call-overload, no-any-return]
+
+
 def _elements(signals: tuple[Signal, ...]) -> tuple[str, ...]:
     return tuple(e for s in signals for e in s.elements)
 
@@ -335,7 +347,8 @@ def _elements(signals: tuple[Signal, ...]) -> tuple[str, ...]:
 
 
 def _struct_entry(struct: Struct) -> dict[str, Any]:
-    return {"name": struct.name, "doc": struct.doc, "fields": [_field_entry(f) for f in struct.fields]}
+    entry = {"name": struct.name, "doc": struct.doc, "fields": [_field_entry(f) for f in struct.fields]}
+    return entry | ({"union": True} if struct.union else {})
 
 
 def _field_entry(member: Field) -> dict[str, Any]:
@@ -393,7 +406,7 @@ def _structs(entry: Entry) -> tuple[Struct, ...]:
     """A member's type is known before, so that no struct contains itself; what holds it in the solver has its shape."""
     structs: dict[str, Struct] = {}
     for item in entry.items():
-        raw = item.members(("name", "doc", "fields"))
+        raw = item.members(("name", "doc", "fields"), ("union",))
         name = raw["name"].identifier()
         if name in structs or name in ("real", *INTEGERS):
             raw["name"].fail("a name that no other type has")
@@ -401,7 +414,8 @@ def _structs(entry: Entry) -> tuple[Struct, ...]:
         members = tuple(_member(item, types) for item in raw["fields"].items())
         if len({member.name for member in members}) != len(members):
             raw["fields"].fail("members of different names")
-        structs[name] = Struct(name, raw["doc"].text(), members)
+        union = "union" in raw and raw["union"].flag()
+        structs[name] = Struct(name, raw["doc"].text(), members, union=union)
     if "solver" not in structs:
         entry.fail("a struct solver among them")
     shapes = {member.ctype: member.shape for member in structs["solver"].fields}

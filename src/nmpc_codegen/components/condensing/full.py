@@ -2,7 +2,7 @@
 
     dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k
 
-Columns are propagated forward, one backward sweep per column forms the lower triangle of the condensed Hessian
+A panel of columns at a time is propagated forward, a backward sweep forms the lower triangle of the condensed Hessian
 (algorithms.md 3).
 """
 
@@ -64,25 +64,38 @@ class FullCondensing(Defaults):
         return self
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """The slack of every row."""
-        return (Table("row_slack", "int", _slacks(problem), "slack variable of QP row m, or -1"),)
+        """The slack of every row, if there is one."""
+        slacks = _slacks(problem)
+        none = all(slack < 0 for slack in slacks)
+        return () if none else (Table("row_slack", "int", slacks, "slack variable of QP row m, or -1"),)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("LDG", _panels(_columns(dims)), "columns of G_k: NX + N NU, rounded up to PANEL"),)
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Sensitivities of the condensed states and what the feedback phase needs."""
-        ldg = Size("LDG", _panels(_columns(dims)))
-        nodes = Size("N + 1", dims.N.value + 1)
+        panel, nodes = Size("PANEL", PANEL), Size("N + 1", dims.N.value + 1)
         return (
             Struct(
-                "condensed",
-                "dx_k = G_k (dx_0, du) + c_k and the condensed QP's dependence on dx_0",
+                "columns",
+                "a panel of columns of dx_k = G_k (dx_0, du) + c_k, as long as the QP is formed",
                 (
-                    Field("G", (nodes, dims.nx, ldg), "columns: dx_0, then du_0 .. du_{N-1}", "data"),
+                    Field("G", (nodes, dims.nx, panel), "columns of G_0 .. G_N", "scratch"),
+                    Field("W", (dims.nx, panel), "W_k of the backward sweep", "scratch"),
+                    Field("T", (dims.nu, panel), "one block row of the condensed Hessian", "scratch"),
+                ),
+            ),
+            Struct(
+                "work",
+                "memory of phases that never overlap",
+                (Field("columns", (), "while the QP is formed", "scratch", "columns"),),
+                union=True,
+            ),
+            Struct(
+                "condensed",
+                "the condensed QP's dependence on dx_0",
+                (
                     Field("c", (nodes, dims.nx), "free response of the gaps b_k", "data"),
-                    Field("W", (Size("2", 2), dims.nx, ldg), "W_k of the backward sweep", "scratch"),
-                    Field("T", (dims.nu, ldg), "one block row of the condensed Hessian", "scratch"),
                     Field("g", (dims.nv,), "condensed gradient at dx_0 = 0", "data"),
                     Field("Hx", (dims.nv, dims.nx), "coupling of the controls to dx_0", "data"),
                     Field("Ax", (dims.ng, dims.nx), "coupling of the rows to dx_0", "data"),
@@ -98,9 +111,9 @@ class FullCondensing(Defaults):
         def panels(first: int, step: int, nodes: int) -> int:
             return sum(_panels(first + k * step) // PANEL for k in range(nodes))
 
-        hessian = model.products.forward_columns * panels(nx, nu, N)
-        hessian += model.products.terminal_columns * panels(nx + N * nu, 0, 1)
-        hessian += model.products.backward_columns * panels(nx + nu, nu, N)
+        hessian = model.products.forward_panel * panels(nx, nu, N)
+        hessian += model.products.terminal_panel * panels(nx + N * nu, 0, 1)
+        hessian += model.products.backward_panel * panels(nx + nu, nu, N)
         hessian += OpCount(add=nu * (nu + 1) // 2) * N
         gradient = (model.products.state_step + model.products.adjoint_step) * N + model.products.terminal_adjoint
         rows = N * nu + ng

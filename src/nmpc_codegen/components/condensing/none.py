@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -34,6 +35,11 @@ class NoCondensing(Defaults):
     def qp_shape(self, problem: Problem) -> QpShape:
         """N stages with the controls of one interval each."""
         return QpShape(problem.N, problem.nu, problem.N * problem.nu)
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """Whether a state bound may be a general row of a stage."""
+        return {"BLOCK_ROWS": 0}
 
     def adapted(self, problem: Problem) -> NoCondensing | PartialCondensing:
         """Where stages need copies of components of x_0: blocks of one interval, which have a place for them."""

@@ -5,6 +5,7 @@ dx_{kB+j} = G_j (dx_kB, du_kB, ..., du_{kB+B-1}) + c_j,   j = 0 .. B
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -51,6 +52,11 @@ class PartialCondensing(Defaults):
         block = self._block(problem.N)
         stages = -(-problem.N // block)
         return QpShape(stages, block * problem.nu, stages * block * problem.nu, copies=len(copied_states(problem)))
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """Whether a state bound may be a general row of a stage."""
+        return {"BLOCK_ROWS": 1}
 
     def adapted(self, problem: Problem) -> PartialCondensing:
         """It takes every problem of its features."""

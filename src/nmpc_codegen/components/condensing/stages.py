@@ -20,7 +20,7 @@ def copied_states(problem: Problem) -> tuple[int, ...]:
 
 
 def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
-    """Tables of the QP rows for stages of ``block`` intervals.
+    """Tables of the QP rows for stages of ``block`` intervals, those that the problem needs.
 
     A bound of the first state of a block, or of x_N, is a bound of the stage's state; every other row is general.
     """
@@ -33,12 +33,18 @@ def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
     def table(name: str, values: list[int], doc: str) -> Table:
         return Table(name, "int", tuple(values), doc)
 
-    return (
+    rows = (
         table("stage_first", first, "first QP row of stage k"),
         table("stage_of_row", stage, "stage of QP row m"),
-        table("copied_state", list(copied_states(problem)), "state that copy c is the first value of"),
-        table("is_free", [int(i in problem.free_initial) for i in range(problem.nx)], "1: x_0 is not given"),
         table("stage_state", bounds, "state that QP row m bounds, or -1: general row"),
+    )
+    copies = (table("copied_state", list(copied_states(problem)), "state that copy c is the first value of"),)
+    free = [int(i in problem.free_initial) for i in range(problem.nx)]
+    given = (table("is_free", free, "1: x_0 is not given"),)
+    return (
+        *(rows if problem.qp_rows else ()),
+        *(copies if copied_states(problem) else ()),
+        *(given if problem.coupled_rows else ()),
     )
 
 

@@ -56,6 +56,7 @@ class DenseActiveSet(Defaults):
         nv, ng, ld = dims.nv, dims.ng, dims.ld
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         return (
+            *_working_memory(dims),
             Struct(
                 "qp",
                 "condensed QP and its active-set factorisation",
@@ -68,8 +69,9 @@ class DenseActiveSet(Defaults):
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("inverse", (ld,), "D^{-1/2}", "scratch"),
-                    Field("Q", (ld, ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
-                    Field("R", (ld, ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
+                    Field(
+                        "work", (), "factors of the working set; before qp_factorize the caller's", "scratch", "work"
+                    ),
                     Field("R_inverse", (ld,), "inverse diagonal of R", "scratch"),
                     Field("lam", (ld,), "multipliers of the members", "scratch"),
                     Field("y0", (ld,), "unconstrained minimiser, y = D^{1/2} L'z", "scratch"),
@@ -89,7 +91,7 @@ class DenseActiveSet(Defaults):
                     Field("direction", (ld,), "direction of the last proximal step", "scratch"),
                     Field("total", (), "s'(H + E)s of it; 0: no conjugate direction follows", "scratch"),
                     Field("step", (), "length of the proximal step", "scratch"),
-                    Field("work", (ld,), "rows in the working set, in the order of the basis", "scratch", "int32"),
+                    Field("row", (ld,), "rows in the working set, in the order of the basis", "scratch", "int32"),
                     Field(
                         "side", (rows,), "+-1: member at upper, lower bound; +-2: saturated; else 0", "keep", "int32"
                     ),
@@ -121,6 +123,19 @@ class DenseActiveSet(Defaults):
             "qp_forward": substitution + scale,
             "qp_backward": substitution + scale,
         }
+
+
+def _working_memory(dims: Dims) -> tuple[Struct, ...]:
+    """Factors of the working set, and the union through which the caller may use their memory before there are any."""
+    basis = (
+        Field("Q", (dims.ld, dims.ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
+        Field("R", (dims.ld, dims.ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
+    )
+    alternatives = (Field("basis", (), "from qp_factorize to the end of the feedback", "scratch", "basis"),)
+    return (
+        Struct("basis", "factors of the working set", basis),
+        Struct("work", "memory of phases that never overlap", alternatives, union=True),
+    )
 
 
 def _factorization(dims: Dims) -> OpCount:

@@ -60,13 +60,20 @@ class Osqp(Defaults):
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         entries = {name: Size(name, value) for name, value, _ in self.sizes(dims)}
         return (
+            Struct("basis", "lent to the caller", (Field("Q", (ld, ld), "of the size of H", "scratch"),)),
+            Struct(
+                "work",
+                "memory of phases that never overlap",
+                (Field("basis", (), "while the Hessian is regularised", "scratch", "basis"),),
+                union=True,
+            ),
             Struct(
                 "qp",
                 "condensed QP, solved by OSQP",
                 (
                     Field("H", (ld, ld), "Hessian (lower triangle)", "scratch"),
                     Field("A", (ng, ld), "general rows", "scratch"),
-                    Field("Q", (ld, ld), "workspace of the regularisation", "scratch"),
+                    Field("work", (), "lent to the caller", "scratch", "work"),
                     Field("g", (nv,), "gradient", "scratch"),
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
                     Field("upper", (rows,), "upper bounds", "scratch"),

@@ -69,6 +69,25 @@ def riccati_struct(dims: Dims) -> Struct:
     )
 
 
+def units_struct(dims: Dims) -> Struct:
+    """The struct ``units`` of the solver: (a_c'H^{-1}a_c)^{1/2} of every row, and what it is computed with."""
+    sizes = {name: Size(name, value) for name, value, _ in riccati_sizes(dims)}
+    ldx, ldu = sizes["LDX"], sizes["LDU"]
+    rows = Size(f"{dims.nv.text} + {dims.ng.text}", dims.nv.value + dims.ng.value)
+    return Struct(
+        "units",
+        "units of the rows of the stage QP",
+        (
+            Field("reach", (rows,), "how far one half unit of cost moves a row", "keep"),
+            Field("covariance", (ldx, ldx), "of the states of a stage under unit noise", "scratch"),
+            Field("product", (ldx, ldx), "covariance times (A + B K)'", "scratch"),
+            Field("closed", (ldx, ldx), "(A + B K)'", "scratch"),
+            Field("push", (ldu, ldx), "(B G)'", "scratch"),
+            Field("noise", (ldu, dims.nus), "G', G G' = M_uu^{-1}", "scratch"),
+        ),
+    )
+
+
 def riccati_cost(dims: Dims) -> dict[str, OpCount]:
     """Operations of one recursion, one backward and one forward substitution over all stages.
 

@@ -9,14 +9,14 @@ forward substitution.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from nmpc_codegen.components.allowed import Whole, check_options, option
+from nmpc_codegen.components.allowed import Named, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
-from nmpc_codegen.components.qp.riccati import riccati_cost, riccati_sizes, riccati_struct
-from nmpc_codegen.components.qp.riccati_interior_point import MAX_ITERATIONS as INTERIOR_POINT_ITERATIONS
-from nmpc_codegen.components.qp.riccati_interior_point import interior_point_struct
+from nmpc_codegen.components.qp.riccati import riccati_cost, riccati_sizes, riccati_struct, units_struct
+from nmpc_codegen.components.qp.riccati_interior_point import RiccatiInteriorPoint, interior_point_struct
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
 if TYPE_CHECKING:
@@ -28,11 +28,18 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 50
 
 
+# The fall-back follows attempts from other working sets, so nothing is known that it could start from.
+_COLD = RiccatiInteriorPoint(warm_start=False)
+_FALLBACKS: dict[str, RiccatiInteriorPoint | None] = {"riccati_interior_point": _COLD, "None": None}
+
+
 @dataclass(frozen=True)
 class RiccatiActiveSet(Defaults):
     """Options of the Riccati active-set solver.
 
-    ``max_iterations``: working sets that are tried in one feedback phase; None: 50.
+    ``max_iterations``: working sets that are tried in one feedback phase; None: 50. ``fallback``: the method that
+    solves a QP for which no working set is found, with its options, or None: such a QP, an infeasible one included,
+    then ends with ITERATION_LIMIT (crossed bounds still with INFEASIBLE), and the package is smaller.
     """
 
     seam: ClassVar[Seam] = "qp"
@@ -46,9 +53,15 @@ class RiccatiActiveSet(Defaults):
     )
 
     max_iterations: int | None = option(None, Whole(optional=True))
+    fallback: RiccatiInteriorPoint | None = option(_COLD, Named(_FALLBACKS, (RiccatiInteriorPoint,)))
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """Whether the fall-back is in the package."""
+        return {"INTERIOR_POINT": int(self.fallback is not None)}
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions and caps."""
@@ -59,10 +72,17 @@ class RiccatiActiveSet(Defaults):
                 self.max_iterations or MAX_ITERATIONS,
                 "cap on the working sets of one feedback phase",
             ),
-            ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
-            ("IPM_MAX_ITERATIONS", INTERIOR_POINT_ITERATIONS, "cap on its iterations"),
-            ("IPM_WARM_START", 0, "it starts cold"),
             ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
+            *self._fallback_sizes(),
+        )
+
+    def _fallback_sizes(self) -> tuple[tuple[str, int, str], ...]:
+        if self.fallback is None:
+            return ()
+        return (
+            ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
+            ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on its iterations"),
+            ("IPM_WARM_START", int(self.fallback.warm_start), "1: it starts near the multipliers of the QP before"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -73,7 +93,8 @@ class RiccatiActiveSet(Defaults):
         history = Size("QP_MAX_ITERATIONS + 1", (self.max_iterations or MAX_ITERATIONS) + 1)
         return (
             riccati_struct(dims),
-            interior_point_struct(dims),
+            *((units_struct(dims),) if self.fallback is not None or ng.value > 0 else ()),
+            *((interior_point_struct(dims),) if self.fallback is not None else ()),
             Struct(
                 "qp",
                 "working set of the stage QP",

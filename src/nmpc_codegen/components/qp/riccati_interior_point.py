@@ -8,12 +8,13 @@ linear in the number of stages.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
-from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_struct
+from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_struct, units_struct
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
 if TYPE_CHECKING:
@@ -30,8 +31,6 @@ def interior_point_struct(dims: Dims) -> Struct:
     sides = Size(f"2 * ( {nv.text} + {ng.text} )", 2 * rows.value)
     soft = Size(f"2 * {ng.text}", 2 * ng.value)
     nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
-    sizes = {name: Size(name, value) for name, value, _ in riccati_sizes(dims)}
-    ldx, ldu = sizes["LDX"], sizes["LDU"]
     return Struct(
         "ipm",
         "interior point iterate of the stage QP",
@@ -44,7 +43,6 @@ def interior_point_struct(dims: Dims) -> Struct:
             Field("dv", (rows,), "their direction", "scratch"),
             Field("before", (rows,), "multipliers of the QP before", "scratch"),
             Field("y", (rows,), "multipliers of equations", "scratch"),
-            Field("reach", (rows,), "how far one half unit of cost moves a row", "keep"),
             Field("stiffness", (rows,), "weights of equations", "scratch"),
             Field("weight", (rows,), "weights of the rows", "scratch"),
             Field(
@@ -52,11 +50,6 @@ def interior_point_struct(dims: Dims) -> Struct:
             ),
             Field("force", (rows,), "multipliers after a step that leaves v as it is", "scratch"),
             Field("ray", (rows,), "weights of a contradiction", "scratch"),
-            Field("covariance", (ldx, ldx), "of the states of a stage under unit noise", "scratch"),
-            Field("product", (ldx, ldx), "covariance times (A + B K)'", "scratch"),
-            Field("closed", (ldx, ldx), "(A + B K)'", "scratch"),
-            Field("push", (ldu, ldx), "(B G)'", "scratch"),
-            Field("noise", (ldu, dims.nus), "G', G G' = M_uu^{-1}", "scratch"),
             Field("bound", (sides,), "bound of a side", "scratch"),
             Field("sign", (sides,), "1: upper, -1: lower", "scratch"),
             Field("t", (sides,), "distance to the bound", "scratch"),
@@ -131,6 +124,11 @@ class RiccatiInteriorPoint(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """The method is in the package."""
+        return {"INTERIOR_POINT": 1}
+
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions of the recursion, the iteration cap, the warm start."""
         return (
@@ -165,4 +163,4 @@ class RiccatiInteriorPoint(Defaults):
                 Field("relaxed", (), "soft rows that are violated", "result", "int32"),
             ),
         )
-        return (riccati_struct(dims), interior_point_struct(dims), qp)
+        return (riccati_struct(dims), units_struct(dims), interior_point_struct(dims), qp)

@@ -1,0 +1,57 @@
+/* Contract of this part: the recursion at a working set that comes from elsewhere, and units of the rows. */
+
+/* The recursion gets the working set, bounds as they are now; everything is out of date. */
+static void qp_enter(solver_t *s)
+{
+    qp_t *q = &s->qp;
+    riccati_t *r = &s->riccati;
+    int c;
+    memset(r->diagonal, 0, sizeof r->diagonal);
+    r->regularize = 1;
+    r->regularize_zero = riccati_least_pivot(s);
+    for (c = 0; c < NV; c++) {
+        q->side[c] = qp_allowed(q, c, q->side[c], (real_t)INFINITY);
+        r->fixed[c] = q->side[c] != 0;
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        c = NV + m;
+        q->side[c] = qp_allowed(q, c, q->side[c], q->penalty[m]);
+        r->weight[m] = qp_weight(q, m, q->side[c]);
+    }
+#endif
+    q->stale = q->stale_vectors = NS;
+}
+
+#if NG
+/* The cost of moving a row by one is root^2 / 2 or more; as a member it gets a weight that is larger by the root of the precision:
+ * one correction makes up for its share in the Hessian, and the rounding that it causes is no larger. */
+static void qp_set_units(solver_t *s)
+{
+    qp_t *q = &s->qp;
+    int m;
+    for (m = 0; m < NG; m++) {
+        const real_t reach = s->units.reach[NV + m];
+        q->root[m] = (reach > R(0) && isfinite(reach)) ? R(1) / reach : R(1);
+        q->weight[m] = q->root[m] * q->root[m] / SQRT(TOL_UNIT);
+        q->raised[m] = 0;
+    }
+    q->scaled = 1;
+}
+
+#endif
+#if NG
+/* Units of the rows, from the recursion without members. */
+static void qp_scale_rows(solver_t *s)
+{
+    riccati_t *r = &s->riccati;
+    qp_enter(s);
+    memset(r->fixed, 0, sizeof r->fixed);
+    memset(r->weight, 0, sizeof r->weight);
+    if (riccati_factorize(s, NS)) {
+        riccati_set_reach(s);
+        qp_set_units(s);
+    }
+}
+
+#endif

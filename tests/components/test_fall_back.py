@@ -1,0 +1,65 @@
+"""RiccatiActiveSet(fallback=None): the interior point method is left out, and a QP that needs it ends with a status."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from examples import quadrotor
+from nmpc_codegen import OCP, NoCondensing, Options, RiccatiActiveSet, RiccatiInteriorPoint, Status, build
+from nmpc_codegen.cli.settings import apply_setting
+from nmpc_codegen.lowering.render import render
+from tests.c_harness import module_of
+from tests.models import problem_of
+
+
+def test_without_fall_back_the_interior_point_method_is_not_in_the_package() -> None:
+    """No code, no struct, less memory; the option is known to the command line."""
+    ocp, closed = problem_of("reactor"), Options(condensing=NoCondensing(), qp=RiccatiActiveSet(fallback=None))
+    with_it = module_of(ocp, replace(closed, qp=RiccatiActiveSet()))
+    without = module_of(ocp, closed)
+    assert "ipm" in {s.name for s in with_it.structs}
+    assert "ipm" not in {s.name for s in without.structs}
+    assert without.bytes < with_it.bytes
+    assert "ipm" not in render(without)[f"{without.name}.c"]
+    assert apply_setting(Options(), "qp.fallback", "None").qp == RiccatiActiveSet(fallback=None)
+
+
+def test_without_fall_back_closed_loops_are_the_same_where_it_is_not_needed() -> None:
+    loops = []
+    for fallback in (RiccatiInteriorPoint(warm_start=False), None):
+        controller = build(
+            quadrotor.build_ocp(),
+            Options(condensing=NoCondensing(), qp=RiccatiActiveSet(fallback=fallback)),
+            profile="test",
+        )
+        x, states = np.array([0.5, -0.4, 0.3, 0.1, 0.05, -0.1, 0, 0, 0, 0, 0, 0]), []
+        for _ in range(10):
+            u = controller.step(x)
+            assert controller.status == Status.OK
+            x = np.asarray(controller.integrate(x, u, 0.05))
+            states.append(x)
+        loops.append(np.array(states))
+    np.testing.assert_allclose(loops[0], loops[1], rtol=0, atol=1e-12)
+
+
+def test_without_fall_back_an_infeasible_qp_ends_with_a_status_and_a_safe_control() -> None:
+    """Two rows that no control can reconcile: the control stays inside its bounds and the plan stays as it was."""
+    ocp = OCP("torn", T=1.0, N=4)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0])
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(5, x, np.inf, at="end")
+    statuses = {}
+    for fallback in (RiccatiInteriorPoint(warm_start=False), None):
+        options = Options(condensing=NoCondensing(), qp=RiccatiActiveSet(fallback=fallback))
+        controller = build(ocp, options, profile="test")
+        before = controller.x.copy()
+        u0 = controller.step(np.array([0.0]))
+        statuses[fallback is None] = controller.status
+        assert np.all(np.abs(u0) <= 1)
+        np.testing.assert_array_equal(controller.x, before)
+    assert statuses == {False: Status.INFEASIBLE, True: Status.ITERATION_LIMIT}
