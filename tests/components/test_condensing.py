@@ -105,6 +105,11 @@ def problem(name: str) -> Problem:
     return classify(PROBLEMS[name]())
 
 
+def existing(struct: np.ndarray, *fields: str) -> list[str]:
+    """Those of the members that the package has."""
+    return [field for field in fields if field in (struct.dtype.names or ())]
+
+
 def fill(p: Package, name: str, seed: int) -> StageData:
     """Random data on the structural nonzeros; the rest of the matrices is zero, as the C promises."""
     random = np.random.default_rng(seed)
@@ -120,15 +125,15 @@ def fill(p: Package, name: str, seed: int) -> StageData:
 
     nodes = p["node"]
     nodes["S"] = on(pattern.S, (N, nx, nx + nu))
-    for field in ("b", "g", "h", "J"):
+    for field in ("b", "g", *existing(nodes, "h", "J")):
         nodes[field] = random.uniform(-1, 1, nodes[field].shape)
     p["terminal"]["g"][...] = random.uniform(-1, 1, nx)
-    for field in ("h", "J"):
+    for field in existing(p["terminal"], "h", "J"):
         p["terminal"][field][...] = random.uniform(-1, 1, p["terminal"][field].shape)
     Q, Q_N = p["hessian"]["Q"], p["hessian"]["Q_N"]
     Q[...] = np.tril(on(pattern.Q, Q.shape))
     Q_N[...] = np.tril(on(pattern.Q_N, Q_N.shape))
-    for field in ("x", "u", "lower", "upper", "mu_x", "mu_u", "mu", "mu_N"):
+    for field in existing(p.memory, "x", "u", "lower", "upper", "mu_x", "mu_u", "mu", "mu_N"):
         p[field][...] = random.uniform(-1, 1, p[field].shape)
     symmetric = np.broadcast_to(Q + np.tril(Q, -1).transpose(0, 2, 1), (N, nx + nu, nx + nu))
     return StageData(
@@ -223,9 +228,10 @@ def test_multipliers(name: str, spelling: str, seed: int) -> None:
     p.call("condense_expand")
     p.call("recover_multipliers")
     extra = p["mu_x"].copy()
-    for k in range(N):
+    for k in range(N if stated.path.nh else 0):
         extra[k] += p["node"]["J"][k, : stated.path.nh, : d.nx].T @ p["mu"][k, : stated.path.nh]
-    extra[N] += p["terminal"]["J"][: stated.terminal.nh].T @ p["mu_N"][: stated.terminal.nh]
+    if stated.terminal.nh:
+        extra[N] += p["terminal"]["J"][: stated.terminal.nh].T @ p["mu_N"][: stated.terminal.nh]
     dx = (condensed.X0 @ dx0 + condensed.U @ du + condensed.c).reshape(N + 1, d.nx)
     close(p["lam"], multipliers(d, dx, du.reshape(N, d.nu), extra))
 

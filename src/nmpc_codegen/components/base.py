@@ -172,6 +172,7 @@ class Condensing(Component, Protocol):
 
     gives: ClassVar[str]  # "condensed" or "stages"
     columns: ClassVar[bool]  # it calls the products with columns
+    eliminates: ClassVar[bool]  # states, so that it calls state_step()
 
     @property
     def label(self) -> str:

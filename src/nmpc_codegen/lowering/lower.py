@@ -121,6 +121,7 @@ def _switches(model: Model) -> dict[str, int]:
     switches |= {f"SET_{kind.upper()}": int(layouts[kind] != "fixed" and size > 0) for kind, size in data.items()}
     switches |= {
         "SOLVE": int(model.solve),
+        "STATE_STEP": int(model.solve or model.parts.condensing.eliminates),
         "STATE_ROWS": int(0 in kinds),
         "GENERAL_ROWS": int(1 in kinds),
         "HARD_ROWS": int(any(p.rows[row].soft is None for _, _, _, row in p.qp_rows)),
@@ -439,6 +440,8 @@ def _report(model: Model, structs: tuple[Struct, ...]) -> Report:
     counts = {r.name: r.count for r in _printed(model)} | dict(model.products.counts)
     if model.parts.condensing.columns:
         counts |= model.products.column_counts
+    if not _switches(model)["STATE_STEP"]:
+        del counts["state_step"]
     dims = _dims(model)
     for component in model.parts.components:
         counts |= component.cost(dims, model)

@@ -46,6 +46,7 @@ class FullCondensing(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "condensed"
     columns: ClassVar[bool] = True
+    eliminates: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )

@@ -24,6 +24,7 @@ class NoCondensing(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False
+    eliminates: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
