@@ -167,7 +167,8 @@ class ExactHessian:
     @property
     def regularize(self) -> str:
         """What full condensing does about an indefinite condensed Hessian."""
-        return f"hessians/regularize_{'reduced' if self.level == 'reduced' else 'nothing'}.c.jinja"
+        reduced = self.level == "reduced"
+        return "hessians/regularize_reduced.c.jinja" if reduced else "hessians/regularize_nothing.c.jinja"
 
     @property
     def parts(self) -> tuple[str, ...]:
