@@ -208,5 +208,8 @@ def test_bad_damping(bad: object) -> None:
 def test_general_costs_are_refused() -> None:
     ocp = stated(CASES["diagonal"])
     ocp.stage_cost(ca.sin(ocp.u))
-    with pytest.raises(OptionError, match="uses general cost, which hessian 'gauss_newton' does not support"):
+    with pytest.raises(
+        OptionError,
+        match="uses general cost, which hessian GaussNewton\(\) \(--set hessian=gauss_newton\) does not support",
+    ):
         linearize(analyse(ocp), Options())
