@@ -210,6 +210,6 @@ def test_general_costs_are_refused() -> None:
     ocp.stage_cost(ca.sin(ocp.u))
     with pytest.raises(
         OptionError,
-        match="uses general cost, which hessian GaussNewton\(\) \(--set hessian=gauss_newton\) does not support",
+        match=r"uses general cost, which hessian GaussNewton\(\) \(--set hessian=gauss_newton\) does not support",
     ):
         linearize(analyse(ocp), Options())
