@@ -12,7 +12,8 @@ from conftest import require_tool
 
 from benchmarks import quality
 from nmpc_codegen import Options, RealTimeIteration, generate
-from nmpc_codegen.cache import CACHE_VARIABLE, load
+from nmpc_codegen.build import load
+from nmpc_codegen.cache import CACHE_VARIABLE
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.status import Status
 
