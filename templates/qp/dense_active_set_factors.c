@@ -32,13 +32,13 @@ static inline real_t qp_dot(const real_t *a, const real_t *b, int n)
 /* A pivot below this share of the diagonal entry may be zero. */
 static inline real_t qp_zero_pivot(void)
 {
-    return R(0.0625) * SQRT(TOL_UNIT);
+    return SQRT(TOL_UNIT / 256);
 }
 
 /* Weight of the proximal term as a share of the diagonal entry. */
 static inline real_t qp_proximal_share(void)
 {
-    return R(512.0) * SQRT(TOL_UNIT);
+    return SQRT(TOL_UNIT * 262144);
 }
 
 /* L D L' of the diagonal panel b; reference[k]: diagonal of H before elimination. Returns 0, and leaves the panel as it is, if

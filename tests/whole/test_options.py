@@ -185,7 +185,7 @@ def test_prefix_of_the_package(name: str) -> None:
 def test_taken_prefixes_are_all_that_clash() -> None:
     """<prefix>_<API function> for every prefix of an internal function of the emitted C."""
     source = generate(integrator_ocp(), name="zz")["zz.c"]
-    api = re.findall(r"^\S.*\bzz_(\w+)\(", source, flags=re.MULTILINE)
+    api = re.findall(r"^\S.*\b(?:zz_|API\()(\w+)\)?\(", source, flags=re.MULTILINE)
     internal = re.findall(r"^static [^=;]*?\b(\w+)\(", source, flags=re.MULTILINE)
     assert "step" in api
     assert "integrator_step" in internal
