@@ -180,7 +180,7 @@ class RiccatiQP:
         extra = tuple(s for s in component.structs(shape.dims) if s.name != "riccati")
         known = {name for name, _, _ in riccati_sizes(shape.dims)}
         sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-        text = source(shape, (component.template, component.shift_template), sizes, extra, precision) + SOLVER
+        text = source(shape, component.template, sizes, extra, precision) + SOLVER
         self.library = compiled(text, flags)
         self.memory = np.zeros((), memory_layout(shape, extra, precision))
         assert self.library.test_qp_size() == self.memory.nbytes
