@@ -296,10 +296,10 @@ def test_identity_with_all_costs() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ExactHessian("flip"), "regularization: 'flip'; expected Project"),
-        (lambda: ExactHessian(sweep="two"), "sweep: 'two'; expected Symmetric"),
+        (lambda: ExactHessian("flip"), "regularization: 'flip'; expected one of project, mirror, none"),
+        (lambda: ExactHessian(sweep="two"), "sweep: 'two'; expected one of symmetric, forward_over_adjoint"),
         (lambda: ExactHessian(levenberg_marquardt=-1.0), "levenberg_marquardt: -1.0"),
-        (lambda: Project(0.0), r"Project.floor: 0.0; expected a number between 0 and 1"),
+        (lambda: Project(0.0), r"Project.floor: 0.0; expected a finite number > 0 and < 1"),
         (lambda: Mirror(floor=True), "Mirror.floor: True"),
         (lambda: Mirror(level="node"), "Mirror.level: 'node'; expected one of reduced, stage"),
     ],

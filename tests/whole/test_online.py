@@ -318,7 +318,7 @@ def test_declared_dense_weight_per_node() -> None:
     c.set_weight(W)
     reference = Reference(classify(ocp))
     assert_equal(c, reference.solve(node_data(reference.problem, x0=X0, W=W)))
-    with pytest.raises(ControllerError, match=r"weight of node 3 is not positive semidefinite"):
+    with pytest.raises(ControllerError, match=r"weight of node 3 must be positive semidefinite"):
         c.set_weight(np.array([W[0], W[0], W[0], -W[0], W[0]]))
     assert_equal(c, reference.solve(node_data(reference.problem, x0=X0, W=W)))
 

@@ -61,6 +61,10 @@ def tree(root: Path) -> Tree:
     return found
 
 
+#: What the command line says of a folder that it sees to be unusable before any work is done.
+UNUSABLE = "error: --output "
+
+
 @dataclass(frozen=True)
 class Ways:
     """Export by Python and by the command line; each returns None, or the message of a refusal."""
@@ -116,7 +120,9 @@ def outcome(case: Case, way: Callable[[str, str | None, bool], str | None], root
     if case.word:
         if message is None:
             return "not refused"
-        return "changed" if before != after else "" if case.word in " ".join(message.split()) else f"says {message}"
+        told = " ".join(message.split())
+        known = case.word in told or UNUSABLE in told
+        return "changed" if before != after else "" if known else f"says {message}"
     if message is not None:
         return f"refused: {message}"
     stem = case.package or "tiny"

@@ -16,7 +16,7 @@ from tests.problems import sources
 
 ROOT = Path(__file__).parents[3]
 TOY = ROOT / "tests" / "data" / "toy"
-MUTATIONS = 160  # of each package
+MUTATIONS = 200  # of each package
 CRASHES = 5  # a package that crashes so often need not be tried further
 
 
