@@ -133,13 +133,14 @@ static inline int ipm_vanishes(solver_t *s, int k, int j, const real_t *nu, real
 static int ipm_free_vanishes(solver_t *s, int j, const real_t *nu, const real_t *w)
 {
     real_t sum = w[j], size = ipm_ray_terms(s, 0, j, nu);
-    int c;
-    for (c = 0; c < NXS - NX; c++) {
+#if NXS > NX
+    for (int c = 0; c < NXS - NX; c++) {
         if (copied_state[c] == j) {
             sum += w[NX + c];
             size += ipm_ray_terms(s, 0, NX + c, nu);
         }
     }
+#endif
     return FABS(sum) <= TOL_IPM_RAY * size;
 }
 

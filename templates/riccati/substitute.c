@@ -98,9 +98,11 @@ static void riccati_solve_free(const riccati_t *r, real_t *x)
     for (f = 0; f < NF; f++) {
         x[free_state[f]] = y[f];
     }
+#if NXS > NX
     for (i = 0; i < NXS - NX; i++) {
         x[NX + i] = x[copied_state[i]];
     }
+#endif
 }
 
 #endif

@@ -126,6 +126,28 @@ def cycle() -> OCP:
     return ocp
 
 
+def arrival() -> OCP:
+    """A free start with a cost of its own."""
+    ocp, q, w, u = _pendulum("arrival")
+    ocp.subject_to(-1, u, 1)
+    ocp.free_initial(q, w)
+    ocp.start_least_squares(ca.vertcat(q, q * w), weight=[3.0, 1.0], reference=[0.5, 0.1])
+    ocp.start_cost(0.1 * w**4)
+    return ocp
+
+
+def arrival_on_path() -> OCP:
+    """A cost of x_0 in least squares, beside a path that has a cost of the state alone."""
+    ocp = OCP("arrival_on_path", T=1.0, N=5)
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.least_squares(u, weight=0.1)
+    ocp.terminal_least_squares(q, weight=10)
+    ocp.free_initial(w)
+    ocp.start_least_squares(w, weight=2.0)
+    return ocp
+
+
 def everything() -> OCP:
     """Every kind of row and of data, on a non-uniform grid."""
     ocp = OCP("everything", intervals=[0.1, 0.1, 0.2, 0.2])
@@ -256,6 +278,10 @@ SAMPLES = (
     Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=RESAMPLE, online=NODE)),
     Sample("everything interior", everything, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("everything looped", everything, _interior(integrator=LOOPED, online=FIXED, precision="single")),
+    Sample("arrival dense", arrival, _dense(hessian=ExactHessian())),
+    Sample("arrival riccati", arrival, _riccati(hessian=ExactHessian(), integrator=LOOPED)),
+    Sample("arrival on path dense", arrival_on_path, _dense()),
+    Sample("arrival on path interior", arrival_on_path, _interior()),
     Sample("economic dense", economic, _dense(hessian=ExactHessian(), online=FIXED)),
     Sample("economic riccati", economic, _riccati(hessian=ExactHessian())),
     Sample("economic partial", economic, _partial(hessian=ExactHessian(regularization=None))),

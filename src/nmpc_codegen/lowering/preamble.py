@@ -189,7 +189,7 @@ def _general(sizes: Mapping[str, int], path: str, terminal: str) -> str:
     return f"(row_node[m] == N) ? {terminal} : {path}" if sizes["NH"] else terminal
 
 
-#: Where an input of a kernel stands at node k of the solver s, and, at the terminal node, what differs.
+#: Where an input of a kernel stands at node k of the solver s, and what differs at the terminal node and at the start.
 PLACES = {
     "x": "(s)->x[k]",
     "u": "(s)->u[k]",
@@ -213,6 +213,12 @@ TERMINAL_PLACES = {
     "W": "WEIGHT_N(s)",
     "mu": "(s)->mu_N",
 }
+START_PLACES = {
+    "x": "(s)->x[0]",
+    "p": "PARAM(s, 0)",
+    "yref": "default_start_reference",
+    "W": "default_start_weight",
+}
 
 
 def kernel_call(routine: Routine) -> Definition:
@@ -226,6 +232,8 @@ def kernel_call(routine: Routine) -> Definition:
         leading = ["s", "k", "x", "u", "h"]
     elif routine.name.startswith("terminal_"):
         places, leading = {**PLACES, **TERMINAL_PLACES}, ["s"]
+    elif routine.name.startswith("start_"):
+        places, leading = {**PLACES, **START_PLACES}, ["s"]
     elif routine.name.startswith(("coupled_", "initial_")):
         places, leading = PLACES, ["s"]
     else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
+from textwrap import wrap
 from typing import Any
 
 import jinja2
@@ -14,7 +15,10 @@ from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import print_routine
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
 from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble
-from nmpc_codegen.runtime.package_description import Layout
+from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
+
+#: Columns of a comment in the header, its margin apart.
+WIDTH = 116
 
 # path -> text of one package
 Sources = dict[str, str]
@@ -69,6 +73,8 @@ def _names(module: CModule) -> dict[str, Any]:
     names |= {
         "m": module,
         "member": lambda field: _member(field, module),
+        "comment": lambda text: _comment(text),
+        "prototype": lambda entry: _prototype(entry, module),
         "dim": lambda macro: _dim(macro, module),
         "values": lambda table: _values(table, style),
         "print_routine": lambda routine: print_routine(routine, style),
@@ -123,6 +129,25 @@ def _member(field: Field, module: CModule) -> str:
     ctype = {"real": f"{module.name}_real", "int32": "int32_t"}.get(field.ctype, f"{module.name}_{field.ctype}_t")
     sizes = "".join(f"[{s.c(module.macro) if s.value else 1}]" for s in field.shape)
     return f"{ctype} {field.name}{sizes};"
+
+
+def _comment(text: str) -> str:
+    """A block comment of full lines."""
+    lines = wrap(text, WIDTH, break_long_words=False)
+    return "/* " + "\n * ".join(lines) + " */"
+
+
+def _prototype(entry: EntryPoint, module: CModule) -> str:
+    """Declaration of an entry point."""
+
+    def declared(argument: Argument, constant: bool) -> str:
+        sizes = "".join(f"[{_dim(macro, module)}]" for macro in argument.shape)
+        ctype = {"real": f"{module.name}_real", "int": "int"}[argument.ctype]
+        return f"{'const ' if constant and sizes else ''}{ctype} {argument.name}{sizes}"
+
+    p = module.name
+    arguments = [declared(a, True) for a in entry.inputs] + [declared(a, False) for a in entry.outputs]
+    return f"{p}_status_t {p}_{entry.name}({', '.join([f'{p}_solver_t *s', *arguments])});"
 
 
 def _dim(macro: str, module: CModule) -> str:

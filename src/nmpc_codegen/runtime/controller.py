@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.compiled import CompiledPackage
+from nmpc_codegen.runtime.compiled import COUNTERS, CompiledPackage
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
 from nmpc_codegen.runtime.status import Kkt, Solution, Stats, Status
 from nmpc_codegen.runtime.weight import checked_weight
@@ -27,6 +27,9 @@ from nmpc_codegen.runtime.weight import checked_weight
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
+#: What stats are of an algorithm that counts nothing.
+_NO_COUNTS = {**dict.fromkeys(COUNTERS, 0), "violation": 0.0}
+
 EVERY_NODE = -1  # <NAME>_ALL of the C package
 
 Array = NDArray[Any]
@@ -50,8 +53,7 @@ class Controller:
         self._s = package.ffi.from_buffer(f"{package.name}_solver_t *", self._memory)
         self._xhat, self._xhat_c = self._buffer(self.dims.nx)
         self._u0, self._u0_c = self._buffer(self.dims.nu)
-        self._prepare_c = package.function("prepare")
-        self._feedback_c = package.function("feedback")
+        self._phases = self._functions("prepare", "feedback")
         self._prepare_ns = 0
         self._feedback_ns = 0
         self._expect(self._call("init", self._s), "init")
@@ -59,7 +61,7 @@ class Controller:
     # -- the real-time iteration ------------------------------------------------------------------------------------
 
     def step(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """prepare() and feedback(xhat).
+        """prepare() and feedback(xhat); an algorithm without these phases takes the whole sample at once.
 
         Args:
             xhat: measured state, shape (nx,). A NaN is not an error here: the status is NOT_FINITE, the control safe.
@@ -70,14 +72,19 @@ class Controller:
         """
         self._measure(xhat)
         start = perf_counter_ns()
-        prepared = self._prepare_c(self._s)
-        middle = perf_counter_ns()
-        status = self._feedback_c(self._s, self._xhat_c, self._u0_c)
-        self._feedback_ns = perf_counter_ns() - middle
-        self._prepare_ns = middle - start
-        if prepared:
-            status = prepared
-            self._struct["status"] = prepared
+        if self._phases is None:
+            status = self._call("step", self._s, self._xhat_c, self._u0_c)
+            self._feedback_ns = perf_counter_ns() - start
+        else:
+            prepare, feedback = self._phases
+            prepared = prepare(self._s)
+            middle = perf_counter_ns()
+            status = feedback(self._s, self._xhat_c, self._u0_c)
+            self._feedback_ns = perf_counter_ns() - middle
+            self._prepare_ns = middle - start
+            if prepared:
+                status = prepared
+                self._struct["status"] = prepared
         if on_failure != "status":
             self._judge(status, "step", on_failure)
         return self._u0.copy()
@@ -85,7 +92,7 @@ class Controller:
     def prepare(self, on_failure: OnFailure = "status") -> Status:
         """Everything that can be done before the state is known: linearise, condense, factorise."""
         start = perf_counter_ns()
-        status = self._prepare_c(self._s)
+        status = self._call("prepare", self._s)
         self._prepare_ns = perf_counter_ns() - start
         return self._judge(status, "prepare", on_failure)
 
@@ -93,7 +100,7 @@ class Controller:
         """Solve the prepared problem for the measured state (nx,); the control (nu,), as step() returns it."""
         self._measure(xhat)
         start = perf_counter_ns()
-        status = self._feedback_c(self._s, self._xhat_c, self._u0_c)
+        status = self._call("feedback", self._s, self._xhat_c, self._u0_c)
         self._feedback_ns = perf_counter_ns() - start
         self._judge(status, "feedback", on_failure)
         return self._u0.copy()
@@ -110,9 +117,10 @@ class Controller:
             raise ControllerError(f"tol is {tol!r}; expected a positive number")
         if not _is_integer(max_iterations) or max_iterations < 1:
             raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
-        if not self._package.solves:
+        if not self.description.offers("solve"):
             raise ControllerError(
-                f"{self._package.name} was exported without solve(): Options(solve=False) (--set solve=False)"
+                f"{self._package.name} was exported without solve(): by Options(solve=False) (--set solve=False), or "
+                "with an algorithm that has none"
             )
         self._measure(xhat)
         start = perf_counter_ns()
@@ -307,9 +315,10 @@ class Controller:
 
     @property
     def stats(self) -> Stats:
-        """Counts, residuals and times of the last call."""
-        counts = self._struct["stats"]
-        kkt = self._struct["kkt"] if self._package.solves else dict.fromkeys(Kkt.__dataclass_fields__, math.nan)
+        """Counts, residuals and times of the last call; counts that the algorithm does not have are 0."""
+        members = self.description.members("solver")
+        counts = self._struct["stats"] if "stats" in members else _NO_COUNTS
+        kkt = self._struct["kkt"] if "kkt" in members else dict.fromkeys(Kkt.__dataclass_fields__, math.nan)
         return Stats(
             qp_iterations=int(counts["qp_iterations"]),
             active_set_changes=int(counts["active_set_changes"]),
@@ -400,6 +409,12 @@ class Controller:
 
     # -- inner ------------------------------------------------------------------------------------------------------
 
+    def _functions(self, *names: str) -> tuple[Any, ...] | None:
+        """The entry points of these names, looked up once; None if one of them is not there."""
+        if not all(map(self.description.offers, names)):
+            return None
+        return tuple(map(self._package.function, names))
+
     def _call(self, name: str, *arguments: Any) -> Any:
         return self._package.function(name)(*arguments)
 
@@ -432,6 +447,8 @@ class Controller:
         return f"; measured {', '.join(bad)}" if status is Status.NOT_FINITE and bad else ""
 
     def _violated_row(self) -> str | None:
+        if "stats" not in self.description.members("solver"):
+            return None
         index = int(self._struct["stats"]["violated_row"])
         return self.description.rows[index].name if index >= 0 else None
 
