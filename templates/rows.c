@@ -1,4 +1,4 @@
-/* Rows of the QP besides the control bounds, sorted by node: state bounds, general rows h and, at the end, coupled rows
+/* Rows besides the control bounds, sorted by node: state bounds, general rows h and, at the end, coupled rows
  * r(x_0, x_N). */
 
 #if STATE_ROWS + GENERAL_ROWS + (NE > 0) > 1

@@ -9,7 +9,17 @@ from typing import Any, TypeVar, get_args
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
 from nmpc_codegen.components.allowed import Flag, Words, check_options, option, rules
-from nmpc_codegen.components.base import SEAMS, Algorithm, Component, Condensing, Hessian, Integrator, QpSolver, Seam, called
+from nmpc_codegen.components.base import (
+    SEAMS,
+    Algorithm,
+    Component,
+    Condensing,
+    Hessian,
+    Integrator,
+    QpSolver,
+    Seam,
+    called,
+)
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.runtime.package_description import Layout, Layouts, Precision
 
@@ -99,8 +109,8 @@ class Group:
 
 @dataclass(frozen=True)
 class Options:
-    """One component for every seam that the algorithm needs; None is the algorithm's default or chosen from the problem,
-    and the report says why. A component of a seam that the algorithm does not need is refused.
+    """One component for every seam that the algorithm needs; None is the algorithm's default or chosen from the
+    problem, and the report says why. A component of a seam that the algorithm does not need is refused.
 
     ``solve``: whether the package has <name>_solve(), which iterates to convergence; a controller for the real time
     alone is smaller without.

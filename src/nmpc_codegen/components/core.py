@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from nmpc_codegen.components.base import Core, Dims
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
-#: Word of Core -> the parts of C that belong to it, in the order in which C has them; other words have none of their own.
+#: Word of Core -> the parts of C that belong to it; other words have none of their own.
 PARTS: dict[Core, tuple[str, ...]] = {"nodes": ("row_gradient.c",)}
 
 
 def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
     """The structs of the words in ``core``; members of the solver stand in a struct of that name."""
     wanted = set(core)
-    nodes = (_node(dims), _terminal(dims), _coupled(dims)) if "nodes" in wanted else ()
+    nodes = (_node(dims), _terminal(dims), _coupled(dims), _renewal()) if "nodes" in wanted else ()
     multipliers = (_multipliers(dims),) if "multipliers" in wanted else ()
     return (*nodes, *multipliers, *((_kkt(),) if "kkt" in wanted else ()))
 
@@ -56,6 +57,11 @@ def _coupled(dims: Dims) -> Struct:
             Field("J_N", (dims.ne, dims.nx), "Jacobian E_N = d r / d x_N", "data"),
         ),
     )
+
+
+def _renewal() -> Struct:
+    note = Field("reference_changed", (), "1: the gradients are not those of the references", "keep", "int32")
+    return Struct("solver", "", (replace(note, only="SET_REFERENCE"),))
 
 
 def _multipliers(dims: Dims) -> Struct:

@@ -14,8 +14,8 @@ from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.runtime.package_description import Field as Field
 from nmpc_codegen.runtime.package_description import EntryPoint, Kind, Layouts, PackageDescription, Precision
+from nmpc_codegen.runtime.package_description import Field as Field
 from nmpc_codegen.runtime.package_description import Size as Size
 from nmpc_codegen.runtime.package_description import Struct as Struct
 from nmpc_codegen.runtime.status import Status

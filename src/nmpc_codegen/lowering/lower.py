@@ -126,6 +126,8 @@ def _switches(model: Model) -> dict[str, int]:
     switches |= {
         "SOLVE": int(model.solve),
         "STATE_STEP": int(model.solve or (parts.condensing is not None and parts.condensing.eliminates)),
+        "INTEGRATE_PLAN": 0,
+        "NODES": int("nodes" in core),
         "PRODUCTS": int("products" in core),
         "KKT": int("kkt" in core),
         "STATE_ROWS": int(0 in kinds),
@@ -180,7 +182,7 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
         "NZS": "NXS + NUS",
         "NV": "variables of the QP",
         "NSL": "slacks among them",
-        "NG": "rows of the QP besides control bounds",
+        "NG": "scalar rows of all nodes besides control bounds",
         "LDV": "NV rounded up to PANEL",
     }
     absent = set() if model.parts.condensing else QP_SIZES
@@ -356,11 +358,11 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("control_reference", p.control_reference, "residual that holds the reference of control j, or -1"),
         integer("control_row", _control_rows(p), "row that bounds control j, or -1"),
         integer("free_state", p.free_initial, "state that is free component f of x_0"),
-        integer("row_node", [r[0] for r in rows], "node of QP row m"),
+        integer("row_node", [r[0] for r in rows], "node of row m"),
         integer("row_kind", [r[1] for r in rows], "0: state bound, 1: general row, 2: coupled row"),
         integer("row_index", [r[2] for r in rows], "component of x, h or r"),
         integer("row_id", [r[3] for r in rows], "scalar row of the user"),
-        integer("row_first", first, "first QP row of node k"),
+        integer("row_first", first, "first row of node k"),
         real("row_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
         real("row_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
         integer("parameter_offset", offsets, "first element of a parameter in p"),

@@ -340,8 +340,9 @@ class Controller:
 
     def kkt(self) -> Kkt:
         """KKT residuals of the current iterate."""
+        evaluate = self._package.function("kkt")
         out = self._package.ffi.new(f"{self._package.name}_kkt_t *")
-        self._call("kkt", self._s, out)
+        evaluate(self._s, out)
         return Kkt(*(float(getattr(out, part)) for part in Kkt.__dataclass_fields__))
 
     def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:

@@ -96,6 +96,7 @@ class RealTimeIteration(Defaults):
         """How shift() moves the plan, without an option by one interval; whether infeasible QPs are relaxed."""
         return {
             "SHIFT_RESAMPLE": int(self.shift == "resample"),
+            "INTEGRATE_PLAN": int(self.shift == "resample"),
             "SHIFT_PERIODIC": int(self.shift == "periodic"),
             "RELAX": int(self.relaxation is not None),
         }
@@ -151,10 +152,6 @@ class RealTimeIteration(Defaults):
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
             Field("failing", (), "1: the last QP had no solution, 2: nor had the one before", "keep", "int32"),
-            Field(
-                *("reference_changed", (), "1: gradients are renewed in feedback", "keep", "int32"),
-                only="SET_REFERENCE",
-            ),
         )
         results = (
             Field("stats", (), "counters", "result", "stats"),
