@@ -135,6 +135,11 @@ class CModule:
         return self.description.structs
 
     @property
+    def core_products(self) -> tuple[str, ...]:
+        """The generated file of the stage products, if the algorithm takes them."""
+        return ("generated/products.c",) if self.switches["PRODUCTS"] else ()
+
+    @property
     def entry_points(self) -> tuple[EntryPoint, ...]:
         """What the algorithm offers."""
         return self.description.entry_points
