@@ -63,7 +63,8 @@ def names_in(*texts: str) -> set[str]:
 def _definitions(module: CModule) -> list[Definition]:
     """Every macro that a unit may use."""
     p, P = module.name, module.macro
-    constants = [(m.name, f"{P}_{m.name}") for m in module.macros]
+    constants = [(m.name, f"{P}_{m.name}") for m in module.macros if m.name != "MAGIC"]
+    constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
     constants += arithmetic(module.precision)
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
