@@ -13,7 +13,7 @@ from benchmarks.lib.report import Report
 from examples import crane, quadrotor
 from nmpc_codegen import OCP, Options, RiccatiActiveSet, generate
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.ir.sweep import print_routine
+from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render, unit_style

@@ -12,7 +12,8 @@ import jinja2
 
 from nmpc_codegen.ir.cmodule import CModule, Field, Table
 from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.sweep import print_routine
+from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.lowering.generated import GENERATED
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
 from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble
 from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
@@ -97,7 +98,7 @@ def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -
     """The translation unit after its tables: printed kernels, parts."""
 
     def generated(path: str) -> str:
-        return environment().get_template(_GENERATED[path].format(spelling=module.products.spelling)).render(names)
+        return GENERATED[path](module, unit_style(module.precision))
 
     def part(path: str) -> str:
         text = read_part(path, generated)
@@ -107,14 +108,6 @@ def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -
     if not resolved:
         more["resolved"] = lambda template: environment().get_template(template).render(names).rstrip("\n")
     return environment().get_template("unit.c.jinja").render(names | more)
-
-
-#: What parts include as a file that is generated for the package -> its template.
-_GENERATED = {
-    "generated/products.c": "products/{spelling}.c.jinja",
-    "generated/product_columns.c": "products/{spelling}_columns.c.jinja",
-    "generated/hessian_blocks.c": "products/blocks.c.jinja",
-}
 
 
 def _copies(layout: Layout, path_only: bool) -> str:
