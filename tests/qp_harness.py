@@ -39,6 +39,8 @@ SWITCHES = {
     "GENERAL_ROWS": 1,
     "BLOCK_ROWS": 1,
     "INTERIOR_POINT": 1,
+    "SET_REFERENCE": 1,
+    "SOLVE": 1,
 }
 
 

@@ -270,9 +270,10 @@ class StageSolver:
     @property
     def certificate(self) -> Array | None:
         """Weights of the bounds of du, then of the rows, that contradict each other; None: not given for these du."""
-        weights = self.memory["qp"]["certificate"]
+        qp = self.memory["qp"]
+        weights = qp["certificate"] if "certificate" in qp.dtype.names else ()
         n = self.shape.N * self.shape.nu
-        if len(weights) != n + max(1, len(self.rows)):
+        if len(weights) != n + len(self.rows):
             return None
         return np.array(weights[: n + len(self.rows)]) if np.any(weights) else None
 

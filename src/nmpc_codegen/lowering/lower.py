@@ -215,8 +215,8 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
     return tuple(enums)
 
 
-#: Seams whose parts still read members of size 0.
-_PADDED = ("condensing", "qp")
+#: Components whose parts still read members of size 0.
+_PADDED = ("full", "none", "partial", "dense_active_set", "osqp")
 
 
 def _existing(struct: Struct, switches: Mapping[str, int]) -> Struct:
@@ -237,7 +237,7 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
         Field("magic", (), "set by init", "keep", "int32"),
     ]
     owned = [
-        s if c.seam in _PADDED else _existing(s, switches)
+        s if c.name in _PADDED else _existing(s, switches)
         for c in model.parts.components
         for s in c.structs(dims)
         if switches.get(s.only, 1)
