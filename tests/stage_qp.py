@@ -264,8 +264,9 @@ class StageSolver:
     @property
     def point(self) -> Point:
         """The step and the multipliers of the last feedback."""
-        step = self.memory["step"]
-        return Point(step["dx"].copy(), step["du"].copy(), step["mult_u"].copy(), step["mult"][: len(self.rows)].copy())
+        step, n = self.memory["step"], len(self.rows)
+        mult = step["mult"][:n].copy() if n else np.zeros(0)  # no member of the struct without rows
+        return Point(step["dx"].copy(), step["du"].copy(), step["mult_u"].copy(), mult)
 
     @property
     def certificate(self) -> Array | None:

@@ -21,6 +21,8 @@ from nmpc_codegen.runtime.status import Status
 STRUCTURES = tuple(name for name in problems.CASES if name != "dense_changed")
 #: A constraint of every kind, no constraint at all, loops instead of straight-line code.
 FEW = ("path_rows", "tiny", "crane_looped")
+#: Every kind of row and bound, of weight, of grid, of dynamics and of data once.
+SANITIZED = ("crane", "path_rows", "terminal_rows", "single_nodes", "parameters", "scaled", "discrete", "tiny")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -30,20 +32,22 @@ def _compilers() -> None:
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_c99(name: str) -> None:
-    for precision in ("double", "single"):
-        assert quality.warnings_of(problems.sources(name, precision), languages=("C99",)) == ""
+    """Optimised, which finds what may be uninitialised; in single precision the flow of the data is the same."""
+    assert quality.warnings_of(problems.sources(name), languages=("C99",)) == ""
+    assert quality.warnings_of(problems.sources(name, "single"), levels=("-O0",), languages=("C99",)) == ""
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_cpp17(name: str) -> None:
+    """All that the front end finds."""
     require_tool("cxx")
-    assert quality.warnings_of(problems.sources(name), languages=("C++17",)) == ""
+    assert quality.warnings_of(problems.sources(name), levels=("-fsyntax-only",), languages=("C++17",)) == ""
 
 
 @pytest.mark.parametrize("name", FEW)
 def test_no_warning_at_any_level(name: str) -> None:
     require_tool("cxx")
-    assert quality.warnings_of(problems.sources(name), levels=("-O0", "-O3", "-Os")) == ""
+    assert quality.warnings_of(problems.sources(name), levels=("-O3", "-Os"), languages=("C99",)) == ""
     assert quality.warnings_of(problems.sources(name, "single"), levels=("-O2",), languages=("C++17",)) == ""
 
 
@@ -70,7 +74,8 @@ def test_fast_math_is_refused(flag: str) -> None:
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_symbols(name: str) -> None:
     """Only the API is external; only <math.h> and memcpy and the like are called; there is no writable data."""
-    assert quality.foreign_symbols(problems.sources(name)) == []
+    level = () if name in FEW else ("-O0",)
+    assert quality.foreign_symbols(problems.sources(name), *level) == []
 
 
 def test_api_symbols_are_those_of_the_header() -> None:
@@ -102,7 +107,7 @@ def test_package_includes_nothing_but_math(name: str) -> None:
     assert not re.search(r"\b(malloc|calloc|free|printf|goto|setjmp|restrict)\b", code)
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", SANITIZED)
 def test_whole_api_under_sanitizers(name: str) -> None:
     """Every function with good and bad arguments; AddressSanitizer and UndefinedBehaviorSanitizer find nothing."""
     assert quality.exercise(problems.sources(name), problems.CASES[name].x0) == ""
