@@ -241,8 +241,10 @@ class StageSolver:
         self.load_bounds(qp)
 
     def load_bounds(self, qp: StageQP) -> None:
-        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N."""
+        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N. There may be none at all."""
         n = self.shape.bounded
+        if n + len(self.rows) == 0:
+            return
         for name, of_u, of_rows in (("lower", qp.lower_u, qp.lower), ("upper", qp.upper_u, qp.upper)):
             self.memory[name][:-1, :n] = of_u[:, :n]
             self.memory[name][self.rows.node, n + self.rows.user] = of_rows
