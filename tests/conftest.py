@@ -104,6 +104,14 @@ def toy(_toy: Controller) -> Controller:
     return _toy.copy()
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """A file to a worker: what a test module builds and caches is built once, not once per worker."""
+    from xdist.scheduler import LoadFileScheduling
+
+    return LoadFileScheduling(config, log)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """--update-golden: write the golden files anew instead of comparing with them."""
     parser.addoption("--update-golden", action="store_true", help="write tests/golden anew")

@@ -241,8 +241,10 @@ class StageSolver:
         self.load_bounds(qp)
 
     def load_bounds(self, qp: StageQP) -> None:
-        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N."""
+        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N. There may be none at all."""
         n = self.shape.bounded
+        if n + len(self.rows) == 0:
+            return
         for name, of_u, of_rows in (("lower", qp.lower_u, qp.lower), ("upper", qp.upper_u, qp.upper)):
             self.memory[name][:-1, :n] = of_u[:, :n]
             self.memory[name][self.rows.node, n + self.rows.user] = of_rows
@@ -264,8 +266,9 @@ class StageSolver:
     @property
     def point(self) -> Point:
         """The step and the multipliers of the last feedback."""
-        step = self.memory["step"]
-        return Point(step["dx"].copy(), step["du"].copy(), step["mult_u"].copy(), step["mult"][: len(self.rows)].copy())
+        step, n = self.memory["step"], len(self.rows)
+        mult = step["mult"][:n].copy() if n else np.zeros(0)  # no member of the struct without rows
+        return Point(step["dx"].copy(), step["du"].copy(), step["mult_u"].copy(), mult)
 
     @property
     def certificate(self) -> Array | None:

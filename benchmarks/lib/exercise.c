@@ -1,5 +1,5 @@
 /* Calls every function of one package with good and bad arguments and looks at u0 after every return, for sanitizers.
- * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'; arguments: x0... Prints every finding. */
+ * The package defines API() and CONTROL_LOWER(); setters of data that the problem lacks do not exist. Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'; arguments: x0... Prints every finding. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -7,14 +7,13 @@
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
-#define API(name) JOIN(NAME, name)
 #define SIZE(name) JOIN(MACRO, name)
 #define PADDED(name) (SIZE(name) > 0 ? SIZE(name) : 1)
 #define EXPECT(condition) expect((condition) != 0, #condition, __LINE__)
 
-typedef API(_real) real;
+typedef API(real) real;
 
-static API(_solver_t) s, twin;
+static API(solver_t) s, twin;
 static real x0[PADDED(_NX)], x[PADDED(_NX)], u[PADDED(_NU)];
 static real large[PADDED(_NP) + PADDED(_NW) + PADDED(_NW_N) + PADDED(_NY) + PADDED(_NY_N)];
 static int findings;
@@ -31,7 +30,7 @@ static void safe(int line)
 {
     int j;
     for (j = 0; j < SIZE(_NU); j++) {
-        const real low = control_lower(&s, 0, j), high = control_upper(&s, 0, j);
+        const real low = CONTROL_LOWER(&s, 0, j), high = CONTROL_UPPER(&s, 0, j);
         expect(isfinite(u[j]) && u[j] >= low && u[j] <= high, "u0 finite and inside its bounds", line);
         u[j] = (real)NAN;
     }
@@ -49,89 +48,128 @@ static void fill(real value)
 static void uninitialised(void)
 {
     memset(&s, 0x5a, sizeof s);
-    EXPECT(API(_feedback)(&s, x, u) == SIZE(_NOT_INITIALIZED) && isfinite(u[0]));
-    EXPECT(API(_step)(&s, x, u) == SIZE(_NOT_INITIALIZED) && isfinite(u[0]));
-    EXPECT(API(_prepare)(&s) == SIZE(_NOT_INITIALIZED));
-    EXPECT(API(_solve)(&s, x, (real)1e-3, 5) == SIZE(_NOT_INITIALIZED));
-    EXPECT(API(_shift)(&s) == SIZE(_NOT_INITIALIZED));
-    EXPECT(API(_reset)(&s) == SIZE(_NOT_INITIALIZED));
-    EXPECT(API(_set_reference)(&s, SIZE(_ALL), large) == SIZE(_NOT_INITIALIZED));
-    EXPECT(API(_set_terminal_reference)(&s, large) == SIZE(_NOT_INITIALIZED));
-    EXPECT(API(_set_weight)(&s, SIZE(_ALL), large) == SIZE(_NOT_INITIALIZED));
-    EXPECT(API(_set_terminal_weight)(&s, large) == SIZE(_NOT_INITIALIZED));
-    EXPECT(API(_set_parameter)(&s, 0, 0, large) == SIZE(_NOT_INITIALIZED));
-    EXPECT(API(_set_bounds)(&s, 0, SIZE(_ALL), -1, 1) == SIZE(_NOT_INITIALIZED));
+    EXPECT(API(feedback)(&s, x, u) == SIZE(_NOT_INITIALIZED) && isfinite(u[0]));
+    EXPECT(API(step)(&s, x, u) == SIZE(_NOT_INITIALIZED) && isfinite(u[0]));
+    EXPECT(API(prepare)(&s) == SIZE(_NOT_INITIALIZED));
+    EXPECT(API(solve)(&s, x, (real)1e-3, 5) == SIZE(_NOT_INITIALIZED));
+    EXPECT(API(shift)(&s) == SIZE(_NOT_INITIALIZED));
+    EXPECT(API(reset)(&s) == SIZE(_NOT_INITIALIZED));
+#if SIZE(_NY) > 0
+    EXPECT(API(set_reference)(&s, SIZE(_ALL), large) == SIZE(_NOT_INITIALIZED));
+    EXPECT(API(set_weight)(&s, SIZE(_ALL), large) == SIZE(_NOT_INITIALIZED));
+#endif
+#if SIZE(_NY_N) > 0
+    EXPECT(API(set_terminal_reference)(&s, large) == SIZE(_NOT_INITIALIZED));
+    EXPECT(API(set_terminal_weight)(&s, large) == SIZE(_NOT_INITIALIZED));
+#endif
+#if SIZE(_PARAMS) > 0
+    EXPECT(API(set_parameter)(&s, 0, 0, large) == SIZE(_NOT_INITIALIZED));
+#endif
+#if SIZE(_NR) > 0
+    EXPECT(API(set_bounds)(&s, 0, SIZE(_ALL), -1, 1) == SIZE(_NOT_INITIALIZED));
+#endif
 }
 
-/* Nodes, rows and parameters that do not exist; numbers that are not finite. */
-static void refused(void)
+/* Nodes that do not exist or have no data of their own; numbers that are not finite. */
+static void refused_costs(void)
+{
+    const int far[] = { -2, SIZE(_N) + 1, 1 << 30, -(1 << 30) };
+    int i;
+    fill((real)1);
+    for (i = 0; i < 4; i++) {
+#if SIZE(_NY) > 0
+        EXPECT(API(set_reference)(&s, far[i], large) == SIZE(_BAD_INDEX));
+        EXPECT(API(set_weight)(&s, far[i], large) == SIZE(_BAD_INDEX));
+#endif
+#if SIZE(_PARAMS) > 0
+        EXPECT(API(set_parameter)(&s, 0, far[i], large) == SIZE(_BAD_INDEX));
+        EXPECT(API(set_parameter)(&s, far[i] + (far[i] > 0 ? SIZE(_PARAMS) : 0), 0, large) == SIZE(_BAD_INDEX));
+        EXPECT(API(set_parameter)(&s, SIZE(_PARAMS), 0, large) == SIZE(_BAD_INDEX));
+#endif
+    }
+#if SIZE(_NY) > 0
+    EXPECT(API(set_reference)(&s, SIZE(_N), large) == SIZE(_BAD_INDEX));
+    EXPECT(API(set_weight)(&s, 0, large) == SIZE(_BAD_INDEX));
+#endif
+    fill((real)NAN);
+#if SIZE(_NY) > 0
+    EXPECT(API(set_reference)(&s, 0, large) == SIZE(_BAD_ARGUMENT));
+    EXPECT(API(set_weight)(&s, SIZE(_ALL), large) == SIZE(_BAD_ARGUMENT));
+#endif
+#if SIZE(_NY_N) > 0
+    EXPECT(API(set_terminal_reference)(&s, large) == SIZE(_BAD_ARGUMENT));
+    EXPECT(API(set_terminal_weight)(&s, large) == SIZE(_BAD_ARGUMENT));
+#endif
+#if SIZE(_PARAMS) > 0
+    EXPECT(API(set_parameter)(&s, 0, SIZE(_ALL), large) == SIZE(_BAD_ARGUMENT));
+#endif
+}
+
+#if SIZE(_NR) > 0
+/* Rows and nodes that do not exist; bounds that are no interval. Nothing is written. */
+static void refused_bounds(void)
 {
     const int far[] = { -2, SIZE(_N) + 1, 1 << 30, -(1 << 30) };
     int i, row;
-    fill((real)1);
     for (i = 0; i < 4; i++) {
-        EXPECT(API(_set_reference)(&s, far[i], large) == SIZE(_BAD_INDEX));
-        EXPECT(API(_set_weight)(&s, far[i], large) == SIZE(_BAD_INDEX));
-        EXPECT(API(_set_parameter)(&s, 0, far[i], large) == SIZE(_BAD_INDEX));
-        EXPECT(API(_set_bounds)(&s, 0, far[i], -1, 1) == SIZE(_BAD_INDEX));
-        EXPECT(API(_set_parameter)(&s, far[i] + (far[i] > 0 ? SIZE(_PARAMS) : 0), 0, large) == SIZE(_BAD_INDEX));
-        EXPECT(API(_set_bounds)(&s, far[i] + (far[i] > 0 ? SIZE(_NR) : 0), SIZE(_ALL), -1, 1) == SIZE(_BAD_INDEX));
+        EXPECT(API(set_bounds)(&s, 0, far[i], -1, 1) == SIZE(_BAD_INDEX));
+        EXPECT(API(set_bounds)(&s, far[i] + (far[i] > 0 ? SIZE(_NR) : 0), SIZE(_ALL), -1, 1) == SIZE(_BAD_INDEX));
     }
-    EXPECT(API(_set_reference)(&s, SIZE(_N), large) == SIZE(_BAD_INDEX));
-    EXPECT(API(_set_weight)(&s, 0, large) == SIZE(_BAD_INDEX));
-    EXPECT(API(_set_parameter)(&s, SIZE(_PARAMS), 0, large) == SIZE(_BAD_INDEX));
-    EXPECT(API(_set_bounds)(&s, SIZE(_NR), SIZE(_ALL), -1, 1) == SIZE(_BAD_INDEX));
+    EXPECT(API(set_bounds)(&s, SIZE(_NR), SIZE(_ALL), -1, 1) == SIZE(_BAD_INDEX));
     for (row = 0; row < SIZE(_NR); row++) {
         const real low = s.lower[0][row], high = s.upper[0][row];
-        EXPECT(API(_set_bounds)(&s, row, SIZE(_ALL), 2, 1) == SIZE(_BAD_BOUNDS));
-        EXPECT(API(_set_bounds)(&s, row, SIZE(_ALL), (real)NAN, 1) == SIZE(_BAD_BOUNDS));
-        EXPECT(API(_set_bounds)(&s, row, SIZE(_ALL), 0, (real)NAN) == SIZE(_BAD_BOUNDS));
-        EXPECT(API(_set_bounds)(&s, row, SIZE(_ALL), (real)INFINITY, (real)INFINITY) == SIZE(_BAD_BOUNDS));
-        EXPECT(API(_set_bounds)(&s, row, 0, -1, 1) == SIZE(_BAD_INDEX) || SIZE(_N) == 0);
+        EXPECT(API(set_bounds)(&s, row, SIZE(_ALL), 2, 1) == SIZE(_BAD_BOUNDS));
+        EXPECT(API(set_bounds)(&s, row, SIZE(_ALL), (real)NAN, 1) == SIZE(_BAD_BOUNDS));
+        EXPECT(API(set_bounds)(&s, row, SIZE(_ALL), 0, (real)NAN) == SIZE(_BAD_BOUNDS));
+        EXPECT(API(set_bounds)(&s, row, SIZE(_ALL), (real)INFINITY, (real)INFINITY) == SIZE(_BAD_BOUNDS));
+        EXPECT(API(set_bounds)(&s, row, 0, -1, 1) == SIZE(_BAD_INDEX) || SIZE(_N) == 0);
         EXPECT(s.lower[0][row] <= low && s.lower[0][row] >= low && s.upper[0][row] <= high && s.upper[0][row] >= high);
     }
-    fill((real)NAN);
-    EXPECT(SIZE(_NY) == 0 || API(_set_reference)(&s, 0, large) == SIZE(_BAD_ARGUMENT));
-    EXPECT(SIZE(_NY_N) == 0 || API(_set_terminal_reference)(&s, large) == SIZE(_BAD_ARGUMENT));
-    EXPECT(SIZE(_NW) == 0 || API(_set_weight)(&s, SIZE(_ALL), large) == SIZE(_BAD_ARGUMENT));
-    EXPECT(SIZE(_NW_N) == 0 || API(_set_terminal_weight)(&s, large) == SIZE(_BAD_ARGUMENT));
-    EXPECT(SIZE(_PARAMS) == 0 || API(_set_parameter)(&s, 0, SIZE(_ALL), large) == SIZE(_BAD_ARGUMENT));
 }
+#endif
 
 /* Everything set to what it is. */
 static void accepted(void)
 {
     int k, i;
+#if SIZE(_NY) > 0
     for (k = 0; k < SIZE(_N); k++) {
-        EXPECT(API(_set_reference)(&s, k, s.yref[k]) == SIZE(_OK));
+        EXPECT(API(set_reference)(&s, k, s.yref[k]) == SIZE(_OK));
     }
-    EXPECT(API(_set_terminal_reference)(&s, s.yref_N) == SIZE(_OK));
     for (i = 0; i < SIZE(_NW); i++) {
         large[i] = ((const real *)s.W)[i];
     }
-    EXPECT(API(_set_weight)(&s, SIZE(_ALL), large) == SIZE(_OK));
+    EXPECT(API(set_weight)(&s, SIZE(_ALL), large) == SIZE(_OK));
+#endif
+#if SIZE(_NY_N) > 0
+    EXPECT(API(set_terminal_reference)(&s, s.yref_N) == SIZE(_OK));
     for (i = 0; i < SIZE(_NW_N); i++) {
         large[i] = ((const real *)s.W_N)[i];
     }
-    EXPECT(API(_set_terminal_weight)(&s, large) == SIZE(_OK));
+    EXPECT(API(set_terminal_weight)(&s, large) == SIZE(_OK));
+#endif
+#if SIZE(_PARAMS) > 0
     for (i = 0; i < SIZE(_PARAMS); i++) {
         for (k = 0; k <= SIZE(_N); k++) {
             memcpy(large, &s.p[k][parameter_offset[i]],
                 (size_t)(parameter_offset[i + 1] - parameter_offset[i]) * sizeof *large);
-            EXPECT(API(_set_parameter)(&s, i, k, large) == SIZE(_OK));
+            EXPECT(API(set_parameter)(&s, i, k, large) == SIZE(_OK));
         }
     }
+#endif
+#if SIZE(_NR) > 0
     for (i = 0; i < SIZE(_NR); i++) {
-        EXPECT(API(_set_bounds)(&s, i, SIZE(_ALL), s.lower[0][i], s.upper[0][i]) == SIZE(_OK));
-        k = API(_set_bounds)(&s, i, SIZE(_N), s.lower[1][i], s.upper[1][i]);
+        EXPECT(API(set_bounds)(&s, i, SIZE(_ALL), s.lower[0][i], s.upper[0][i]) == SIZE(_OK));
+        k = API(set_bounds)(&s, i, SIZE(_N), s.lower[1][i], s.upper[1][i]);
         EXPECT(k == SIZE(_OK) || k == SIZE(_BAD_INDEX));
     }
+#endif
 }
 
 /* A closed loop with a bad sample now and then: it must go on, and a copy must go on alike. */
 static void loop(void)
 {
-    API(_kkt_t) kkt;
+    API(kkt_t) kkt;
     int n, i;
     memcpy(x, x0, sizeof x);
     for (n = 0; n < 30; n++) {
@@ -141,9 +179,9 @@ static void loop(void)
             x[n % SIZE(_NX)] = (n % 2) ? (real)NAN : (real)INFINITY;
         }
         twin = s;
-        EXPECT(API(_step)(&twin, x, u) >= SIZE(_OK));
+        EXPECT(API(step)(&twin, x, u) >= SIZE(_OK));
         memcpy(before, u, sizeof u);
-        i = API(_step)(&s, x, u);
+        i = API(step)(&s, x, u);
         EXPECT(!bad || i == SIZE(_NOT_FINITE));
         EXPECT(memcmp(before, u, sizeof u) == 0);
         if (bad) {
@@ -151,11 +189,11 @@ static void loop(void)
         }
         memcpy(before, u, sizeof u);
         safe(__LINE__);
-        API(_integrate)(&s, x, before, (real)0.05, x);
-        EXPECT(n % 11 != 10 || API(_shift)(&s) == SIZE(_OK));
+        API(integrate)(&s, x, before, (real)0.05, x);
+        EXPECT(n % 11 != 10 || API(shift)(&s) == SIZE(_OK));
     }
-    API(_kkt)(&s, &kkt);
-    EXPECT(isfinite(kkt.stationarity) && isfinite(kkt.equality) && isfinite(API(_cost)(&s)));
+    API(kkt)(&s, &kkt);
+    EXPECT(isfinite(kkt.stationarity) && isfinite(kkt.equality) && isfinite(API(cost)(&s)));
 }
 
 static void poison(void)
@@ -175,15 +213,15 @@ static void poison(void)
 static void poisoned(void)
 {
     poison();
-    EXPECT(API(_step)(&s, x0, u) == SIZE(_NUMERICAL_FAILURE));
+    EXPECT(API(step)(&s, x0, u) == SIZE(_NUMERICAL_FAILURE));
     safe(__LINE__);
-    EXPECT(API(_step)(&s, x0, u) == SIZE(_OK));
+    EXPECT(API(step)(&s, x0, u) == SIZE(_OK));
     safe(__LINE__);
     poison();
-    EXPECT(API(_solve)(&s, x0, (real)1e-3, 20) == SIZE(_OK));
+    EXPECT(API(solve)(&s, x0, (real)1e-3, 20) == SIZE(_OK));
     poison();
-    EXPECT(API(_reset)(&s) == SIZE(_OK));
-    EXPECT(API(_step)(&s, x0, u) == SIZE(_OK));
+    EXPECT(API(reset)(&s) == SIZE(_OK));
+    EXPECT(API(step)(&s, x0, u) == SIZE(_OK));
     safe(__LINE__);
 }
 
@@ -194,20 +232,23 @@ int main(int argc, char **argv)
         x[i] = x0[i] = (real)atof(argv[1 + i]);
     }
     uninitialised();
-    EXPECT(API(_init)(&s) == SIZE(_OK));
-    EXPECT(API(_feedback)(&s, x, u) == SIZE(_NOT_PREPARED));
+    EXPECT(API(init)(&s) == SIZE(_OK));
+    EXPECT(API(feedback)(&s, x, u) == SIZE(_NOT_PREPARED));
     safe(__LINE__);
-    refused();
+    refused_costs();
+#if SIZE(_NR) > 0
+    refused_bounds();
+#endif
     accepted();
-    EXPECT(API(_solve)(&s, x0, (real)0, 5) == SIZE(_BAD_ARGUMENT));
-    EXPECT(API(_solve)(&s, x0, (real)1e-3, -1) == SIZE(_BAD_ARGUMENT));
-    EXPECT(API(_solve)(&s, x0, (real)1e-3, 0) == SIZE(_ITERATION_LIMIT));
-    EXPECT(API(_solve)(&s, x0, (real)1e-3, 50) == SIZE(_OK));
-    EXPECT(API(_reset)(&s) == SIZE(_OK));
+    EXPECT(API(solve)(&s, x0, (real)0, 5) == SIZE(_BAD_ARGUMENT));
+    EXPECT(API(solve)(&s, x0, (real)1e-3, -1) == SIZE(_BAD_ARGUMENT));
+    EXPECT(API(solve)(&s, x0, (real)1e-3, 0) == SIZE(_ITERATION_LIMIT));
+    EXPECT(API(solve)(&s, x0, (real)1e-3, 50) == SIZE(_OK));
+    EXPECT(API(reset)(&s) == SIZE(_OK));
     loop();
     poisoned();
     for (i = -2; i < 20; i++) {
-        EXPECT(API(_status_string)((API(_status_t))(i & 15))[0] != '\0');
+        EXPECT(API(status_string)((API(status_t))(i & 15))[0] != '\0');
     }
     return findings != 0;
 }

@@ -260,7 +260,7 @@ def test_solutions_equal_those_of_ipopt(free: bool, regularization: Any) -> None
 
 def test_quadratic_convergence() -> None:
     """CSTR from the plain start: 8 iterations to 1e-10, the last residuals squared; Gauss-Newton takes 13."""
-    controller = build(cstr.build_ocp(), Options(hessian=ExactHessian(), condensing=FullCondensing()))
+    controller = build(cstr.build_ocp(), Options(hessian=ExactHessian(), condensing=FullCondensing()), "test")
     controller.x[...] = cstr.START
     residuals = []
     for n in range(1, 9):

@@ -21,6 +21,8 @@ from nmpc_codegen.runtime.status import Status
 STRUCTURES = tuple(name for name in problems.CASES if name != "dense_changed")
 #: A constraint of every kind, no constraint at all, loops instead of straight-line code.
 FEW = ("path_rows", "tiny", "crane_looped")
+#: Every kind of row and bound, of weight, of grid, of dynamics and of data once.
+DIFFERENT = ("crane", "path_rows", "terminal_rows", "single_nodes", "parameters", "scaled", "discrete", "tiny")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -30,20 +32,24 @@ def _compilers() -> None:
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_c99(name: str) -> None:
-    for precision in ("double", "single"):
-        assert quality.warnings_of(problems.sources(name, precision), languages=("C99",)) == ""
+    """Optimised, which finds what may be uninitialised; in single precision the flow of the data is the same."""
+    level = "-O2" if name in DIFFERENT else "-O0"
+    assert quality.warnings_of(problems.sources(name), levels=(level,), languages=("C99",)) == ""
+    assert quality.warnings_of(problems.sources(name, "single"), levels=("-O0",), languages=("C99",)) == ""
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_cpp17(name: str) -> None:
+    """All that the front end finds."""
     require_tool("cxx")
-    assert quality.warnings_of(problems.sources(name), languages=("C++17",)) == ""
+    assert quality.warnings_of(problems.sources(name), levels=("-fsyntax-only",), languages=("C++17",)) == ""
 
 
 @pytest.mark.parametrize("name", FEW)
 def test_no_warning_at_any_level(name: str) -> None:
     require_tool("cxx")
-    assert quality.warnings_of(problems.sources(name), levels=("-O0", "-O3", "-Os")) == ""
+    level = "-Os" if name == "crane_looped" else "-O3"
+    assert quality.warnings_of(problems.sources(name), levels=(level,), languages=("C99",)) == ""
     assert quality.warnings_of(problems.sources(name, "single"), levels=("-O2",), languages=("C++17",)) == ""
 
 
@@ -53,10 +59,10 @@ def test_warnings_are_seen() -> None:
     sources["tiny.c"] += (
         "int tiny_narrow(double x);\nint tiny_narrow(double x) { float y = x; return (int)(y * 2.0); }\n"
     )
-    found = quality.warnings_of(sources)
+    found = quality.warnings_of(sources, levels=("-O0",))
     assert "-Wfloat-conversion" in found
     assert "-Wdouble-promotion" in found
-    assert quality.compiler_warnings(sources) >= 4
+    assert quality.count_warnings(found) >= 4
 
 
 @pytest.mark.parametrize("flag", ["-ffast-math", "-ffinite-math-only"])
@@ -70,7 +76,8 @@ def test_fast_math_is_refused(flag: str) -> None:
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_symbols(name: str) -> None:
     """Only the API is external; only <math.h> and memcpy and the like are called; there is no writable data."""
-    assert quality.foreign_symbols(problems.sources(name)) == []
+    level = () if name in FEW else ("-O0",)
+    assert quality.foreign_symbols(problems.sources(name), *level) == []
 
 
 def test_api_symbols_are_those_of_the_header() -> None:
@@ -80,7 +87,7 @@ def test_api_symbols_are_those_of_the_header() -> None:
         listing = subprocess.run(["nm", "crane.o"], cwd=folder, capture_output=True, text=True, check=True).stdout
     defined = {line.split()[-1] for line in listing.splitlines() if line.split()[-2] == "T"}
     assert defined == set(re.findall(r"\b(crane_\w+)\(", sources["crane.h"]))
-    assert len(defined) == 17
+    assert len(defined) == 14  # no terminal cost and no parameter to be set
 
 
 def test_foreign_symbols_are_seen() -> None:
@@ -102,7 +109,7 @@ def test_package_includes_nothing_but_math(name: str) -> None:
     assert not re.search(r"\b(malloc|calloc|free|printf|goto|setjmp|restrict)\b", code)
 
 
-@pytest.mark.parametrize("name", STRUCTURES)
+@pytest.mark.parametrize("name", DIFFERENT)
 def test_whole_api_under_sanitizers(name: str) -> None:
     """Every function with good and bad arguments; AddressSanitizer and UndefinedBehaviorSanitizer find nothing."""
     assert quality.exercise(problems.sources(name), problems.CASES[name].x0) == ""
@@ -122,7 +129,7 @@ def test_shift_under_sanitizers() -> None:
     ("old", "new"),
     [
         ("s->yref[n][i] = yref[i];", "s->yref[n + 1][i] = yref[i];"),  # past the last node
-        ("u0[j] = isfinite(u) ? clip(u,", "u0[j] = 1 ? clip(u,"),  # a NaN gets through
+        ("isfinite(s->u[0][j]) ? s->u[0][j] : CONTROL_REFERENCE(s, 0, j)", "s->u[0][j]"),  # a NaN gets through
         ("if (!(lower <= upper)", "if (lower > upper"),  # a NaN is taken as a bound
     ],
 )

@@ -33,7 +33,7 @@ def assert_safe(c: Controller, u: Any) -> None:
 
 @cache
 def _shifting(name: str) -> Controller:
-    return build(problems.CASES[name].make(), Options(algorithm=RealTimeIteration(shift="repeat")))
+    return build(problems.CASES[name].make(), Options(algorithm=RealTimeIteration(shift="repeat")), "test")
 
 
 def shifting(name: str) -> Controller:
@@ -118,7 +118,7 @@ def test_a_plan_that_has_nothing_to_do_with_the_plant_is_given_up() -> None:
 
 
 def test_iteration_cap_of_the_qp() -> None:
-    c = build(problems.CASES["crane"].make(), Options(qp=DenseActiveSet(max_iterations=1)))
+    c = build(problems.CASES["crane"].make(), Options(qp=DenseActiveSet(max_iterations=1)), "test")
     x = c.x.copy()
     assert_safe(c, c.step(FAR))
     assert c.status == Status.ITERATION_LIMIT
@@ -168,11 +168,11 @@ def away_from_zero() -> OCP:
 
 def test_safe_control_where_zero_is_none() -> None:
     """Not initialised: 0 clipped to the declared bounds; initialised: the plan clipped to the bounds of now."""
-    c = build(away_from_zero())
+    c = build(away_from_zero(), profile="test")
     c.view("magic")[...] = 0
     np.testing.assert_array_equal(c.feedback([0.0]), [0.4, -1.5])
     assert int(c.view("magic")) == 0
-    c = build(away_from_zero())
+    c = build(away_from_zero(), profile="test")
     np.testing.assert_array_equal(c.feedback([0.0]), [0.4, -1.5])
     c.set_bounds("u", 0.7, 0.9)
     c.u[:] = np.nan
@@ -415,7 +415,7 @@ def test_shift_moves_the_plan(name: str) -> None:
 @pytest.mark.parametrize("name", ["crane", "path_rows"])
 def test_step_shifts_from_the_second_sample_on(name: str) -> None:
     """shift="repeat" is shift() before every prepare() but the first; afterwards x is the plan just computed."""
-    automatic, by_hand = shifting(name), problems.controller(name)
+    automatic, by_hand = shifting(name), problems.controller(name, "test")
     x = np.asarray(problems.CASES[name].x0, dtype=float)
     for n in range(6):
         if n > 0:
@@ -455,7 +455,7 @@ def explosive() -> OCP:
 
 def test_shift_of_a_tail_that_explodes() -> None:
     """The new end of the plan is finite, whatever the model does there: the controller stays usable."""
-    c = build(explosive())
+    c = build(explosive(), profile="test")
     c.x[:] = 1e60
     c.u[:] = 0.0
     c.shift()
@@ -486,7 +486,7 @@ def shifted(shift: str, **options: float) -> Controller:
     ocp.dynamics({phi: omega, omega: -9.81 * ca.sin(phi) + u, time: 1 + 0.1 * phi})
     ocp.least_squares(ca.vertcat(phi, omega, u), weight=[1.0, 0.1, 0.1])
     ocp.subject_to(-2, u, 2)
-    c = build(ocp, Options(algorithm=RealTimeIteration(shift=shift, **options)))
+    c = build(ocp, Options(algorithm=RealTimeIteration(shift=shift, **options)), "test")
     assert c.solve((0.5, 0.0, 0.0)).status == Status.OK
     return c
 
@@ -541,7 +541,7 @@ def test_shift_resample_on_a_non_uniform_grid() -> None:
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -x + u})
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
-    c = build(ocp, Options(algorithm=RealTimeIteration(shift="resample", sampling_time=0.05)))
+    c = build(ocp, Options(algorithm=RealTimeIteration(shift="resample", sampling_time=0.05)), "test")
     sol = c.solve((1.0,))
     plant = c.integrate(np.array([1.0]), sol.u[0], 0.05)
     c.shift()
@@ -563,7 +563,7 @@ def test_accumulators_start_at_zero_at_every_sample() -> None:
     reference = solve_reference(problem, x0=[1.0, 0.0])
     assert reference.x[-1, 1] == pytest.approx(0.5)
     for noise in (0.0, 7.0, np.nan):
-        c = build(ocp)
+        c = build(ocp, profile="test")
         solution = c.solve((1.0, noise), tol=1e-9)
         assert solution.status == Status.OK
         np.testing.assert_allclose(solution.u, reference.u, atol=1e-6)

@@ -300,7 +300,6 @@ SOLVED = {
         tableau=replace(CLASSICAL, steps=1),
     ),
     "chain_3": Solved(lambda: chain.build_ocp(3), lambda: pushed(3), frozenset({"u[0]", "u[1]", "u[2]"})),
-    "chain_5": Solved(lambda: chain.build_ocp(5), lambda: pushed(5), frozenset({"u[1]", "u[2]"})),
     "chain_7": Solved(lambda: chain.build_ocp(7), lambda: pushed(7), frozenset()),
 }
 
@@ -316,7 +315,7 @@ def test_equal_to_ipopt(name: str) -> None:
     case = SOLVED[name]
     ocp, x0 = case.make(), case.x0()
     problem = classify(ocp)
-    controller = build(ocp, case.options)
+    controller = build(ocp, case.options, "test")
     problems.apply(controller, case.data)
     controller.x[:] = x0
     solution = controller.solve(x0, tol=1e-9, max_iterations=200)

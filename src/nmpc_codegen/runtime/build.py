@@ -56,7 +56,7 @@ _FAST = ("-O2", "-fno-math-errno", "-fno-trapping-math")
 PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
-        Profile("test", ("-std=c99", "-O1", "-ffp-contract=off")),
+        Profile("test", ("-std=c99", "-O0", "-ffp-contract=off")),
         Profile("fast", (*_FAST, "-march=native", "-ffp-contract=fast")),
         Profile("verify", (*_FAST, "-ffp-contract=off")),
     )
