@@ -53,7 +53,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
     """All files of the package. Not ``resolved``: the `#if`s of the parts are left to the compiler, for comparison."""
     names = _names(module)
     body = render_unit(module, names, resolved)
-    tables = render_tables(module, names, body)
+    tables = render_tables(module, names, body if resolved else render_unit(module, names))
     short_names = preamble(module, tables + body)
     names |= {"body": body, "tables": tables, "preamble": short_names if resolved else short_names + conditions(module)}
     files = {
