@@ -116,7 +116,7 @@ static void condense_hessian(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
     const int first = condense_first_node(column);
-#if TERMINAL_CURVATURE
+#if TERMINAL_BLOCK
     condense_terminal_panel(p, s->hessian.Q_N);
 #else
     condense_clear(p->W);

@@ -166,7 +166,7 @@ def ring() -> OCP:
 
 def closing() -> OCP:
     """A measured start and a coupled row, nothing else."""
-    ocp, q, w, _ = _pendulum("closing")
+    ocp, _, w, _ = _pendulum("closing")
     ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0)
     return ocp
 

@@ -136,7 +136,7 @@ def _switches(model: Model) -> dict[str, int]:
         "CONTROL_BOUNDS": int(any(row.kind == "control" for row in p.rows)),
         "ACCUMULATORS": int(bool(p.accumulators)),
         "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
-        "TERMINAL_CURVATURE": int(bool(model.products.Q_N)),
+        "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
     for component in parts.components:
         switches |= component.switches
