@@ -40,7 +40,7 @@ def test_every_node(model: str, unroll: str, uniform: bool) -> None:
     p["W"][...] = random.uniform(1, 2, p["W"].shape)
     p.call("linearize")
     for k, dt in enumerate([LENGTH] * 3 if uniform else GRID):
-        x_next, S = integrate(MODELS[model], "RK4", 2, dt, p["x"][k], p["u"][k], p["p"][k][: len(q)])
+        x_next, S = integrate(MODELS[model], "RK4", 2, dt, p["x"][k], p["u"][k], p["p"][k] if len(q) else q)
         node = p["node"][k]
         np.testing.assert_allclose(node["S"], S, rtol=0, atol=TOLERANCE * np.max(np.abs(S)))
         np.testing.assert_allclose(node["b"], x_next - p["x"][k + 1], rtol=0, atol=TOLERANCE * np.max(np.abs(x_next)))

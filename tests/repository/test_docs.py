@@ -199,6 +199,7 @@ def test_names_in_the_page_for_acado() -> None:
     x, a, length = ocp.state("x"), ocp.control("a"), ocp.parameter("L", value=1.0)
     ocp.dynamics({x: a * length})
     ocp.least_squares(ca.vertcat(x, a), weight=1.0)
+    ocp.terminal_least_squares(x, weight=1.0)
     ocp.subject_to(-1, a, 1)
     header = set(re.findall(r"\w+", generate(ocp)["crane.h"]))
     used = set(re.findall(r"\b(?:crane|CRANE)_\w+", text))
