@@ -241,7 +241,7 @@ class StageSolver:
         self.load_bounds(qp)
 
     def load_bounds(self, qp: StageQP) -> None:
-        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N. There may be none at all."""
+        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N; maybe none."""
         n = self.shape.bounded
         if n + len(self.rows) == 0:
             return

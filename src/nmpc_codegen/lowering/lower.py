@@ -205,7 +205,7 @@ _PADDED = ("condensing", "qp")
 def _existing(struct: Struct, switches: Mapping[str, int]) -> Struct:
     """The struct without members that the package lacks: those of size 0, and of features that are switched off."""
     fields = (replace(f, only="") for f in struct.fields if all(f.values) and switches.get(f.only, 1))
-    return replace(struct, fields=tuple(fields))
+    return replace(struct, fields=tuple(fields), only="")
 
 
 def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Struct, ...]:
