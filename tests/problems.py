@@ -250,7 +250,7 @@ def _built(name: str, profile: str, precision: str) -> Controller:
     return build(case.make(), _options(case, precision), profile)
 
 
-def controller(name: str, profile: str = "fast", precision: str = "double") -> Controller:
+def controller(name: str, profile: str = "test", precision: str = "double") -> Controller:
     """A fresh controller with the data of the case."""
     fresh = _built(name, profile, precision).copy()
     apply(fresh, CASES[name].data)

@@ -27,7 +27,7 @@ STATUSES = (
     "NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED",
 )  # fmt: skip
 WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
-FAST = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
+FAST = ("-O1", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
 SCALARS = {"double": np.float64, "single": np.float32}
 
 

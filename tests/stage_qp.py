@@ -241,7 +241,7 @@ class StageSolver:
         self.load_bounds(qp)
 
     def load_bounds(self, qp: StageQP) -> None:
-        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N. There may be none."""
+        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N; maybe none."""
         n = self.shape.bounded
         if n + len(self.rows) == 0:
             return
@@ -273,10 +273,9 @@ class StageSolver:
     @property
     def certificate(self) -> Array | None:
         """Weights of the bounds of du, then of the rows, that contradict each other; None: not given for these du."""
-        qp = self.memory["qp"]
-        weights = qp["certificate"] if "certificate" in qp.dtype.names else ()
+        weights = self.memory["qp"]["certificate"]
         n = self.shape.N * self.shape.nu
-        if len(weights) != n + len(self.rows):
+        if len(weights) != n + max(1, len(self.rows)):
             return None
         return np.array(weights[: n + len(self.rows)]) if np.any(weights) else None
 

@@ -84,8 +84,12 @@ static void event(const scenario_t *c, int n, API(_real) *x)
     }
     if (c->n_points > 0) {
         const API(_real) *point = c->points + n / c->period % c->n_points * POINT;
+#if SIZE(_NY) > 0 /* setters of data that the problem lacks do not exist */
         API(_set_reference)(&solver, SIZE(_ALL), point);
+#endif
+#if SIZE(_NY_N) > 0
         API(_set_terminal_reference)(&solver, point + SIZE(_NY));
+#endif
     }
     for (i = 0; i < c->pushes; i++) {
         API(_integrate)(&solver, x, c->push, (API(_real))c->dt, x);

@@ -25,9 +25,12 @@ def package(model: str, unroll: str, uniform: bool) -> Package:
     return Package(module_of(problem_of(model, uniform), options), ["linearize"])
 
 
-@pytest.mark.parametrize("uniform", [True, False])
-@pytest.mark.parametrize("unroll", ["all", "step", "none"])
-@pytest.mark.parametrize("model", MODELS)
+UNROLL = ("all", "step", "none")
+#: Every model in every spelling, both grids in turn.
+SPELLED = [(m, unroll, (i + j) % 2 == 0) for i, m in enumerate(MODELS) for j, unroll in enumerate(UNROLL)]
+
+
+@pytest.mark.parametrize(("model", "unroll", "uniform"), SPELLED)
 def test_every_node(model: str, unroll: str, uniform: bool) -> None:
     """States, controls and parameters of their own at every node; interval lengths from the grid."""
     p, random = package(model, unroll, uniform), np.random.default_rng(5)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,14 @@ def test_crane_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "50" in printed
 
 
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The examples build with the profile "test", which takes a third of the time; the crane's keeps its own."""
+    for module in (bioreactor, cart_pole, chain, cstr, quadrotor):
+        monkeypatch.setattr(module, "build", partial(build, profile="test"))
+
+
+@pytest.mark.usefixtures("quick")
 def test_cstr_main(tmp_path: Path) -> None:
     """Figure 6: the set points in reach are reached, the other one up to the bounds; a node per sample keeps them."""
     refined, coarse = cstr.main(str(tmp_path / "sub" / "cstr.png"))
@@ -91,6 +100,7 @@ def test_cstr_main(tmp_path: Path) -> None:
     assert coarse.x[:, 2].min() == pytest.approx(98 - 0.027, abs=1e-3)  # as the example tells
 
 
+@pytest.mark.usefixtures("quick")
 def test_cart_pole_main(tmp_path: Path) -> None:
     """The plan is followed, and the pole stands at the end although it was hit."""
     logs = cart_pole.main(str(tmp_path / "cart_pole.png"))
@@ -103,6 +113,7 @@ def test_cart_pole_main(tmp_path: Path) -> None:
         assert np.abs(log.x[-1, :2]).max() < 0.1
 
 
+@pytest.mark.usefixtures("quick")
 def test_quadrotor_main(tmp_path: Path) -> None:
     """After 2 s it is on the figure of eight, which is consistent: velocity is the derivative of position."""
     log = quadrotor.main(str(tmp_path / "quadrotor.png"))
@@ -116,6 +127,7 @@ def test_quadrotor_main(tmp_path: Path) -> None:
     np.testing.assert_allclose(wanted[:, 3:6], slope, atol=1e-8)
 
 
+@pytest.mark.usefixtures("quick")
 def test_chain_main(tmp_path: Path) -> None:
     (log,) = chain.main(str(tmp_path / "chain.png"), sizes=(3,))
     assert_picture(tmp_path / "chain.png")
@@ -125,6 +137,17 @@ def test_chain_main(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.x[-1, :6], rest, rtol=0, atol=1e-4)
 
 
+@pytest.mark.usefixtures("quick")
+def test_bioreactor_orbit() -> None:
+    """The optimum of the exact Hessian; benchmarks.exact_hessian has the other readings and the closed loops."""
+    controller, best = bioreactor.orbit()
+    assert best.status.name == "OK"
+    assert -best.cost == pytest.approx(3.054852, abs=1e-6)
+    assert (controller.u >= bioreactor.LOWEST).all()
+    assert (controller.u <= bioreactor.HIGHEST).all()
+
+
+@pytest.mark.slow
 def test_bioreactor_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Both orbits are as productive as they can be, and after a jump the classical one is found again."""
     logs = bioreactor.main(str(tmp_path / "bioreactor.png"))
@@ -365,7 +388,7 @@ def test_command_line_takes_every_example(name: str, tmp_path: Path, capsys: pyt
 
 def test_example_runs_through_open_package(folder: Path) -> None:
     """What was exported is what build() runs, bit for bit."""
-    ours, exported = problems.controller("crane"), open_package(folder)
+    ours, exported = problems.controller("crane", "fast"), open_package(folder)
     x = np.array([2.0, 0.0, 0.0, 0.0])
     for _ in range(10):
         u = ours.step(x)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import cache
 from textwrap import wrap
 from typing import Any
@@ -90,7 +89,7 @@ def _names(module: CModule) -> dict[str, Any]:
 def render_tables(module: CModule, names: dict[str, Any], body: str) -> str:
     """The tables that the body reads, by itself or by what the preamble defines for it."""
     used = names_in(body, *(text for _, _, text in definitions(module, body)))
-    tables = [replace(t, values=t.values or (0,)) for t in module.tables if t.name in used]
+    tables = [t for t in module.tables if t.name in used and t.values]
     return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
