@@ -132,8 +132,9 @@ def _switches(model: Model) -> dict[str, int]:
     }
     for component in model.parts.components:
         switches |= component.switches
-    relaxable = switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0))
-    return {**switches, "RELAXATION": int(bool(relaxable))}
+    relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
+    elastic = relaxable or any(row.soft is not None for row in p.rows)
+    return {**switches, "RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -198,8 +199,8 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
     return tuple(enums)
 
 
-#: Seams whose parts still read members of size 0.
-_PADDED = ("condensing", "qp")
+#: Components whose parts still read members of size 0.
+_PADDED = ("riccati_active_set", "riccati_interior_point")
 
 
 def _existing(struct: Struct, switches: Mapping[str, int]) -> Struct:
@@ -229,7 +230,7 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
         Field("magic", (), "set by init", "keep", "int32"),
     ]
     owned = [
-        s if c.seam in _PADDED else _existing(s, switches)
+        s if c.name in _PADDED else _existing(s, switches)
         for c in model.parts.components
         for s in c.structs(dims)
         if switches.get(s.only, 1)
