@@ -140,8 +140,9 @@ def _switches(model: Model) -> dict[str, int]:
     }
     for component in parts.components:
         switches |= component.switches
-    relaxable = switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0))
-    return {**switches, "RELAXATION": int(bool(relaxable))}
+    relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
+    elastic = relaxable or any(row.soft is not None for row in p.rows)
+    return {**switches, "RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -215,10 +216,6 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
     return tuple(enums)
 
 
-#: Components whose parts still read members of size 0.
-_PADDED = ("full", "none", "partial", "dense_active_set", "osqp")
-
-
 def _existing(struct: Struct, switches: Mapping[str, int]) -> Struct:
     """The struct without members that the package lacks: those of size 0, and of features that are switched off."""
     fields = (replace(f, only="") for f in struct.fields if all(f.values) and switches.get(f.only, 1))
@@ -236,12 +233,7 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
         Field("status", (), "status of the last call", "result", "int32"),
         Field("magic", (), "set by init", "keep", "int32"),
     ]
-    owned = [
-        s if c.name in _PADDED else _existing(s, switches)
-        for c in model.parts.components
-        for s in c.structs(dims)
-        if switches.get(s.only, 1)
-    ]
+    owned = [_existing(s, switches) for c in model.parts.components for s in c.structs(dims) if switches.get(s.only, 1)]
     core = core_structs(model.parts.algorithm.core, dims)
     owned = [*(_existing(s, switches) for s in core), *owned]
     owned = [s for s in owned if s.fields]

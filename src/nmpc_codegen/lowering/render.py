@@ -119,7 +119,7 @@ def _copies(layout: Layout, path_only: bool) -> str:
 def _member(field: Field, module: CModule) -> str:
     """Declaration of a struct member."""
     ctype = {"real": f"{module.name}_real", "int32": "int32_t"}.get(field.ctype, f"{module.name}_{field.ctype}_t")
-    sizes = "".join(f"[{s.c(module.macro) if s.value else 1}]" for s in field.shape)
+    sizes = "".join(f"[{s.c(module.macro)}]" for s in field.shape)
     return f"{ctype} {field.name}{sizes};"
 
 
