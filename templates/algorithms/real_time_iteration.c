@@ -181,7 +181,7 @@ status_t API(prepare)(solver_t *s)
 static void recover_multipliers(solver_t *s)
 {
     real_t w[NZ];
-    terminal_adjoint(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
+    TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
     for (int k = N;; k--) {
         for (int i = 0; i < NX; i++) {
             w[i] += s->mu_x[k][i];
@@ -205,7 +205,7 @@ static void recover_multipliers(solver_t *s)
         if (k == 0) {
             break;
         }
-        adjoint_step(&s->node[k - 1], s->hessian.Q[NQ == 1 ? 0 : k - 1], s->step.dx[k - 1], s->step.du[k - 1], w);
+        ADJOINT_STEP(&s->node[k - 1], s->hessian.Q[NQ == 1 ? 0 : k - 1], s->step.dx[k - 1], s->step.du[k - 1], w);
     }
 #if NF
     for (int f = 0; f < NF; f++) {

@@ -170,7 +170,7 @@ static void correct_constraints(solver_t *s)
         node_t *node = &s->node[k];
         real_t y[NX];
         memcpy(node->b, none, sizeof y);
-        state_step(node, q->dx[k], q->du[k], y);
+        STATE_STEP(node, q->dx[k], q->du[k], y);
         for (int i = 0; i < NX; i++) {
             node->b[i] = q->b[k][i] + q->dx[k + 1][i] - y[i];
         }

@@ -125,7 +125,7 @@ def _switches(model: Model) -> dict[str, int]:
     switches |= {f"SET_{kind.upper()}": int(layouts[kind] != "fixed" and size > 0) for kind, size in data.items()}
     switches |= {
         "SOLVE": int(model.solve),
-        "STATE_STEP": int(model.solve or (parts.condensing is not None and parts.condensing.eliminates)),
+        "HAS_STATE_STEP": int(model.solve or (parts.condensing is not None and parts.condensing.eliminates)),
         "INTEGRATE_PLAN": 0,
         "NODES": int("nodes" in core),
         "PRODUCTS": int("products" in core),
@@ -411,7 +411,7 @@ def _report(model: Model, structs: tuple[Struct, ...]) -> Report:
     counts = {r.name: r.count for r in _printed(model)}
     switches = _switches(model)
     if switches["PRODUCTS"]:
-        without = set() if switches["STATE_STEP"] else {"state_step"}
+        without = set() if switches["HAS_STATE_STEP"] else {"state_step"}
         counts |= {name: count for name, count in model.products.counts.items() if name not in without}
     if model.parts.condensing and model.parts.condensing.columns:
         counts |= model.products.column_counts

@@ -14,7 +14,7 @@ from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.lowering.generated import GENERATED
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
-from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble
+from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble, unit_style
 from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
 
 #: Columns of a comment in the header, its margin apart.
@@ -41,11 +41,6 @@ def context(prefix: str, precision: str) -> dict[str, Any]:
     """Names every template may use: prefixes, type of the header, and spelling of literals in the unit."""
     style = unit_style(precision)
     return {"p": prefix, "P": prefix.upper(), "real": f"{prefix}_real", "lit": style.literal}
-
-
-def unit_style(precision: str) -> CStyle:
-    """How numbers and functions are spelled inside the translation unit."""
-    return CStyle("real_t", precision == "single")
 
 
 def render(module: CModule, resolved: bool = True) -> Sources:
