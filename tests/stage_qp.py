@@ -265,7 +265,8 @@ class StageSolver:
     def point(self) -> Point:
         """The step and the multipliers of the last feedback."""
         step = self.memory["step"]
-        return Point(step["dx"].copy(), step["du"].copy(), step["mult_u"].copy(), step["mult"][: len(self.rows)].copy())
+        of_rows = step["mult"].copy() if len(self.rows) else np.zeros(0)
+        return Point(step["dx"].copy(), step["du"].copy(), step["mult_u"].copy(), of_rows)
 
     @property
     def certificate(self) -> Array | None:
