@@ -243,6 +243,8 @@ class StageSolver:
     def load_bounds(self, qp: StageQP) -> None:
         """Bounds of controls and rows at their nodes; those of coupled rows stand at node N."""
         n = self.shape.bounded
+        if not n and not len(self.rows):  # then the package has no members for them
+            return
         for name, of_u, of_rows in (("lower", qp.lower_u, qp.lower), ("upper", qp.upper_u, qp.upper)):
             self.memory[name][:-1, :n] = of_u[:, :n]
             self.memory[name][self.rows.node, n + self.rows.user] = of_rows
