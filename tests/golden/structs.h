@@ -133,10 +133,6 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
     golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
-    int32_t prepared; /* 1 between prepare and feedback */
-    int32_t samples; /* feedbacks since init or reset */
-    int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
-    int32_t reference_changed; /* 1: gradients are renewed in feedback */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
     golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
     golden_qp_t qp; /* condensed QP and its active-set factorisation */
@@ -144,6 +140,10 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
+    int32_t prepared; /* 1 between prepare and feedback */
+    int32_t samples; /* feedbacks since init or reset */
+    int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
+    int32_t reference_changed; /* 1: gradients are renewed in feedback */
     golden_stats_t stats; /* counters */
     golden_kkt_t kkt; /* KKT residuals of the last solve */
     golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */

@@ -241,7 +241,10 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
     inner = _inner_structs(owned)
     held = {f.ctype for s in inner for f in s.fields} | {f.ctype for f in own_members}
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held and s.name != "kkt"]
-    fields = (*common, *own_members, *members, *results)
+    # Vectors before scalars: where their sizes allow it they keep the alignment of the whole.
+    vectors = [f for f in own_members if f.shape]
+    scalars = [f for f in own_members if not f.shape]
+    fields = (*common, *vectors, *members, *scalars, *results)
     solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
     return (*inner, _existing(solver, switches))
 
