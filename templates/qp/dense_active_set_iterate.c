@@ -153,6 +153,7 @@ static real_t qp_rounding(const qp_t *q, const real_t *r, real_t bound, real_t m
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }
 
+#if SOLVE
 /* The rows c and row[k] contradict each other: certificate = side (e_c - sum_k r_k e_k), normalised, rounding left out. */
 static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 {
@@ -167,6 +168,7 @@ static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
         q->certificate[q->row[k]] = qp_takes_part(q, r, k, mm) ? -unit * r[k] : R(0);
     }
 }
+#endif
 
 /* Dual steps until the violated row c is satisfied and in the working set, or its multiplier at the end of its range. A
  * violation that may be rounding is accepted instead, and remembered in slack[c]. */
@@ -195,7 +197,9 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         }
         const int blocking = qp_blocking(q, r, side, mm, &step);
         if (!primal && blocking < 0 && !(reach < (real_t)INFINITY)) {
+#if SOLVE
             qp_certify(q, c, side, r, mm);
+#endif
             return INFEASIBLE;
         }
         ++q->iterations;
@@ -301,7 +305,9 @@ static status_t qp_fail(qp_t *q, status_t status)
     q->nw = q->relaxed = q->dropped = 0;
     memset(q->z, 0, sizeof q->z);
     memset(q->mult, 0, sizeof q->mult);
+#if SOLVE
     memset(q->certificate, 0, sizeof q->certificate);
+#endif
     memset(q->side, 0, sizeof q->side);
     return status;
 }

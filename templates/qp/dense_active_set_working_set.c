@@ -72,7 +72,8 @@ static real_t qp_square(const qp_t *q, int k)
 /* d = Q v */
 static void qp_coefficients(const qp_t *q, const real_t *v, real_t *d)
 {
-    for (int k = 0; k < qp_padded(q); ++k) {
+    const int n = qp_padded(q);
+    for (int k = 0; k < n; ++k) {
         d[k] = dot(q->work.basis.Q[k], v, LDV);
     }
 }
@@ -94,7 +95,7 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
 /* The normal of row c in y: m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
 {
-    memset(q->m, 0, sizeof q->m);
+    clear(q->m);
 #if NG
     if (c >= NV) {
         memcpy(q->m, q->A[c - NV], sizeof q->m);
@@ -134,9 +135,9 @@ static void qp_append(qp_t *q, int c, int side, real_t vv, real_t lam)
     basis_t *w = &q->work.basis;
     const int k = q->nw;
     const real_t length = SQRT(vv), scale = R(1) / length;
-    if (k % 4 == 0) {
-        memset(w->Q + k, 0, 4 * sizeof w->Q[k]);
-        memset(w->R + k, 0, 4 * sizeof w->R[k]);
+    for (int i = k; k % 4 == 0 && i < k + 4; ++i) {
+        clear(w->Q[i]);
+        clear(w->R[i]);
     }
     for (int j = 0; j < LDV; ++j) {
         w->Q[k][j] = q->v[j] * scale;
@@ -194,8 +195,8 @@ static void qp_remove(qp_t *q, int k)
         qp_rotate(q, i);
     }
     q->R_inverse[last] = R(0);
-    memset(w->Q[last], 0, sizeof w->Q[last]);
-    memset(w->R[last], 0, sizeof w->R[last]);
+    clear(w->Q[last]);
+    clear(w->R[last]);
     ++q->changes;
 }
 
@@ -206,7 +207,7 @@ static void qp_remove(qp_t *q, int k)
 /* y0 = -C^{-1} (g - proximal center + sum_saturated mult_c a_c);  scale = |y0|, or the size of its terms. */
 static void qp_set_origin(qp_t *q)
 {
-    memset(q->y0, 0, sizeof q->y0);
+    clear(q->y0);
     for (int i = 0; i < NV; ++i) {
         q->y0[i] = q->semidefinite ? q->proximal[i] * q->center[i] - q->g[i] : -q->g[i];
     }
