@@ -111,14 +111,16 @@ static real_t qp_normal(qp_t *q, int c)
 /* m = Q'd + v with Q v = 0; a second pass where cancellation has cost orthogonality. Returns v'v. */
 static real_t qp_project(qp_t *q, real_t mm)
 {
-    real_t e[LDV], vv = mm;
+    real_t vv = mm;
     memcpy(q->v, q->m, sizeof q->v);
-    if (q->nw > 0) {
-        qp_coefficients(q, q->v, q->d);
-        qp_subtract_span(q, q->d, q->v);
-        vv = dot(q->v, q->v, LDV);
+    if (q->nw == 0) {
+        return vv;
     }
+    qp_coefficients(q, q->v, q->d);
+    qp_subtract_span(q, q->d, q->v);
+    vv = dot(q->v, q->v, LDV);
     if (vv < R(0.5) * mm) {
+        real_t e[LDV] = { R(0) };
         qp_coefficients(q, q->v, e);
         qp_subtract_span(q, e, q->v);
         for (int k = 0; k < q->nw; ++k) {
@@ -239,7 +241,7 @@ static void qp_move_to_bounds(const qp_t *q, const real_t *w, real_t *c, real_t 
  * a second pass, with y in place of y0, makes Q y = w again. */
 static void qp_minimize_on_working_set(qp_t *q)
 {
-    real_t w[LDV], c[LDV];
+    real_t w[LDV];
     for (int k = 0; k < q->nw; ++k) {
         real_t sum = qp_bound(q, q->row[k]);
         for (int j = 0; j < k; ++j) {
@@ -251,6 +253,7 @@ static void qp_minimize_on_working_set(qp_t *q)
     qp_move_to_bounds(q, w, q->lam, q->y);
     qp_solve_triangle(q, q->lam);
     if (qp_cancelled(q)) {
+        real_t c[LDV];
         qp_move_to_bounds(q, w, c, q->y);
     }
 }

@@ -58,8 +58,9 @@ def residuals(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray, penalty: np
     largest, times the relative distance (at most 1) from the bound that its sign names.
     ``penalty``: of the general rows, cost penalty * violation in place of the row. A row whose multiplier is at this
     limit may be violated on that side; |mult| > penalty counts as a sign violation of 1.
-    Multipliers have the unit of the cost over that of a row. A cost that is constant (H = 0, g = 0) gives no unit, and every
-    multiplier of a solution is 0; there the residuals are relative to 1, so that rounding is not compared with itself.
+    Multipliers have the unit of the cost over that of a row. A cost that is constant (H = 0, g = 0) gives no unit, and
+    every multiplier of a solution is 0; there the residuals are relative to 1, so that rounding is not compared with
+    itself.
     """
     unit = np.finfo(float).tiny if np.any(qp.H) or np.any(qp.g) else 1.0
     C = qp.rows
