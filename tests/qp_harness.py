@@ -35,6 +35,7 @@ SCALARS = {"double": np.float64, "single": np.float32}
 SWITCHES = {
     "SHIFT_RESAMPLE": 0,
     "REGULARIZE_REDUCED": 0,
+    "SOLVE": 1,
     "STATE_ROWS": 1,
     "GENERAL_ROWS": 1,
     "BLOCK_ROWS": 1,

@@ -306,6 +306,7 @@ EXAMPLES = (
 SAMPLES = (
     *EXAMPLES,
     Sample("crane riccati single", crane.build_ocp, _riccati(precision="single", online=SHARED)),
+    Sample("crane without solve", crane.build_ocp, Options(solve=False)),
     Sample("crane identity", crane.build_ocp, Options(hessian=IdentityHessian(), online=NODE)),
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare riccati", bare, _riccati(online=FIXED)),
