@@ -17,6 +17,10 @@ from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
 from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble
 from nmpc_codegen.runtime.package_description import Layout
 
+#: -f options that GCC 12 needs: with these optimisations it drops calls, takes the stack of leaf functions for aligned,
+#: and inlines loops into functions where it no longer vectorises them.
+GCC_12 = ("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
+
 # path -> text of one package
 Sources = dict[str, str]
 
@@ -69,6 +73,7 @@ def _names(module: CModule) -> dict[str, Any]:
     names: dict[str, Any] = context(module.name, module.precision)
     names |= {
         "m": module,
+        "gcc12": GCC_12,
         "member": lambda field: _member(field, module),
         "dim": lambda macro: _dim(macro, module),
         "values": lambda table: _values(table, style),
