@@ -20,6 +20,10 @@ from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layou
 #: Columns of a comment in the header, its margin apart.
 WIDTH = 116
 
+#: -f options that GCC 12 needs: with these optimisations it drops calls, takes the stack of leaf functions for aligned,
+#: and inlines loops into functions where it no longer vectorises them.
+GCC_12 = ("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
+
 # path -> text of one package
 Sources = dict[str, str]
 
@@ -67,6 +71,7 @@ def _names(module: CModule) -> dict[str, Any]:
     names: dict[str, Any] = context(module.name, module.precision)
     names |= {
         "m": module,
+        "gcc12": GCC_12,
         "member": lambda field: _member(field, module),
         "comment": lambda text: _comment(text),
         "prototype": lambda entry: _prototype(entry, module),
