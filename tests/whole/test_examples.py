@@ -323,7 +323,6 @@ SOLVED = {
         tableau=replace(CLASSICAL, steps=1),
     ),
     "chain_3": Solved(lambda: chain.build_ocp(3), lambda: pushed(3), frozenset({"u[0]", "u[1]", "u[2]"})),
-    "chain_7": Solved(lambda: chain.build_ocp(7), lambda: pushed(7), frozenset()),
 }
 
 
