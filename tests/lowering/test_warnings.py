@@ -194,7 +194,7 @@ def covering(choices: list[Choice]) -> list[Choice]:
 
 @pytest.mark.parametrize("choice", CHOICES, ids=label)
 def test_combination(choice: Choice) -> None:
-    """All that the front ends find, clang's unused functions too; in single precision, which has every value, as C++17."""
+    """All that the front ends find, clang's unused functions too; as C++17 in single precision, which has all."""
     text = sources(choice)
     require_tool("gcc")
     assert quality.warnings_of(text, ("-fsyntax-only",), ("C99",), "gcc") == ""
