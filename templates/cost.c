@@ -1,11 +1,16 @@
 /* The cost of the present iterate: the nodes' terms, and penalties l1 v + l2/2 v^2 of violated soft rows. */
 
-/* sum_k l_k + l_N */
+/* sum_k l_k + l_N, and the cost of x_0 by itself */
 static real_t nodal_cost(const solver_t *s)
 {
     real_t total = R(0);
 #if HAS_TERMINAL_COST
     TERMINAL_COST(s, &total);
+#endif
+#if HAS_START_COST
+    real_t l_0;
+    START_COST(s, &l_0);
+    total += l_0;
 #endif
 #if HAS_PATH_COST
     for (int k = 0; k < N; k++) {

@@ -9,15 +9,16 @@ import ctypes
 import functools
 import subprocess
 import types
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from qp_harness import FAST, SCALARS, STATUSES, WARNINGS, build_directory, part_text, struct_text, unit_head
+from qp_harness import FAST, SCALARS, STATUSES, SWITCHES, WARNINGS, build_directory, part_text, struct_text, unit_head
 
-from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_struct
+from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
+from nmpc_codegen.runtime.package_description import union_dtype
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,8 @@ static inline real_t *stage_b(solver_t *s, int k) { return s->stage.b[k]; }
 static inline real_t *stage_g(solver_t *s, int k) { return s->stage.g[k]; }
 static inline real_t (*stage_Q(solver_t *s, int k))[NZS] { return s->hessian.Q[k]; }
 static inline real_t (*stage_Q_N(solver_t *s))[NXS] { return s->hessian.Q_N; }
-static inline const real_t *stage_row(const solver_t *s, int m) { return s->stage.J[m]; }
 """
+ROW_ACCESSOR = "static inline const real_t *stage_row(const solver_t *s, int m) { return s->stage.J[m]; }\n"
 
 KERNEL = """
 int test_factorize(solver_t *s, int last) { return riccati_factorize(s, last); }
@@ -95,17 +96,24 @@ void test_init(solver_t *s) { riccati_init(s); }
 """
 
 
-def structs(shape: Shape, extra: tuple[Struct, ...] = ()) -> tuple[Struct, ...]:
-    """All structs, the solver last."""
-    inner = (*_data(shape.dims), riccati_struct(shape.dims), *extra)
-    return (*inner, Struct("solver", "", tuple(Field(s.name, (), "", "data", s.name) for s in inner)))
+def structs(shape: Shape, owned: tuple[Struct, ...] = ()) -> tuple[Struct, ...]:
+    """All structs without members of size 0, the solver last; ``owned``: of the component, or else of the recursion."""
+    inner = tuple(_existing(s) for s in (*_data(shape.dims), *(owned or riccati_structs(shape.dims))))
+    held = {f.ctype for s in inner for f in s.fields}
+    members = tuple(Field(s.name, (), "", "data", s.name) for s in inner if s.name not in held)
+    return (*inner, Struct("solver", "", members))
+
+
+def _existing(struct: Struct) -> Struct:
+    fields = (f for f in struct.fields if all(f.values) and SWITCHES.get(f.only, 1))
+    return replace(struct, fields=tuple(fields))
 
 
 def source(
     shape: Shape,
     part: str = "riccati/kernel.c",
     sizes: tuple[tuple[str, int, str], ...] = (),
-    extra: tuple[Struct, ...] = (),
+    owned: tuple[Struct, ...] = (),
     precision: str = "double",
 ) -> str:
     """Self-contained C text of a part on the stage seam."""
@@ -128,8 +136,8 @@ def source(
             continue
         text = ", ".join(map(str, entries)) or "0"
         lines.append(f"static const int {name}[{max(1, len(entries))}] = {{ {text} }};")
-    lines += [struct_text(struct) for struct in structs(shape, extra)]
-    return "\n".join(lines) + ACCESSORS + part_text(part, values)
+    lines += [struct_text(struct) for struct in structs(shape, owned)]
+    return "\n".join(lines) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "") + part_text(part, values)
 
 
 def compiled(text: str, flags: tuple[str, ...] = FAST) -> ctypes.CDLL:
@@ -155,12 +163,12 @@ def _compiled(text: str, flags: tuple[str, ...]) -> ctypes.CDLL:
     return ctypes.CDLL(str(stem.with_suffix(".so")))
 
 
-def memory_layout(shape: Shape, extra: tuple[Struct, ...] = (), precision: str = "double") -> np.dtype[Any]:
+def memory_layout(shape: Shape, owned: tuple[Struct, ...] = (), precision: str = "double") -> np.dtype[Any]:
     """NumPy type of the solver struct."""
     scalars: dict[str, Any] = {"real": SCALARS[precision], "int32": np.int32}
-    for struct in structs(shape, extra):
-        fields = [(f.name, scalars[f.ctype], f.padded) for f in struct.fields]
-        scalars[struct.name] = np.dtype(fields, align=True)
+    for struct in structs(shape, owned):
+        fields = [(f.name, np.dtype(scalars[f.ctype]), f.padded) for f in struct.fields]
+        scalars[struct.name] = union_dtype(fields) if struct.union else np.dtype(fields, align=True)
     return np.dtype(scalars["solver"])
 
 
@@ -187,12 +195,12 @@ class RiccatiQP:
 
     def __init__(self, shape: Shape, component: Any, precision: str = "double", flags: tuple[str, ...] = FAST) -> None:
         self.shape = shape
-        extra = tuple(s for s in component.structs(shape.dims) if s.name != "riccati")
+        owned = component.structs(shape.dims)
         known = {name for name, _, _ in riccati_sizes(shape.dims)}
         sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-        text = source(shape, component.template, sizes, extra, precision) + SOLVER
+        text = source(shape, component.template, sizes, owned, precision) + SOLVER
         self.library = compiled(text, flags)
-        self.memory = np.zeros((), memory_layout(shape, extra, precision))
+        self.memory = np.zeros((), memory_layout(shape, owned, precision))
         assert self.library.test_qp_size() == self.memory.nbytes
         self.library.test_qp_init(self.pointer)
 

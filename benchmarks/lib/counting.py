@@ -51,7 +51,7 @@ STATEMENTS = {
 BEFORE = {
     "qp_factorize_hessian": "condense_matrices(&s); for (int i = 0; i < PREFIX_LDV; i++) { s.qp.H[i][i] += 1.0; }",
     "riccati_factorize": "riccati_init(&s); for (int k = 0; k < PREFIX_NS; k++) for (int j = 0; j < PREFIX_NUS; j++) "
-    "{ s.riccati.diagonal[k][PREFIX_NX + j] = 1.0; }",
+    "{ s.riccati.diagonal[k][j] = 1.0; }",
     "riccati_backward": "for (int k = 0; k < PREFIX_NS; k++) { s.riccati.b[k][0] = 1.0; }",
 }
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from benchmarks.lib.closed_loop import pinned_core
 from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.sweep import Routine, print_routine
+from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.runtime.build import PROFILES, find_compiler
 
 MAIN = """

@@ -12,11 +12,27 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from benchmarks.lib.house.samples import SAMPLES, TIMED
+from benchmarks.lib.report import Report
+from nmpc_codegen import generate
+
+#: Every example with the options that it is shown with, and as it is timed.
+EXAMPLES = (*SAMPLES[:6], *TIMED)
+
 WARNINGS = {
     "unused_functions": "unused-function",
     "unused_macros": "unused-macros",
     "unused_tables": "unused-const-variable=2",
 }
+
+
+def measure(report: Report) -> None:
+    """traces: of all kinds together, in the package of every example; kinds that are found are printed."""
+    for sample in EXAMPLES:
+        found = {kind: n for kind, n in traces(generate(sample.make(), sample.options)).items() if n}
+        if found:
+            print(f"traces ({sample.name}): {found}")
+        report.add("traces", sum(found.values()), case=sample.name, limit=0)
 
 
 def traces(sources: Mapping[str, str]) -> dict[str, int]:
@@ -34,7 +50,7 @@ def traces(sources: Mapping[str, str]) -> dict[str, int]:
         + sum(bool(re.search(r"< *0 *(?:$|&&|\))", h)) for h in heads),
         "void_statements": len(re.findall(r"^\s*\(void\)\s*\w+\s*;", text, re.MULTILINE)),
         "empty_functions": len(re.findall(r"^\w[^;{}]*\)\s*\{\s*(?:\(void\)\s*\w+\s*;\s*)*\}", text, re.MULTILINE)),
-        "empty_tables": len(re.findall(r"\bstatic const \w+ \w+\[(?:0|1)\] = \{ 0(?:\.0f?)? \};", text)),
+        "empty_tables": len(re.findall(r"\bstatic const \w+ \w+\[0\] =|= \{\s*\};", text)),
         **{kind: _warned(sources, unit, warning) for kind, warning in WARNINGS.items()},
     }
 

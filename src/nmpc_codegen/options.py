@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, get_args
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar, get_args
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
 from nmpc_codegen.components.allowed import Flag, Words, check_options, option, rules
-from nmpc_codegen.components.base import Algorithm, Component, Condensing, Hessian, Integrator, QpSolver, Seam
-from nmpc_codegen.components.hessians import GaussNewton
+from nmpc_codegen.components.base import (
+    SEAMS,
+    Algorithm,
+    Component,
+    Condensing,
+    Hessian,
+    Integrator,
+    QpSolver,
+    Seam,
+    called,
+)
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.runtime.package_description import Layout, Layouts, Precision
 
@@ -21,6 +30,8 @@ REGISTRIES: Mapping[str, Mapping[str, type[Component]]] = {
     "qp": qp.REGISTRY,
     "algorithm": algorithms.REGISTRY,
 }
+
+C = TypeVar("C", bound=Component)
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
@@ -98,14 +109,15 @@ class Group:
 
 @dataclass(frozen=True)
 class Options:
-    """One component per seam; None is chosen from the problem, and the report says why.
+    """One component for every seam that the algorithm needs; None is the algorithm's default or chosen from the
+    problem, and the report says why. A component of a seam that the algorithm does not need is refused.
 
     ``solve``: whether the package has <name>_solve(), which iterates to convergence; a controller for the real time
     alone is smaller without.
     """
 
     integrator: Integrator | None = option(None, Chosen("integrator", optional=True))
-    hessian: Hessian = option(GaussNewton(), Chosen("hessian"))
+    hessian: Hessian | None = option(None, Chosen("hessian", optional=True))
     condensing: Condensing | None = option(None, Chosen("condensing", optional=True))
     qp: QpSolver | None = option(None, Chosen("qp", optional=True))
     algorithm: Algorithm = option(RealTimeIteration(), Chosen("algorithm"))
@@ -115,3 +127,30 @@ class Options:
 
     def __post_init__(self) -> None:
         check_options(self, "")
+        for seam in SEAMS:
+            given = getattr(self, seam)
+            if seam != "algorithm" and given is not None and seam not in self.algorithm.needs:
+                needed = ", ".join(self.algorithm.needs)
+                raise OptionError(
+                    f"{seam} {called(given)} clashes with algorithm {called(self.algorithm)}, which has none; "
+                    f"it needs {needed}"
+                )
+
+    @property
+    def with_defaults(self) -> Options:
+        """With the algorithm's default components for the seams that it needs and that are not given."""
+        return replace(
+            self,
+            integrator=_or_default(self.integrator, self.algorithm, "integrator", integrators.REGISTRY),
+            hessian=_or_default(self.hessian, self.algorithm, "hessian", hessians.REGISTRY),
+            condensing=_or_default(self.condensing, self.algorithm, "condensing", condensing.REGISTRY),
+            qp=_or_default(self.qp, self.algorithm, "qp", qp.REGISTRY),
+        )
+
+
+def _or_default(given: C | None, algorithm: Algorithm, seam: Seam, registry: Mapping[str, type[C]]) -> C | None:
+    """What is given, else what the algorithm takes where it needs the seam."""
+    if given is not None or seam not in algorithm.needs:
+        return given
+    word = algorithm.default(seam)
+    return None if word is None else registry[word]()

@@ -150,6 +150,11 @@ static void linearize_node(const solver_t *s, int k, node_t *node)
 #if HAS_PATH_GRADIENT
     PATH_GRADIENT(s, k, node->g);
 #endif
+#if HAS_START_GRADIENT
+    if (k == 0) {
+        add_start_gradient(s, node->g);
+    }
+#endif
     complete_node(s, k, x_next, node);
 }
 

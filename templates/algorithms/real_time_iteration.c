@@ -79,6 +79,18 @@ static void linearize_terminal(const solver_t *s, terminal_t *terminal)
 }
 #endif
 
+#if HAS_START_GRADIENT
+/* q_0 += gradient of the cost of x_0. */
+static void add_start_gradient(const solver_t *s, real_t *q)
+{
+    real_t slope[NX] = {R(0)};
+    START_GRADIENT(s, slope);
+    for (int i = 0; i < NX; i++) {
+        q[i] += slope[i];
+    }
+}
+#endif
+
 /* All nodes, from the last to the first, with what the Hessian takes from the same evaluation. */
 static void linearize(solver_t *s)
 {
@@ -93,6 +105,9 @@ static void linearize(solver_t *s)
         expand_node(s, k, x_next);
         complete_node(s, k, x_next, &s->node[k]);
     }
+#if HAS_START_GRADIENT
+    add_start_gradient(s, s->node[0].g);
+#endif
 }
 
 #if SET_REFERENCE
@@ -103,6 +118,9 @@ static void renew_gradients(solver_t *s)
     for (int k = 0; k < N; k++) {
         PATH_GRADIENT(s, k, s->node[k].g);
     }
+#if HAS_START_GRADIENT
+    add_start_gradient(s, s->node[0].g);
+#endif
 #endif
 #if HAS_TERMINAL_GRADIENT
     TERMINAL_GRADIENT(s, s->terminal.g);
@@ -131,7 +149,7 @@ static status_t finish(solver_t *s, status_t status)
 static status_t prepare_here(solver_t *s)
 {
     linearize(s);
-#if HAS_PATH_HESSIAN || HAS_TERMINAL_HESSIAN || HAS_INITIAL_HESSIAN || REGULARIZE_STAGES
+#if HAS_PATH_HESSIAN || HAS_TERMINAL_HESSIAN || HAS_START_HESSIAN || HAS_INITIAL_HESSIAN || REGULARIZE_STAGES
     hessian(s);
 #endif
 #if SET_REFERENCE

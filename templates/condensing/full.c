@@ -22,24 +22,33 @@ static void condense_init(solver_t *s)
     qp_init(&s->qp);
 }
 
+/* sum + a'x */
+static inline real_t condense_sum(real_t sum, const real_t *a, const real_t *x)
+{
+    for (int i = 0; i < NX; ++i) {
+        sum += a[i] * x[i];
+    }
+    return sum;
+}
+
 /* Node at whose start the first of the columns of a panel is not zero any more: 0 for dx_0, k + 1 for du_k. */
-static int condense_first_node(int column)
+static inline int condense_first_node(int column)
 {
     return (column < NX) ? 0 : (column - NX) / NU + 1;
 }
 
 /* Columns of G_k or W that are zero. */
-static void condense_clear(real_t (*columns)[PANEL])
+static inline void condense_clear(real_t (*columns)[PANEL])
 {
     for (int i = 0; i < NX; ++i) {
         for (int l = 0; l < PANEL; ++l) {
-            columns[i][l] = R(0.0);
+            columns[i][l] = R(0);
         }
     }
 }
 
 /* B_k comes into the columns of du_k of G_{k+1}. */
-static void condense_enter(columns_t *p, const node_t *node, int k, int column)
+static inline void condense_enter(columns_t *p, const node_t *node, int k, int column)
 {
     const int entering = NX + k * NU - column;
     for (int j = (entering < 0) ? -entering : 0; j < NU && entering + j < PANEL; ++j) {
@@ -56,7 +65,7 @@ static void condense_propagate(solver_t *s, int column)
     const int first = condense_first_node(column), last = condense_first_node(column + PANEL - 1);
     condense_clear(p->G[first]);
     for (int i = column; i < NX && i < column + PANEL; ++i) {
-        p->G[0][i][i - column] = R(1.0);
+        p->G[0][i][i - column] = R(1);
     }
     if (first > 0) {
         condense_clear(p->G[first - 1]);
@@ -71,7 +80,7 @@ static void condense_propagate(solver_t *s, int column)
 }
 
 /* A panel of a row of (Hx, H) or (Ax, A), of which `width` columns of du count. */
-static void condense_store(const real_t *panel, int column, int width, real_t *dx0, real_t *du)
+static inline void condense_store(const real_t *panel, int column, int width, real_t *dx0, real_t *du)
 {
     if (column + PANEL <= NX) {
         memcpy(dx0 + column, panel, sizeof(real_t) * PANEL);
@@ -116,7 +125,7 @@ static void condense_hessian(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
     const int first = condense_first_node(column);
-#if TERMINAL_CURVATURE
+#if TERMINAL_BLOCK
     condense_terminal_panel(p, s->hessian.Q_N);
 #else
     condense_clear(p->W);
@@ -158,7 +167,7 @@ static void condense_store_slacks(solver_t *s)
     for (int m = 0; m < NG; ++m) {
         const int row = row_slack[m];
         for (int i = 0; row >= 0 && i <= row; ++i) {
-            s->qp.H[row][i] = (i == row) ? ROW_CURVATURE(m) : R(0.0);
+            s->qp.H[row][i] = (i == row) ? ROW_CURVATURE(m) : R(0);
         }
     }
 }
@@ -194,16 +203,6 @@ static const real_t *condense_row_gradient(const solver_t *s, int m)
 #endif
 }
 
-/* J_x'c */
-static real_t condense_dot(const real_t *J, const real_t *c)
-{
-    real_t sum = R(0.0);
-    for (int i = 0; i < NX; ++i) {
-        sum += J[i] * c[i];
-    }
-    return sum;
-}
-
 /* Adds a panel of J_x G_k + J_u at du_k of the general or coupled row m; of a coupled one J_0 dx_0 besides. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 {
@@ -216,7 +215,7 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
     }
 #endif
     for (int i = 0; i < last; ++i) {
-        if (J[i] != R(0.0)) {
+        if (J[i] != R(0)) {
             for (int l = 0; l < PANEL; ++l) {
                 sum[l] += J[i] * s->qp.work.columns.G[k][i][l];
             }
@@ -232,7 +231,7 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 /* A panel of row m of the QP: A = J_x G_k + J_u at du_k; a state row is J_x = e_i, a coupled row has J_0 dx_0 besides. */
 static void condense_row(solver_t *s, int m, int column)
 {
-    real_t sum[PANEL] = { R(0.0) };
+    real_t sum[PANEL] = { R(0) };
 #if STATE_ROWS && (GENERAL_ROWS || NE)
     if (row_kind[m] == ROW_STATE) {
         condense_take_state(s, m, column, sum);
@@ -260,7 +259,7 @@ static void condense_store_others(solver_t *s)
 #endif
 #if NSL
         for (int i = N * NU + NF; i < NV; ++i) {
-            a[i] = (i == row_slack[m]) ? -R(1.0) : R(0.0);
+            a[i] = (i == row_slack[m]) ? -R(1) : R(0);
         }
 #endif
     }
@@ -315,30 +314,30 @@ static void condense_gradient(solver_t *s)
 #endif
 }
 
-#if NF || NSL
-/* Gradient and bounds of the free components of dx_0 and of the slacks; dx0 has zeros at free components. */
-static void condense_embed_others(solver_t *s, const real_t *dx0)
-{
 #if NF
+/* Gradient and bounds of the free components of dx_0; dx0 has zeros there. */
+static void condense_embed_free(solver_t *s, const real_t *dx0)
+{
     for (int row = N * NU; row < N * NU + NF; ++row) {
-        s->qp.g[row] = s->condensed.g[row];
-        for (int i = 0; i < NX; ++i) {
-            s->qp.g[row] += s->condensed.Hx[row][i] * dx0[i];
-        }
+        s->qp.g[row] = condense_sum(s->condensed.g[row], s->condensed.Hx[row], dx0);
         s->qp.lower[row] = -(real_t)INFINITY;
         s->qp.upper[row] = (real_t)INFINITY;
     }
+}
+
 #endif
 #if NSL
+/* Gradient, bounds and penalties of the slacks; their rows are hard. */
+static void condense_embed_slacks(solver_t *s)
+{
     for (int m = 0; m < NG; ++m) {
         const int slack = row_slack[m];
         if (slack >= 0) {
-            s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0.0);
+            s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
             s->qp.penalty[slack] = ROW_PENALTY(s, m);
             s->qp.penalty[NV + m] = (real_t)INFINITY;
         }
     }
-#endif
 }
 
 #endif
@@ -347,13 +346,12 @@ static void condense_embed_others(solver_t *s, const real_t *dx0)
 static void condense_embed_rows(solver_t *s, const real_t *dx0)
 {
     for (int m = 0; m < NG; ++m) {
-        real_t value = s->condensed.v[m];
-        for (int i = 0; i < NX; ++i) {
-            value += s->condensed.Ax[m][i] * dx0[i];
-        }
+        const real_t value = condense_sum(s->condensed.v[m], s->condensed.Ax[m], dx0);
         s->qp.lower[NV + m] = ROW_LOWER(s, m) - value;
         s->qp.upper[NV + m] = ROW_UPPER(s, m) - value;
+#if ELASTIC
         s->qp.penalty[NV + m] = ROW_PENALTY(s, m);
+#endif
     }
 }
 
@@ -365,17 +363,13 @@ static void condense_embed(solver_t *s)
     memcpy(dx0, s->step.dx[0], sizeof dx0);
 #if NF
     for (int f = 0; f < NF; ++f) {
-        dx0[free_state[f]] = R(0.0);
+        dx0[free_state[f]] = R(0);
     }
 #endif
     for (int k = 0; k < N; ++k) {
         for (int j = 0; j < NU; ++j) {
             const int row = k * NU + j;
-            real_t sum = s->condensed.g[row];
-            for (int i = 0; i < NX; ++i) {
-                sum += s->condensed.Hx[row][i] * dx0[i];
-            }
-            s->qp.g[row] = sum;
+            s->qp.g[row] = condense_sum(s->condensed.g[row], s->condensed.Hx[row], dx0);
             s->qp.lower[row] = CONTROL_LOWER(s, k, j) - s->u[k][j];
             s->qp.upper[row] = CONTROL_UPPER(s, k, j) - s->u[k][j];
         }
@@ -383,8 +377,11 @@ static void condense_embed(solver_t *s)
 #if NG
     condense_embed_rows(s, dx0);
 #endif
-#if NF || NSL
-    condense_embed_others(s, dx0);
+#if NF
+    condense_embed_free(s, dx0);
+#endif
+#if NSL
+    condense_embed_slacks(s);
 #endif
 }
 
@@ -396,11 +393,11 @@ static void condense_rows(solver_t *s)
     for (int m = 0; m < NG; ++m) {
         const real_t *c = s->condensed.c[row_node[m]];
 #if STATE_ROWS && (GENERAL_ROWS || NE)
-        const real_t change = (row_kind[m] == ROW_STATE) ? c[row_index[m]] : condense_dot(condense_row_gradient(s, m), c);
+        const real_t change = (row_kind[m] == ROW_STATE) ? c[row_index[m]] : condense_sum(R(0), condense_row_gradient(s, m), c);
 #elif STATE_ROWS
         const real_t change = c[row_index[m]];
 #else
-        const real_t change = condense_dot(condense_row_gradient(s, m), c);
+        const real_t change = condense_sum(R(0), condense_row_gradient(s, m), c);
 #endif
         s->condensed.v[m] = ROW_CONSTANT(s, m) + change;
     }

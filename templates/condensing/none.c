@@ -12,7 +12,9 @@
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
+#if SET_REFERENCE || SOLVE
 static void qp_gradient(solver_t *s);
+#endif
 static status_t qp_solve(solver_t *s);
 
 static inline real_t (*stage_S(solver_t *s, int k))[NZS]

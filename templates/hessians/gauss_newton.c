@@ -11,12 +11,19 @@
 #include "hessians/convex_rows.c"
 #endif
 
+#if HAS_START_HESSIAN
+#include "hessians/start.c"
+#endif
+
 static void hessian(solver_t *s)
 {
 #if HAS_PATH_HESSIAN
     for (int k = 0; k < NQ; k++) {
         PATH_HESSIAN(s, k, &s->hessian.Q[k][0][0]);
     }
+#endif
+#if HAS_START_HESSIAN
+    add_start_hessian(s);
 #endif
 #if HAS_TERMINAL_HESSIAN
     TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);

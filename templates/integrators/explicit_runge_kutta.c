@@ -21,7 +21,7 @@ static int steps_for(real_t dt)
     return (count >= R(1)) ? ((count < (real_t)MANY) ? (int)count : MANY) : 1;
 }
 
-#if SHIFT_RESAMPLE
+#if INTEGRATE_PLAN
 static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt, real_t *x_next)
 {
     const int steps = steps_for(dt);

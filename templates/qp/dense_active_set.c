@@ -25,22 +25,24 @@
  * Between qp_solve and qp_factorize the caller may use work, all of it.
  * Columns NV to LDV of A are zero; those of H, its rows NV to LDV and its upper triangle are not read.
  *
- * Method (Goldfarb and Idnani 1983) in the coordinates y = D^{1/2} L'z of H = L D L', L unit lower triangular. There the
- * cost is 1/2 |y - y0|^2 with y0 = -D^{-1/2} L^{-1} g, and row a is m'y with m = D^{-1/2} L^{-1} a. The rows of the
- * working set W (nw of them) are kept as M_W' = Q'R: R upper triangular, the rows of Q orthonormal (Daniel, Gragg,
- * Kaufman and Stewart 1976). With t the active bounds, the minimiser on W is
+ * Method (Goldfarb and Idnani 1983) in the coordinates y = C'z of H = C C', C lower triangular. There the cost is
+ * 1/2 |y - y0|^2 with y0 = -C^{-1} g, and row a is m'y with m = C^{-1} a. The rows of the working set W (nw of them) are kept
+ * as M_W' = Q'R: R upper triangular, the rows of Q orthonormal (Daniel, Gragg, Kaufman and Stewart 1976). With t the active
+ * bounds, the minimiser on W is
  *
- *     R'w = t,   c = Q y0 - w,   y = y0 - Q'c,   lam = R^{-1} c,   z = L^{-T} D^{-1/2} y
+ *     R'w = t,   c = Q y0 - w,   y = y0 - Q'c,   lam = R^{-1} c,   z = C^{-T} y
  *
- * A saturated row belongs to the cost: y0 = -D^{-1/2} L^{-1} (g + sum_saturated mult_c a_c). The dual problem is then one with
+ * A saturated row belongs to the cost: y0 = -C^{-1} (g + sum_saturated mult_c a_c). The dual problem is then one with
  * multipliers in [0, penalty], and every step increases its objective as before.
  *
  * Where a pivot of H may be zero, H + E with a diagonal E is factorised, E_ii > 0 at these pivots only, and the proximal point
  * method iterates to the minimiser for H itself.
  *
- * Storage: H holds D on its diagonal, L below and L' above; R is stored transposed (row j: coefficients of member j).
+ * Storage: H holds D on its diagonal, L below and L' above, C = L D^{1/2}, L unit lower triangular; R is stored transposed (row j: coefficients of member j).
  * Loops run over panels of four, for which every vector and matrix is padded with zeros.
  * ------------------------------------------------------------------------------------------------------------------ */
+
+#include "linear_algebra.c"
 
 #include "qp/dense_active_set_factors.c"
 
@@ -52,50 +54,28 @@
 
 static void qp_init(qp_t *q)
 {
-    for (int i = 0; i < LDV; ++i) {
-        for (int j = 0; j < LDV; ++j) {
-            q->H[i][j] = R(0.0);
-        }
-        q->inverse[i] = q->R_inverse[i] = q->y0[i] = q->y[i] = q->x[i] = R(0.0);
-        q->m[i] = q->v[i] = q->d[i] = q->lam[i] = R(0.0);
-        q->weight[i] = q->proximal[i] = q->center[i] = q->direction[i] = R(0.0);
-        q->row[i] = 0;
-    }
-#if NG
-    for (int j = 0; j < NG; ++j) {
-        for (int i = 0; i < LDV; ++i) {
-            q->A[j][i] = R(0.0);
-        }
-    }
-#endif
-    for (int i = 0; i < NV; ++i) {
-        q->g[i] = R(0.0);
-    }
+    memset(q, 0, sizeof *q);
     for (int c = 0; c < NV + NG; ++c) {
         q->lower[c] = -(real_t)INFINITY;
         q->upper[c] = (real_t)INFINITY;
+#if ELASTIC
         q->penalty[c] = (real_t)INFINITY;
-        q->slack[c] = R(0.0);
-        q->snapshot[c] = 0;
+#endif
     }
-    q->scale = q->shift = q->total = q->step = R(0.0);
-    q->iterations = q->changes = q->dropped = q->factorized = q->elastic = 0;
-    q->semidefinite = q->face = 0;
-    qp_fail(q, OK);
 }
 
+/* The predicted working set: equalities first, then the inequalities that are members. */
 static status_t qp_factorize(qp_t *q)
 {
     status_t status = qp_factorize_hessian(q);
+    memset(q->R_inverse, 0, sizeof q->R_inverse);
     q->nw = 0;
-    for (int c = 0; c < NV + NG && status == OK; ++c) {
-        if (q->lower[c] >= q->upper[c] && !qp_saturated(q, c)) {
-            status = qp_predict_active(q, c, q->side[c] < 0 ? -1 : 1);
-        }
-    }
-    for (int c = 0; c < NV + NG && status == OK; ++c) {
-        if (q->side[c] != 0 && q->lower[c] < q->upper[c] && !qp_saturated(q, c)) {
-            status = qp_predict_active(q, c, q->side[c]);
+    for (int equality = 1; equality >= 0; --equality) {
+        for (int c = 0; c < NV + NG && status == OK; ++c) {
+            const int predicted = qp_is_member(q, c) || (equality && q->side[c] == INACTIVE);
+            if (predicted && qp_is_equality(q, c) == equality) {
+                status = qp_predict_active(q, c);
+            }
         }
     }
     q->factorized = status == OK;
@@ -109,12 +89,7 @@ static status_t qp_solve(qp_t *q)
     if (status != OK) {
         return qp_fail(q, status);
     }
-    if (q->semidefinite) {
-        status = qp_iterate_proximal(q);
-    } else {
-        qp_set_origin(q);
-        status = isfinite(q->scale) ? qp_iterate(q) : NUMERICAL_FAILURE;
-    }
+    status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
     if (status == NUMERICAL_FAILURE || !qp_write_result(q)) {
         return qp_fail(q, NUMERICAL_FAILURE);
     }

@@ -1,6 +1,6 @@
 /* Contract of this part: proximal-point iterations around them where H is only semidefinite. */
 
-/* u = D^{1/2} L's */
+/* u = C's */
 static void qp_to_working_coordinates(const qp_t *q, const real_t *s, real_t *u)
 {
     for (int i = 0; i < LDV; ++i) {
@@ -12,23 +12,33 @@ static void qp_to_working_coordinates(const qp_t *q, const real_t *s, real_t *u)
     }
 }
 
+/* s'E s */
+static real_t qp_weighted_square(const qp_t *q, const real_t *s)
+{
+    real_t sum = R(0);
+    for (int i = 0; i < NV; ++i) {
+        sum += q->proximal[i] * s[i] * s[i];
+    }
+    return sum;
+}
+
 /* The largest t for which z + t p crosses no bound of a row that is not a member. */
 static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
 {
-    real_t most = (real_t)INFINITY;
+    real_t over, under, most = (real_t)INFINITY;
     for (int c = 0; c < NV + NG; ++c) {
-        if (q->side[c] != 0 && !qp_saturated(q, c)) {
+#if NG
+        const real_t slope = qp_value(q, c, p);
+#else
+        const real_t slope = p[c];
+#endif
+        const real_t speed = FABS(slope);
+        if (qp_is_member(q, c) || !qp_violations(q, c, z, &over, &under)) {
             continue;
         }
-        const real_t value = c < NV ? z[c] : qp_dot(q->A[c - NV], z, LDV);
-        const real_t slope = c < NV ? p[c] : qp_dot(q->A[c - NV], p, LDV);
-        real_t over = value - q->upper[c], under = q->lower[c] - value;
-        if (q->side[c] != 0) {
-            qp_inside(q, c, &over, &under);
-        }
-        const real_t room = slope > R(0.0) ? -over : -under, speed = FABS(slope);
-        if (speed > R(0.0) && room < most * speed) {
-            most = room > R(0.0) ? room / speed : R(0.0);
+        const real_t room = slope > R(0) ? -over : -under;
+        if (speed > R(0) && room < most * speed) {
+            most = room > R(0) ? room / speed : R(0);
         }
     }
     return most;
@@ -36,20 +46,19 @@ static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
 
 /* center += t p to the minimum along p = s + beta p, or to the next bound. On one face this is the conjugate gradient method
  * with the proximal step as the preconditioned residual, so it ends after as many steps as E has directions:
- *     beta = s'(H + E)s / (the one before),   t = s'(H + E)s / p'Hp,   p'Hp = |D^{1/2} L'p|^2 - p'Ep
+ *     beta = s'(H + E)s / (the one before),   t = s'(H + E)s / p'Hp,   p'Hp = |C'p|^2 - p'Ep
  * Returns t; infinite: the cost decreases without end. total: s'(H + E)s. */
 static real_t qp_conjugate_step(qp_t *q, const real_t *s, real_t total)
 {
-    const real_t beta = q->total > R(0.0) && q->face == q->changes ? total / q->total : R(0.0);
-    real_t u[LDV], weighted = R(0.0);
+    const real_t beta = q->total > R(0) && q->face == q->changes ? total / q->total : R(0);
+    real_t u[LDV];
     for (int i = 0; i < LDV; ++i) {
         q->direction[i] = s[i] + beta * q->direction[i];
-        weighted += q->proximal[i] * q->direction[i] * q->direction[i];
     }
     qp_to_working_coordinates(q, q->direction, u);
-    const real_t square = qp_dot(u, u, LDV), curvature = square - weighted;
+    const real_t square = dot(u, u, LDV), curvature = square - qp_weighted_square(q, q->direction);
     real_t t = qp_distance(q, q->center, q->direction);
-    q->total = R(0.0);
+    q->total = R(0);
     q->face = q->changes;
     if (curvature * qp_proximal_share() > TOL_QP_PIVOT * square && total < t * curvature) {
         t = total / curvature;
@@ -65,28 +74,24 @@ static real_t qp_conjugate_step(qp_t *q, const real_t *s, real_t total)
  * NUMERICAL_FAILURE: the cost is unbounded below. */
 static status_t qp_move_center(qp_t *q)
 {
-    real_t s[LDV], u[LDV], e[LDV], weighted = R(0.0);
-    const real_t size = q->scale + q->shift + SQRT(qp_dot(q->y, q->y, LDV));
+    real_t s[LDV], u[LDV], e[LDV];
+    const real_t size = q->scale + norm(q->y), before = q->step;
     for (int i = 0; i < LDV; ++i) {
         s[i] = q->x[i] - q->center[i];
-        weighted += q->proximal[i] * s[i] * s[i];
     }
-    const real_t step = SQRT(weighted), before = q->step;
-    q->step = step;
-    if (step <= TOL_QP_PROXIMAL * size ||
-        (step <= TOL_QP_PROXIMAL_STAGNATION * size && step > R(0.5) * before)) {
+    q->step = SQRT(qp_weighted_square(q, s));
+    if (q->step <= TOL_QP_PROXIMAL * size ||
+        (q->step <= TOL_QP_PROXIMAL_STAGNATION * size && q->step > R(0.5) * before)) {
         return OK;
     }
     qp_to_working_coordinates(q, s, u);
     qp_coefficients(q, u, e);
-    const real_t total = qp_dot(u, u, LDV), off = qp_dot(e, e, (q->nw + 3) / 4 * 4);
-    if (off <= TOL_QP_DEPENDENT_PREDICTION * total) {
+    const real_t total = dot(u, u, LDV);
+    if (dot(e, e, qp_padded(q)) <= TOL_QP_DEPENDENT_PREDICTION * total) {
         return qp_conjugate_step(q, s, total) < (real_t)INFINITY ? ITERATION_LIMIT : NUMERICAL_FAILURE;
     }
-    for (int i = 0; i < LDV; ++i) {
-        q->center[i] = q->x[i];
-    }
-    q->total = R(0.0);
+    memcpy(q->center, q->x, sizeof q->center);
+    q->total = R(0);
     return ITERATION_LIMIT;
 }
 
@@ -94,21 +99,17 @@ static status_t qp_move_center(qp_t *q)
  * 1/2 (z - z_j)'E(z - z_j), started at the working set of z_j. */
 static status_t qp_iterate_proximal(qp_t *q)
 {
-    for (int i = 0; i < LDV; ++i) {
-        q->center[i] = q->direction[i] = R(0.0);
-    }
-    q->total = R(0.0);
+    status_t status = ITERATION_LIMIT;
+    memset(q->center, 0, sizeof q->center);
+    memset(q->direction, 0, sizeof q->direction);
+    q->total = R(0);
     q->step = (real_t)INFINITY;
-    for (int step = 0; step < QP_MAX_PROXIMAL_STEPS; ++step) {
-        qp_set_origin(q);
-        status_t status = isfinite(q->scale) ? qp_iterate(q) : NUMERICAL_FAILURE;
-        if (status == OK) {
-            status = qp_move_center(q);
-            if (status == ITERATION_LIMIT) {
-                continue;
-            }
+    for (int step = 0; step < QP_MAX_PROXIMAL_STEPS && status == ITERATION_LIMIT; ++step) {
+        status = qp_iterate(q);
+        if (status != OK) {
+            return status;
         }
-        return status;
+        status = qp_move_center(q);
     }
-    return ITERATION_LIMIT;
+    return status;
 }

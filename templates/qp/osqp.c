@@ -9,30 +9,33 @@ int API(osqp_solve)(const double *P, const double *A, const double *g, const dou
 
 static void qp_init(qp_t *q)
 {
-    int c;
     memset(q, 0, sizeof *q);
-    for (c = 0; c < NV + NG; c++) {
+    for (int c = 0; c < NV + NG; ++c) {
         q->lower[c] = -(real_t)INFINITY;
         q->upper[c] = (real_t)INFINITY;
+#if ELASTIC
         q->penalty[c] = (real_t)INFINITY;
+#endif
     }
 }
 
 /* The matrices by columns. */
 static status_t qp_factorize(qp_t *q)
 {
-    int i, j, n = 0;
-    for (j = 0; j < NV; j++) {
-        for (i = 0; i <= j; i++) {
+    int n = 0;
+    for (int j = 0; j < NV; ++j) {
+        for (int i = 0; i <= j; ++i) {
             q->P_x[n++] = q->H[j][i];
         }
     }
     n = 0;
-    for (j = 0; j < NV; j++) {
+    for (int j = 0; j < NV; ++j) {
         q->A_x[n++] = R(1);
-        for (i = 0; i < NG; i++) {
+#if NG
+        for (int i = 0; i < NG; ++i) {
             q->A_x[n++] = q->A[i][j];
         }
+#endif
     }
     return all_finite(q->P_x, OSQP_P) && all_finite(q->A_x, OSQP_A) ? OK : NUMERICAL_FAILURE;
 }
@@ -48,22 +51,21 @@ static status_t qp_fail(qp_t *q, status_t status)
 static void qp_scale_certificate(qp_t *q)
 {
     real_t largest = R(0);
-    int c;
-    for (c = 0; c < NV + NG; c++) {
+    for (int c = 0; c < NV + NG; ++c) {
         const real_t f = FABS(q->certificate[c]);
         largest = (f > largest) ? f : largest;
     }
-    for (c = 0; c < NV + NG && largest > R(0); c++) {
+    for (int c = 0; c < NV + NG && largest > R(0); ++c) {
         q->certificate[c] /= largest;
     }
 }
 
 static status_t qp_solve(qp_t *q)
 {
-    int c, iterations = 0, status, ordered = 1;
+    int iterations = 0, ordered = 1;
     q->iterations = 0;
     memset(q->certificate, 0, sizeof q->certificate);
-    for (c = 0; c < NV + NG; c++) {
+    for (int c = 0; c < NV + NG; ++c) {
         if (isnan(q->lower[c]) || isnan(q->upper[c])) {
             return qp_fail(q, NUMERICAL_FAILURE);
         }
@@ -72,7 +74,7 @@ static status_t qp_solve(qp_t *q)
     if (!ordered || !all_finite(q->g, NV)) {
         return qp_fail(q, ordered ? NUMERICAL_FAILURE : INFEASIBLE);
     }
-    status = API(osqp_solve)(q->P_x, q->A_x, q->g, q->lower, q->upper, q->z, q->mult, q->certificate, &iterations);
+    const int status = API(osqp_solve)(q->P_x, q->A_x, q->g, q->lower, q->upper, q->z, q->mult, q->certificate, &iterations);
     q->iterations = iterations;
     if (status == 1) {
         return OK;

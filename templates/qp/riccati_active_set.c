@@ -13,8 +13,7 @@
  *   qp_shift_controls, qp_shift_rows  before qp_factorize: the prediction moves n controls towards the front, and rows as told.
  * Bounds may be infinite; equality = equal bounds. Soft rows (penalty finite) cost penalty v + curvature / 2 v^2 for a
  * violation v; how many are violated is counted in relaxed.
- * side[] is the working set and stays for the warm start (+-1: member at its upper or lower bound, +-2: soft and violated); a
- * caller may edit it before qp_factorize.
+ * side[] is the working set and stays for the warm start; a caller may edit it before qp_factorize.
  *
  * Method: the minimiser on the working set by one Riccati recursion: given controls are eliminated, members that are rows enter
  * by the method of multipliers, which needs no decision about their rank. Then every side anew from values and signs of
@@ -23,6 +22,8 @@
  * ------------------------------------------------------------------------------------------------------------------ */
 
 #include "riccati/kernel.c"
+
+#include "qp/stage_qp.c"
 
 #include "qp/riccati_active_set_working_set.c"
 
@@ -34,6 +35,9 @@
 
 #include "qp/riccati_active_set_start.c"
 
+/* What stands of the recursion: nothing; all of it; the matrices that it is made of. */
+enum { FACTORS_NONE = 0, FACTORS_READY = 1, FACTORS_OTHER = 2 };
+
 #if INTERIOR_POINT
 #include "qp/riccati_interior_point_core.c"
 
@@ -44,121 +48,92 @@
 
 static status_t qp_fail(qp_t *q, status_t status)
 {
-    memset(q->x, 0, sizeof q->x);
-    memset(q->z, 0, sizeof q->z);
-    memset(q->mult, 0, sizeof q->mult);
-    memset(q->side, 0, sizeof q->side);
-    q->factorized = q->factorized ? 2 : 0;
+    qp_clear_results(q);
+    q->factorized = q->factorized ? FACTORS_OTHER : FACTORS_NONE;
     return status;
 }
 
 static void qp_init(solver_t *s)
 {
-    qp_t *q = &s->qp;
-    int c;
-    memset(q, 0, sizeof *q);
+    qp_clear(&s->qp);
     riccati_init(s);
     s->riccati.regularize = 1;
-    for (c = 0; c < NV + NG; c++) {
-        q->lower[c] = -(real_t)INFINITY;
-        q->upper[c] = (real_t)INFINITY;
-    }
 #if NG
-    for (c = 0; c < NG; c++) {
-        q->penalty[c] = (real_t)INFINITY;
-        q->root[c] = R(1);
+    for (int m = 0; m < NG; m++) {
+        s->qp.root[m] = R(1);
     }
 #endif
 }
 
+#if REGULARIZE_REDUCED
 /* The last stage with a member, or -1: later factors are those without members. */
 static int qp_last_member(const qp_t *q)
 {
-    int c, last = -1;
-    for (c = 0; c < NV; c++) {
-        last = (q->side[c] != 0) ? c / NUS : last;
+    int last = -1;
+    for (int k = 0; k < NS; k++) {
+        for (int j = 0; j < NUS; j++) {
+            last = (q->side[k * NUS + j] != INACTIVE) ? k : last;
+        }
     }
 #if NG
     for (int m = 0; m < NG; m++) {
         const int k = stage_of_row[m];
-        last = (q->side[NV + m] != 0 && k > last) ? k : last;
+        last = (q->side[NV + m] != INACTIVE && k > last) ? k : last;
     }
 #endif
     return last;
 }
 
+#endif
 static status_t qp_factorize(solver_t *s)
 {
     qp_t *q = &s->qp;
+#if REGULARIZE_REDUCED
     const int plain = riccati_convexify(s);
+#endif
 #if NG
     if (!q->scaled) {
         qp_scale_rows(s);
     }
 #endif
     qp_enter(s);
+#if REGULARIZE_REDUCED
     q->stale = plain ? qp_last_member(q) : NS;
-    q->factorized = qp_renew(s);
-    if (!q->factorized) { /* weights and members may be those of a QP in other units */
-        memset(q->side, 0, sizeof q->side);
-#if NG
-        qp_scale_rows(s);
 #endif
-        qp_enter(s);
-        q->factorized = qp_renew(s);
+    if (!qp_renew(s)) { /* weights and members may be those of a QP in other units */
+        qp_start_empty(s);
+        if (!qp_renew(s)) {
+            q->factorized = FACTORS_NONE;
+            return qp_fail(q, NUMERICAL_FAILURE);
+        }
     }
-    return q->factorized ? OK : qp_fail(q, NUMERICAL_FAILURE);
+    q->factorized = FACTORS_READY;
+    return OK;
 }
 
+#if SET_REFERENCE || SOLVE
 static void qp_gradient(solver_t *s)
 {
     s->qp.stale_vectors = NS;
 }
 
-/* INFEASIBLE if bounds cross, NUMERICAL_FAILURE if one is not a number. */
-static status_t qp_check_bounds(const qp_t *q)
-{
-    status_t status = OK;
-    int c;
-    for (c = 0; c < NV + NG; c++) {
-        if (!(q->lower[c] < (real_t)INFINITY && q->upper[c] > -(real_t)INFINITY)) {
-            return NUMERICAL_FAILURE;
-        }
-        if (q->lower[c] > q->upper[c]) {
-            status = INFEASIBLE;
-        }
-    }
-    return status;
-}
-
+#endif
 /* 1 if all multipliers are finite: data of a control that is given enter nothing else. */
 static int qp_has_multipliers(const qp_t *q)
 {
     real_t sum = R(0);
-    int c;
-    for (c = 0; c < NV + NG; c++) {
+    for (int c = 0; c < NV + NG; c++) {
         sum += FABS(q->mult[c]);
     }
     return isfinite(sum);
 }
 
-static status_t qp_solve(solver_t *s)
+/* Working sets from the predicted one, then what else there is to try. */
+static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
-    status_t status = q->factorized ? qp_check_bounds(q) : NUMERICAL_FAILURE;
-    q->iterations = q->changes = q->refinements = q->dropped = q->relaxed = q->exact = 0;
-    memset(q->certificate, 0, sizeof q->certificate);
-    if (status != OK) {
-        return qp_fail(q, status);
-    }
-    if (q->factorized == 2) {
-        qp_enter(s);
-        q->factorized = 1;
-    }
-    qp_take_bounds(s);
-    q->changes = 0;
-    status = qp_iterate(s, QP_MAX_ITERATIONS);
     q->exact = 1;
+    status_t status = qp_iterate(s, QP_MAX_ITERATIONS);
     if (status != OK) { /* a breakdown that another attempt does not cure: no minimum, or bad numbers */
         const status_t next = qp_fall_back(s);
         status = (status == NUMERICAL_FAILURE && next == ITERATION_LIMIT) ? status : next;
@@ -167,6 +142,27 @@ static status_t qp_solve(solver_t *s)
     if (q->exact && status == OK) {
         qp_finish(q);
     }
+    return status;
+}
+
+static status_t qp_solve(solver_t *s)
+{
+    qp_t *q = &s->qp;
+    status_t status = q->factorized ? qp_check_bounds(q) : NUMERICAL_FAILURE;
+    q->iterations = q->changes = q->refinements = q->dropped = q->relaxed = q->exact = 0;
+#if INTERIOR_POINT && NG
+    memset(q->certificate, 0, sizeof q->certificate);
+#endif
+    if (status != OK) {
+        return qp_fail(q, status);
+    }
+    if (q->factorized == FACTORS_OTHER) {
+        qp_enter(s);
+        q->factorized = FACTORS_READY;
+    }
+    qp_take_bounds(s);
+    q->changes = 0;
+    status = qp_search(s);
     return status == NUMERICAL_FAILURE ? qp_fail(q, status) : status;
 }
 

@@ -3,8 +3,7 @@
 /* What is taken as rounding: as long as the minimiser is not refined, errors of the root of the precision too. */
 static inline real_t qp_tolerance(const qp_t *q, real_t exact)
 {
-    const real_t rough = R(16) * SQRT(TOL_UNIT);
-    return q->rough ? rough : exact;
+    return q->rough ? R(16) * SQRT(TOL_UNIT) : exact;
 }
 
 /* The side that bounds say: v is the value of what is no member. */
@@ -12,19 +11,19 @@ static inline int qp_side_of_value(const qp_t *q, int c, real_t v, real_t size)
 {
     const real_t tolerance = qp_tolerance(q, TOL_RICCATI_FEASIBILITY);
     if (v - q->upper[c] > tolerance * (size + FABS(q->upper[c]))) {
-        return 1;
+        return AT_UPPER;
     }
-    return (q->lower[c] - v > tolerance * (size + FABS(q->lower[c]))) ? -1 : 0;
+    return (q->lower[c] - v > tolerance * (size + FABS(q->lower[c]))) ? AT_LOWER : INACTIVE;
 }
 
-/* The side of control c. A member leaves if its multiplier has the wrong sign by more than rounding. */
-static int qp_side_of_control(const solver_t *s, int c)
+/* The side of control j of stage k. A member leaves if its multiplier has the wrong sign by more than rounding. */
+static int qp_side_of_control(const solver_t *s, int k, int j)
 {
     const qp_t *q = &s->qp;
     const riccati_t *r = &s->riccati;
-    const int side = q->side[c], k = c / NUS, j = c % NUS;
+    const int c = k * NUS + j, side = q->side[c];
     real_t mult, size;
-    if (side == 0) {
+    if (side == INACTIVE) {
         return qp_side_of_value(q, c, q->z[c], q->scale[NXS + j]);
     }
     if (q->lower[c] >= q->upper[c]) {
@@ -35,41 +34,67 @@ static int qp_side_of_control(const solver_t *s, int c)
     if (!q->refined) {
         size = r->M[k][j][NXS + j] * q->scale[NXS + j] + FABS(r->h[k][j]);
     }
-    return mult >= -TOL_RICCATI_SIGN * size ? side : 0;
+    return mult >= -TOL_RICCATI_SIGN * size ? side : INACTIVE;
 }
 
 #if NG
-/* The side of row m: members leave by the sign of their multiplier, soft ones become violated at the limit of it, and
- * violated ones come back when they are not. */
-static int qp_side_of_row(const solver_t *s, int m)
+/* The largest multiplier of a row, and the largest one over the root of its row. */
+typedef struct {
+    real_t mult;
+    real_t scaled;
+} largest_t;
+
+static largest_t qp_largest_multipliers(const qp_t *q)
 {
-    const qp_t *q = &s->qp;
-    const int c = NV + m, side = q->side[c], sign = side > 0 ? 1 : -1;
-    const real_t size = qp_row_size(s, m), mult = side > 0 ? q->mult[c] : -q->mult[c];
-    const real_t terms = q->root[m] * q->largest < q->largest_mult ? q->root[m] * q->largest : q->largest_mult;
-    const real_t stiff = q->refined ? R(0) : q->root[m] * q->root[m] * size;
-    const real_t rounding = qp_tolerance(q, TOL_RICCATI_SIGN) * (terms + stiff);
-    if (side == 0) {
-        return qp_side_of_value(q, c, q->value[m], size);
+    largest_t largest = {R(0), R(0)};
+    for (int m = 0; m < NG; m++) {
+        const real_t force = FABS(q->mult[NV + m]);
+        largest.mult = force > largest.mult ? force : largest.mult;
+        largest.scaled = force > largest.scaled * q->root[m] ? force / q->root[m] : largest.scaled;
     }
-    if (side != sign) {
-        const real_t violation = side > 0 ? q->value[m] - q->upper[c] : q->lower[c] - q->value[m];
-        return violation >= -qp_tolerance(q, TOL_RICCATI_FEASIBILITY) * (size + FABS(q->target[c])) ? side : sign;
-    }
+    return largest;
+}
+
+/* The side of a member that is row m, by its multiplier: it leaves at the wrong sign, a soft one becomes violated at the limit. */
+static int qp_side_of_member(const qp_t *q, int m, real_t rounding)
+{
+    const int c = NV + m, side = q->side[c];
+    const real_t mult = side > 0 ? q->mult[c] : -q->mult[c];
     if (mult > q->penalty[m] + rounding) {
-        return 2 * sign;
+        return side > 0 ? ABOVE : BELOW;
     }
     if (mult >= -rounding) {
         return side;
     }
     if (q->lower[c] < q->upper[c]) {
-        return 0;
+        return INACTIVE;
     }
-    return -mult > q->penalty[m] + rounding ? -2 * sign : side;
+    if (-mult > q->penalty[m] + rounding) {
+        return side > 0 ? BELOW : ABOVE;
+    }
+    return side;
 }
 
-#endif
-#if NG
+/* The side of row m; a violated one becomes a member when it is not violated. */
+static int qp_side_of_row(const solver_t *s, int m, const largest_t *largest)
+{
+    const qp_t *q = &s->qp;
+    const int c = NV + m, side = q->side[c];
+    const real_t size = qp_row_size(s, m);
+    if (side == INACTIVE) {
+        return qp_side_of_value(q, c, q->value[m], size);
+    }
+    if (qp_is_violated(side)) {
+        const real_t violation = side > 0 ? q->value[m] - q->upper[c] : q->lower[c] - q->value[m];
+        const real_t rounding = qp_tolerance(q, TOL_RICCATI_FEASIBILITY) * (size + FABS(q->target[m]));
+        const int member = side > 0 ? AT_UPPER : AT_LOWER;
+        return violation >= -rounding ? side : member;
+    }
+    const real_t terms = q->root[m] * largest->scaled < largest->mult ? q->root[m] * largest->scaled : largest->mult;
+    const real_t stiff = q->refined ? R(0) : q->root[m] * q->root[m] * size;
+    return qp_side_of_member(q, m, qp_tolerance(q, TOL_RICCATI_SIGN) * (terms + stiff));
+}
+
 /* Violation of row m, which is no member, relative to what its value sums and its bound. */
 static real_t qp_violation(const solver_t *s, int m)
 {
@@ -80,49 +105,51 @@ static real_t qp_violation(const solver_t *s, int m)
     return (over > under ? over : under) / (qp_row_size(s, m) + bound);
 }
 
-#endif
-/* Every side anew; returns the number of changes. Of the rows only the most violated ones enter: when one of them is met its
- * neighbours in time are too, as a rule, and more members than controls contradict each other. */
-static int qp_revise(solver_t *s)
+/* The side of every row anew. Of the inactive ones only the most violated enter: when one of them is met its neighbours in time
+ * are too, as a rule, and more members than controls contradict each other. */
+static void qp_revise_rows(solver_t *s)
 {
-    qp_t *q = &s->qp;
-    const int before = q->changes;
-    int c;
-#if NG
+    const qp_t *q = &s->qp;
+    const largest_t largest = qp_largest_multipliers(q);
     real_t worst = R(0);
-    q->largest = q->largest_mult = R(0);
     for (int m = 0; m < NG; m++) {
-        const real_t force = FABS(q->mult[NV + m]);
-        q->largest_mult = force > q->largest_mult ? force : q->largest_mult;
-        q->largest = force > q->largest * q->root[m] ? force / q->root[m] : q->largest;
-        if (q->side[NV + m] == 0) {
+        if (q->side[NV + m] == INACTIVE) {
             const real_t violation = qp_violation(s, m);
             worst = violation > worst ? violation : worst;
         }
     }
     for (int m = 0; m < NG; m++) {
-        c = NV + m;
-        if (q->side[c] != 0 || qp_violation(s, m) >= R(0.5) * worst) {
-            qp_set_row(s, m, qp_allowed(q, c, qp_side_of_row(s, m), q->penalty[m]));
+        if (q->side[NV + m] != INACTIVE || qp_violation(s, m) >= R(0.5) * worst) {
+            qp_set_row(s, m, qp_allowed_row(q, m, qp_side_of_row(s, m, &largest)));
         }
     }
+}
+
 #endif
-    for (c = 0; c < NV; c++) {
-        qp_set_control(s, c, qp_side_of_control(s, c));
+/* Every side anew; returns the number of changes. */
+static int qp_revise(solver_t *s)
+{
+    const int before = s->qp.changes;
+#if NG
+    qp_revise_rows(s);
+#endif
+    for (int k = 0; k < NS; k++) {
+        for (int j = 0; j < NUS; j++) {
+            qp_set_control(s, k, j, qp_side_of_control(s, k, j));
+        }
     }
-    return q->changes - before;
+    return s->qp.changes - before;
 }
 
 /* 1 if the working set is among the first `tried` of this solve; remembers it. */
 static int qp_seen(qp_t *q, int tried)
 {
-    uint32_t hash = 2166136261u;
-    int c, i;
-    for (c = 0; c < NV + NG; c++) {
-        hash = (hash ^ (uint32_t)(q->side[c] + 2)) * 16777619u;
+    uint32_t hash = 2166136261U;
+    for (int c = 0; c < NV + NG; c++) {
+        hash = (hash ^ (uint32_t)(q->side[c] + 2)) * 16777619U;
     }
     q->history[tried] = (int32_t)(hash >> 1);
-    for (i = 0; i < tried; i++) {
+    for (int i = 0; i < tried; i++) {
         if (q->history[i] == q->history[tried]) {
             return 1;
         }
@@ -150,12 +177,11 @@ static int qp_renew(solver_t *s)
 static int qp_raise_weights(solver_t *s)
 {
     qp_t *q = &s->qp;
-    int m, raised = 0;
-    for (m = 0; m < NG; m++) {
-        const int c = NV + m;
-        const real_t size = qp_row_size(s, m) + FABS(q->target[c]);
-        if ((q->side[c] == 1 || q->side[c] == -1) && q->raised[m] < 2 &&
-            FABS(q->value[m] - q->target[c]) > TOL_RICCATI_FEASIBILITY * size) {
+    int raised = 0;
+    for (int m = 0; m < NG; m++) {
+        const real_t size = qp_row_size(s, m) + FABS(q->target[m]);
+        if (qp_is_member(q->side[NV + m]) && q->raised[m] < 2 &&
+            FABS(qp_offset(q, m)) > TOL_RICCATI_FEASIBILITY * size) {
             q->raised[m]++;
             q->weight[m] *= R(1024);
             s->riccati.weight[m] = q->weight[m];
@@ -194,47 +220,60 @@ static status_t qp_minimize(solver_t *s, int *changed)
     return status;
 }
 
-/* Working sets until one repeats itself. OK; STALLED: a set came back, or the members of one contradict each other;
- * ITERATION_LIMIT; NUMERICAL_FAILURE. */
+/* The active-set loop: working sets until one repeats itself. OK; STALLED: a set came back, or the members of one contradict each
+ * other; ITERATION_LIMIT; NUMERICAL_FAILURE. */
 static status_t qp_iterate(solver_t *s, int most)
 {
-    int changed, tried;
-    (void)qp_seen(&s->qp, 0);
-    for (tried = 1; tried <= most; tried++) {
+    qp_t *q = &s->qp;
+    (void)qp_seen(q, 0);
+    for (int tried = 1; tried <= most; tried++) {
+        int changed;
         const status_t status = qp_minimize(s, &changed);
         if (status == NUMERICAL_FAILURE || (status == OK && changed == 0)) {
             return status;
         }
 #if NG
         if (changed == 0 && qp_raise_weights(s)) {
-            s->qp.iterations++;
+            q->iterations++;
             continue;
         }
 #endif
         if (changed == 0) {
-            return s->qp.residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
+            return q->residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
         }
-        if (changed > 0 && qp_seen(&s->qp, tried)) {
+        if (qp_seen(q, tried)) {
             return STALLED;
         }
-        s->qp.iterations++;
+        q->iterations++;
     }
     return ITERATION_LIMIT;
+}
+
+/* 1 if a bound can give c no multiplier of this sign. */
+static inline int qp_wrong_sign(const qp_t *q, int c)
+{
+    if (q->side[c] == INACTIVE) {
+        return 1;
+    }
+    return q->side[c] > 0 ? q->mult[c] < R(0) : q->mult[c] > R(0);
 }
 
 /* Controls inside of their bounds exactly, multipliers of the right sign, soft rows that are violated. */
 static void qp_finish(qp_t *q)
 {
-    int c;
-    for (c = 0; c < NV; c++) {
-        q->z[c] = q->z[c] < q->lower[c] ? q->lower[c] : q->z[c] > q->upper[c] ? q->upper[c] : q->z[c];
+    for (int c = 0; c < NV; c++) {
+        q->z[c] = q->z[c] > q->upper[c] ? q->upper[c] : q->z[c];
+        q->z[c] = q->z[c] < q->lower[c] ? q->lower[c] : q->z[c];
     }
-    q->relaxed = 0;
-    for (c = 0; c < NV + NG; c++) {
-        const int wrong = q->side[c] == 0 || (q->side[c] > 0 ? q->mult[c] < R(0) : q->mult[c] > R(0));
-        if (wrong && q->lower[c] < q->upper[c]) {
+    for (int c = 0; c < NV + NG; c++) {
+        if (q->lower[c] < q->upper[c] && qp_wrong_sign(q, c)) {
             q->mult[c] = R(0);
         }
-        q->relaxed += q->side[c] > 1 || q->side[c] < -1;
     }
+    q->relaxed = 0;
+#if NG
+    for (int m = 0; m < NG; m++) {
+        q->relaxed += qp_is_violated(q->side[NV + m]);
+    }
+#endif
 }

@@ -5,19 +5,20 @@ static void qp_enter(solver_t *s)
 {
     qp_t *q = &s->qp;
     riccati_t *r = &s->riccati;
-    int c;
     memset(r->diagonal, 0, sizeof r->diagonal);
+#if NF
+    memset(r->diagonal_free, 0, sizeof r->diagonal_free);
+#endif
     r->regularize = 1;
     r->regularize_zero = riccati_least_pivot(s);
-    for (c = 0; c < NV; c++) {
-        q->side[c] = qp_allowed(q, c, q->side[c], (real_t)INFINITY);
-        r->fixed[c] = q->side[c] != 0;
+    for (int c = 0; c < NV; c++) {
+        q->side[c] = qp_allowed(q, c, q->side[c]);
+        r->fixed[c] = q->side[c] != INACTIVE;
     }
 #if NG
     for (int m = 0; m < NG; m++) {
-        c = NV + m;
-        q->side[c] = qp_allowed(q, c, q->side[c], q->penalty[m]);
-        r->weight[m] = qp_weight(q, m, q->side[c]);
+        q->side[NV + m] = qp_allowed_row(q, m, q->side[NV + m]);
+        r->weight[m] = qp_weight(q, m, q->side[NV + m]);
     }
 #endif
     q->stale = q->stale_vectors = NS;
@@ -29,8 +30,7 @@ static void qp_enter(solver_t *s)
 static void qp_set_units(solver_t *s)
 {
     qp_t *q = &s->qp;
-    int m;
-    for (m = 0; m < NG; m++) {
+    for (int m = 0; m < NG; m++) {
         const real_t reach = s->units.reach[NV + m];
         q->root[m] = (reach > R(0) && isfinite(reach)) ? R(1) / reach : R(1);
         q->weight[m] = q->root[m] * q->root[m] / SQRT(TOL_UNIT);
@@ -39,8 +39,6 @@ static void qp_set_units(solver_t *s)
     q->scaled = 1;
 }
 
-#endif
-#if NG
 /* Units of the rows, from the recursion without members. */
 static void qp_scale_rows(solver_t *s)
 {
@@ -55,3 +53,13 @@ static void qp_scale_rows(solver_t *s)
 }
 
 #endif
+/* The empty working set, with units of this QP. */
+static void qp_start_empty(solver_t *s)
+{
+    memset(s->qp.side, 0, sizeof s->qp.side);
+    memset(s->qp.mult, 0, sizeof s->qp.mult);
+#if NG
+    qp_scale_rows(s);
+#endif
+    qp_enter(s);
+}

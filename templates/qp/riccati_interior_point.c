@@ -12,33 +12,33 @@
 
 #include "riccati/recursion.c"
 
+#include "qp/stage_qp.c"
+
 #include "riccati/units.c"
 
 #include "qp/riccati_interior_point_core.c"
 
 static void qp_init(solver_t *s)
 {
-    int c;
-    memset(&s->qp, 0, sizeof s->qp);
+    qp_clear(&s->qp);
     riccati_init(s);
     memset(&s->ipm, 0, sizeof s->ipm);
     memset(&s->units, 0, sizeof s->units);
-    for (c = 0; c < NV + NG; c++) {
-        s->qp.lower[c] = -(real_t)INFINITY;
-        s->qp.upper[c] = (real_t)INFINITY;
-    }
-#if NG
-    for (c = 0; c < NG; c++) {
-        s->qp.penalty[c] = (real_t)INFINITY;
-    }
-#endif
 }
 
+#if REGULARIZE_REDUCED
 static status_t qp_factorize(solver_t *s)
 {
     return ipm_prepare(s, riccati_convexify(s));
 }
+#else
+static status_t qp_factorize(solver_t *s)
+{
+    return ipm_prepare(s, 0);
+}
+#endif
 
+#if SET_REFERENCE || SOLVE
 static void qp_gradient(solver_t *s)
 {
     if (s->ipm.ready) {
@@ -46,6 +46,7 @@ static void qp_gradient(solver_t *s)
     }
 }
 
+#endif
 static status_t qp_solve(solver_t *s)
 {
     return ipm_solve(s);

@@ -15,76 +15,92 @@
 
 #include "qp/riccati_interior_point_iterate.c"
 
-/* Results that say nothing. */
-static void ipm_clear(solver_t *s)
+/* The side of every row that is an active side of an inequality, by what its distance to the bound would cost. */
+static void ipm_write_active(solver_t *s)
 {
-    memset(s->qp.x, 0, sizeof s->qp.x);
-    memset(s->qp.z, 0, sizeof s->qp.z);
-    memset(s->qp.mult, 0, sizeof s->qp.mult);
-    memset(s->qp.side, 0, sizeof s->qp.side);
-    memset(s->qp.certificate, 0, sizeof s->qp.certificate);
-    s->qp.relaxed = 0;
+    const ipm_t *q = &s->ipm;
+    for (int i = 0; i < q->sides; i++) {
+        const int c = ipm_row(q, i);
+        const real_t square = s->units.reach[c] * s->units.reach[c];
+        int side = ipm_is_upper(q, i) ? AT_UPPER : AT_LOWER;
+#if NG
+        if (i >= q->hard && q->e[i - q->hard] > q->kappa[i - q->hard] * square) {
+            side = ipm_is_upper(q, i) ? ABOVE : BELOW;
+        }
+#endif
+        if (q->lam[i] * square > q->t[i]) {
+            s->qp.side[c] = side;
+        }
+    }
 }
 
-/* side: rows whose multiplier is larger than what their distance to the bound would cost; +-2: soft ones that are violated.
+#if NG
+/* Soft rows that no control moves are violated if they have a multiplier. */
+static void ipm_write_constant(solver_t *s)
+{
+    for (int c = NV; c < NV + NG; c++) {
+        const real_t mult = ipm_constant_multiplier(s, c);
+        if (mult > R(0) || mult < R(0)) {
+            s->qp.side[c] = mult > R(0) ? ABOVE : BELOW;
+        }
+    }
+}
+
+#endif
+/* side: rows whose multiplier is larger than what their distance to the bound would cost, and soft ones that are violated.
  * Multipliers of the others that are only rounding become 0. */
 static void ipm_write_sides(solver_t *s)
 {
-    ipm_t *q = &s->ipm;
-    const real_t least = TOL_UNIT * SQRT(q->unit);
-    int i, c;
-    s->qp.relaxed = 0;
-    for (c = 0; c < NV + NG; c++) {
-        s->qp.side[c] = (q->kind[c] == 0) ? 0 : (s->qp.mult[c] < R(0)) ? -1 : 1;
+    qp_t *qp = &s->qp;
+    const real_t least = TOL_UNIT * SQRT(s->ipm.unit);
+    for (int c = 0; c < NV + NG; c++) {
+        const int member = qp->mult[c] < R(0) ? AT_LOWER : AT_UPPER;
+        qp->side[c] = s->ipm.kind[c] == INEQUALITY ? INACTIVE : member;
     }
-    for (i = 0; i < q->sides; i++) {
-        const real_t square = s->units.reach[q->row[i]] * s->units.reach[q->row[i]];
-        if (q->lam[i] * square > q->t[i]) {
-            const int violated = i >= q->hard && q->e[i - q->hard] > q->kappa[i - q->hard] * square;
-            s->qp.side[q->row[i]] = (q->sign[i] > R(0) ? 1 : -1) * (violated ? 2 : 1);
-            s->qp.relaxed += violated;
-        }
-    }
-    for (c = 0; c < NV + NG; c++) {
+    ipm_write_active(s);
 #if NG
-        if (c >= NV && !(s->units.reach[c] > R(0))) {
-            const real_t mult = ipm_constant_multiplier(s, c);
-            s->qp.side[c] = (mult > R(0)) ? 2 : (mult < R(0)) ? -2 : s->qp.side[c];
-            s->qp.relaxed += s->qp.side[c] == 2 || s->qp.side[c] == -2;
-            continue;
-        }
+    ipm_write_constant(s);
 #endif
-        if (s->qp.side[c] == 0 && FABS(s->qp.mult[c]) * s->units.reach[c] <= least) {
-            s->qp.mult[c] = R(0);
+    for (int c = 0; c < NV + NG; c++) {
+        const real_t reach = s->units.reach[c];
+        if (qp->side[c] == INACTIVE && FABS(qp->mult[c]) * reach <= least && (c < NV || reach > R(0))) {
+            qp->mult[c] = R(0);
         }
     }
+    qp->relaxed = 0;
+#if NG
+    for (int m = 0; m < NG; m++) {
+        qp->relaxed += qp_is_violated(qp->side[NV + m]);
+    }
+#endif
 }
 
 /* Everything that does not depend on dx_0. plain: the factors at hand are those without given controls and without rows. */
 static status_t ipm_prepare(solver_t *s, int plain)
 {
     s->ipm.ready = 0;
-    (void)ipm_take_kinds(s);
+    ipm_take_kinds(s);
     if (!ipm_first_factorization(s, plain)) {
         return NUMERICAL_FAILURE;
     }
-    (void)ipm_first_forces(s);
+    ipm_first_forces(s);
     ipm_first_backward(s);
     s->ipm.ready = 1;
     return OK;
 }
 
-/* The first point is the solution if it meets all rows, once equations are exact and fixed controls have their multipliers.
+/* The first point is the solution if it meets all rows, once equations are exact and given controls have their multipliers.
  * Returns 1 if it is, or if something is wrong with the equations. */
 static int ipm_run_without_sides(solver_t *s, status_t *status)
 {
     ipm_t *q = &s->ipm;
+    const int equations = ipm_any(q, EQUATION);
     q->sides = q->hard = 0;
     q->unit = R(0);
-    if (q->damping > R(0) || (ipm_any_violation(s) && !ipm_any(q, 1))) {
+    if (q->damping > R(0) || (ipm_any_violation(s) && !equations)) {
         return 0;
     }
-    if (!ipm_any(q, 1) && !ipm_any(q, 2)) {
+    if (!equations && !ipm_any(q, GIVEN_CONTROL)) {
         ipm_net_multipliers(s);
         return 1;
     }
@@ -99,18 +115,21 @@ static int ipm_run_without_sides(solver_t *s, status_t *status)
  * at a tenth of it. */
 static status_t ipm_run(solver_t *s)
 {
-    ipm_t *q = &s->ipm;
+    const ipm_t *q = &s->ipm;
     status_t status = OK;
-    real_t cost, mu;
+    real_t mu;
     int count;
     if (ipm_run_without_sides(s, &status)) {
         return status;
     }
-    cost = ipm_violation_cost(s, &count);
-    mu = R(2) * cost / (real_t)((count > 0) ? count : 1);
+    mu = R(2) * ipm_violation_cost(s, &count);
+    mu /= (real_t)((count > 0) ? count : 1);
     mu = (q->damping > mu) ? q->damping : mu;
+#if IPM_WARM_START
+    mu = q->warm ? R(0.1) * mu : mu;
+#endif
     ipm_list_sides(s);
-    ipm_start_sides(s, q->warm ? R(0.1) * mu : mu, cost);
+    ipm_start_sides(s, mu);
     return ipm_iterate(s);
 }
 
@@ -129,36 +148,61 @@ static status_t ipm_attempt(solver_t *s)
     return ipm_run(s);
 }
 
-/* The solution for dx_0 and the present bounds. A warm start that does not get there by half the cap is given up for a cold one. */
+#if IPM_WARM_START
+/* An attempt from the multipliers of the QP before; one that does not get there by half the cap is given up for a cold one. */
+static status_t ipm_attempts(solver_t *s)
+{
+    ipm_t *q = &s->ipm;
+    status_t status = ipm_attempt(s);
+    if (q->warm && (status == ITERATION_LIMIT || status == NUMERICAL_FAILURE)) {
+        q->warm = 0;
+        status = ipm_prepare(s, 0);
+        status = (status == OK) ? ipm_attempt(s) : status;
+    }
+    q->solved = status == OK;
+    return status;
+}
+
+#else
+static status_t ipm_attempts(solver_t *s)
+{
+    return ipm_attempt(s);
+}
+
+#endif
+/* The first factorisation and its backward substitution fit the present bounds. */
+static status_t ipm_update(solver_t *s)
+{
+    if (ipm_take_kinds(s) || !s->ipm.ready) {
+        return ipm_prepare(s, 0);
+    }
+    if (ipm_first_forces(s)) {
+        ipm_first_backward(s);
+    }
+    return OK;
+}
+
+/* The solution for dx_0 and the present bounds. */
 static status_t ipm_solve(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    status_t status = ipm_check_bounds(s);
-    q->warm = IPM_WARM_START && q->solved;
+    status_t status = qp_check_bounds(&s->qp);
+#if IPM_WARM_START
+    q->warm = q->solved;
+    q->solved = 0;
     memcpy(q->before, s->qp.mult, sizeof q->before);
-    s->qp.iterations = q->solved = 0;
-    if (status == OK) {
-        if (ipm_take_kinds(s) || !q->ready) {
-            status = ipm_prepare(s, 0);
-        } else if (ipm_first_forces(s)) {
-            ipm_first_backward(s);
-        }
-    }
-    if (status == OK) {
-        status = ipm_attempt(s);
-        if (q->warm && (status == ITERATION_LIMIT || status == NUMERICAL_FAILURE)) {
-            q->warm = 0;
-            status = ipm_prepare(s, 0);
-            status = (status == OK) ? ipm_attempt(s) : status;
-        }
-        q->solved = status == OK;
-        ipm_write_sides(s);
-    } else {
+#endif
+    s->qp.iterations = 0;
+    status = (status == OK) ? ipm_update(s) : status;
+    if (status != OK) {
         q->ready = 0;
-        ipm_clear(s);
+        qp_clear_results(&s->qp);
+        return status;
     }
+    status = ipm_attempts(s);
+    ipm_write_sides(s);
     if (status == NUMERICAL_FAILURE) {
-        ipm_clear(s);
+        qp_clear_results(&s->qp);
     }
     return status;
 }

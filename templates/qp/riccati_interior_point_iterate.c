@@ -4,36 +4,32 @@
 /* Multiplier of a soft row that no control moves, 0 of any other row. */
 static real_t ipm_constant_multiplier(const solver_t *s, int c)
 {
-    const ipm_t *q = &s->ipm;
+    const qp_t *q = &s->qp;
     const int m = c - NV;
-    real_t violation;
-    if (s->units.reach[c] > R(0) || !(s->qp.penalty[m] < (real_t)INFINITY)) {
-        return R(0);
+    if (!(s->units.reach[c] > R(0)) && qp_is_soft(q, m)) {
+        const real_t violation = ipm_violation(s, c);
+        if (violation > R(0)) {
+            const real_t force = q->penalty[m] + q->curvature[m] * violation;
+            return (s->ipm.v[c] > q->upper[c]) ? force : -force;
+        }
     }
-    violation = ipm_violation(s, c);
-    if (!(violation > R(0))) {
-        return R(0);
-    }
-    violation = s->qp.penalty[m] + s->qp.curvature[m] * violation;
-    return (q->v[c] > s->qp.upper[c]) ? violation : -violation;
+    return R(0);
 }
 
 #endif
-/* Multipliers of the rows, without those of fixed controls. */
+/* Multipliers of the rows, without those of given controls. */
 static void ipm_net_multipliers(solver_t *s)
 {
-    ipm_t *q = &s->ipm;
-    int i;
-    for (i = 0; i < NV; i++) {
-        s->qp.mult[i] = R(0);
-    }
+    const ipm_t *q = &s->ipm;
+    real_t *mult = s->qp.mult;
+    memset(mult, 0, sizeof s->qp.mult);
 #if NG
-    for (i = NV; i < NV + NG; i++) {
-        s->qp.mult[i] = (q->kind[i] == 1) ? q->y[i] : ipm_constant_multiplier(s, i);
+    for (int m = 0; m < NG; m++) {
+        mult[NV + m] = (q->kind[NV + m] == EQUATION) ? q->y[m] : ipm_constant_multiplier(s, NV + m);
     }
 #endif
-    for (i = 0; i < q->sides; i++) {
-        s->qp.mult[q->row[i]] += q->sign[i] * q->lam[i];
+    for (int i = 0; i < q->sides; i++) {
+        mult[ipm_row(q, i)] += ipm_sign(q, i) * q->lam[i];
     }
 }
 
@@ -44,15 +40,14 @@ static real_t ipm_cost_unit(const solver_t *s)
 {
     const ipm_t *q = &s->ipm;
     real_t most = R(0), sum = R(0), way = R(0);
-    int c;
-    for (c = 0; c < NV + NG; c++) {
+    for (int c = 0; c < NV + NG; c++) {
         const real_t force = FABS(s->qp.mult[c]) * s->units.reach[c];
         most = (force > most) ? force : most;
         sum += s->qp.mult[c] * (q->origin[c] - q->v[c]);
     }
-    for (c = 0; c < NV; c++) {
-        const real_t v = FABS(q->v[c]);
-        way = (q->kind[c] == 0 && v > way * s->units.reach[c] && s->units.reach[c] > R(0)) ? v / s->units.reach[c] : way;
+    for (int c = 0; c < NV; c++) {
+        const real_t v = FABS(q->v[c]), reach = s->units.reach[c];
+        way = (q->kind[c] == INEQUALITY && v > way * reach && reach > R(0)) ? v / reach : way;
     }
     sum = R(0.5) * FABS(sum);
     most = (sum < most * most) ? sum : most * most;
@@ -61,17 +56,17 @@ static real_t ipm_cost_unit(const solver_t *s)
 }
 
 /* sum |a_i| |z_i| of row c: what the rounding of its value is relative to. */
-static real_t ipm_terms(solver_t *s, int c)
+static real_t ipm_terms(const solver_t *s, int c)
 {
 #if NG && (GENERAL_ROWS || NE || BLOCK_ROWS)
     if (c >= NV && stage_state[c - NV] < 0) {
         const int k = stage_of_row[c - NV];
         const real_t *a = stage_row(s, c - NV);
-        real_t sum = R(0.0);
-        for (int i = 0; i < NXS; ++i) {
+        real_t sum = R(0);
+        for (int i = 0; i < NXS; i++) {
             sum += FABS(a[i] * s->qp.x[k][i]);
         }
-        for (int i = 0; k < NS && i < NUS; ++i) {
+        for (int i = 0; k < NS && i < NUS; i++) {
             sum += FABS(a[NXS + i] * s->qp.z[k * NUS + i]);
         }
         return sum;
@@ -98,21 +93,21 @@ static void ipm_measure(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     real_t root;
-    int i;
-    ipm_values(s, s->qp.x, s->qp.z, q->v);
+    ipm_values(s);
     ipm_net_multipliers(s);
     ipm_side_residuals(s);
     q->unit = ipm_cost_unit(s);
     q->unit = (q->unit > q->mu) ? q->unit : q->mu;
     root = SQRT(q->unit);
     q->primal = R(0);
-    for (i = 0; i < q->sides; i++) {
-        ipm_take_residual(s, q->row[i], q->bound[i], q->r[i], root);
+    for (int i = 0; i < q->sides; i++) {
+        ipm_take_residual(s, ipm_row(q, i), ipm_bound(s, i), q->r[i], root);
     }
 #if NG
-    for (int c = NV; c < NV + NG; c++) {
-        if (q->stiffness[c] > R(0)) {
-            ipm_take_residual(s, c, s->qp.lower[c], q->v[c] - s->qp.lower[c], root);
+    for (int m = 0; m < NG; m++) {
+        const real_t bound = s->qp.lower[NV + m];
+        if (q->stiffness[m] > R(0)) {
+            ipm_take_residual(s, NV + m, bound, q->v[NV + m] - bound, root);
         }
     }
 #endif
@@ -130,55 +125,87 @@ static int ipm_stiffen(ipm_t *q, real_t before)
     return 0;
 }
 
-/* 1 / (the longest step that keeps t, lam, e and kappa positive). */
-static real_t ipm_inverse_step(const solver_t *s)
+/* The largest of -direction[i] / value[i], if larger than `most`. */
+static inline real_t ipm_largest_ratio(real_t most, real_t value, real_t direction)
 {
-    const ipm_t *q = &s->ipm;
+    const real_t ratio = -direction / value;
+    return (ratio > most) ? ratio : most;
+}
+
+/* 1 / (the longest step that keeps t, lam, e and kappa positive). */
+static real_t ipm_inverse_step(const ipm_t *q)
+{
     real_t most = R(0);
-    int i;
-    for (i = 0; i < q->sides; i++) {
-        const real_t a = -q->dt[i] / q->t[i], b = -q->dlam[i] / q->lam[i];
-        most = (a > most) ? a : most;
-        most = (b > most) ? b : most;
+    for (int i = 0; i < q->sides; i++) {
+        most = ipm_largest_ratio(most, q->t[i], q->dt[i]);
+        most = ipm_largest_ratio(most, q->lam[i], q->dlam[i]);
     }
-    for (i = 0; i < q->sides - q->hard; i++) {
+#if NG
+    for (int i = 0; i < q->sides - q->hard; i++) {
         if (q->kappa[i] > R(0)) {
-            const real_t a = -q->de[i] / q->e[i], b = -q->dkappa[i] / q->kappa[i];
-            most = (a > most) ? a : most;
-            most = (b > most) ? b : most;
+            most = ipm_largest_ratio(most, q->e[i], q->de[i]);
+            most = ipm_largest_ratio(most, q->kappa[i], q->dkappa[i]);
         }
     }
+#endif
     return most;
 }
 
 /* Mean of t lam and e kappa after a step of the given length, relative to the present one. */
-static real_t ipm_reduction(const solver_t *s, real_t step)
+static real_t ipm_reduction(const ipm_t *q, real_t step)
 {
-    const ipm_t *q = &s->ipm;
     real_t now = R(0), then = R(0);
-    int i;
-    for (i = 0; i < q->sides; i++) {
+    for (int i = 0; i < q->sides; i++) {
         now += q->t[i] * q->lam[i];
         then += (q->t[i] + step * q->dt[i]) * (q->lam[i] + step * q->dlam[i]);
     }
-    for (i = 0; i < q->sides - q->hard; i++) {
+#if NG
+    for (int i = 0; i < q->sides - q->hard; i++) {
         now += q->e[i] * q->kappa[i];
         then += (q->e[i] + step * q->de[i]) * (q->kappa[i] + step * q->dkappa[i]);
     }
+#endif
     return then / now;
 }
 
-/* Second-order correction and centring for the products t lam and e kappa: extra = (target - share dt dlam) / lam, and alike for
- * e. The correction of a direction of which only a short step is possible would do harm: share < 1. */
-static void ipm_correct(solver_t *s, real_t target, real_t share)
+/* The affine direction is asked for: no correction. */
+static void ipm_correct_nothing(ipm_t *q)
 {
-    ipm_t *q = &s->ipm;
-    int i;
-    for (i = 0; i < q->sides; i++) {
-        q->extra[i] = (target - share * q->dt[i] * q->dlam[i]) / q->lam[i];
+    memset(q->dt, 0, sizeof q->dt);
+#if NG
+    memset(q->dkappa, 0, sizeof q->dkappa);
+#endif
+}
+
+/* Second-order correction and centring for the products t lam and e kappa: extra = (target - share dt dlam) / lam takes the place
+ * of dt, and alike for e. The correction of a direction of which only a short step is possible would do harm: share < 1. */
+static void ipm_correct(ipm_t *q, real_t target, real_t share)
+{
+    for (int i = 0; i < q->sides; i++) {
+        q->dt[i] = (target - share * q->dt[i] * q->dlam[i]) / q->lam[i];
     }
-    for (i = 0; i < q->sides - q->hard; i++) {
-        q->extra_e[i] = (q->kappa[i] > R(0)) ? (target - share * q->de[i] * q->dkappa[i]) / q->e[i] : R(0);
+#if NG
+    for (int i = 0; i < q->sides - q->hard; i++) {
+        q->dkappa[i] = (q->kappa[i] > R(0)) ? (target - share * q->de[i] * q->dkappa[i]) / q->e[i] : R(0);
+    }
+#endif
+}
+
+/* States and controls move, and close their share of the gaps. */
+static void ipm_move_point(solver_t *s, real_t step)
+{
+    riccati_t *r = &s->riccati;
+    const direction_t *d = &r->work.vectors.rhs.direction;
+    for (int k = 0; k <= NS; k++) {
+        for (int i = 0; i < NXS; i++) {
+            s->qp.x[k][i] += step * d->dx[k][i];
+        }
+        for (int i = 0; k < NS && i < NXS; i++) {
+            r->b[k][i] *= R(1) - step;
+        }
+    }
+    for (int c = 0; c < NV; c++) {
+        s->qp.z[c] += step * d->du[c];
     }
 }
 
@@ -186,33 +213,25 @@ static void ipm_correct(solver_t *s, real_t target, real_t share)
 static void ipm_move(solver_t *s, real_t step)
 {
     ipm_t *q = &s->ipm;
-    int k, i, c;
-    for (k = 0; k <= NS; k++) {
-        for (i = 0; i < NXS; i++) {
-            s->qp.x[k][i] += step * q->dx[k][i];
-        }
-        for (i = 0; k < NS && i < NXS; i++) {
-            s->riccati.b[k][i] *= R(1) - step;
-        }
-    }
-    for (c = 0; c < NV; c++) {
-        s->qp.z[c] += step * q->du[c];
-    }
+    ipm_move_point(s, step);
 #if NG
-    for (c = NV; c < NV + NG; c++) {
-        if (q->kind[c] == 1) {
-            q->y[c] += step * q->weight[c] * ((q->v[c] - s->qp.lower[c]) + q->dv[c]);
+    for (int m = 0; m < NG; m++) {
+        const int c = NV + m;
+        if (q->kind[c] == EQUATION) {
+            q->y[m] += step * q->weight[c] * ((q->v[c] - s->qp.lower[c]) + q->dv[c]);
         }
     }
 #endif
-    for (i = 0; i < q->sides; i++) {
+    for (int i = 0; i < q->sides; i++) {
         q->t[i] += step * q->dt[i];
         q->lam[i] += step * q->dlam[i];
     }
-    for (i = 0; i < q->sides - q->hard; i++) {
+#if NG
+    for (int i = 0; i < q->sides - q->hard; i++) {
         q->e[i] += step * q->de[i];
         q->kappa[i] += step * q->dkappa[i];
     }
+#endif
 }
 
 /* The share of the way to the boundary that is not gone: little, and less near the solution. An iteration that takes long without
@@ -226,49 +245,54 @@ static real_t ipm_setback(const solver_t *s)
     return (gap > R(5e-4)) ? R(5e-3) : (gap < R(1e-7)) ? R(1e-6) : R(10) * gap;
 }
 
+#if NG
 /* By how much to stretch a direction, d = residual of the equations: d'W d / -d'W dv, the step of steepest ascent of the dual
  * function. Where equations nearly depend on each other the method of multipliers takes short steps in one direction. */
 static real_t ipm_stretch(const solver_t *s)
 {
     const ipm_t *q = &s->ipm;
     real_t gain = R(0), size = R(0);
-#if NG
     for (int c = NV; c < NV + NG; c++) {
-        if (q->kind[c] == 1) {
+        if (q->kind[c] == EQUATION) {
             const real_t residual = q->v[c] - s->qp.lower[c];
             gain += q->weight[c] * residual * residual;
             size -= q->weight[c] * residual * q->dv[c];
         }
     }
-#endif
     if (!(q->stretched && gain > size)) {
         return R(1);
     }
     return (gain < R(64) * size) ? gain / size : R(64);
 }
 
-/* One iteration of Mehrotra (1992): affine direction, centring as its success allows, corrected direction. */
+#endif
+/* Mehrotra (1992): affine direction, centring as its success allows, corrected direction. */
 static void ipm_step(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     const real_t least = R(0.0009765625) * TOL_IPM_GAP * q->unit;
-    real_t inverse, share, target, way, most;
-    memset(q->extra, 0, sizeof q->extra);
-    memset(q->extra_e, 0, sizeof q->extra_e);
+    real_t inverse, share, target, way, most = R(1);
+    ipm_correct_nothing(q);
     ipm_direction(s);
     if (q->sides == 0) {
-        ipm_move(s, ipm_stretch(s));
+#if NG
+        most = ipm_stretch(s);
+#endif
+        ipm_move(s, most);
         return;
     }
-    inverse = ipm_inverse_step(s);
-    share = ipm_reduction(s, (inverse > R(1)) ? R(1) / inverse : R(1));
-    share = (share > R(0)) ? ((share < R(1)) ? share : R(1)) : R(0);
+    inverse = ipm_inverse_step(q);
+    share = ipm_reduction(q, (inverse > R(1)) ? R(1) / inverse : R(1));
+    share = (share > R(0)) ? share : R(0);
+    share = (share < R(1)) ? share : R(1);
     target = share * share * share * q->mu;
-    ipm_correct(s, (target > least) ? target : least, (inverse > R(4)) ? R(4) / inverse : R(1));
+    ipm_correct(q, (target > least) ? target : least, (inverse > R(4)) ? R(4) / inverse : R(1));
     ipm_direction(s);
-    inverse = ipm_inverse_step(s);
+    inverse = ipm_inverse_step(q);
     way = R(1) - ipm_setback(s);
+#if NG
     most = ipm_stretch(s);
+#endif
     q->step = (way < inverse * most) ? way / inverse : most;
     ipm_move(s, q->step);
 }
@@ -277,22 +301,18 @@ static void ipm_step(solver_t *s)
  * largest value of that state. */
 static real_t ipm_gaps(solver_t *s)
 {
-    real_t most = R(0), size[NXS] = {0}, z[NZS];
-    int k, i;
-    for (k = 0; k <= NS; k++) {
-        for (i = 0; i < NXS; i++) {
+    real_t most = R(0), size[NXS] = {0};
+    for (int k = 0; k <= NS; k++) {
+        for (int i = 0; i < NXS; i++) {
             const real_t x = FABS(s->qp.x[k][i]);
             size[i] = (x > size[i]) ? x : size[i];
         }
     }
-    for (k = 0; k < NS; k++) {
-        real_t (*S)[NZS] = stage_S(s, k);
-        memcpy(z, s->qp.x[k], sizeof s->qp.x[k]);
-        memcpy(z + NXS, s->qp.z + k * NUS, sizeof z[0] * NUS);
-        for (i = 0; i < NXS; i++) {
-            const real_t gap = riccati_dot(S[i], z, NZS) + stage_b(s, k)[i] - s->qp.x[k + 1][i];
-            s->riccati.b[k][i] = gap;
-            most = (FABS(gap) > most * size[i]) ? FABS(gap) / size[i] : most;
+    for (int k = 0; k < NS; k++) {
+        real_t *b = s->riccati.b[k];
+        qp_gap(s, k, b);
+        for (int i = 0; i < NXS; i++) {
+            most = (FABS(b[i]) > most * size[i]) ? FABS(b[i]) / size[i] : most;
         }
     }
     return most;
@@ -356,11 +376,12 @@ static int ipm_weigh_and_factorize(solver_t *s)
     return 1;
 }
 
+#if NG
 /* 1 if the next step is to be stretched: every other one, where nothing but equations is left that hardly come closer. */
 static int ipm_slow_equations(const ipm_t *q, real_t before)
 {
     return !q->stretched && q->primal > R(0.875) * before && q->stiffening >= q->stiffest &&
-           q->mu <= R(16384) * TOL_IPM_GAP * q->unit && ipm_any(q, 1);
+           q->mu <= R(16384) * TOL_IPM_GAP * q->unit && ipm_any(q, EQUATION);
 }
 
 /* The same before an end with equations that are off by more than rounding; 1 also after a stretched step: another one follows. */
@@ -368,53 +389,87 @@ static int ipm_inexact_equations(ipm_t *q)
 {
     q->stretched = !q->stretched;
     if (q->stretched) {
-        q->stretched = ipm_any(q, 1) && q->primal > R(4) * TOL_IPM_PRIMAL && q->primal <= R(0.5) * q->slow;
+        q->stretched = ipm_any(q, EQUATION) && q->primal > R(4) * TOL_IPM_PRIMAL && q->primal <= R(0.5) * q->slow;
         q->slow = q->primal;
         return q->stretched;
     }
     return 1;
 }
 
-/* OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
+#endif
+/* Nothing is known about residuals yet. */
+static void ipm_forget_progress(ipm_t *q)
+{
+    q->closed_gaps = 0;
+    q->merit = q->slope = q->primal = (real_t)INFINITY;
+    q->step = R(1);
+    q->stiffest = R(65536);
+#if NG
+    q->stretched = 0;
+    q->slow = (real_t)INFINITY;
+#endif
+}
+
+#if NG
+/* 1 if the iterate is the solution, which `done` says of all but the equations; else the next step may be a stretched one. */
+static int ipm_ends(ipm_t *q, int done, real_t before)
+{
+    if (done) {
+        return !ipm_inexact_equations(q);
+    }
+    q->stretched = ipm_slow_equations(q, before);
+    return 0;
+}
+
+/* 1 if the rows come no closer, as where they contradict each other. */
+static inline int ipm_stagnates(const ipm_t *q, real_t before)
+{
+    return q->primal > TOL_IPM_PRIMAL && (q->step < R(0.5) || q->primal > R(0.5) * before);
+}
+
+#endif
+/* Iterations from the present point. OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
 static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    q->closed_gaps = q->stretched = 0;
-    q->merit = q->slope = q->slow = (real_t)INFINITY;
-    q->step = R(1);
-    q->stiffest = R(65536);
-    q->primal = (real_t)INFINITY;
+#if IPM_WARM_START
+    const int cap = q->warm ? IPM_MAX_ITERATIONS / 2 : IPM_MAX_ITERATIONS;
+#else
+    const int cap = IPM_MAX_ITERATIONS;
+#endif
+    ipm_forget_progress(q);
     for (;;) {
         const real_t before = q->primal, gradient_before = q->slope;
-        int changed, converged;
+        int changed, done;
         ipm_measure(s);
         changed = ipm_stiffen(q, before);
         ipm_cost_gradient(s);
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return NUMERICAL_FAILURE;
         }
-        converged = ipm_converged(s);
+        done = ipm_converged(s);
         if (q->probing && q->slope < (real_t)INFINITY && ipm_any_violation(s)) {
             return OK;
         }
         changed |= ipm_soften(q, gradient_before);
-        if (!converged || changed) {
-            q->stretched = ipm_slow_equations(q, before);
-        } else if (!ipm_inexact_equations(q)) {
+        done &= !changed;
+#if NG
+        done = ipm_ends(q, done, before);
+#endif
+        if (done) {
             return OK;
         }
-        if (q->primal > TOL_IPM_PRIMAL && (q->step < R(0.5) || q->primal > R(0.5) * before) &&
-            ipm_infeasible(s)) {
+#if NG
+        if ((s->qp.iterations >= cap || ipm_stagnates(q, before)) && ipm_infeasible(s)) {
             return INFEASIBLE;
         }
-        if (s->qp.iterations >= (q->warm ? IPM_MAX_ITERATIONS / 2 : IPM_MAX_ITERATIONS)) {
-            return ipm_infeasible(s) ? INFEASIBLE : ITERATION_LIMIT;
+#endif
+        if (s->qp.iterations >= cap) {
+            return ITERATION_LIMIT;
         }
         s->qp.iterations++;
-        if (q->sides > 0 || changed) {
-            if (!ipm_weigh_and_factorize(s)) {
-                return ipm_small_residuals(q) ? OK : NUMERICAL_FAILURE;
-            }
+        if ((q->sides > 0 || changed) && !ipm_weigh_and_factorize(s)) {
+            return ipm_small_residuals(q) ? OK : NUMERICAL_FAILURE;
         }
         ipm_step(s);
     }

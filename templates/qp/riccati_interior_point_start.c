@@ -4,7 +4,6 @@
 static int ipm_factorize(solver_t *s)
 {
     riccati_t *r = &s->riccati;
-    int attempt;
     r->regularize = 0;
     r->regularize_zero = R(0);
     if (riccati_factorize(s, NS)) {
@@ -12,7 +11,7 @@ static int ipm_factorize(solver_t *s)
     }
     r->regularize = 1;
     r->regularize_zero = s->ipm.least_pivot;
-    for (attempt = 0; attempt < 5; attempt++) {
+    for (int attempt = 0; attempt < 5; attempt++) {
         if (riccati_factorize(s, NS)) {
             return 1;
         }
@@ -26,9 +25,8 @@ static int ipm_factorize(solver_t *s)
 static real_t ipm_damping_cost(solver_t *s)
 {
     real_t most = R(0);
-    int k, j;
-    for (k = 0; k < NS; k++) {
-        for (j = 0; j < NUS; j++) {
+    for (int k = 0; k < NS; k++) {
+        for (int j = 0; j < NUS; j++) {
             const real_t d = s->qp.upper[k * NUS + j] - s->qp.lower[k * NUS + j];
             const real_t square = stage_Q(s, k)[NXS + j][NXS + j] * d * d;
             const real_t linear = FABS(stage_g(s, k)[NXS + j]) * d;
@@ -44,10 +42,9 @@ static real_t ipm_damping_cost(solver_t *s)
 static void ipm_set_proximal(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    int k, i;
-    for (i = 0; i < NZS; i++) {
+    for (int i = 0; i < NZS; i++) {
         real_t most = R(0);
-        for (k = 0; k < NS; k++) {
+        for (int k = 0; k < NS; k++) {
             most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
         }
         most = SQRT(TOL_UNIT) * most;
@@ -59,46 +56,50 @@ static void ipm_set_proximal(solver_t *s)
 static void ipm_first_weights(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    int c;
-    for (c = 0; c < NV + NG; c++) {
+    memset(q->weight, 0, sizeof q->weight);
+#if NG
+    memcpy(q->weight + NV, q->stiffness, sizeof q->stiffness);
+#endif
+    for (int c = 0; c < NV + NG; c++) {
         const real_t d = s->qp.upper[c] - s->qp.lower[c];
-        q->weight[c] = (q->kind[c] == 1) ? q->stiffness[c] : R(0);
-        if (q->damping > R(0) && q->kind[c] == 0 && d > R(0) && isfinite(d)) {
+        if (q->damping > R(0) && q->kind[c] == INEQUALITY && d > R(0) && isfinite(d)) {
             q->weight[c] = q->damping / (d * d);
         }
     }
     ipm_set_weights(s);
 }
 
+#if NG
 /* An equation is met in one step but for a small share of its reach^2 times the multiplier. Returns 1 if there is one. */
 static int ipm_set_stiffness(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    int c, any = 0;
-    for (c = 0; c < NV + NG; c++) {
-        const int equation = q->kind[c] == 1 && s->units.reach[c] > R(0);
-        q->stiffness[c] = R(0);
-        if (equation) {
-            q->stiffness[c] = R(1) / (TOL_IPM_EQUATION_REGULARIZATION * s->units.reach[c] * s->units.reach[c]);
-        }
+    int any = 0;
+    for (int m = 0; m < NG; m++) {
+        const real_t reach = s->units.reach[NV + m];
+        const int equation = q->kind[NV + m] == EQUATION && reach > R(0);
+        q->stiffness[m] = equation ? R(1) / (TOL_IPM_EQUATION_REGULARIZATION * reach * reach) : R(0);
         any |= equation;
     }
     return any;
 }
 
+#endif
 /* Factorisation of the problem with equations only, and units of the rows. plain: as in ipm_prepare(). */
 static int ipm_first_factorization(solver_t *s, int plain)
 {
     ipm_t *q = &s->ipm;
-    int c, stands = plain;
+    int stands = plain;
+#if NG
     memset(q->stiffness, 0, sizeof q->stiffness);
+#endif
     memset(q->proximal, 0, sizeof q->proximal);
     q->damping = R(0);
     q->stiffening = R(1);
     q->least_pivot = riccati_least_pivot(s);
     ipm_first_weights(s);
     s->riccati.regularize = 0;
-    for (c = 0; c < NV; c++) {
+    for (int c = 0; c < NV; c++) {
         stands &= !s->riccati.fixed[c];
     }
     if (!stands && !riccati_factorize(s, NS)) {
@@ -110,29 +111,31 @@ static int ipm_first_factorization(solver_t *s, int plain)
         }
     }
     riccati_set_reach(s);
+#if NG
     if (ipm_set_stiffness(s)) {
         ipm_first_weights(s);
         return ipm_factorize(s);
     }
+#endif
     return 1;
 }
 
-/* Multipliers that the rows would have at v = 0, where the first point is computed from; values of the fixed controls. Returns 1
+/* Multipliers that the rows would have at v = 0, where the first point is computed from; values of the given controls. Returns 1
  * if something has changed. */
 static int ipm_first_forces(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    int c, changed = 0;
-    for (c = 0; c < NV + NG; c++) {
+    int changed = 0;
+    for (int c = 0; c < NV + NG; c++) {
         const real_t middle = R(0.5) * (s->qp.lower[c] + s->qp.upper[c]);
         const real_t f = (q->weight[c] > R(0)) ? -q->weight[c] * middle : R(0);
-        const real_t u = (q->kind[c] == 2) ? s->qp.lower[c] : R(0);
         changed |= !(f >= q->force[c] && f <= q->force[c]);
         q->force[c] = f;
-        if (c < NV) {
-            changed |= !(u >= s->riccati.du[c] && u <= s->riccati.du[c]);
-            s->riccati.du[c] = u;
-        }
+    }
+    for (int c = 0; c < NV; c++) {
+        const real_t u = (q->kind[c] == GIVEN_CONTROL) ? s->qp.lower[c] : R(0);
+        changed |= !(u >= s->riccati.du[c] && u <= s->riccati.du[c]);
+        s->riccati.du[c] = u;
     }
     return changed;
 }
@@ -140,13 +143,14 @@ static int ipm_first_forces(solver_t *s)
 /* The backward substitution that does not need dx_0. */
 static void ipm_first_backward(solver_t *s)
 {
-    int k;
-    for (k = 0; k < NS; k++) {
-        memcpy(s->riccati.g[k], stage_g(s, k), sizeof s->riccati.g[k]);
-        memcpy(s->riccati.b[k], stage_b(s, k), sizeof s->riccati.b[k]);
+    riccati_t *r = &s->riccati;
+    real_t (*g)[NZS] = r->work.vectors.rhs.g;
+    for (int k = 0; k < NS; k++) {
+        memcpy(g[k], stage_g(s, k), sizeof g[k]);
+        memcpy(r->b[k], stage_b(s, k), sizeof r->b[k]);
     }
-    memcpy(s->riccati.g[k], stage_g(s, k), sizeof s->riccati.g[0][0] * NXS);
-    ipm_add_forces(s, s->ipm.force, s->riccati.g);
+    memcpy(g[NS], stage_g(s, NS), sizeof g[0][0] * NXS);
+    ipm_add_forces(s, s->ipm.force);
     riccati_backward(s, NS);
 }
 
@@ -155,22 +159,26 @@ static int ipm_first_point(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     real_t probe = R(0);
-    int k, i;
     memcpy(s->qp.x[0], s->step.dx[0], sizeof s->step.dx[0]);
     riccati_forward(s, s->qp.x, s->qp.z);
     memset(s->riccati.b, 0, sizeof s->riccati.b);
     memset(s->riccati.du, 0, sizeof s->riccati.du);
-    for (k = 0; k <= NS; k++) {
-        for (i = 0; i < NXS; i++) {
+    for (int k = 0; k <= NS; k++) {
+        for (int i = 0; i < NXS; i++) {
             probe += R(0) * s->qp.x[k][i];
         }
     }
-    ipm_values(s, s->qp.x, s->qp.z, q->v);
+    ipm_values(s);
     memcpy(q->origin, q->v, sizeof q->v);
-    for (i = 0; i < NV + NG; i++) {
-        probe += R(0) * q->v[i];
-        q->y[i] = (q->kind[i] == 1) ? q->weight[i] * (q->v[i] - s->qp.lower[i]) : R(0);
+    for (int c = 0; c < NV + NG; c++) {
+        probe += R(0) * q->v[c];
     }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        const int c = NV + m;
+        q->y[m] = (q->kind[c] == EQUATION) ? q->weight[c] * (q->v[c] - s->qp.lower[c]) : R(0);
+    }
+#endif
     return isfinite(probe) != 0;
 }
 
@@ -187,10 +195,9 @@ static real_t ipm_violation(const solver_t *s, int c)
 static real_t ipm_violation_cost(const solver_t *s, int *count)
 {
     real_t sum = R(0);
-    int c;
     *count = 0;
-    for (c = 0; c < NV + NG; c++) {
-        if (s->ipm.kind[c] == 0 && s->units.reach[c] > R(0)) {
+    for (int c = 0; c < NV + NG; c++) {
+        if (s->ipm.kind[c] == INEQUALITY && s->units.reach[c] > R(0)) {
             const real_t d = ipm_violation(s, c) / s->units.reach[c];
             sum += d * d;
             *count += d > R(0);
@@ -203,60 +210,108 @@ static real_t ipm_violation_cost(const solver_t *s, int *count)
 static int ipm_any_violation(const solver_t *s)
 {
     int count;
-    (void)ipm_violation_cost(s, &count);
+    ipm_violation_cost(s, &count);
     return count > 0;
 }
 
-/* Slack and multiplier of a soft side. It starts where its violation costs no more than its penalty, unless it was violated in
- * the QP before. */
-static void ipm_start_soft_side(solver_t *s, int i, real_t mu, real_t distance)
+#if NG
+#if IPM_WARM_START
+/* 1 if soft side i was violated in the QP before. */
+static inline int ipm_was_violated(const solver_t *s, int i)
 {
-    ipm_t *q = &s->ipm;
-    const int c = q->row[i], j = i - q->hard;
-    const real_t l1 = s->qp.penalty[c - NV], l2 = s->qp.curvature[c - NV];
-    const real_t least = SQRT(mu) * s->units.reach[c];
-    if (!(l1 > R(0))) {
-        q->kappa[j] = R(0);
-        q->e[j] = q->lam[i] / l2;
-    } else if (q->warm && s->qp.side[c] == ((q->sign[i] > R(0)) ? 2 : -2)) {
-        q->e[j] = (-distance > least) ? -distance : least;
-        q->lam[i] = l1 + l2 * q->e[j];
-        q->kappa[j] = (mu / q->e[j] < R(0.5) * q->lam[i]) ? mu / q->e[j] : R(0.5) * q->lam[i];
-        q->lam[i] -= q->kappa[j];
-        q->t[i] = mu / q->lam[i];
-    } else {
-        q->lam[i] = (q->lam[i] < R(0.5) * l1) ? q->lam[i] : R(0.5) * l1;
-        q->t[i] = mu / q->lam[i];
-        q->kappa[j] = l1 - q->lam[i];
-        q->e[j] = mu / q->kappa[j];
-    }
+    return s->ipm.warm && s->qp.side[ipm_row(&s->ipm, i)] == (ipm_is_upper(&s->ipm, i) ? ABOVE : BELOW);
 }
 
-/* t lam = mu on every side, t - reach^2 lam = distance - reach^2 |multiplier before| but for violated bounds, where the distance
- * counts as 0. Multipliers that the present cost of the violations cannot explain are cut. Without a multiplier t is at most the
- * middle between the bounds, unless the value is farther away. */
-static void ipm_start_sides(solver_t *s, real_t mu, real_t cost)
+/* It starts near the violation that it has now. */
+static void ipm_start_violated_side(solver_t *s, int i, real_t mu)
 {
     ipm_t *q = &s->ipm;
-    const real_t root_mu = SQRT(mu), most = R(4) * SQRT(cost);
-    int i;
-    for (i = 0; i < q->sides; i++) {
-        const int c = q->row[i];
-        const real_t reach = s->units.reach[c], distance = q->sign[i] * (q->bound[i] - q->v[c]);
-        const real_t half = R(0.5) * (s->qp.upper[c] - s->qp.lower[c]);
-        real_t force = q->warm ? q->sign[i] * q->before[c] * reach : R(0), t = root_mu * reach;
-        t = (half < t && half > R(0)) ? half : t;
-        t = (distance > t) ? distance : t;
-        if (force > R(0)) {
-            force = (force < most) ? force : most;
-            force -= (distance > R(0)) ? distance / reach : R(0);
-            t = SQRT(force * force + R(4) * mu);
-            t = (force > R(0)) ? R(2) * mu * reach / (t + force) : R(0.5) * (t - force) * reach;
-        }
-        q->t[i] = t;
-        q->lam[i] = mu / t;
-        if (i >= q->hard) {
-            ipm_start_soft_side(s, i, mu, distance);
-        }
+    const int c = ipm_row(q, i), j = i - q->hard, m = c - NV;
+    const real_t least = SQRT(mu) * s->units.reach[c], violation = -ipm_distance(s, i);
+    q->e[j] = (violation > least) ? violation : least;
+    q->lam[i] = s->qp.penalty[m] + s->qp.curvature[m] * q->e[j];
+    q->kappa[j] = (mu / q->e[j] < R(0.5) * q->lam[i]) ? mu / q->e[j] : R(0.5) * q->lam[i];
+    q->lam[i] -= q->kappa[j];
+    q->t[i] = mu / q->lam[i];
+}
+
+#endif
+/* Slack and multiplier of a soft side. It starts where its violation costs no more than its penalty, unless it was violated in
+ * the QP before. */
+static void ipm_start_soft_side(solver_t *s, int i, real_t mu)
+{
+    ipm_t *q = &s->ipm;
+    const int m = ipm_row(q, i) - NV, j = i - q->hard;
+    const real_t l1 = s->qp.penalty[m];
+    if (!(l1 > R(0))) {
+        q->kappa[j] = R(0);
+        q->e[j] = q->lam[i] / s->qp.curvature[m];
+        return;
     }
+#if IPM_WARM_START
+    if (ipm_was_violated(s, i)) {
+        ipm_start_violated_side(s, i, mu);
+        return;
+    }
+#endif
+    q->lam[i] = (q->lam[i] < R(0.5) * l1) ? q->lam[i] : R(0.5) * l1;
+    q->t[i] = mu / q->lam[i];
+    q->kappa[j] = l1 - q->lam[i];
+    q->e[j] = mu / q->kappa[j];
+}
+
+#endif
+#if IPM_WARM_START
+/* The distance t of side i from its multiplier in the QP before: t lam = mu,
+ *     t - reach^2 lam = distance - reach^2 |multiplier before|,
+ * but for violated bounds, where the distance counts as 0. A multiplier that the present cost of the violations, most^2 / 16,
+ * cannot explain is cut. 0 if there was none. */
+static real_t ipm_warm_distance(const solver_t *s, int i, real_t mu, real_t most)
+{
+    const ipm_t *q = &s->ipm;
+    const int c = ipm_row(q, i);
+    const real_t reach = s->units.reach[c], distance = ipm_distance(s, i);
+    real_t force = q->warm ? ipm_sign(q, i) * q->before[c] * reach : R(0), root;
+    if (!(force > R(0))) {
+        return R(0);
+    }
+    force = (force < most) ? force : most;
+    force -= (distance > R(0)) ? distance / reach : R(0);
+    root = SQRT(force * force + R(4) * mu);
+    return (force > R(0)) ? R(2) * mu * reach / (root + force) : R(0.5) * (root - force) * reach;
+}
+
+#endif
+/* The distance t of side i without a multiplier: at most the middle between the bounds, unless the value is farther away. */
+static real_t ipm_cold_distance(const solver_t *s, int i, real_t root_mu)
+{
+    const int c = ipm_row(&s->ipm, i);
+    const real_t half = R(0.5) * (s->qp.upper[c] - s->qp.lower[c]), distance = ipm_distance(s, i);
+    real_t t = root_mu * s->units.reach[c];
+    t = (half < t && half > R(0)) ? half : t;
+    return (distance > t) ? distance : t;
+}
+
+/* t and lam = mu / t of every side. */
+static void ipm_start_sides(solver_t *s, real_t mu)
+{
+    ipm_t *q = &s->ipm;
+    const real_t root_mu = SQRT(mu);
+#if IPM_WARM_START
+    int count;
+    const real_t most = R(4) * SQRT(ipm_violation_cost(s, &count));
+#endif
+    for (int i = 0; i < q->sides; i++) {
+        q->t[i] = ipm_cold_distance(s, i, root_mu);
+#if IPM_WARM_START
+        const real_t warm = ipm_warm_distance(s, i, mu, most);
+        q->t[i] = (warm > R(0)) ? warm : q->t[i];
+#endif
+        q->lam[i] = mu / q->t[i];
+    }
+#if NG
+    for (int i = q->hard; i < q->sides; i++) {
+        ipm_start_soft_side(s, i, mu);
+    }
+#endif
 }

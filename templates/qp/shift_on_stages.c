@@ -2,7 +2,7 @@
 static void qp_shift_controls(solver_t *s, int n)
 {
     qp_t *q = &s->qp;
-    for (int c = 0; c + n < NV; ++c) {
+    for (int c = 0; c + n < NV; c++) {
         q->side[c] = q->side[c + n];
         q->mult[c] = q->mult[c + n];
     }
@@ -13,10 +13,10 @@ static void qp_shift_controls(solver_t *s, int n)
 static void qp_shift_rows(solver_t *s, const int *source)
 {
     qp_t *q = &s->qp;
-    for (int m = 0; m < NG; ++m) {
+    for (int m = 0; m < NG; m++) {
         const int from = NV + source[m];
-        q->side[NV + m] = source[m] < 0 ? 0 : q->side[from];
-        q->mult[NV + m] = source[m] < 0 ? R(0.0) : q->mult[from];
+        q->side[NV + m] = source[m] < 0 ? INACTIVE : q->side[from];
+        q->mult[NV + m] = source[m] < 0 ? R(0) : q->mult[from];
     }
 }
 #endif

@@ -9,9 +9,8 @@ static void riccati_adjoint(const riccati_t *r, int k, const real_t *x, real_t *
 static real_t riccati_control_gradient(const riccati_t *r, int k, int j, const real_t *x, const real_t *u)
 {
     real_t sum = r->h[k][j] + riccati_dot(r->M[k][j], x, NXS);
-    int i;
-    for (i = 0; i < NUS; i++) {
-        sum += u[i] * ((i < j) ? r->M[k][j][NXS + i] : r->M[k][i][NXS + j]);
+    for (int i = 0; i < NUS; i++) {
+        sum += u[i] * riccati_control_entry(r, k, i, j);
     }
     return sum;
 }

@@ -16,12 +16,11 @@
 static int riccati_units(solver_t *s, real_t *unit)
 {
     real_t largest = R(0), probe = R(0);
-    int k, i, j;
     memset(unit, 0, sizeof unit[0] * NZS);
-    for (k = 0; k < NS; k++) {
-        for (j = 0; j < NZS && k * NUS + j - NXS < N * NU; j++) {
+    for (int k = 0; k < NS; k++) {
+        for (int j = 0; j < NZS && k * NUS + j - NXS < N * NU; j++) {
             real_t sum = FABS(stage_Q(s, k)[j][j]);
-            for (i = 0; i < NXS; i++) {
+            for (int i = 0; i < NXS; i++) {
                 const real_t a = stage_S(s, k)[i][j];
                 const real_t next = (k + 1 < NS) ? stage_Q(s, k + 1)[i][i] : stage_Q_N(s)[i][i];
                 sum += a * a * FABS(next);
@@ -31,7 +30,7 @@ static int riccati_units(solver_t *s, real_t *unit)
             probe += R(0) * sum;
         }
     }
-    for (j = 0; j < NZS; j++) {
+    for (int j = 0; j < NZS; j++) {
         if (!(unit[j] > R(0))) {
             unit[j] = (largest > R(0)) ? largest : R(1);
         }
@@ -43,15 +42,16 @@ static int riccati_units(solver_t *s, real_t *unit)
 static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hold, int given)
 {
     riccati_t *r = &s->riccati;
-    int c;
-    for (c = 0; c < N * NU; c++) {
-        const int j = NXS + c % NUS, held = s->qp.side[c] != 0;
-        r->fixed[c] = given && held;
-        r->diagonal[c / NUS][j] = (held ? shift + hold : shift) * unit[j];
+    for (int k = 0; k < NS; k++) {
+        for (int j = 0; j < NUS && k * NUS + j < N * NU; j++) {
+            const int c = k * NUS + j, held = s->qp.side[c] != 0;
+            r->fixed[c] = given && held;
+            r->diagonal[k][j] = (held ? shift + hold : shift) * unit[NXS + j];
+        }
     }
 #if NF
     for (int f = 0; f < NF; f++) {
-        r->diagonal[0][free_state[f]] = shift * unit[free_state[f]];
+        r->diagonal_free[f] = shift * unit[free_state[f]];
     }
 #endif
     return riccati_factorize(s, NS);
@@ -87,12 +87,11 @@ static real_t riccati_smallest_shift(solver_t *s, const real_t *unit, int given)
 static int riccati_hold(solver_t *s, const real_t *unit, real_t shift)
 {
     real_t hold = R(0.25) * s->riccati.hold;
-    int trial;
     if (shift > R(0) && riccati_try(s, unit, shift, R(0), 0)) {
         return 1;
     }
     hold = (hold > R(1e-3)) ? hold : R(1e-3);
-    for (trial = 0; trial < MAX_SHIFTS; trial++) {
+    for (int trial = 0; trial < MAX_SHIFTS; trial++) {
         if (riccati_try(s, unit, shift, hold, 0)) {
             s->riccati.hold = hold;
             return 1;
@@ -105,13 +104,25 @@ static int riccati_hold(solver_t *s, const real_t *unit, real_t shift)
 /* Shifts and holds of the last trial become part of the QP. */
 static void riccati_keep_diagonal(solver_t *s)
 {
-    int k, j;
-    for (k = 0; k < NS; k++) {
-        for (j = 0; j < NZS; j++) {
-            stage_Q(s, k)[j][j] += s->riccati.diagonal[k][j];
+    for (int k = 0; k < NS; k++) {
+        for (int j = 0; j < NUS; j++) {
+            stage_Q(s, k)[NXS + j][NXS + j] += s->riccati.diagonal[k][j];
         }
     }
+#if NF
+    for (int f = 0; f < NF; f++) {
+        stage_Q(s, 0)[free_state[f]][free_state[f]] += s->riccati.diagonal_free[f];
+    }
+#endif
     s->hessian.changed = 1;
+}
+
+static void riccati_clear_diagonal(riccati_t *r)
+{
+    memset(r->diagonal, 0, sizeof r->diagonal);
+#if NF
+    memset(r->diagonal_free, 0, sizeof r->diagonal_free);
+#endif
 }
 
 static int riccati_convexify(solver_t *s)
@@ -119,8 +130,10 @@ static int riccati_convexify(solver_t *s)
     riccati_t *r = &s->riccati;
     real_t unit[NZS], shift;
     int found;
-    memset(r->diagonal, 0, sizeof r->diagonal);
+    riccati_clear_diagonal(r);
+#if NG
     memset(r->weight, 0, sizeof r->weight);
+#endif
     memset(r->fixed, 0, sizeof r->fixed);
     r->regularize = 0;
     if (riccati_factorize(s, NS)) {
@@ -138,6 +151,6 @@ static int riccati_convexify(solver_t *s)
     if (found) {
         riccati_keep_diagonal(s);
     }
-    memset(r->diagonal, 0, sizeof r->diagonal);
+    riccati_clear_diagonal(r);
     return found;
 }

@@ -1,40 +1,35 @@
 /* The padding of P_k takes part in products. */
 static inline void riccati_clear_padding(real_t (*P)[LDX])
 {
-    int i, j;
-    for (i = 0; i < LDX; i++) {
-        for (j = (i < NXS) ? NXS : 0; j < LDX; j++) {
+    for (int i = 0; i < LDX; i++) {
+        for (int j = (i < NXS) ? NXS : 0; j < LDX; j++) {
             P[i][j] = R(0);
         }
     }
 }
 
-/* P_k (lower triangle) and M_u before the cost to go enters: Q_k and the diagonal. */
+/* P_k (lower triangle) and M_u before the cost to go enters: Q_k, and the diagonal of the controls. */
 static void riccati_load_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
     real_t (*Q)[NZS] = stage_Q(s, k);
     real_t (*P)[LDX] = r->P[k];
     real_t (*M)[LDZ] = r->M[k];
-    int i, j;
-    for (i = 0; i < NXS; i++) {
+    for (int i = 0; i < NXS; i++) {
         memcpy(P[i], Q[i], sizeof(Q[0][0]) * NXS);
-        P[i][i] += r->diagonal[k][i];
     }
     riccati_clear_padding(P);
-    for (j = 0; j < NUS; j++) {
+    for (int j = 0; j < NUS; j++) {
         memcpy(M[j], Q[NXS + j], sizeof Q[0]);
-        M[j][NXS + j] += r->diagonal[k][NXS + j];
+        M[j][NXS + j] += r->diagonal[k][j];
     }
 }
 
 static void riccati_load_terminal(solver_t *s)
 {
     riccati_t *r = &s->riccati;
-    int i;
-    for (i = 0; i < NXS; i++) {
+    for (int i = 0; i < NXS; i++) {
         memcpy(r->P[NS][i], stage_Q_N(s)[i], sizeof r->P[0][0][0] * NXS);
-        r->P[NS][i][i] += r->diagonal[NS][i];
     }
     riccati_clear_padding(r->P[NS]);
 }
@@ -42,49 +37,63 @@ static void riccati_load_terminal(solver_t *s)
 /* Lower triangle of P += A'B for rows A, B of n entries each. */
 static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
-    int i;
-    for (i = 0; i < LDX; i += 4) {
+    for (int i = 0; i < LDX; i += 4) {
         riccati_rows(r->P[k][i], LDX, A + i, LDW, B, LDZ, n, i + 4);
     }
 }
 
 static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
-    int j;
-    for (j = 0; j < NUS; j += 4) {
+    for (int j = 0; j < NUS; j += 4) {
         riccati_rows(r->M[k][j], LDZ, A + NXS + j, LDW, B, LDZ, n, LDZ);
     }
 }
 
 #if NG
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+/* The general row m goes to place n of a group. */
+static inline void riccati_collect_row(solver_t *s, int m, int n)
+{
+    recursion_t *work = &s->riccati.work.recursion;
+    const int width = stage_of_row[m] < NS ? NZS : NXS;
+    const real_t *a = stage_row(s, m), w = s->riccati.weight[m];
+    for (int i = 0; i < width; i++) {
+        work->W[n][i] = w * a[i];
+        work->T[n][i] = a[i];
+    }
+}
+
+/* The n rows of a group enter the Hessian of stage k. */
+static inline void riccati_add_group(riccati_t *r, int k, int n)
+{
+    const recursion_t *work = &r->work.recursion;
+    riccati_update_states(r, k, work->W[0], work->T[0], n);
+    if (k < NS) {
+        riccati_update_controls(r, k, work->W[0], work->T[0], n);
+    }
+}
+
+#endif
 /* weight a a' of the rows of stage k: state bounds on the diagonal, the others in groups of four. */
 static void riccati_add_weights(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
 #if GENERAL_ROWS || NE || BLOCK_ROWS
-    const int width = k < NS ? NZS : NXS;
     int n = 0;
 #endif
-    for (int m = stage_first[k]; m < stage_first[k + 1]; ++m) {
+    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
         const int state = stage_state[m];
-        const real_t w = r->weight[m];
-        if (w != R(0.0) && state >= 0) {
-            r->P[k][state][state] += w;
+        const int counts = r->weight[m] != R(0); /* what has no weight adds nothing */
+        if (counts && state >= 0) {
+            r->P[k][state][state] += r->weight[m];
         }
 #if GENERAL_ROWS || NE || BLOCK_ROWS
-        if (w != R(0.0) && state < 0) {
-            const real_t *a = stage_row(s, m);
-            for (int i = 0; i < width; ++i) {
-                r->W[n][i] = w * a[i];
-                r->T[n][i] = a[i];
-            }
+        if (counts && state < 0) {
+            riccati_collect_row(s, m, n);
             n++;
         }
         if (n == 4 || (n > 0 && m + 1 == stage_first[k + 1])) {
-            riccati_update_states(r, k, r->W[0], r->T[0], n);
-            if (k < NS) {
-                riccati_update_controls(r, k, r->W[0], r->T[0], n);
-            }
+            riccati_add_group(r, k, n);
             n = 0;
         }
 #endif
@@ -95,15 +104,15 @@ static void riccati_add_weights(solver_t *s, int k)
 /* T = P_{k+1} S_k, S_k padded in W. */
 static void riccati_propagate(solver_t *s, int k)
 {
-    riccati_t *r = &s->riccati;
+    const riccati_t *r = &s->riccati;
+    recursion_t *work = &s->riccati.work.recursion;
     real_t (*S)[NZS] = stage_S(s, k);
-    int i;
-    for (i = 0; i < NXS; i++) {
-        memcpy(r->W[i], S[i], sizeof S[0]);
+    for (int i = 0; i < NXS; i++) {
+        memcpy(work->W[i], S[i], sizeof S[0]);
     }
-    memset(r->T, 0, sizeof r->T);
-    for (i = 0; i < LDX; i += 4) {
-        riccati_rows(r->T[i], LDZ, &r->P[k + 1][0][i], LDX, r->W[0], LDW, NXS, LDZ);
+    memset(work->T, 0, sizeof work->T);
+    for (int i = 0; i < LDX; i += 4) {
+        riccati_rows(work->T[i], LDZ, &r->P[k + 1][0][i], LDX, work->W[0], LDW, NXS, LDZ);
     }
 }
 
@@ -111,16 +120,16 @@ static void riccati_propagate(solver_t *s, int k)
  * and of zeros. */
 static inline void riccati_load_controls(riccati_t *r, int k)
 {
-    const int32_t *fixed = &r->fixed[k * NUS];
-    int i, j, l;
-    for (j = 0; j < NUS; j++) {
+    const int first = k * NUS;
+    const int32_t *fixed = &r->fixed[first];
+    for (int j = 0; j < NUS; j++) {
         const real_t *M = r->M[k][j];
-        real_t *V = r->T[NXS + j];
-        for (l = 0; l < j; l++) {
+        real_t *V = r->work.recursion.T[NXS + j];
+        for (int l = 0; l < j; l++) {
             r->L[k][j][l] = (fixed[j] || fixed[l]) ? R(0) : M[NXS + l];
         }
         r->L[k][j][j] = fixed[j] ? R(1) : M[NXS + j];
-        for (i = 0; i < LDX; i++) {
+        for (int i = 0; i < LDX; i++) {
             V[i] = (fixed[j] || i >= NXS) ? R(0) : M[i];
         }
     }
@@ -142,32 +151,33 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
     return d + *added;
 }
 
-/* M_uu = L D L',  V = L^{-1} M_ux,  -D^{-1} V into W below the states. 0 if a pivot is not positive. */
+/* M_uu = L D L' with 1 / D on the diagonal of L,  V = L^{-1} M_ux,  -D^{-1} V into W below the states. 0 if a pivot is not
+ * positive. */
 static int riccati_eliminate_controls(riccati_t *r, int k)
 {
     real_t (*L)[NUS] = r->L[k];
-    real_t (*V)[LDZ] = r->T + NXS;
-    int i, j, l;
+    real_t (*V)[LDZ] = r->work.recursion.T + NXS;
     riccati_load_controls(r, k);
-    for (l = 0; l < NUS; l++) {
-        const int fixed = r->fixed[k * NUS + l];
-        real_t *reference = &r->M[k][l][NXS + l];
-        const real_t pivot = riccati_pivot(r, L[l][l], fixed ? R(0) : *reference, &r->proximal[k][l]);
+    r->raised[k] = 0;
+    for (int l = 0; l < NUS; l++) {
+        real_t *reference = &r->M[k][l][NXS + l], *scaled = r->work.recursion.W[NXS + l], added;
+        const real_t pivot = riccati_pivot(r, L[l][l], r->fixed[k * NUS + l] ? R(0) : *reference, &added);
         if (!(pivot > R(0))) {
             return 0;
         }
-        *reference += r->proximal[k][l];
-        r->inverse[k][l] = R(1) / pivot;
-        for (j = l + 1; j < NUS; j++) {
+        r->raised[k] |= added > R(0);
+        *reference += added;
+        L[l][l] = R(1) / pivot;
+        for (int j = l + 1; j < NUS; j++) {
             const real_t y = L[j][l];
-            L[j][l] = y * r->inverse[k][l];
-            for (i = l + 1; i <= j; i++) {
+            L[j][l] = y * L[l][l];
+            for (int i = l + 1; i <= j; i++) {
                 L[j][i] -= y * L[i][l];
             }
             riccati_add(V[j], -L[j][l], V[l], LDX);
         }
-        for (i = 0; i < LDX; i++) {
-            r->W[NXS + l][i] = -r->inverse[k][l] * V[l][i];
+        for (int i = 0; i < LDX; i++) {
+            scaled[i] = -L[l][l] * V[l][i];
         }
     }
     return 1;
@@ -176,10 +186,9 @@ static int riccati_eliminate_controls(riccati_t *r, int k)
 /* L'K = -D^{-1} V. */
 static inline void riccati_gain(riccati_t *r, int k)
 {
-    int j, l;
-    for (j = NUS - 1; j >= 0; j--) {
-        memcpy(r->K[k][j], r->W[NXS + j], sizeof r->K[0][0]);
-        for (l = j + 1; l < NUS; l++) {
+    for (int j = NUS - 1; j >= 0; j--) {
+        memcpy(r->K[k][j], r->work.recursion.W[NXS + j], sizeof r->K[0][0]);
+        for (int l = j + 1; l < NUS; l++) {
             riccati_add(r->K[k][j], -r->L[k][l][j], r->K[k][l], LDX);
         }
     }
@@ -188,9 +197,8 @@ static inline void riccati_gain(riccati_t *r, int k)
 /* The upper triangle of P_k from the lower one. */
 static inline void riccati_mirror(real_t (*P)[LDX])
 {
-    int i, j;
-    for (i = 1; i < NXS; i++) {
-        for (j = 0; j < i; j++) {
+    for (int i = 1; i < NXS; i++) {
+        for (int j = 0; j < i; j++) {
             P[j][i] = P[i][j];
         }
     }
@@ -200,18 +208,24 @@ static inline void riccati_mirror(real_t (*P)[LDX])
 static int riccati_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
+    const recursion_t *work = &r->work.recursion;
     riccati_load_stage(s, k);
+#if NF
+    for (int f = 0; k == 0 && f < NF; f++) {
+        r->P[0][free_state[f]][free_state[f]] += r->diagonal_free[f];
+    }
+#endif
 #if NG
     riccati_add_weights(s, k);
 #endif
     riccati_propagate(s, k);
-    riccati_update_controls(r, k, r->W[0], r->T[0], NXS);
+    riccati_update_controls(r, k, work->W[0], work->T[0], NXS);
     if (!riccati_eliminate_controls(r, k)) {
         r->failed = k;
         return 0;
     }
     riccati_gain(r, k);
-    riccati_update_states(r, k, r->W[0], r->T[0], NZS);
+    riccati_update_states(r, k, work->W[0], work->T[0], NZS);
     riccati_mirror(r->P[k]);
     return 1;
 }
@@ -220,11 +234,10 @@ static int riccati_stage(solver_t *s, int k)
 /* Copies of components of x_0 are no variables of their own: P_0 gets their rows and columns where the originals have theirs. */
 static inline void riccati_fold(riccati_t *r)
 {
-    int c, j;
-    for (c = 0; c < NXS - NX; c++) {
+    for (int c = 0; c < NXS - NX; c++) {
         const int from = NX + c, to = copied_state[c];
         riccati_add(r->P[0][to], R(1), r->P[0][from], LDX);
-        for (j = 0; j < NXS; j++) {
+        for (int j = 0; j < NXS; j++) {
             r->P[0][j][to] += r->P[0][j][from];
             r->P[0][j][from] = R(0);
         }
@@ -237,22 +250,23 @@ static inline void riccati_fold(riccati_t *r)
 /* L D L' of the block of P_0 that belongs to the free components of x_0; pivots as above. */
 static int riccati_factorize_free(riccati_t *r)
 {
-    int i, j, l;
-    for (l = 0; l < NF; l++) {
+    r->raised[NS] = 0;
+    for (int l = 0; l < NF; l++) {
         const real_t reference = r->P[0][free_state[l]][free_state[l]];
-        real_t d = reference;
-        for (j = 0; j < l; j++) {
+        real_t d = reference, added;
+        for (int j = 0; j < l; j++) {
             d -= r->F[l][j] * r->F[l][j] * r->F[j][j];
         }
-        d = riccati_pivot(r, d, reference, &r->proximal_free[l]);
+        d = riccati_pivot(r, d, reference, &added);
         if (!(d > R(0))) {
             r->failed = -1;
             return 0;
         }
+        r->raised[NS] |= added > R(0);
         r->F[l][l] = d;
-        for (i = l + 1; i < NF; i++) {
+        for (int i = l + 1; i < NF; i++) {
             real_t y = r->P[0][free_state[i]][free_state[l]];
-            for (j = 0; j < l; j++) {
+            for (int j = 0; j < l; j++) {
                 y -= r->F[i][j] * r->F[l][j] * r->F[j][j];
             }
             r->F[i][l] = y / d;
@@ -265,16 +279,14 @@ static int riccati_factorize_free(riccati_t *r)
 /* The recursion from stage last down to 0; last = NS: P_NS too. */
 static int riccati_factorize(solver_t *s, int last)
 {
-    int k = last;
-    if (k == NS) {
+    if (last == NS) {
         riccati_load_terminal(s);
 #if NG
-        riccati_add_weights(s, k);
+        riccati_add_weights(s, NS);
 #endif
-        riccati_mirror(s->riccati.P[k]);
-        k--;
+        riccati_mirror(s->riccati.P[NS]);
     }
-    for (; k >= 0; k--) {
+    for (int k = last < NS ? last : NS - 1; k >= 0; k--) {
         if (!riccati_stage(s, k)) {
             return 0;
         }

@@ -1,16 +1,35 @@
 /* Solves L D L'y = y for the free controls; entries of fixed ones are 0 and stay so. */
 static inline void riccati_solve_controls(const riccati_t *r, int k, real_t *y)
 {
-    int i, j;
-    for (j = 1; j < NUS; j++) {
-        for (i = 0; i < j; i++) {
+    for (int j = 1; j < NUS; j++) {
+        for (int i = 0; i < j; i++) {
             y[j] -= r->L[k][j][i] * y[i];
         }
     }
-    for (j = NUS - 1; j >= 0; j--) {
-        y[j] *= r->inverse[k][j];
-        for (i = j + 1; i < NUS; i++) {
+    for (int j = NUS - 1; j >= 0; j--) {
+        y[j] *= r->L[k][j][j];
+        for (int i = j + 1; i < NUS; i++) {
             y[j] -= r->L[k][i][j] * y[i];
+        }
+    }
+}
+
+/* Entry (i, j) of the block of M_k that belongs to the controls, from its lower triangle. */
+static inline real_t riccati_control_entry(const riccati_t *r, int k, int i, int j)
+{
+    return (i < j) ? r->M[k][j][NXS + i] : r->M[k][i][NXS + j];
+}
+
+/* w += M_f du_f, f the fixed controls. */
+static inline void riccati_add_fixed(const riccati_t *r, int k, real_t *w)
+{
+    for (int j = 0; j < NUS; j++) {
+        if (r->fixed[k * NUS + j]) {
+            const real_t du = r->du[k * NUS + j];
+            riccati_combine(w, &du, r->M[k][j], LDZ, 1, NXS);
+            for (int i = 0; i < NUS; i++) {
+                w[NXS + i] += du * riccati_control_entry(r, k, i, j);
+            }
         }
     }
 }
@@ -21,33 +40,25 @@ static void riccati_backward_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
     real_t v[LDX], w[NZS], y[NUS];
-    int i, j, gaps = 0;
+    int gaps = 0;
     memcpy(v, r->p[k + 1], sizeof v);
-    for (i = 0; i < NXS; i++) {
+    for (int i = 0; i < NXS; i++) {
         gaps |= r->b[k][i] < R(0) || !(r->b[k][i] <= R(0));
     }
     if (gaps) {
         riccati_combine(v, r->b[k], r->P[k + 1][0], LDX, NXS, LDX);
     }
-    memcpy(w, r->g[k], sizeof w);
+    memcpy(w, r->work.vectors.rhs.g[k], sizeof w);
     riccati_combine(w, v, stage_S(s, k)[0], NZS, NXS, NZS);
     memcpy(r->h[k], w + NXS, sizeof r->h[k]);
-    for (j = 0; j < NUS; j++) {
-        if (r->fixed[k * NUS + j]) {
-            const real_t du = r->du[k * NUS + j];
-            riccati_combine(w, &du, r->M[k][j], LDZ, 1, NXS);
-            for (i = 0; i < NUS; i++) {
-                w[NXS + i] += du * ((i < j) ? r->M[k][j][NXS + i] : r->M[k][i][NXS + j]);
-            }
-        }
-    }
-    for (j = 0; j < NUS; j++) {
+    riccati_add_fixed(r, k, w);
+    for (int j = 0; j < NUS; j++) {
         y[j] = r->fixed[k * NUS + j] ? R(0) : w[NXS + j];
     }
     memcpy(r->p[k], w, sizeof w[0] * NXS);
     riccati_combine(r->p[k], y, r->K[k][0], LDX, NUS, LDX);
     riccati_solve_controls(r, k, y);
-    for (j = 0; j < NUS; j++) {
+    for (int j = 0; j < NUS; j++) {
         r->feed[k][j] = r->fixed[k * NUS + j] ? r->du[k * NUS + j] : -y[j];
     }
 }
@@ -55,18 +66,17 @@ static void riccati_backward_stage(solver_t *s, int k)
 /* p, feed and h of the stages last .. 0; last = NS: p_NS too. */
 static void riccati_backward(solver_t *s, int last)
 {
-    int k = last;
-    if (k == NS) {
-        memcpy(s->riccati.p[k], s->riccati.g[k], sizeof s->riccati.g[0][0] * NXS);
-        k--;
+    riccati_t *r = &s->riccati;
+    if (last == NS) {
+        memcpy(r->p[NS], r->work.vectors.rhs.g[NS], sizeof r->p[0][0] * NXS);
     }
-    for (; k >= 0; k--) {
+    for (int k = last < NS ? last : NS - 1; k >= 0; k--) {
         riccati_backward_stage(s, k);
     }
 #if NXS > NX
-    for (k = 0; k < NXS - NX; k++) {
-        s->riccati.p[0][copied_state[k]] += s->riccati.p[0][NX + k];
-        s->riccati.p[0][NX + k] = R(0);
+    for (int c = 0; c < NXS - NX; c++) {
+        r->p[0][copied_state[c]] += r->p[0][NX + c];
+        r->p[0][NX + c] = R(0);
     }
 #endif
 }
@@ -76,31 +86,34 @@ static void riccati_backward(solver_t *s, int last)
 static void riccati_solve_free(const riccati_t *r, real_t *x)
 {
     real_t y[NXS];
-    int f, i;
-    for (f = 0; f < NF; f++) {
+    for (int f = 0; f < NF; f++) {
         x[free_state[f]] = R(0);
     }
-    for (i = NX; i < NXS; i++) {
+#if NXS > NX
+    for (int i = NX; i < NXS; i++) {
         x[i] = R(0);
     }
-    for (f = 0; f < NF; f++) {
+#endif
+    for (int f = 0; f < NF; f++) {
         y[f] = -r->p[0][free_state[f]] - riccati_dot(r->P[0][free_state[f]], x, NXS);
-        for (i = 0; i < f; i++) {
+        for (int i = 0; i < f; i++) {
             y[f] -= r->F[f][i] * y[i];
         }
     }
-    for (f = NF - 1; f >= 0; f--) {
+    for (int f = NF - 1; f >= 0; f--) {
         y[f] /= r->F[f][f];
-        for (i = f + 1; i < NF; i++) {
+        for (int i = f + 1; i < NF; i++) {
             y[f] -= r->F[i][f] * y[i];
         }
     }
-    for (f = 0; f < NF; f++) {
+    for (int f = 0; f < NF; f++) {
         x[free_state[f]] = y[f];
     }
-    for (i = 0; i < NXS - NX; i++) {
-        x[NX + i] = x[copied_state[i]];
+#if NXS > NX
+    for (int c = 0; c < NXS - NX; c++) {
+        x[NX + c] = x[copied_state[c]];
     }
+#endif
 }
 
 #endif
@@ -109,18 +122,17 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
 {
     const riccati_t *r = &s->riccati;
     real_t z[LDZ] = {0};
-    int i, j, k;
 #if NF
     riccati_solve_free(r, x[0]);
 #endif
     memcpy(z, x[0], sizeof x[0]);
-    for (k = 0; k < NS; k++) {
+    for (int k = 0; k < NS; k++) {
         real_t (*S)[NZS] = stage_S(s, k);
-        for (j = 0; j < NUS; j++) {
+        for (int j = 0; j < NUS; j++) {
             z[NXS + j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, LDX);
             u[k * NUS + j] = z[NXS + j];
         }
-        for (i = 0; i < NXS; i++) {
+        for (int i = 0; i < NXS; i++) {
             x[k + 1][i] = r->b[k][i] + riccati_dot(S[i], z, NZS);
         }
         memcpy(z, x[k + 1], sizeof x[0]);

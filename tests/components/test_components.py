@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from nmpc_codegen import OptionError, Options
+from nmpc_codegen import GaussNewton, OptionError, Options
 from nmpc_codegen.components.base import SEAMS, Component, Dims, called, refuse_unsupported
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import Field, Macro, Struct, struct_layout
@@ -161,10 +161,15 @@ def test_options_list_what_is_allowed(seam: str, bad: object) -> None:
     assert all(name in str(caught.value) for name in names)
 
 
-@pytest.mark.parametrize("seam", ["hessian", "algorithm"])
-def test_seams_without_a_choice_are_not_none(seam: str) -> None:
-    with pytest.raises(OptionError, match=f"{seam}: None"):
-        Options(**{seam: None})  # type: ignore[arg-type]
+def test_there_is_always_an_algorithm() -> None:
+    with pytest.raises(OptionError, match="algorithm: None"):
+        Options(algorithm=None)  # type: ignore[arg-type]
+
+
+def test_the_algorithm_has_a_hessian_by_default() -> None:
+    assert Options().hessian is None
+    assert Options().with_defaults.hessian == GaussNewton()
+    assert linearize(classify(problem_of("crane")), Options()).parts.hessian == GaussNewton()
 
 
 def test_components_stand_under_their_own_seam_only() -> None:

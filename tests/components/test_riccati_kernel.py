@@ -52,11 +52,13 @@ class Kernel:
         hessian["Q_N"][...] = problem.Q_N + upper[: problem.nx, : problem.nx]
         if len(rows):
             stage["J"][...] = rows
-        self.right(problem)
+        self.problem = problem
 
-    def right(self, problem: StageProblem) -> None:
-        riccati = self.memory["riccati"]
-        riccati["g"][:-1], riccati["g"][-1, : problem.nx] = problem.g, problem.g_N
+    def right(self) -> None:
+        """The right-hand sides: a factorisation overwrites them."""
+        riccati, problem = self.memory["riccati"], self.problem
+        g = riccati["work"]["vectors"]["rhs"]["g"]
+        g[:-1], g[-1, : problem.nx] = problem.g, problem.g_N
         riccati["b"][...] = problem.b
 
     def factorize(self, last: int | None = None) -> int:
@@ -64,6 +66,7 @@ class Kernel:
 
     def substitute(self, x_0: np.ndarray, last: int | None = None) -> tuple[np.ndarray, np.ndarray]:
         shape = self.shape
+        self.right()
         self.library.test_backward(self.pointer, shape.ns if last is None else last)
         dtype = self.memory["stage"]["S"].dtype
         x, u = np.full((shape.ns + 1, shape.nx), np.nan, dtype), np.zeros((shape.ns, shape.nus), dtype)
@@ -93,23 +96,28 @@ def drawn(shape: Shape, rng: np.random.Generator) -> dict[str, Any]:
         elif k == shape.ns:
             rows[m, shape.nx :] = 0
     weight = rng.choice([0.0, 1.0, 30.0], size=len(rows)) * rng.random(len(rows))
-    diagonal = rng.random((shape.ns + 1, shape.nx + shape.nus))
+    diagonal, diagonal_free = rng.random((shape.ns, shape.nus)), rng.random(len(shape.free))
     fixed = rng.random((shape.ns, shape.nus)) < rng.choice([0.0, 0.3, 1.0])
     return {
         "problem": problem,
         "rows": rows,
         "weight": weight,
         "diagonal": diagonal,
+        "diagonal_free": diagonal_free,
         "fixed": fixed,
         "du": rng.normal(size=fixed.shape),
     }
 
 
 def loaded(kernel: Kernel, data: dict[str, Any]) -> None:
+    shape = kernel.shape
     kernel.load(data["problem"], data["rows"])
     riccati = kernel.memory["riccati"]
-    riccati["weight"][: len(data["weight"])] = data["weight"]
     riccati["diagonal"][...] = data["diagonal"]
+    if shape.rows:
+        riccati["weight"][...] = data["weight"]
+    if shape.free:
+        riccati["diagonal_free"][...] = data["diagonal_free"]
     riccati["fixed"][...] = data["fixed"].ravel()
     riccati["du"][...] = data["du"].ravel()
 
@@ -117,9 +125,11 @@ def loaded(kernel: Kernel, data: dict[str, Any]) -> None:
 def weighted(shape: Shape, data: dict[str, Any]) -> StageProblem:
     """The same problem with weights and diagonal in its Hessian."""
     problem, nx = data["problem"], shape.nx
-    Q, Q_N = problem.Q.copy(), problem.Q_N + np.diag(data["diagonal"][-1, :nx])
+    Q, Q_N = problem.Q.copy(), problem.Q_N.copy()
     for k in range(shape.ns):
-        Q[k] += np.diag(data["diagonal"][k])
+        Q[k, nx:, nx:] += np.diag(data["diagonal"][k])
+    for i, more in zip(shape.free, data["diagonal_free"], strict=True):
+        Q[0, i, i] += more
     for (k, _), a, w in zip(shape.rows, data["rows"], data["weight"], strict=True):
         if k < shape.ns:
             Q[k] += w * np.outer(a, a)

@@ -12,9 +12,9 @@ import pytest
 
 from examples import bioreactor, cart_pole, chain, crane
 from nmpc_codegen import OCP
-from nmpc_codegen.components.hessians.stage_cost import stage_model
 from nmpc_codegen.components.integrators import TABLEAUS, Discrete, ExplicitRungeKutta, derivatives, symmetric
 from nmpc_codegen.components.integrators.derivatives import Derivatives
+from nmpc_codegen.components.stage_cost import stage_cost, stage_model
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel
@@ -159,7 +159,8 @@ def test_integrated_cost(steps: int, uniform: bool) -> None:
         component = ExplicitRungeKutta(TABLEAUS["SSPRK3"], steps, unroll)
         for scheme in SWEEPS:
             routines[f"{scheme}_{unroll}"] = curved(economic(uniform), component, scheme)
-        path = stage_model(economic(uniform), component, "path")
+        problem = economic(uniform)
+        path = stage_model(problem, component, stage_cost(problem.path, "path"))
         for name, routine in (("cost", path.cost), ("gradient", path.gradient)):
             routines[f"{name}_{unroll}"] = routine
     call = Routines(routines)

@@ -108,6 +108,8 @@ def call(ocp: OCP, draw: Any) -> None:
         lambda: ocp.terminal_least_squares(expr(), one([1, number()])),
         lambda: ocp.stage_cost(expr(), integrate=one(FLAGS), scale_with_dt=one(FLAGS)),
         lambda: ocp.terminal_cost(expr()),
+        lambda: ocp.start_cost(expr()),
+        lambda: ocp.start_least_squares(expr(), one([1, number()]), names=one([None, *NAMES])),
         lambda: ocp.subject_to(number(), expr(), number(), at=one(NODES), soft=one(SOFT), name=one([None, *NAMES])),
         lambda: ocp.subject_to(-1, expr(), 1, at=one(NODES)),
         lambda: ocp.boundary(0, expr(), number(), soft=one(SOFT)),

@@ -22,7 +22,7 @@
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c                    - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
  *   condensing: full                condensing/full.c                                   108 operations      136 bytes
- *   qp: dense_active_set            qp/dense_active_set.c                                81 operations     1472 bytes
+ *   qp: dense_active_set            qp/dense_active_set.c                                74 operations     1464 bytes
  *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      472 bytes
  */
 #include "golden.h"
@@ -52,6 +52,7 @@
 typedef golden_real real_t;
 typedef golden_kkt_t kkt_t;
 typedef golden_columns_t columns_t;
+typedef golden_basis_t basis_t;
 typedef golden_condensed_t condensed_t;
 typedef golden_qp_t qp_t;
 typedef golden_node_t node_t;

@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2576 bytes, holds no pointers and may be copied with '='.
+ * The caller owns the memory: one golden_solver_t is 2568 bytes, holds no pointers and may be copied with '='.
  * One context per instance; not interrupt-safe by itself: copy measurements first. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
 #define GOLDEN_H

@@ -41,26 +41,25 @@ typedef struct { /* the condensed QP's dependence on dx_0 */
 } golden_condensed_t;
 
 typedef struct { /* condensed QP and its active-set factorisation */
-    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); then D, L and L' of L D L' */
+    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian, its lower triangle; then C of C C' */
     golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
     golden_real g[GOLDEN_NV]; /* gradient */
     golden_real lower[GOLDEN_NV + GOLDEN_NG]; /* lower bounds of variables, then of general rows */
     golden_real upper[GOLDEN_NV + GOLDEN_NG]; /* upper bounds */
     golden_real z[GOLDEN_NV]; /* minimiser */
     golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
-    golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
+    golden_real inverse[GOLDEN_LDV]; /* inverse diagonal of C */
     golden_work_t work; /* factors of the working set; before qp_factorize the caller's */
     golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
     golden_real lam[GOLDEN_LDV]; /* multipliers of the members */
-    golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
+    golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = C'z */
     golden_real y[GOLDEN_LDV]; /* minimiser on the working set */
     golden_real x[GOLDEN_LDV]; /* z of y */
     golden_real m[GOLDEN_LDV]; /* normal of the row under consideration, in y */
     golden_real v[GOLDEN_LDV]; /* its part outside the span of the working set */
     golden_real d[GOLDEN_LDV]; /* its coefficients in the basis */
     golden_real slack[GOLDEN_NV + GOLDEN_NG]; /* violation of a row that is accepted as rounding */
-    golden_real scale; /* |y0| */
-    golden_real shift; /* part of |y0| that the saturated rows may have */
+    golden_real scale; /* |y0|, and the terms that saturated rows add to it */
     golden_real penalty[GOLDEN_NV + GOLDEN_NG]; /* l1 penalty of violating a row; infinite: hard */
     golden_real certificate[GOLDEN_NV + GOLDEN_NG]; /* if INFEASIBLE: weights of a contradiction */
     golden_real proximal[GOLDEN_LDV]; /* diagonal E added to a semidefinite Hessian */
@@ -76,7 +75,7 @@ typedef struct { /* condensed QP and its active-set factorisation */
     int32_t factorized; /* qp_factorize has succeeded */
     int32_t semidefinite; /* a pivot of H may be zero, E is not zero */
     int32_t face; /* changes when the direction was set */
-    int32_t elastic; /* a general row has a finite penalty */
+    int32_t elastic; /* a row has a finite penalty */
     int32_t iterations; /* active-set iterations of the last qp_solve */
     int32_t changes; /* rows that entered or left the working set in it */
     int32_t dropped; /* equalities left out as redundant */

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
-from nmpc_codegen.ir.print_c import CStyle, comment, print_kernel, signature
+from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift
+from nmpc_codegen.ir.print_c import CStyle, Expressions, comment, print_kernel, signature
 from tests.c_harness import shared_library
 
 DOUBLE, SINGLE = CStyle("real", False), CStyle("real", True)
@@ -109,3 +109,37 @@ def test_a_whole_kernel_in_single_precision() -> None:
 def test_no_operations() -> None:
     copy = Kernel("g", "copy", IN[:1], OUT[1:], (Instruction(ca.OP_INPUT, (0, 1)),), ((0, 0, 0),))
     assert "no operations" in print_kernel(copy, DOUBLE)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_nested_expressions_have_the_value_of_the_kernel(seed: int) -> None:
+    """Random sums, differences, products, quotients and squares: Python reads the nested text as C does."""
+    random = np.random.default_rng(seed)
+    x = ca.SX.sym("x", 4)
+    known = [x[i] for i in range(4)]
+    for _ in range(12):
+        a, b = (known[i] for i in random.integers(len(known), size=2))
+        known.append([a + b, a - b, a * b, a / (b * b + 1), a * a, -a][random.integers(6)])
+    outputs = ca.vertcat(*known[-3:])
+    function = ca.Function("f", [x], [outputs])
+    kernel = lift(function, "f", "", [Port("x", 4)], [Port("y", 3)])
+    expressions = Expressions(kernel, CStyle("real", False), lambda _, element: f"x[{element}]")
+    point = random.uniform(-1, 1, 4)
+    names: dict[str, object] = {"x": point}
+    for statement in expressions.statements:
+        name, _, text = statement.removeprefix("const real ").removesuffix(";").partition(" = ")
+        names[name] = eval(text, {}, names)
+    expected = np.array(function(point)).ravel()
+    for _, element, value in kernel.stores:
+        text = expressions.assignment("y", value).removeprefix("y = ")
+        np.testing.assert_allclose(eval(text, {}, names), expected[element], rtol=1e-13)
+
+
+def test_what_is_used_once_is_nested_without_needless_parentheses() -> None:
+    a, b, c = (ca.SX.sym(name) for name in "abc")
+    function = ca.Function("f", [a, b, c], [a + b * c, (a + b) * c, a - (b - c), c + a * b])
+    kernel = lift(function, "f", "", [Port(n, 1) for n in "abc"], [Port(n, 1) for n in "wxyz"])
+    expressions = Expressions(kernel, CStyle("real", False), lambda port, _: "abc"[port])
+    texts = ["w = a + b * c", "x = c * (a + b)", "y = a - (b - c)", "c += a * b"]
+    assert expressions.statements == []
+    assert [expressions.assignment(t.split()[0], v) for t, (_, _, v) in zip(texts, kernel.stores, strict=True)] == texts

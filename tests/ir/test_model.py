@@ -15,17 +15,40 @@ from tests.models import problem_of
 INTERVAL = ("integrator_interval", "integrator_step")
 ROWS = ("path_rows", "terminal_rows", "coupled_rows")
 PATH = ("path_cost", "path_gradient")
+START = ("start_cost", "start_gradient")
 TERMINAL = ("terminal_cost", "terminal_gradient", "terminal_hessian")
 
 ORDERS = {
-    "gauss_newton": (GaussNewton(), False, (*INTERVAL, *PATH, "path_hessian", *TERMINAL, *ROWS)),
-    "exact": (ExactHessian(), False, (*INTERVAL, *PATH, *TERMINAL, "initial_hessian", "path_exact", *ROWS)),
-    "exact, integrated": (ExactHessian(), True, (*INTERVAL, *TERMINAL, "initial_hessian", *PATH, "path_exact", *ROWS)),
-    "identity, integrated": (IdentityHessian(), True, (*INTERVAL, "path_hessian", *TERMINAL, *PATH, *ROWS)),
+    "gauss_newton": (
+        GaussNewton(),
+        False,
+        (*INTERVAL, *PATH, "path_hessian", *TERMINAL, *START, "start_hessian", *ROWS),
+    ),
+    "exact": (
+        ExactHessian(),
+        False,
+        (*INTERVAL, *PATH, *TERMINAL, *START, "start_hessian", "initial_hessian", "path_exact", *ROWS),
+    ),
+    "exact, integrated": (
+        ExactHessian(),
+        True,
+        (*INTERVAL, *TERMINAL, *START, "start_hessian", "initial_hessian", *PATH, "path_exact", *ROWS),
+    ),
+    "identity, integrated": (IdentityHessian(), True, (*INTERVAL, "path_hessian", *TERMINAL, *START, *PATH, *ROWS)),
     "convex rows": (
         GaussNewton(convex_rows=True),
         False,
-        (*INTERVAL, *PATH, "path_hessian", "path_curvature", *TERMINAL, "terminal_curvature", *ROWS),
+        (
+            *INTERVAL,
+            *PATH,
+            "path_hessian",
+            "path_curvature",
+            *TERMINAL,
+            "terminal_curvature",
+            *START,
+            "start_hessian",
+            *ROWS,
+        ),
     ),
 }
 

@@ -10,6 +10,7 @@ import pytest
 
 from nmpc_codegen.ir.kernel import Kernel, OpCount, Port
 from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.ir.sweep import (
     Affine,
     Call,
@@ -18,7 +19,6 @@ from nmpc_codegen.ir.sweep import (
     Slice,
     Sweep,
     looped,
-    print_routine,
     straight,
     unroll,
 )

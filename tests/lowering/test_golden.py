@@ -22,8 +22,8 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
 from nmpc_codegen.ir.model import Interval, StageModel
 from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.ir.stage_products import pattern
-from nmpc_codegen.ir.sweep import print_routine
 from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render

@@ -55,7 +55,15 @@ BLIND = {
 
 #: Foreign package -> rooms and modules that may import it.
 ONLY_IN = {
-    "casadi": {"frontend", "ir", "oracle", "components/integrators", "components/hessians", "lowering/linearize"},
+    "casadi": {
+        "frontend",
+        "ir",
+        "oracle",
+        "components/integrators",
+        "components/hessians",
+        "components/stage_cost",
+        "lowering/linearize",
+    },
     "jinja2": {"lowering/render"},
     "cffi": {"runtime/build"},
 }

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.parts import evaluate, template_directory
 
-#: Parts that unit.c.jinja inlines itself.
+#: Parts that unit.c.jinja inlines in every package.
 ALWAYS = ("rows.c", "cost.c")
 _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')
 
@@ -33,7 +33,7 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
     parts: set[str] = set()
     values: Values = defaultdict(set)
     for module in modules:
-        for root in (*ALWAYS, *(section.template for section in module.sections)):
+        for root in (*ALWAYS, *module.core_parts, *(section.template for section in module.sections)):
             for part, number, value in _walk(root, module.sizes):
                 parts.add(part)
                 if number:

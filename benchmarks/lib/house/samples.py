@@ -126,6 +126,73 @@ def cycle() -> OCP:
     return ocp
 
 
+def arrival() -> OCP:
+    """A free start with a cost of its own."""
+    ocp, q, w, u = _pendulum("arrival")
+    ocp.subject_to(-1, u, 1)
+    ocp.free_initial(q, w)
+    ocp.start_least_squares(ca.vertcat(q, q * w), weight=[3.0, 1.0], reference=[0.5, 0.1])
+    ocp.start_cost(0.1 * w**4)
+    return ocp
+
+
+def arrival_on_path() -> OCP:
+    """A cost of x_0 in least squares, beside a path that has a cost of the state alone."""
+    ocp = OCP("arrival_on_path", T=1.0, N=5)
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.least_squares(u, weight=0.1)
+    ocp.terminal_least_squares(q, weight=10)
+    ocp.free_initial(w)
+    ocp.start_least_squares(w, weight=2.0)
+    return ocp
+
+
+def arrival_rows() -> OCP:
+    """A free start and a row of the state."""
+    ocp = arrival()
+    ocp.subject_to(-0.8, ocp.x[1] + 0.1 * ocp.x[0], 0.8, name="slow")
+    return ocp
+
+
+def ring() -> OCP:
+    """Curved coupled rows and a general row."""
+    ocp, q, w, u = _pendulum("ring")
+    ocp.boundary(-1, ocp.at_start(q) * ocp.at_end(q) + ocp.at_end(w) ** 2 - ocp.at_start(w) ** 2, 1)
+    ocp.subject_to(-2, w + u * q, 2, name="row")
+    ocp.terminal_least_squares(w, weight=1.0)
+    return ocp
+
+
+def closing() -> OCP:
+    """A measured start and a coupled row, nothing else."""
+    ocp, _, w, _ = _pendulum("closing")
+    ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0)
+    return ocp
+
+
+def target() -> OCP:
+    """A cost at the end alone, and bounds of the control."""
+    ocp = OCP("target", T=1.0, N=5)
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def counted() -> OCP:
+    """A state that starts at 0 at every sample."""
+    ocp = OCP("counted", T=1.0, N=4)
+    q, work, u = ocp.state("q", initial=0.5), ocp.state("work"), ocp.control("u")
+    ocp.dynamics({q: -q + u, work: u**2})
+    ocp.least_squares(ca.vertcat(q, u), weight=[1.0, 0.1])
+    ocp.accumulator(work)
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-1, work, 0.5, at="end")
+    return ocp
+
+
 def everything() -> OCP:
     """Every kind of row and of data, on a non-uniform grid."""
     ocp = OCP("everything", intervals=[0.1, 0.1, 0.2, 0.2])
@@ -190,6 +257,7 @@ FIXED = Online("fixed", "fixed", "fixed", "fixed")
 SHARED = Online("shared", "shared", "shared", "shared")
 NODE = Online("node", "node", "node", "node", dense_weight=True)
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
+RELAXED = RealTimeIteration(relaxation=100.0)
 REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
 STAGES = NoCondensing()
 LOOPED = ExplicitRungeKutta(unroll="none")
@@ -256,6 +324,21 @@ SAMPLES = (
     Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=RESAMPLE, online=NODE)),
     Sample("everything interior", everything, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("everything looped", everything, _interior(integrator=LOOPED, online=FIXED, precision="single")),
+    Sample("arrival dense", arrival, _dense(hessian=ExactHessian())),
+    Sample("arrival riccati", arrival, _riccati(hessian=ExactHessian(), integrator=LOOPED)),
+    Sample("arrival on path dense", arrival_on_path, _dense()),
+    Sample("arrival on path interior", arrival_on_path, _interior()),
+    Sample("arrival rows interior", arrival_rows, _interior(hessian=ExactHessian())),
+    Sample("ring dense", ring, _dense(hessian=ExactHessian(), algorithm=RELAXED)),
+    Sample("ring interior", ring, _interior(hessian=ExactHessian())),
+    Sample("closing interior", closing, _interior()),
+    Sample("target dense", target, _dense(solve=False)),
+    Sample("target riccati", target, _riccati(solve=False, online=FIXED)),
+    Sample("target interior", target, _interior(solve=False, online=FIXED)),
+    Sample("target partial", target, _partial(solve=False, online=FIXED)),
+    Sample("states alone", states, Options(qp=RiccatiActiveSet(fallback=None), condensing=STAGES, solve=False)),
+    Sample("controls alone", controls, Options(qp=RiccatiActiveSet(fallback=None), condensing=STAGES)),
+    Sample("counted dense", counted, _dense(algorithm=PERIODIC, integrator=ExplicitRungeKutta(RK4, steps=1))),
     Sample("economic dense", economic, _dense(hessian=ExactHessian(), online=FIXED)),
     Sample("economic riccati", economic, _riccati(hessian=ExactHessian())),
     Sample("economic partial", economic, _partial(hessian=ExactHessian(regularization=None))),

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, get_args
 from nmpc_codegen.errors import OptionError
 
 if TYPE_CHECKING:
+    from nmpc_codegen.components.stage_cost import StageCosts
     from nmpc_codegen.frontend.problem import Problem, Row
     from nmpc_codegen.ir.cmodule import Size, Struct, Table
     from nmpc_codegen.ir.kernel import OpCount, Port
-    from nmpc_codegen.ir.model import Interval, ModelFunctions, QuadraticModel
+    from nmpc_codegen.ir.model import HessianModel, Interval, ModelFunctions
     from nmpc_codegen.ir.sweep import Call, Routine
-    from nmpc_codegen.runtime.package_description import Precision
+    from nmpc_codegen.runtime.package_description import EntryPoint, Precision
 
 # C function -> operations of one run
 Counts = Mapping[str, "OpCount"]
@@ -27,6 +28,10 @@ Counts = Mapping[str, "OpCount"]
 Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
 
 SEAMS: tuple[Seam, ...] = get_args(Seam)
+
+#: What the core has for algorithms that ask for it: the linearisation of every node, the multipliers, products with the
+#: stage matrices, the KKT residuals.
+Core = Literal["nodes", "multipliers", "products", "kkt"]
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,7 @@ class Component(Protocol):
     seam: ClassVar[Seam]
     name: ClassVar[str]  # the word of the command line
     template: ClassVar[str]  # its part, below templates/
-    needs: ClassVar[tuple[Seam, ...]]  # other seams whose contract it calls
+    needs: ClassVar[tuple[Seam, ...]]  # other seams that a package with it has
     supports: ClassVar[frozenset[str]]  # problem features it takes
 
     def check(self, problem: Problem) -> None:
@@ -141,10 +146,10 @@ class Integrator(Component, Protocol):
 
 
 class Hessian(Component, Protocol):
-    """Cost, gradient and Hessian blocks of every node."""
+    """Hessian blocks of every node."""
 
-    def quadratic_model(self, problem: Problem, integrator: Integrator) -> QuadraticModel:
-        """The functions of both stages; the integrator helps to write those that integrate."""
+    def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
+        """The blocks of all stages; the integrator writes second derivatives of what it integrates."""
         ...
 
 
@@ -196,28 +201,42 @@ class QpSolver(Component, Protocol):
 
 
 class Algorithm(Component, Protocol):
-    """Entry points of the package: prepare, feedback, step, shift, solve."""
+    """How the problem is solved: the entry points of the package.
+
+    ``needs`` are the seams that its packages have; a component of another seam is refused.
+    """
+
+    core: ClassVar[frozenset[Core]]  # what it takes of the core besides plan, data and the cost of the stages
 
     @property
     def shift(self) -> str | None:
         """How the plan moves before every prepare; None: it stays."""
         ...
 
+    def default(self, seam: Seam) -> str | None:
+        """The word of the component of a seam that it needs if none is given; None: chosen from the problem."""
+        ...
+
+    def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
+        """The C functions that a sample calls; with ``solve`` also the one that iterates to convergence."""
+        ...
+
 
 @dataclass(frozen=True)
 class Parts:
-    """One component per seam, with nothing left to choose."""
+    """One component for every seam that the algorithm needs, with nothing left to choose."""
 
     integrator: Integrator
-    hessian: Hessian
-    condensing: Condensing
-    qp: QpSolver
     algorithm: Algorithm
+    hessian: Hessian | None = None
+    condensing: Condensing | None = None
+    qp: QpSolver | None = None
 
     @property
     def components(self) -> tuple[Component, ...]:
-        """The components in the order of their sections."""
-        return (self.integrator, self.hessian, self.condensing, self.qp, self.algorithm)
+        """The components that there are, in the order of their sections."""
+        found = (self.integrator, self.hessian, self.condensing, self.qp, self.algorithm)
+        return tuple(component for component in found if component is not None)
 
 
 class Defaults:

@@ -13,7 +13,7 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.ir.kernel import OPERATIONS
 from nmpc_codegen.ir.naming import C_KEYWORDS
-from nmpc_codegen.runtime.weight import checked_weight
+from nmpc_codegen.runtime.given import checked_weight
 
 #: Operations of a CasADi SX Function that have a C spelling.
 C_OPERATIONS = frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}

@@ -11,7 +11,7 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, c_identifier, symbols
-from nmpc_codegen.frontend.statement import At, Element, Soft
+from nmpc_codegen.frontend.statement import At, Element, Soft, StageName
 
 
 def classify(ocp: OCP) -> Problem:
@@ -22,8 +22,9 @@ def classify(ocp: OCP) -> Problem:
     """
     _require(ocp)
     rows, path_h, terminal_h = _classify_rows(ocp)
-    path = _stage(ocp, path_h, rows, terminal=False)
-    terminal = _stage(ocp, terminal_h, rows, terminal=True)
+    start = _stage(ocp, [], rows, "start")
+    path = _stage(ocp, path_h, rows, "path")
+    terminal = _stage(ocp, terminal_h, rows, "terminal")
     f = ca.vertcat(*(ocp.derivatives[i] for i in range(path.nx)))
     x, u, p, _ = symbols(path.nx, path.nu, ocp.p.numel())
     dynamics = ca.Function("f", [x, u, p], _moved(ocp, [f], x, u, p), ["x", "u", "p"], ["f"])
@@ -37,6 +38,7 @@ def classify(ocp: OCP) -> Problem:
         parameters=_signals(ocp.parameters),
         dynamics=dynamics,
         discrete=bool(ocp.discrete),
+        start=start,
         path=path,
         terminal=terminal,
         coupled=_coupled(ocp),
@@ -215,10 +217,10 @@ def _end_equality(ocp: OCP, s: _Scalar) -> bool:
 # Stages --------------------------------------------------------------------------------------------------------------
 
 
-def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], *, terminal: bool) -> Stage:
-    x, u, p, dt = symbols(ocp.x.numel(), 0 if terminal else ocp.u.numel(), ocp.p.numel())
-    residuals = [r for r in ocp.residuals if r.terminal == terminal]
-    costs = [c for c in ocp.costs if c.terminal == terminal]
+def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> Stage:
+    x, u, p, dt = symbols(ocp.x.numel(), ocp.u.numel() if stage == "path" else 0, ocp.p.numel())
+    residuals = [r for r in ocp.residuals if r.stage == stage]
+    costs = [c for c in ocp.costs if c.stage == stage]
     nodal = [c.expression * (dt if c.scale_with_dt else 1) for c in costs if not c.integrate]
     rates = [c.expression for c in costs if c.integrate]
     empty = ca.SX(0, 1)
@@ -226,7 +228,8 @@ def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], *, terminal: bool) -> 
     y, general, cost, rate = _moved(
         ocp, [stacked, ca.vertcat(empty, *h), ca.SX(sum(nodal)), ca.SX(sum(rates))], x, u, p
     )
-    positions = [(row.index_terminal if terminal else row.index, row) for row in rows if row.kind == "general"]
+    places = [{"start": -1, "path": row.index, "terminal": row.index_terminal}[stage] for row in rows]
+    positions = [(place, row) for place, row in zip(places, rows, strict=True) if row.kind == "general"]
     return Stage(
         x=x,
         u=u,
@@ -270,7 +273,7 @@ def _coupled(ocp: OCP) -> Any:
 def _control_reference(ocp: OCP) -> tuple[int, ...]:
     """For every control the position in y of the first residual that is this very control, or -1."""
     found = [-1] * ocp.u.numel()
-    y = ca.vertcat(ca.SX(0, 1), *(r.y for r in ocp.residuals if not r.terminal))
+    y = ca.vertcat(ca.SX(0, 1), *(r.y for r in ocp.residuals if r.stage == "path"))
     for i in range(y.numel()):
         element = ocp.element(y[i])
         if element is not None and element.kind == "control" and found[element.index] < 0:

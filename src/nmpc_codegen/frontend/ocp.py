@@ -35,6 +35,7 @@ from nmpc_codegen.frontend.statement import (
     Kind,
     Residual,
     Soft,
+    StageName,
     Statement,
     intersection,
 )
@@ -44,6 +45,7 @@ from nmpc_codegen.ir.naming import check_package_name
 __all__ = ["OCP"]
 
 _NODE: tuple[Kind, ...] = ("state", "control", "parameter")
+_STATES: tuple[Kind, ...] = ("state", "parameter")
 
 
 class OCP:
@@ -271,25 +273,32 @@ class OCP:
             names: one name per element; default the symbol, else y_i.
             scale_with_dt: multiply the weight by the length of the interval.
         """
-        self._residual("least_squares", expr, weight, reference, names, scale_with_dt, _NODE)
+        self._residual("least_squares", expr, weight, reference, names, scale_with_dt, "path")
 
     def terminal_least_squares(self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None) -> None:
         """Add 1/2 (y - reference)' W (y - reference) at node N, y(x, p); never scaled. See least_squares()."""
-        self._residual("terminal_least_squares", expr, weight, reference, names, False, ("state", "parameter"))
+        self._residual("terminal_least_squares", expr, weight, reference, names, False, "terminal")
+
+    def start_least_squares(self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None) -> None:
+        """Add 1/2 (y - reference)' W (y - reference) at node 0, y(x, p); never scaled. See least_squares().
+
+        A cost on x_0 matters where components of x_0 are free (free_initial): an arrival cost. Its weight and reference
+        are fixed; what shall change at run time is a parameter.
+        """
+        self._residual("start_least_squares", expr, weight, reference, names, False, "start")
 
     def _residual(
-        self, what: str, expr: Any, weight: Any, reference: Any, names: Any, scale: Any, kinds: tuple[Kind, ...]
+        self, what: str, expr: Any, weight: Any, reference: Any, names: Any, scale: Any, stage: StageName
     ) -> None:
-        terminal = "control" not in kinds
-        y = self._expression(expr, f"{what}: expression", kinds)
+        y = self._expression(expr, f"{what}: expression", _NODE if stage == "path" else _STATES)
         ny = y.numel()
         if ny == 0:
             raise ProblemError(f"{what}: the expression is empty")
-        earlier = [n for r in self.residuals if r.terminal == terminal for n in r.names]
+        earlier = [n for r in self.residuals if r.stage == stage for n in r.names]
         found = self._residual_names(what, y, names, earlier)
         W = weight_matrix(weight, ny, f"{what}: weight")
         yref = np.zeros(ny) if reference is None else vector(reference, ny, f"{what}: reference")
-        self.residuals.append(Residual(y, found, yref, W, flag(scale, f"{what}: scale_with_dt"), terminal))
+        self.residuals.append(Residual(y, found, yref, W, flag(scale, f"{what}: scale_with_dt"), stage))
 
     def _residual_names(self, what: str, y: Any, names: Any, earlier: list[str]) -> tuple[str, ...]:
         if names is None:
@@ -313,12 +322,17 @@ class OCP:
         """
         l = self._scalar(expr, "stage_cost", _NODE)  # noqa: E741
         integrate, scale = flag(integrate, "stage_cost: integrate"), flag(scale_with_dt, "stage_cost: scale_with_dt")
-        self.costs.append(GeneralCost(l, integrate, scale and not integrate, False))
+        self.costs.append(GeneralCost(l, integrate, scale and not integrate, "path"))
 
     def terminal_cost(self, expr: Any) -> None:
         """Add a general cost l_N(x, p) at node N, a scalar; never scaled."""
-        l = self._scalar(expr, "terminal_cost", ("state", "parameter"))  # noqa: E741
-        self.costs.append(GeneralCost(l, False, False, True))
+        l = self._scalar(expr, "terminal_cost", _STATES)  # noqa: E741
+        self.costs.append(GeneralCost(l, False, False, "terminal"))
+
+    def start_cost(self, expr: Any) -> None:
+        """Add a general cost l_0(x, p) at node 0, a scalar; never scaled. See start_least_squares()."""
+        l = self._scalar(expr, "start_cost", _STATES)  # noqa: E741
+        self.costs.append(GeneralCost(l, False, False, "start"))
 
     def _scalar(self, expr: Any, what: str, kinds: tuple[Kind, ...]) -> Any:
         l = self._expression(expr, what, kinds)  # noqa: E741

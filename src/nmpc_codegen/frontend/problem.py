@@ -1,10 +1,11 @@
 """IR 1: what is to be solved. Frozen, validated, classified; knows no algorithm and no C.
 
-    min   sum_{k<N} 1/2 |y_k - yref_k|^2_W  +  1/2 |y_N - yref_N|^2_{W_N}
+    min   l_0(x_0)  +  sum_{k<N} 1/2 |y_k - yref_k|^2_W  +  1/2 |y_N - yref_N|^2_{W_N}
     s.t.  x_0 = xhat,   x_{k+1} = Phi_k(x_k, u_k, p_k),
           lower <= h_k(x_k, u_k, p_k) <= upper   at the nodes of each row
 
-The terminal stage is a Stage with nu = 0, so nothing exists in triplicate for initial, path and terminal.
+Start and terminal stage are Stages with nu = 0, so nothing exists in triplicate for start, path and terminal. The start
+stage has a cost alone, with fixed weights and references; its rows are those of the path at node 0.
 """
 
 from __future__ import annotations
@@ -93,6 +94,7 @@ class Problem:
     parameters: tuple[Signal, ...]
     dynamics: Function
     discrete: bool
+    start: Stage
     path: Stage
     terminal: Stage
     coupled: Function | None  # SX Function r(x_0, x_N)

@@ -9,6 +9,7 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array, Signal
 
 Kind = Literal["state", "control", "parameter", "start", "end"]
+StageName = Literal["start", "path", "terminal"]
 At = Literal["path", "start", "end"] | tuple[int, ...]
 Soft = tuple[float, float] | None
 
@@ -32,24 +33,24 @@ class Element:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """1/2 (y - reference)' weight (y - reference) at every path node, or at the terminal node."""
+    """1/2 (y - reference)' weight (y - reference) at node 0, at every path node, or at the terminal node."""
 
     y: Any
     names: tuple[str, ...]
     reference: Array
     weight: Array
     scale_with_dt: bool
-    terminal: bool
+    stage: StageName
 
 
 @dataclass(frozen=True, eq=False)
 class GeneralCost:
-    """A scalar cost at every path node, integrated along every interval, or at the terminal node."""
+    """A scalar cost at node 0, at every path node, integrated along every interval, or at the terminal node."""
 
     expression: Any
     integrate: bool
     scale_with_dt: bool
-    terminal: bool
+    stage: StageName
 
 
 @dataclass(frozen=True, eq=False)

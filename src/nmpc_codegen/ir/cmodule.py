@@ -14,8 +14,8 @@ from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.runtime.package_description import EntryPoint, Kind, Layouts, PackageDescription, Precision
 from nmpc_codegen.runtime.package_description import Field as Field
-from nmpc_codegen.runtime.package_description import Kind, Layouts, PackageDescription, Precision
 from nmpc_codegen.runtime.package_description import Size as Size
 from nmpc_codegen.runtime.package_description import Struct as Struct
 from nmpc_codegen.runtime.status import Status
@@ -111,6 +111,7 @@ class CModule:
     setters: tuple[Setter, ...]
     routines: tuple[Routine, ...]
     products: Products
+    core_parts: tuple[str, ...]  # parts that the algorithm takes of the core
     switches: Mapping[str, int]  # what `#if` in the parts may test besides the sizes
     sections: tuple[Section, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
@@ -132,6 +133,16 @@ class CModule:
     def structs(self) -> tuple[Struct, ...]:
         """A struct stands after those that it holds, "solver" last."""
         return self.description.structs
+
+    @property
+    def core_products(self) -> tuple[str, ...]:
+        """The generated file of the stage products, if the algorithm takes them."""
+        return ("generated/products.c",) if self.switches["PRODUCTS"] else ()
+
+    @property
+    def entry_points(self) -> tuple[EntryPoint, ...]:
+        """What the algorithm offers."""
+        return self.description.entry_points
 
     @property
     def layouts(self) -> Layouts:

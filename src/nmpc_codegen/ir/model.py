@@ -25,31 +25,56 @@ class Interval:
 
 
 @dataclass(frozen=True, eq=False)
-class StageModel:
-    """Cost and rows of a stage: l, g = dl / dz, the Hessian block Q with its nonzeros (lower triangle), h and dh / dz.
+class Block:
+    """The Hessian block Q of a stage: its nonzeros (lower triangle), and the routine that fills it.
 
-    ``hessian`` is None if the block comes with the interval; ``curvature``: sum_i mu_i d2 h_i where it is added apart;
+    ``hessian`` is None if the block comes with the interval; ``curvature``: sum_i mu_i d2 h_i where it is added apart.
+    """
+
+    Q: Pattern = frozenset()
+    hessian: Routine | None = None
+    curvature: Routine | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class StageModel:
+    """Cost and rows of a stage: l, g = dl / dz, h and dh / dz, and the Hessian block if there is a Hessian.
+
     ``integrated``: the cost has an integral along the interval.
     """
 
     cost: Routine
     gradient: Routine
-    Q: Pattern
-    hessian: Routine | None = None
-    curvature: Routine | None = None
     rows: Routine | None = None
+    block: Block = Block()
     integrated: bool = False
+
+    @property
+    def Q(self) -> Pattern:
+        """Nonzeros of the Hessian block."""
+        return self.block.Q
+
+    @property
+    def hessian(self) -> Routine | None:
+        """The Hessian block where it is evaluated by itself."""
+        return self.block.hessian
+
+    @property
+    def curvature(self) -> Routine | None:
+        """The curvature of the rows where it is added apart."""
+        return self.block.curvature
 
 
 @dataclass(frozen=True, eq=False)
-class QuadraticModel:
-    """What a Hessian contributes: the stages without their rows.
+class HessianModel:
+    """What a Hessian contributes: the blocks of the stages.
 
-    ``initial``: what coupled rows add to the first block; ``curved``: see Interval.
+    ``start`` is added to the first path block; ``initial``: what coupled rows add to it; ``curved``: see Interval.
     """
 
-    path: StageModel
-    terminal: StageModel
+    start: Routine | None
+    path: Block
+    terminal: Block
     initial: Routine | None = None
     curved: Routine | None = None
 
@@ -58,10 +83,12 @@ class QuadraticModel:
 class ModelFunctions:
     """All functions of a package that are lifted from CasADi.
 
-    ``initial``: what coupled rows add to the first Hessian block; ``coupled``: r(x_0, x_N) and its Jacobians.
+    ``start``: the cost at node 0 besides that of the path; its Hessian block is added to the first one of the path, as
+    is ``initial``, that of coupled rows; ``coupled``: r(x_0, x_N) and its Jacobians.
     """
 
     interval: Interval
+    start: StageModel
     path: StageModel
     terminal: StageModel
     initial: Routine | None
@@ -77,7 +104,8 @@ class ModelFunctions:
             _present(
                 *(self.interval.linearize, self.interval.step),
                 *(*at_nodes, path.hessian, path.curvature),
-                *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature, self.initial),
+                *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature),
+                *(self.start.cost, self.start.gradient, self.start.hessian, self.initial),
                 *(*along_intervals, self.interval.curved),
                 *(path.rows, terminal.rows, self.coupled),
             )

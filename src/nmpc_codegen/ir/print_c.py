@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -83,7 +83,7 @@ def print_body(
     return loads + body + [f"    {store(o, e)} = {names[v]};" for o, e, v in kernel.stores]
 
 
-def _expression(ins: Instruction, names: list[str], style: CStyle) -> str:
+def _expression(ins: Instruction, names: Sequence[str] | Mapping[int, str], style: CStyle) -> str:
     operation = OPERATIONS[ins.opcode]
     return operation.c.format(
         *(names[a] for a in ins.args),
@@ -91,3 +91,68 @@ def _expression(ins: Instruction, names: list[str], style: CStyle) -> str:
         one=style.literal(1.0),
         zero=style.literal(0.0),
     )
+
+
+class Expressions:
+    """A kernel as nested expressions: what is used once stands where it is used.
+
+    Attributes:
+        statements: constants ``t<n>`` of the values that are used more than once.
+    """
+
+    def __init__(self, kernel: Kernel, style: CStyle, load: Callable[[int, int], str]) -> None:
+        self._kernel, self._style = kernel, style
+        self.statements: list[str] = []
+        self._texts: list[str] = []
+        uses = _uses(kernel)
+        for index, ins in enumerate(kernel.instructions):
+            if ins.opcode == ca.OP_INPUT:
+                text = load(*ins.args)
+            elif ins.opcode == ca.OP_CONST:
+                text = style.literal(ins.constant)
+                text = f"({text})" if text.startswith("-") else text
+            else:
+                text = self._nested(ins)
+                if uses[index] > 1:
+                    self.statements.append(f"const {style.real} t{index} = {text};")
+                    text = f"t{index}"
+            self._texts.append(text)
+
+    def assignment(self, target: str, value: int) -> str:
+        """``target = value``, or ``target += rest`` where the value is a sum that begins with the target."""
+        ins = self._kernel.instructions[value]
+        if ins.opcode == ca.OP_ADD and target in (terms := [self._texts[a] for a in ins.args]):
+            return f"{target} += {terms[1 - terms.index(target)]}"
+        return f"{target} = {self._texts[value]}"
+
+    def _nested(self, ins: Instruction) -> str:
+        operands = dict(enumerate(self._texts))
+        for position, a in enumerate(ins.args):
+            inner = self._kernel.instructions[a].opcode
+            alone = not (inner in OPERATIONS and " " in self._texts[a]) or OPERATIONS[inner].function
+            if not alone and not (ins.opcode in _SUMS and (inner in _PRODUCTS or (inner in _SUMS and position == 0))):
+                operands[a] = f"({self._texts[a]})"
+        return _expression(self._in_order(ins), operands, self._style)
+
+    def _in_order(self, ins: Instruction) -> Instruction:
+        """Loads that may be exchanged stand in the order of the inputs."""
+        loads = [self._kernel.instructions[a] for a in ins.args]
+        if not OPERATIONS[ins.opcode].commutative or any(load.opcode != ca.OP_INPUT for load in loads):
+            return ins
+        return replace(ins, args=tuple(a for _, a in sorted(zip((x.args for x in loads), ins.args, strict=True))))
+
+
+_SUMS = (ca.OP_ADD, ca.OP_SUB)
+_PRODUCTS = (ca.OP_MUL, ca.OP_SQ, ca.OP_DIV)
+
+
+def _uses(kernel: Kernel) -> list[int]:
+    """How often the text of a kernel would have every value."""
+    uses = [0] * len(kernel.instructions)
+    for ins in kernel.instructions:
+        if ins.opcode in OPERATIONS:
+            for position, a in enumerate(ins.args):
+                uses[a] += OPERATIONS[ins.opcode].c.count(f"{{{position}}}")
+    for _, _, value in kernel.stores:
+        uses[value] += 1
+    return uses

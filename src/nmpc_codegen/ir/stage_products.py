@@ -5,20 +5,18 @@ The patterns come from the stores of the lifted kernels, so they are structural 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import cached_property
 
 from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.product_interfaces import PANEL as PANEL
+from nmpc_codegen.ir.product_sweeps import Loops, StageSweeps, WrittenOut
+from nmpc_codegen.ir.product_sweeps import Pattern as Pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine, nonzeros
-
-# Columns of a dense matrix that are processed together; leading dimensions are rounded up to it.
-PANEL = 4
 
 # Largest number of nonzeros of S and Q together that is written out.
 WRITTEN_OUT = 256
-
-Pattern = frozenset[tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -38,127 +36,71 @@ class Products:
 
     @property
     def spelling(self) -> str:
-        """Stem of the templates that print them."""
+        """Name of the way in which they are written."""
         return "nonzeros" if self.written_out else "loops"
+
+    @cached_property
+    def vectors(self) -> Mapping[str, LoopedRoutine]:
+        """The products with a vector, by C function."""
+        s = self._sweeps
+        return _by_name(s.state_step(), s.adjoint_step(), s.terminal_adjoint())
+
+    @cached_property
+    def panels(self) -> Mapping[str, LoopedRoutine]:
+        """The products with a panel of columns; without a Hessian of the last node none is with it."""
+        s = self._sweeps
+        return _by_name(s.forward_panel(), *((s.terminal_panel(),) if self.Q_N else ()), s.backward_panel())
 
     @property
     def counts(self) -> Mapping[str, OpCount]:
         """Operations of one run of every product with a vector, by C function."""
-        return {
-            "state_step": self.state_step,
-            "adjoint_step": self.adjoint_step,
-            "terminal_adjoint": self.terminal_adjoint,
-        }
+        return {name: routine.count for name, routine in self.vectors.items()}
 
     @property
     def column_counts(self) -> Mapping[str, OpCount]:
-        """Operations on one panel of columns, by C function; without a Hessian of the last node none are with it."""
-        terminal = {"condense_terminal_panel": self.terminal_panel} if self.Q_N else {}
-        return {
-            "condense_forward_panel": self.forward_panel,
-            **terminal,
-            "condense_backward_panel": self.backward_panel,
-        }
+        """Operations on one panel of columns, by C function."""
+        return {name: routine.count for name, routine in self.panels.items()}
 
     @property
     def state_step(self) -> OpCount:
         """A dx + B du."""
-        return _accumulated(len(self.S) if self.written_out else self.nx * (self.nx + self.nu))
+        return self.counts["state_step"]
 
     @property
     def adjoint_step(self) -> OpCount:
         """S' w + Q z."""
-        entries = sum(len(e) for _, _, e in self.adjoint)
-        rows = sum(len(r) for _, r, _ in self.adjoint) if self.written_out else self.nx * (self.nx + self.nu)
-        return _accumulated(rows + entries)
+        return self.counts["adjoint_step"]
 
     @property
     def terminal_adjoint(self) -> OpCount:
         """Q_N dx."""
-        return _accumulated(sum(len(entries) for _, entries in self.terminal))
+        return self.counts["terminal_adjoint"]
 
     @property
     def forward_panel(self) -> OpCount:
         """A G, one panel of columns."""
-        if self.written_out:
-            return _summed(len(columns) for _, columns in self.A_rows) * PANEL
-        return _accumulated(self.nx * self.nx) * PANEL
+        return self.column_counts["condense_forward_panel"]
 
     @property
     def terminal_panel(self) -> OpCount:
         """Q_N G, one panel of columns."""
-        entries = [len(e) for _, e in self.terminal]
-        return (_summed(entries) if self.written_out else _accumulated(sum(entries))) * PANEL
+        return self.column_counts.get("condense_terminal_panel", OpCount())
 
     @property
     def backward_panel(self) -> OpCount:
         """S' W + Q (G, 0), one panel of columns."""
+        return self.column_counts["condense_backward_panel"]
+
+    @property
+    def tables(self) -> Mapping[str, Sequence[int]]:
+        """Tables that the loops read: C name -> values."""
+        return {} if self.written_out else Loops(self.nx, self.nu, self.Q, self.Q_N).tables
+
+    @property
+    def _sweeps(self) -> StageSweeps:
         if self.written_out:
-            return _summed(len(rows) + len(e) for _, rows, e in self.condensed) * PANEL
-        return _accumulated(self.nx * (self.nx + self.nu) + sum(len(e) for _, _, e in self.condensed)) * PANEL
-
-    def element(self, j: int) -> str:
-        """Element j of z = (dx, du) in C."""
-        return f"dx[{j}]" if j < self.nx else f"du[{j - self.nx}]"
-
-    def target(self, i: int) -> str:
-        """Row of W, or of T, that row i of the backward sweep belongs to."""
-        return f"p->W[{i}]" if i < self.nx else f"p->T[{i - self.nx}]"
-
-    @property
-    def S_rows(self) -> list[tuple[int, list[int]]]:
-        """(i, columns of row i of S)."""
-        return [(i, sorted(c for r, c in self.S if r == i)) for i in range(self.nx)]
-
-    @property
-    def A_rows(self) -> list[tuple[int, list[int]]]:
-        """(i, columns of row i of A)."""
-        return [(i, [c for c in columns if c < self.nx]) for i, columns in self.S_rows]
-
-    @property
-    def adjoint(self) -> list[tuple[int, list[int], list[tuple[int, int, int]]]]:
-        """(i, rows j with S[j][i], entries of Q z in row i) for every component of z."""
-        return [(i, self._column(i), _entries(self.Q, i)) for i in range(self.nx + self.nu)]
-
-    @property
-    def condensed(self) -> list[tuple[int, list[int], list[tuple[int, int, int]]]]:
-        """The same for Q (G, 0): entries with the states only."""
-        return [(i, rows, [e for e in entries if e[2] < self.nx]) for i, rows, entries in self.adjoint]
-
-    @property
-    def terminal(self) -> list[tuple[int, list[tuple[int, int, int]]]]:
-        """(i, entries of Q_N dx in row i)."""
-        return [(i, _entries(self.Q_N, i)) for i in range(self.nx)]
-
-    @property
-    def Q_read(self) -> list[tuple[int, int]]:
-        """Stored entries that the backward sweep reads."""
-        return sorted({(r, c) for _, _, entries in self.condensed for r, c, _ in entries})
-
-    @property
-    def read_A(self) -> list[int]:
-        """Columns of A with nonzeros."""
-        return sorted({c for _, c in self.S if c < self.nx})
-
-    @property
-    def read_w(self) -> list[int]:
-        """Rows of S with nonzeros."""
-        return sorted({r for r, _ in self.S})
-
-    @property
-    def read_g(self) -> list[int]:
-        """States that the cost sees."""
-        return sorted({j for _, _, entries in self.condensed for _, _, j in entries})
-
-    @property
-    def Q_sorted(self) -> list[tuple[int, int]]:
-        """Nonzeros of Q in the order of the tables."""
-        return sorted(self.Q)
-
-    @property
-    def Q_N_sorted(self) -> list[tuple[int, int]]:
-        """Nonzeros of Q_N in the order of the tables."""
-        return sorted(self.Q_N)
+            return WrittenOut(self.nx, self.nu, self.S, self.Q, self.Q_N)
+        return Loops(self.nx, self.nu, self.Q, self.Q_N)
 
     @property
     def Q_blocks(self) -> list[list[int]]:
@@ -169,19 +111,6 @@ class Products:
     def Q_N_blocks(self) -> list[list[int]]:
         """Rows of the irreducible diagonal blocks of Q_N."""
         return irreducible_blocks(self.Q_N, self.nx)
-
-    @property
-    def Q_block_ends(self) -> list[int]:
-        """Rows up to the end of every block of Q."""
-        return list(accumulate(len(block) for block in self.Q_blocks))
-
-    @property
-    def Q_N_block_ends(self) -> list[int]:
-        """Rows up to the end of every block of Q_N."""
-        return list(accumulate(len(block) for block in self.Q_N_blocks))
-
-    def _column(self, i: int) -> list[int]:
-        return sorted(r for r, c in self.S if c == i)
 
 
 def irreducible_blocks(lower: Pattern, n: int) -> list[list[int]]:
@@ -195,20 +124,8 @@ def irreducible_blocks(lower: Pattern, n: int) -> list[list[int]]:
     return sorted(sorted(s) for s in found)
 
 
-def _accumulated(n: int) -> OpCount:
-    """n products, each added to something."""
-    return OpCount(add=n, mul=n)
-
-
-def _summed(terms: Iterable[int]) -> OpCount:
-    """One sum of products per number of terms."""
-    return sum((OpCount(add=max(0, n - 1), mul=n) for n in terms), OpCount())
-
-
-def _entries(lower: Pattern, i: int) -> list[tuple[int, int, int]]:
-    """(stored row, stored column, j) of the nonzeros (i, j) of a symmetric matrix kept as its lower triangle."""
-    found = [(r, c, c) for r, c in lower if r == i] + [(r, c, r) for r, c in lower if c == i and r != i]
-    return sorted(found, key=lambda e: e[2])
+def _by_name(*routines: LoopedRoutine) -> Mapping[str, LoopedRoutine]:
+    return {routine.name: routine for routine in routines}
 
 
 def pattern(routine: Routine, port: str) -> Pattern:

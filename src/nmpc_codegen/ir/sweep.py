@@ -1,7 +1,7 @@
 """Sweeps: programs of calls to small CasADi Functions inside counted loops, as data.
 
-Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; print_routine(), which
-writes C loops that call static leaves; and count. A subtree is fused by unrolling it into a leaf of its own.
+Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; print_sweep.py, which
+writes C loops; and count. What rewrites sweeps is in passes.py.
 """
 
 from __future__ import annotations
@@ -9,12 +9,27 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import casadi as ca
 
 from nmpc_codegen.ir.casadi_types import Expression, Function, elements
 from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
-from nmpc_codegen.ir.print_c import CStyle, comment, print_body, print_kernel, signature
+
+
+class Size(int):
+    """A number that C text has by the name of its macro."""
+
+    def __new__(cls, value: int, name: str) -> Size:
+        """The number ``value``, called ``name``."""
+        size = super().__new__(cls, value)
+        size.name = name
+        return size
+
+    name: str
+
+    def __str__(self) -> str:
+        return self.name
 
 
 @dataclass(frozen=True)
@@ -53,12 +68,17 @@ class Slice:
 
 @dataclass(frozen=True, eq=False)
 class Call:
-    """outs = leaf(ins). The leaf is an SX Function of dense vectors; equal names are one C function."""
+    """outs = leaf(ins). The leaf is an SX Function of dense vectors; equal names are one C function.
+
+    inline: it is printed in its place, whatever its slices are.
+    direct: a result may be stored before the next one is computed, as none is an operand of a later one.
+    """
 
     leaf: Function
     ins: tuple[Slice, ...]
     outs: tuple[Slice, ...]
-    inline: bool = False  # print it in its place, whatever its slices are
+    inline: bool = False
+    direct: bool = False
 
     @property
     def written_out(self) -> bool:
@@ -82,8 +102,65 @@ class For:
         values = range(self.start, self.start + count)
         return values[::-1] if self.down else values
 
+    def passes(self, indices: Mapping[str, int]) -> Iterator[Mapping[str, int]]:
+        """What every run of the body adds to the indices."""
+        return ({self.index: value} for value in self.values(indices))
 
-Node = Call | For
+
+@dataclass(frozen=True, eq=False)
+class Entries:
+    """For every entry n = first .. last - 1 of the tables: the names take its values, then the body.
+
+    tables: (name, C name of the table, its values), all of one length.
+    """
+
+    index: str
+    tables: tuple[tuple[str, str, tuple[int, ...]], ...]
+    first: int
+    last: int
+    body: tuple[Node, ...]
+
+    def passes(self, indices: Mapping[str, int]) -> Iterator[Mapping[str, int]]:
+        """What every run of the body adds to the indices."""
+        for n in range(self.first, self.last):
+            yield {self.index: n, **{name: values[n] for name, _, values in self.tables}}
+
+
+@dataclass(frozen=True, eq=False)
+class If:
+    """The body, if the index ``left`` is ``relation`` ("<" or "!=") to ``right``, an index or a number."""
+
+    left: str
+    relation: Literal["<", "!="]
+    right: str | int
+    body: tuple[Node, ...]
+
+    def passes(self, indices: Mapping[str, int]) -> Iterator[Mapping[str, int]]:
+        """One run of the body or none."""
+        left, right = indices[self.left], indices[self.right] if isinstance(self.right, str) else self.right
+        if left < right if self.relation == "<" else left != right:
+            yield {}
+
+
+Block = For | Entries | If
+Node = Call | Block
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a buffer stands in C: text of a scalar (shape ()), a vector or a matrix (rows, columns)."""
+
+    text: str
+    shape: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The C function of a sweep whose buffers are members of structs: its parameters, and the places of all buffers."""
+
+    parameters: tuple[str, ...]
+    places: Mapping[str, Place]
+    inline: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,24 +173,30 @@ class Sweep:
     outputs: tuple[Port, ...]
     locals: tuple[tuple[str, int], ...]
     body: tuple[Node, ...]
+    frame: Frame | None = None
 
 
 def unroll(sweep: Sweep) -> Function:
-    """Run the sweep on SX: one CasADi Function with the sweep's ports; matrices lose their structural zeros."""
+    """Run the sweep on SX: one CasADi Function with the sweep's ports; matrices lose their structural zeros.
+
+    What is changed in place is the input <name> and the output <name>_out.
+    """
     symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
-    buffers: dict[str, list[Expression]] = {p.name: elements(s) for p, s in zip(sweep.inputs, symbols, strict=True)}
-    buffers |= {p.name: [ca.SX(0)] * p.size for p in sweep.outputs}
+    buffers: dict[str, list[Expression]] = {p.name: [ca.SX(0)] * p.size for p in sweep.outputs}
+    buffers |= {p.name: elements(s) for p, s in zip(sweep.inputs, symbols, strict=True)}
     buffers |= {name: [ca.SX(0)] * size for name, size in sweep.locals}
     _run(sweep.body, buffers, {})
     outputs = [_shaped(buffers[p.name], p) for p in sweep.outputs]
-    return ca.Function(sweep.name, symbols, outputs, [p.name for p in sweep.inputs], [p.name for p in sweep.outputs])
+    names = [p.name for p in sweep.inputs]
+    results = [f"{p.name}_out" if p.name in names else p.name for p in sweep.outputs]
+    return ca.Function(sweep.name, symbols, outputs, names, results)
 
 
 def _run(nodes: tuple[Node, ...], buffers: dict[str, list[Expression]], indices: dict[str, int]) -> None:
     for node in nodes:
-        if isinstance(node, For):
-            for value in node.values(indices):
-                _run(node.body, buffers, {**indices, node.index: value})
+        if isinstance(node, Block):
+            for more in node.passes(indices):
+                _run(node.body, buffers, {**indices, **more})
             continue
         arguments = [ca.vertcat(*(buffers[s.buffer][e] for e in s.elements(indices))) for s in node.ins]
         results = node.leaf.call(arguments)
@@ -174,12 +257,12 @@ class LoopedRoutine:
     @cached_property
     def touched(self) -> frozenset[str]:
         """Buffers that its text names."""
-        return frozenset(b for c in _calls(self.sweep.body) for b in _touched(c, self.leaves[c.leaf.name()]))
+        return frozenset(b for c in calls(self.sweep.body) for b in _touched(c, self.leaves[c.leaf.name()]))
 
     @property
     def statements(self) -> int:
         """Instructions of all calls as they are written, loops once: the size of the code if every leaf is inlined."""
-        return sum(len(self.leaves[c.leaf.name()].instructions) for c in _calls(self.sweep.body))
+        return sum(len(self.leaves[c.leaf.name()].instructions) for c in calls(self.sweep.body))
 
     @property
     def kernels(self) -> tuple[Kernel, ...]:
@@ -193,8 +276,8 @@ Routine = Kernel | LoopedRoutine
 def nonzeros(routine: LoopedRoutine) -> dict[str, list[int]]:
     """Elements of every output that are not structurally zero, by running the loops on zero and nonzero alone."""
     sweep = routine.sweep
-    buffers = {p.name: [True] * p.size for p in sweep.inputs}
-    buffers |= {p.name: [False] * p.size for p in sweep.outputs}
+    buffers = {p.name: [False] * p.size for p in sweep.outputs}
+    buffers |= {p.name: [True] * p.size for p in sweep.inputs}
     buffers |= {name: [False] * size for name, size in sweep.locals}
     _mark(sweep.body, routine.leaves, buffers, {})
     return {p.name: [e for e, marked in enumerate(buffers[p.name]) if marked] for p in sweep.outputs}
@@ -204,11 +287,11 @@ def _mark(
     nodes: tuple[Node, ...], leaves: Mapping[str, Kernel], buffers: dict[str, list[bool]], indices: dict[str, int]
 ) -> None:
     for node in nodes:
-        if isinstance(node, For):
-            alike = not _reads(node.body, node.index)
-            for value in node.values(indices):
+        if isinstance(node, Block):
+            alike = isinstance(node, For) and not _reads(node.body, node.index)
+            for more in node.passes(indices):
                 before = {name: list(marks) for name, marks in buffers.items()} if alike else None
-                _mark(node.body, leaves, buffers, {**indices, node.index: value})
+                _mark(node.body, leaves, buffers, {**indices, **more})
                 if buffers == before:
                     break  # every further run would be the same
             continue
@@ -223,9 +306,9 @@ def _mark(
 def _reads(nodes: tuple[Node, ...], index: str) -> bool:
     """True if what the nodes do depends on a loop index."""
     for node in nodes:
-        if isinstance(node, For):
-            offsets = [] if isinstance(node.count, int) else [node.count]
-            if _reads(node.body, index):
+        if isinstance(node, Block):
+            offsets = [node.count] if isinstance(node, For) and isinstance(node.count, Affine) else []
+            if _reads(node.body, index) or (isinstance(node, If) and index in (node.left, node.right)):
                 return True
         else:
             offsets = [s.offset for s in (*node.ins, *node.outs)]
@@ -240,7 +323,7 @@ def looped(sweep: Sweep) -> LoopedRoutine:
     Leaves store into buffers that are reused, so every output element is stored, structural zeros too.
     """
     leaves: dict[str, Kernel] = {}
-    for call in _calls(sweep.body):
+    for call in calls(sweep.body):
         name = call.leaf.name()
         if name not in leaves:
             inputs = [Port(call.leaf.name_in(i), s.size) for i, s in enumerate(call.ins)]
@@ -257,10 +340,11 @@ def _dense(leaf: Function) -> Function:
     )
 
 
-def _calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
+def calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
+    """All calls, in the order of the text."""
     for node in nodes:
-        if isinstance(node, For):
-            yield from _calls(node.body)
+        if isinstance(node, Block):
+            yield from calls(node.body)
         else:
             yield node
 
@@ -268,89 +352,24 @@ def _calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
 def _count(nodes: tuple[Node, ...], leaves: Mapping[str, Kernel], indices: Mapping[str, int]) -> OpCount:
     total = OpCount()
     for node in nodes:
-        if isinstance(node, For):
-            values = node.values(indices)
-            if any(isinstance(inner, For) and isinstance(inner.count, Affine) for inner in node.body):
-                for value in values:
-                    total += _count(node.body, leaves, {**indices, node.index: value})
-            elif values:
-                total += _count(node.body, leaves, {**indices, node.index: values[0]}) * len(values)
-        else:
+        if isinstance(node, Call):
             total += leaves[node.leaf.name()].count
+            continue
+        runs = list(node.passes(indices))
+        if isinstance(node, For) and not any(isinstance(n, For) and isinstance(n.count, Affine) for n in node.body):
+            total += _count(node.body, leaves, {**indices, **runs[0]}) * len(runs) if runs else OpCount()
+        else:
+            for more in runs:
+                total += _count(node.body, leaves, {**indices, **more})
     return total
-
-
-def print_routine(routine: Routine, style: CStyle) -> str:
-    """C text of a routine: one function, preceded by its leaves where it is looped."""
-    if isinstance(routine, Kernel):
-        return print_kernel(routine, style)
-    called = {c.leaf.name() for c in _calls(routine.sweep.body) if not c.written_out}
-    texts = [print_kernel(kernel, style) for name, kernel in routine.leaves.items() if name in called]
-    sweep, count = routine.sweep, routine.count
-    written = ", ".join(f"{v} {k}" for k, v in count.as_dict().items() if v)
-    lines = [comment(sweep.doc, routine.reads, routine.writes, written)]
-    lines += [signature(sweep.name, routine.reads, routine.writes, style), "{"]
-    indices = dict.fromkeys(_indices(sweep.body))
-    lines += [f"    {style.real} {name}[{size}];" for name, size in sweep.locals if name in routine.touched]
-    if indices:
-        lines.append(f"    int {', '.join(indices)};")
-    lines += _print_nodes(sweep.body, routine, style, "    ")
-    return "\n\n".join([*texts, "\n".join([*lines, "}"])])
 
 
 def _touched(call: Call, leaf: Kernel) -> Iterator[str]:
     """Buffers that the text of a call names: those that its leaf loads or stores."""
-    yield from (s.buffer for s in _passed(call, leaf))
+    yield from (s.buffer for s in passed(call, leaf))
 
 
-def _passed(call: Call, leaf: Kernel) -> Iterator[Slice]:
+def passed(call: Call, leaf: Kernel) -> Iterator[Slice]:
     """The slices of a call that its leaf loads or stores: the arguments of its C function."""
     yield from (s for s, port in zip(call.ins, leaf.inputs, strict=True) if port in leaf.reads)
     yield from (s for s, port in zip(call.outs, leaf.outputs, strict=True) if port in leaf.writes)
-
-
-def _indices(nodes: tuple[Node, ...]) -> Iterator[str]:
-    for node in nodes:
-        if isinstance(node, For):
-            yield node.index
-            yield from _indices(node.body)
-
-
-def _print_nodes(nodes: tuple[Node, ...], routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:
-    lines: list[str] = []
-    for node in nodes:
-        if isinstance(node, For):
-            lines.append(indent + _head(node))
-            lines += _print_nodes(node.body, routine, style, indent + "    ")
-            lines.append(indent + "}")
-        elif node.written_out and len(nodes) > 1:
-            lines += [indent + "{", *_print_call(node, routine, style, indent + "    "), indent + "}"]
-        else:
-            lines += _print_call(node, routine, style, indent)
-    return lines
-
-
-def _head(loop: For) -> str:
-    i, first = loop.index, loop.start
-    count = Affine(loop.count) if isinstance(loop.count, int) else loop.count
-    last = Affine(count.constant + first, count.terms)
-    if loop.down:
-        return f"for ({i} = {Affine(last.constant - 1, last.terms).c()}; {i} >= {first}; {i}--) {{"
-    return f"for ({i} = {first}; {i} < {last.c()}; {i}++) {{"
-
-
-def _print_call(call: Call, routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:
-    """A call of a static leaf; a leaf on strided slices is written out, so that the loop around it vectorises."""
-    kernel = routine.leaves[call.leaf.name()]
-    if not call.written_out:
-        arguments = (f"&{s.buffer}[{s.offset.c()}]" for s in _passed(call, kernel))
-        return [f"{indent}{kernel.name}({', '.join(arguments)});"]
-
-    def element(slices: tuple[Slice, ...], port: int, e: int) -> str:
-        s = slices[port]
-        return f"{s.buffer}[{Affine(s.offset.constant + s.stride * e, s.offset.terms).c()}]"
-
-    body = print_body(
-        kernel, style, lambda port, e: element(call.ins, port, e), lambda port, e: element(call.outs, port, e)
-    )
-    return [indent + line.removeprefix("    ") for line in body]

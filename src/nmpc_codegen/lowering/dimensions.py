@@ -8,9 +8,9 @@ from nmpc_codegen.ir.cmodule import Size
 from nmpc_codegen.ir.stage_products import PANEL
 
 
-def dimensions(problem: Problem, shape: QpShape, constant_hessian: bool) -> Dims:
-    """Every shared size; ``constant_hessian``: one path Hessian block serves all nodes."""
-    p = problem
+def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool) -> Dims:
+    """Every shared size; ``constant_hessian``: one path block serves all nodes; without a QP it has no shape."""
+    p, shape = problem, QpShape(0, 0, 0) if shape is None else shape
     sizes = {
         "N": p.N,
         "NX": p.nx,

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import casadi as ca
 
 from nmpc_codegen.components.base import Component, Hessian, Integrator, Parts, refuse_unsupported
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
+from nmpc_codegen.components.stage_cost import stage_costs, stage_model
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
-from nmpc_codegen.ir.model import ModelFunctions, StageModel
+from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
+from nmpc_codegen.ir.stage_products import Pattern, pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.choose import choose_qp
 from nmpc_codegen.options import REGISTRIES, Online, Options
@@ -46,19 +49,24 @@ class Model(ModelFunctions):
 
 def linearize(problem: Problem, options: Options) -> Model:
     """Problem -> Model. Raises OptionError for a combination that no component supports."""
+    options = options.with_defaults
     online = options.online
     path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
     problem = replace(problem, path=path, terminal=terminal)
     integrator, choices = _choose_integrator(problem, options.integrator)
     _check(problem, integrator, options.hessian)
     functions = _functions(problem, integrator, options.hessian)
-    constant = _constant_hessian(problem, online, functions.path)
-    condensing, qp, why = choose_qp(problem, options, constant, functions)
-    _check(problem, condensing, qp, options.algorithm)
+    constant = _constant_hessian(problem, online, functions)
+    parts = Parts(integrator, options.algorithm, options.hessian)
+    why: tuple[str, ...] = ()
+    if "qp" in options.algorithm.needs:
+        condensing, qp, why = choose_qp(problem, options, constant, functions)
+        parts = replace(parts, condensing=condensing, qp=qp)
+    _check(problem, *parts.components)
     return Model(
-        *(functions.interval, functions.path, functions.terminal, functions.initial, functions.coupled),
+        **{field.name: getattr(functions, field.name) for field in fields(ModelFunctions)},
         problem=problem,
-        parts=Parts(integrator, options.hessian, condensing, qp, options.algorithm),
+        parts=parts,
         online=online,
         precision=options.precision,
         solve=options.solve,
@@ -67,28 +75,63 @@ def linearize(problem: Problem, options: Options) -> Model:
     )
 
 
-def _check(problem: Problem, *components: Component) -> None:
+def _check(problem: Problem, *components: Component | None) -> None:
     """Refuse what a component does not take, or what clashes with its options."""
-    refuse_unsupported(problem, components, REGISTRIES)
-    for component in components:
+    present = [component for component in components if component is not None]
+    refuse_unsupported(problem, present, REGISTRIES)
+    for component in present:
         component.check(problem)
 
 
-def _functions(problem: Problem, integrator: Integrator, hessian: Hessian) -> ModelFunctions:
+def _functions(problem: Problem, integrator: Integrator, hessian: Hessian | None) -> ModelFunctions:
     """Everything that is lifted from CasADi."""
     interval = integrator.interval(problem)
-    quadratic = hessian.quadratic_model(problem, integrator)
+    costs = stage_costs(problem)
+    start, path, terminal = (stage_model(problem, integrator, c) for c in (costs.start, costs.path, costs.terminal))
+    blocks = HessianModel(None, Block(), Block()) if hessian is None else hessian.blocks(problem, costs, integrator)
+    slope = _elements(start.gradient)
     return ModelFunctions(
-        replace(interval, curved=quadratic.curved),
-        replace(quadratic.path, rows=_rows(problem.path, "path")),
-        replace(quadratic.terminal, rows=_rows(problem.terminal, "terminal")),
-        quadratic.initial,
+        replace(interval, curved=_with_zeros(blocks.curved, "g", slope)),
+        replace(start, block=Block(hessian=blocks.start)),
+        replace(
+            path,
+            gradient=_with_zeros(path.gradient, "g", slope),
+            rows=_rows(problem.path, "path"),
+            block=_with_start(blocks),
+        ),
+        replace(terminal, rows=_rows(problem.terminal, "terminal"), block=blocks.terminal),
+        blocks.initial,
         _coupled(problem),
     )
 
 
-def _constant_hessian(problem: Problem, online: Online, path: StageModel) -> bool:
-    """The path Hessian reads nothing that differs from node to node."""
+def _with_start(blocks: HessianModel) -> Block:
+    """The block of the path, where that of the start is added to."""
+    path, start = blocks.path, blocks.start
+    if path.hessian is None or start is None:
+        return path
+    Q = path.Q | pattern(start, "Q")
+    return replace(path, Q=Q, hessian=_with_zeros(path.hessian, "Q", Q))
+
+
+def _elements(vector: Routine) -> Pattern:
+    """(0, element) of everything that a routine with one vector as output stores."""
+    return frozenset((0, e) for _, e, _ in vector.stores) if isinstance(vector, Kernel) else frozenset()
+
+
+R = TypeVar("R", Routine, Routine | None)
+
+
+def _with_zeros(routine: R, port: str, entries: Pattern) -> R:
+    """A routine that stores zeros in entries that something is added to; one that is looped stores all of them."""
+    return routine.with_zeros(port, sorted(entries)) if isinstance(routine, Kernel) else routine
+
+
+def _constant_hessian(problem: Problem, online: Online, functions: ModelFunctions) -> bool:
+    """The path Hessian reads nothing that differs from node to node, and nothing is added to the first block."""
+    path, start = functions.path, functions.start.hessian
+    if start is not None and start.writes:
+        return False
     varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
     varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
     return path.hessian is not None and path.curvature is None and not varying & _inputs_read(path.hessian)

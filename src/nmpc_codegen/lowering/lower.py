@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nmpc_codegen.components.base import Counts, Dims
+from nmpc_codegen.components.core import PARTS, core_structs
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage, c_identifier
 from nmpc_codegen.ir.cmodule import (
     CModule,
@@ -72,6 +73,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
         setters=_setters(model),
         routines=_printed(model),
         products=model.products,
+        core_parts=tuple(part for word in sorted(model.parts.algorithm.core) for part in PARTS.get(word, ())),
         switches=switches,
         sections=sections,
         signals=(
@@ -100,6 +102,7 @@ KERNELS = (
         for stage in ("path", "terminal")
         for part in ("cost", "gradient", "hessian", "rows", "curvature")
     ),
+    *(f"start_{part}" for part in ("cost", "gradient", "hessian")),
     "initial_hessian",
     "coupled_rows",
 )
@@ -117,23 +120,29 @@ def _switches(model: Model) -> dict[str, int]:
     computing = {r.name for r in model.routines if r.writes}
     residuals = p.path.ny + p.terminal.ny
     data: dict[Kind, int] = {"reference": residuals, "weight": residuals, "parameter": p.np, "bounds": len(p.rows)}
+    parts, core = model.parts, model.parts.algorithm.core
     switches = {f"HAS_{name.upper()}": int(name in computing) for name in KERNELS}
     switches |= {f"SET_{kind.upper()}": int(layouts[kind] != "fixed" and size > 0) for kind, size in data.items()}
     switches |= {
         "SOLVE": int(model.solve),
-        "STATE_STEP": int(model.solve or model.parts.condensing.eliminates),
+        "STATE_STEP": int(model.solve or (parts.condensing is not None and parts.condensing.eliminates)),
+        "INTEGRATE_PLAN": 0,
+        "NODES": int("nodes" in core),
+        "PRODUCTS": int("products" in core),
+        "KKT": int("kkt" in core),
         "STATE_ROWS": int(0 in kinds),
         "GENERAL_ROWS": int(1 in kinds),
         "HARD_ROWS": int(any(p.rows[row].soft is None for _, _, _, row in p.qp_rows)),
         "CONTROL_BOUNDS": int(any(row.kind == "control" for row in p.rows)),
         "ACCUMULATORS": int(bool(p.accumulators)),
         "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
-        "TERMINAL_CURVATURE": int(bool(model.products.Q_N)),
+        "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
-    for component in model.parts.components:
+    for component in parts.components:
         switches |= component.switches
-    relaxable = switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0))
-    return {**switches, "RELAXATION": int(bool(relaxable))}
+    relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
+    elastic = relaxable or any(row.soft is not None for row in p.rows)
+    return {**switches, "RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
 
 
 def s_shape(struct: Struct) -> tuple[int, ...]:
@@ -146,7 +155,9 @@ def _section_count(counts: Counts) -> OpCount | None:
 
 
 def _dims(model: Model) -> Dims:
-    return dimensions(model.problem, model.parts.condensing.qp_shape(model.problem), model.constant_hessian)
+    condensing = model.parts.condensing
+    shape = None if condensing is None else condensing.qp_shape(model.problem)
+    return dimensions(model.problem, shape, model.constant_hessian)
 
 
 def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
@@ -172,11 +183,14 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
         "NZS": "NXS + NUS",
         "NV": "variables of the QP",
         "NSL": "slacks among them",
-        "NG": "rows of the QP besides control bounds",
+        "NG": "scalar rows of all nodes besides control bounds",
         "LDV": "NV rounded up to PANEL",
     }
-    macros = [Macro(s.text, s.value, docs[s.text]) for s in vars(dims).values()]
-    macros.append(Macro("PANEL", PANEL, "columns processed together"))
+    absent = set() if model.parts.condensing else QP_SIZES
+    absent = absent if model.parts.hessian else absent | {"NQ"}
+    macros = [Macro(s.text, s.value, docs[s.text]) for s in vars(dims).values() if s.text not in absent]
+    if model.parts.condensing:
+        macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in model.problem.rows), "rows with a penalty"))
     macros.append(Macro("PARAMS", len(model.problem.parameters), "parameters by name"))
     macros += [Macro(f"SIZE_{s.name.upper()}", s.size, f"numbers of {s.name}") for s in model.problem.parameters]
@@ -185,6 +199,10 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
     macros.append(Macro("MANY", MANY, "counters stop here"))
     macros.append(Macro("MAGIC", MAGIC, "a struct that init has seen"))
     return tuple(macros)
+
+
+#: Sizes of the QP; without condensing there is none.
+QP_SIZES = {"NS", "NUS", "NXS", "NZS", "NV", "NSL", "LDV"}
 
 
 def _enums(problem: Problem) -> tuple[Enum, ...]:
@@ -196,10 +214,6 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
     if parameters:
         enums.append(Enum("PARAM", parameters, "parameters, for set_parameter"))
     return tuple(enums)
-
-
-#: Seams whose parts still read members of size 0.
-_PADDED = ("condensing", "qp")
 
 
 def _existing(struct: Struct, switches: Mapping[str, int]) -> Struct:
@@ -216,32 +230,20 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
         *(setting.field for setting in _settings(model, dims)),
     ]
     results = [
-        Field("stats", (), "counters", "result", "stats"),
-        Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
-        Field(
-            "relaxation",
-            (),
-            "l1 penalty of hard rows while a QP is relaxed, else infinite",
-            "scratch",
-            only="RELAXATION",
-        ),
-        Field("status", (), "status of the last prepare, feedback or solve", "result", "int32"),
+        Field("status", (), "status of the last call", "result", "int32"),
         Field("magic", (), "set by init", "keep", "int32"),
     ]
-    owned = [
-        s if c.seam in _PADDED else _existing(s, switches)
-        for c in model.parts.components
-        for s in c.structs(dims)
-        if switches.get(s.only, 1)
-    ]
+    owned = [_existing(s, switches) for c in model.parts.components for s in c.structs(dims) if switches.get(s.only, 1)]
+    core = core_structs(model.parts.algorithm.core, dims)
+    owned = [*(_existing(s, switches) for s in core), *owned]
     owned = [s for s in owned if s.fields]
     own_members = [f for s in owned if s.name == "solver" for f in s.fields]
     inner = _inner_structs(owned)
-    held = {f.ctype for s in inner for f in s.fields}
-    members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held]
+    held = {f.ctype for s in inner for f in s.fields} | {f.ctype for f in own_members}
+    members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held and s.name != "kkt"]
     fields = (*common, *own_members, *members, *results)
     solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
-    return (*_result_structs(), *inner, _existing(solver, switches))
+    return (*inner, _existing(solver, switches))
 
 
 def _inner_structs(owned: list[Struct]) -> list[Struct]:
@@ -318,40 +320,6 @@ def _setters(model: Model) -> tuple[Setter, ...]:
     return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if switches[f"SET_{n.upper()}"])
 
 
-def _result_structs() -> tuple[Struct, ...]:
-    def real(name: str, doc: str) -> Field:
-        return Field(name, (), doc, "result")
-
-    def count(name: str, doc: str) -> Field:
-        return Field(name, (), doc, "result", "int32")
-
-    kkt = Struct(
-        "kkt",
-        "KKT residuals, largest absolute values",
-        (
-            real("stationarity", "gradient of the Lagrangian"),
-            real("equality", "gaps of the dynamics and x_0 - xhat"),
-            real("inequality", "violation of bounds and rows"),
-            real("complementarity", "multiplier times distance to its bound"),
-        ),
-    )
-    stats = Struct(
-        "stats",
-        "counters of the last feedback or solve",
-        (
-            count("qp_iterations", "iterations of the last QP"),
-            count("active_set_changes", "changes of the working set in the last QP"),
-            count("dropped_rows", "redundant rows left out of the working set"),
-            count("relaxed_rows", "soft or relaxed rows that are violated"),
-            count("sqp_iterations", "iterations of the last solve"),
-            count("violated_row", "hard row that cannot be met (INFEASIBLE) or is relaxed (RELAXED), or -1"),
-            count("violated_node", "its node, or -1"),
-            real("violation", "by how much the last step of the QP violates it"),
-        ),
-    )
-    return kkt, stats
-
-
 def _tables(model: Model) -> tuple[Table, ...]:
     p = model.problem
     rows = p.qp_rows
@@ -373,6 +341,8 @@ def _tables(model: Model) -> tuple[Table, ...]:
         real("default_parameter", p.p_value, "p"),
         real("default_reference", p.path.reference, "yref"),
         real("default_terminal_reference", p.terminal.reference, "yref_N"),
+        real("default_start_reference", p.start.reference, "reference of the residual at the start"),
+        real("default_start_weight", _weight_values(p.start), "its weight"),
         real("default_weight", _weight_values(p.path), "W"),
         real("default_terminal_weight", _weight_values(p.terminal), "W_N"),
         real("default_lower", [r.lower for r in p.rows], "lower bounds of the rows"),
@@ -380,11 +350,11 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("control_reference", p.control_reference, "residual that holds the reference of control j, or -1"),
         integer("control_row", _control_rows(p), "row that bounds control j, or -1"),
         integer("free_state", p.free_initial, "state that is free component f of x_0"),
-        integer("row_node", [r[0] for r in rows], "node of QP row m"),
+        integer("row_node", [r[0] for r in rows], "node of row m"),
         integer("row_kind", [r[1] for r in rows], "0: state bound, 1: general row, 2: coupled row"),
         integer("row_index", [r[2] for r in rows], "component of x, h or r"),
         integer("row_id", [r[3] for r in rows], "scalar row of the user"),
-        integer("row_first", first, "first QP row of node k"),
+        integer("row_first", first, "first row of node k"),
         real("row_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
         real("row_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
@@ -428,6 +398,7 @@ def _description(model: Model, name: str, macros: tuple[Macro, ...], structs: tu
         discrete=p.discrete,
         statuses=tuple(Status.__members__),
         shift=model.parts.algorithm.shift,
+        entry_points=model.parts.algorithm.entries(model.solve),
         online=model.online.layouts,
         options=repr(model.options),
         report=_report(model, structs),
@@ -437,11 +408,13 @@ def _description(model: Model, name: str, macros: tuple[Macro, ...], structs: tu
 def _report(model: Model, structs: tuple[Struct, ...]) -> Report:
     """Memory, exact operation counts, and what was chosen and why."""
     layout = struct_layout(structs, model.precision)
-    counts = {r.name: r.count for r in _printed(model)} | dict(model.products.counts)
-    if model.parts.condensing.columns:
+    counts = {r.name: r.count for r in _printed(model)}
+    switches = _switches(model)
+    if switches["PRODUCTS"]:
+        without = set() if switches["STATE_STEP"] else {"state_step"}
+        counts |= {name: count for name, count in model.products.counts.items() if name not in without}
+    if model.parts.condensing and model.parts.condensing.columns:
         counts |= model.products.column_counts
-    if not _switches(model)["STATE_STEP"]:
-        del counts["state_step"]
     dims = _dims(model)
     for component in model.parts.components:
         counts |= component.cost(dims, model)
@@ -449,7 +422,7 @@ def _report(model: Model, structs: tuple[Struct, ...]) -> Report:
         ram_bytes=layout["solver"][0],
         ram_bytes_by_struct={s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
         operations=counts,
-        linearization_operations=counts["linearize"].total,
+        linearization_operations=counts.get("linearize", OpCount()).total,
         choices=model.choices,
         looped=tuple(r.name for r in _printed(model) if len(r.kernels) > 1),
     )

@@ -11,10 +11,15 @@ import ast
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 _INCLUDE = re.compile(r'#include "([\w/]+\.c)"')
 _DIRECTIVE = re.compile(r"#(if|elif|else|endif)\b\s*(.*)")
+_ANY_DIRECTIVE = re.compile(r"\s*#\s*(?:if|elif|else|endif)")
+_NO_CODE = re.compile(r"/\*.*?\*/|//[^\n]*|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", re.DOTALL)
+_BRACES = re.compile(r"[{}]")
+_WORDS = re.compile(r"\b(?:and|or|not|if|else|in|is|lambda|True|False|None)\b")
 _BINARY: dict[type[ast.AST], Callable[[int, int], int]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -51,43 +56,88 @@ def _inlined(line: str, generated: Callable[[str], str]) -> Iterator[str]:
         yield from read_part(include[1], generated).splitlines()
 
 
+@dataclass
+class _Open:
+    """An `#if` that is open: whether its branch counts, one has counted, `#else` came, and the braces around it."""
+
+    counts: bool
+    done: bool
+    last: bool
+    depth: int
+
+
 def resolve(text: str, sizes: Mapping[str, int]) -> str:
     """The text with every `#if` decided: lines that a compiler would skip are gone, and so are the directives.
 
     Raises:
-        ValueError: a condition that is no integer expression, a name without a value, directives that do not match.
+        ValueError: a condition that is no integer expression, a name without a value, directives that do not match or
+            are others than `#if`, `#elif`, `#else`, `#endif`, a branch that opens a brace without closing it or closes
+            one that it has not opened.
     """
     kept: list[str] = []
-    stack: list[tuple[bool, bool]] = []  # of every open #if: this branch counts, one branch has counted
-    for line in text.splitlines():
-        directive = _DIRECTIVE.match(line)
-        if directive is None:
-            if all(active for active, _ in stack):
-                kept.append(line)
-            continue
-        word, condition = directive.groups()
-        if word == "if":
-            holds = all(active for active, _ in stack) and evaluate(condition, sizes)
-            stack.append((holds, holds))
-            continue
-        if not stack:
-            raise ValueError(f"#{word} without #if")
-        _, done = stack.pop()
-        if word != "endif":
-            holds = not done and all(a for a, _ in stack) and (word == "else" or evaluate(condition, sizes))
-            stack.append((holds, done or holds))
+    stack: list[_Open] = []
+    depth = 0
+    lines = text.splitlines()
+    for number, (line, code) in enumerate(zip(lines, _code(text).splitlines(), strict=True), 1):
+        try:
+            if _ANY_DIRECTIVE.match(code):
+                _decide(code, stack, depth, sizes)
+                continue
+            for brace in _BRACES.findall(code):
+                depth += 1 if brace == "{" else -1
+                if stack and depth < stack[-1].depth:
+                    raise ValueError("a branch of an #if closes a brace that it has not opened")
+        except ValueError as error:
+            raise ValueError(f"line {number}, {line.strip()!r}: {error}") from error
+        if all(branch.counts for branch in stack):
+            kept.append(line)
     if stack:
         raise ValueError("#if without #endif")
     return "\n".join(kept) + "\n"
 
 
+def _code(text: str) -> str:
+    """The text without comments, strings and characters, line by line."""
+    return _NO_CODE.sub(lambda found: " " + "\n" * found[0].count("\n"), text)
+
+
+def _decide(line: str, stack: list[_Open], depth: int, sizes: Mapping[str, int]) -> None:
+    """Open a branch, or end one and begin the next."""
+    directive = _DIRECTIVE.match(line)
+    if directive is None:
+        raise ValueError("expected #if, #elif, #else or #endif at the start of a line")
+    word, condition = directive.groups()
+    if word in ("else", "endif") and condition.strip():
+        raise ValueError(f"expected nothing after #{word}")
+    if word == "if":
+        holds = all(branch.counts for branch in stack) and evaluate(condition, sizes)
+        stack.append(_Open(holds, holds, False, depth))
+        return
+    if not stack:
+        raise ValueError(f"#{word} without #if")
+    branch = stack.pop()
+    if depth != branch.depth:
+        raise ValueError("the branch of an #if that ends here opens a brace without closing it")
+    if word == "endif":
+        return
+    if branch.last:
+        raise ValueError(f"#{word} after #else")
+    open_ = not branch.done and all(outer.counts for outer in stack)
+    holds = open_ and (word == "else" or evaluate(condition, sizes))
+    stack.append(_Open(holds, branch.done or holds, word == "else", depth))
+
+
 def evaluate(condition: str, sizes: Mapping[str, int]) -> bool:
-    """Value of an integer expression of C with the operators + - * == != < <= > >= ! && || and parentheses."""
-    text = re.sub(r"/\*.*?\*/", "", condition).replace("&&", " and ").replace("||", " or ")
-    text = re.sub(r"!\s*(\w+)", r"(not \1)", text)
-    text = re.sub(r"!(?!=)", " not ", text)
+    """Value of an integer expression of C with the operators + - * == != < <= > >= ! && || and parentheses.
+
+    It is read by Python, where `!` is spelled `~`: that binds as tightly, and C's own `~` is not allowed here.
+    """
+    text = re.sub(r"/\*.*?\*/", "", condition).strip()
+    if "~" in text or _WORDS.search(text):
+        raise ValueError(f"#if {condition}: not an integer expression")
+    text = re.sub(r"!(?!=)", "~", text).replace("&&", " and ").replace("||", " or ")
     try:
-        return bool(_value(ast.parse(text.strip(), mode="eval").body, sizes))
+        return bool(_value(ast.parse(text, mode="eval").body, sizes))
     except SyntaxError as error:
         raise ValueError(f"#if {condition}: not an integer expression") from error
 
@@ -100,7 +150,7 @@ def _value(node: ast.AST, sizes: Mapping[str, int]) -> int:
             if name not in sizes:
                 raise ValueError(f"#if: {name} has no value in this package")
             return sizes[name]
-        case ast.UnaryOp(op=ast.Not(), operand=operand):
+        case ast.UnaryOp(op=ast.Invert(), operand=operand):
             return int(not _value(operand, sizes))
         case ast.BoolOp(op=ast.And(), values=values):
             return int(all(_value(v, sizes) for v in values))

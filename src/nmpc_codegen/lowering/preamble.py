@@ -63,7 +63,8 @@ def names_in(*texts: str) -> set[str]:
 def _definitions(module: CModule) -> list[Definition]:
     """Every macro that a unit may use."""
     p, P = module.name, module.macro
-    constants = [(m.name, f"{P}_{m.name}") for m in module.macros]
+    constants = [(m.name, f"{P}_{m.name}") for m in module.macros if m.name != "MAGIC"]
+    constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
     constants += arithmetic(module.precision)
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
@@ -189,7 +190,7 @@ def _general(sizes: Mapping[str, int], path: str, terminal: str) -> str:
     return f"(row_node[m] == N) ? {terminal} : {path}" if sizes["NH"] else terminal
 
 
-#: Where an input of a kernel stands at node k of the solver s, and, at the terminal node, what differs.
+#: Where an input of a kernel stands at node k of the solver s, and what differs at the terminal node and at the start.
 PLACES = {
     "x": "(s)->x[k]",
     "u": "(s)->u[k]",
@@ -213,6 +214,12 @@ TERMINAL_PLACES = {
     "W": "WEIGHT_N(s)",
     "mu": "(s)->mu_N",
 }
+START_PLACES = {
+    "x": "(s)->x[0]",
+    "p": "PARAM(s, 0)",
+    "yref": "default_start_reference",
+    "W": "default_start_weight",
+}
 
 
 def kernel_call(routine: Routine) -> Definition:
@@ -226,6 +233,8 @@ def kernel_call(routine: Routine) -> Definition:
         leading = ["s", "k", "x", "u", "h"]
     elif routine.name.startswith("terminal_"):
         places, leading = {**PLACES, **TERMINAL_PLACES}, ["s"]
+    elif routine.name.startswith("start_"):
+        places, leading = {**PLACES, **START_PLACES}, ["s"]
     elif routine.name.startswith(("coupled_", "initial_")):
         places, leading = PLACES, ["s"]
     else:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from functools import cache
+from textwrap import wrap
 from typing import Any
 
 import jinja2
 
 from nmpc_codegen.ir.cmodule import CModule, Field, Table
 from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.sweep import print_routine
+from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.lowering.generated import GENERATED
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
 from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble
-from nmpc_codegen.runtime.package_description import Layout
+from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
+
+#: Columns of a comment in the header, its margin apart.
+WIDTH = 116
 
 # path -> text of one package
 Sources = dict[str, str]
@@ -48,7 +52,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
     """All files of the package. Not ``resolved``: the `#if`s of the parts are left to the compiler, for comparison."""
     names = _names(module)
     body = render_unit(module, names, resolved)
-    tables = render_tables(module, names, body)
+    tables = render_tables(module, names, body if resolved else render_unit(module, names))
     short_names = preamble(module, tables + body)
     names |= {"body": body, "tables": tables, "preamble": short_names if resolved else short_names + conditions(module)}
     files = {
@@ -69,6 +73,8 @@ def _names(module: CModule) -> dict[str, Any]:
     names |= {
         "m": module,
         "member": lambda field: _member(field, module),
+        "comment": lambda text: _comment(text),
+        "prototype": lambda entry: _prototype(entry, module),
         "dim": lambda macro: _dim(macro, module),
         "values": lambda table: _values(table, style),
         "print_routine": lambda routine: print_routine(routine, style),
@@ -83,7 +89,7 @@ def _names(module: CModule) -> dict[str, Any]:
 def render_tables(module: CModule, names: dict[str, Any], body: str) -> str:
     """The tables that the body reads, by itself or by what the preamble defines for it."""
     used = names_in(body, *(text for _, _, text in definitions(module, body)))
-    tables = [replace(t, values=t.values or (0,)) for t in module.tables if t.name in used]
+    tables = [t for t in module.tables if t.name in used and t.values]
     return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
@@ -91,7 +97,7 @@ def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -
     """The translation unit after its tables: printed kernels, parts."""
 
     def generated(path: str) -> str:
-        return environment().get_template(_GENERATED[path].format(spelling=module.products.spelling)).render(names)
+        return GENERATED[path](module, unit_style(module.precision))
 
     def part(path: str) -> str:
         text = read_part(path, generated)
@@ -101,14 +107,6 @@ def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -
     if not resolved:
         more["resolved"] = lambda template: environment().get_template(template).render(names).rstrip("\n")
     return environment().get_template("unit.c.jinja").render(names | more)
-
-
-#: What parts include as a file that is generated for the package -> its template.
-_GENERATED = {
-    "generated/products.c": "products/{spelling}.c.jinja",
-    "generated/product_columns.c": "products/{spelling}_columns.c.jinja",
-    "generated/hessian_blocks.c": "products/blocks.c.jinja",
-}
 
 
 def _copies(layout: Layout, path_only: bool) -> str:
@@ -121,8 +119,27 @@ def _copies(layout: Layout, path_only: bool) -> str:
 def _member(field: Field, module: CModule) -> str:
     """Declaration of a struct member."""
     ctype = {"real": f"{module.name}_real", "int32": "int32_t"}.get(field.ctype, f"{module.name}_{field.ctype}_t")
-    sizes = "".join(f"[{s.c(module.macro) if s.value else 1}]" for s in field.shape)
+    sizes = "".join(f"[{s.c(module.macro)}]" for s in field.shape)
     return f"{ctype} {field.name}{sizes};"
+
+
+def _comment(text: str) -> str:
+    """A block comment of full lines."""
+    lines = wrap(text, WIDTH, break_long_words=False)
+    return "/* " + "\n * ".join(lines) + " */"
+
+
+def _prototype(entry: EntryPoint, module: CModule) -> str:
+    """Declaration of an entry point."""
+
+    def declared(argument: Argument, constant: bool) -> str:
+        sizes = "".join(f"[{_dim(macro, module)}]" for macro in argument.shape)
+        ctype = {"real": f"{module.name}_real", "int": "int"}[argument.ctype]
+        return f"{'const ' if constant and sizes else ''}{ctype} {argument.name}{sizes}"
+
+    p = module.name
+    arguments = [declared(a, True) for a in entry.inputs] + [declared(a, False) for a in entry.outputs]
+    return f"{p}_status_t {p}_{entry.name}({', '.join([f'{p}_solver_t *s', *arguments])});"
 
 
 def _dim(macro: str, module: CModule) -> str:

@@ -30,6 +30,7 @@ from nmpc_codegen.oracle.trajectory import (
     row_nodes,
     scaled_weight,
     shaped,
+    start_cost,
 )
 
 __all__ = [
@@ -113,6 +114,7 @@ class Reference:
         given = [i for i in range(problem.nx) if i not in problem.free_initial]
         self._g.append(ca.vertcat(ca.MX(0, 1), *(d.x0[i] - self._x[0][i] for i in given)))
         cost = node_N(self._x[-1], ca.MX(0, 1), d.p[-1], 0, d.yref_N, d.W_N)
+        cost += start_cost(problem)(self._x[0], d.p[0])
         for k in range(problem.N):
             x_next, q = Phi(self._x[k], self._u[k], d.p[k], problem.dt[k])
             self._g.append(x_next - self._x[k + 1])

@@ -191,6 +191,13 @@ def node_cost(stage: Stage) -> Any:
     return ca.Function("l", [stage.x, stage.u, stage.p, stage.dt, yref, W], [cost])
 
 
+def start_cost(problem: Problem) -> Any:
+    """Function (x, p) -> cost at node 0 besides that of the path, with its declared weight and reference."""
+    stage = problem.start
+    l = node_cost(stage)(stage.x, stage.u, stage.p, 0.0, stage.reference, stage.weight)  # noqa: E741
+    return ca.Function("l_0", [stage.x, stage.p], [l])
+
+
 def node_rows(stage: Stage) -> Any:
     return ca.Function("h", [stage.x, stage.u, stage.p], [stage.h])
 
@@ -206,6 +213,7 @@ def evaluate_cost(problem: Problem, x: Any, u: Any, data: Data, integrator: Tabl
     Phi, cost, cost_N = interval_map(problem, integrator), node_cost(problem.path), node_cost(problem.terminal)
     x, u = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
     total = float(cost_N(x[-1], ca.DM(0, 1), data.p[-1], 0.0, data.yref_N, data.W_N))
+    total += float(start_cost(problem)(x[0], data.p[0]))
     for k in range(problem.N):
         total += float(Phi(x[k], u[k], data.p[k], problem.dt[k])[1])
         W = scaled_weight(problem, data.W[k], k)
@@ -268,6 +276,7 @@ def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tablea
     N = problem.N
     x, u = point.x, point.u
     (Phi, Phi_z), *others = _jacobians(problem, integrator)
+    start_gradient = _start_gradient(problem)
     cost_z, h_z, cost_N, h_N, coupled_z = (jacobian for _, jacobian in others)
     grad_x = np.array(point.mu_x, dtype=float) - point.lam
     grad_u = np.array(point.mu_u, dtype=float)
@@ -284,6 +293,7 @@ def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tablea
         grad_x[k] += grad[: problem.nx]
         grad_u[k] += grad[problem.nx :]
     empty = ca.DM(0, 1)
+    grad_x[0] += start_gradient(x[0], data.p[0]).full().ravel()
     grad_x[N] += cost_N(x[N], empty, data.p[N], 0.0, data.yref_N, data.W_N).full().ravel()
     grad_x[N] += h_N(x[N], empty, data.p[N]).full().T @ point.mu_N
     if problem.coupled is not None:
@@ -311,6 +321,13 @@ def _jacobians(problem: Problem, integrator: Tableau) -> tuple[tuple[Any, Any], 
     nodes = [f(stage) for stage in (problem.path, problem.terminal) for f in (node_cost, node_rows)]
     coupled = (None, None) if problem.coupled is None else _with_jacobian(problem.coupled)
     return (_with_jacobian(interval_map(problem, integrator)), *map(_with_jacobian, nodes), coupled)
+
+
+def _start_gradient(problem: Problem) -> Any:
+    """Function (x, p) -> gradient of start_cost() in x."""
+    stage = problem.start
+    value = start_cost(problem)(stage.x, stage.p)
+    return ca.Function("start_gradient", [stage.x, stage.p], [ca.gradient(value, stage.x)])
 
 
 def _with_jacobian(f: Any) -> tuple[Any, Any]:

@@ -43,6 +43,7 @@ class CompiledPackage:
             self._check_names()
             self._check_sizes()
             self._check_enumerations()
+            self._check_entry_points()
             for struct in self.description.structs:
                 self._check_members(struct)
         except self.ffi.error as error:
@@ -57,11 +58,6 @@ class CompiledPackage:
         """SHA-256 of the C texts: two controllers with the same one can exchange their state."""
         texts = (self.files[f"{self.name}.{ext}"] for ext in ("h", "c"))
         return hashlib.sha256("\0".join(texts).encode()).hexdigest()
-
-    @cached_property
-    def solves(self) -> bool:
-        """Whether the package has <prefix>_solve()."""
-        return hasattr(self.lib, f"{self.name}_solve")
 
     def function(self, name: str) -> Any:
         """The C function <prefix>_<name>."""
@@ -114,6 +110,15 @@ class CompiledPackage:
             constant = f"{stem}_{name.replace('[', '_').replace(']', '').upper()}"
             self._same(f"the number of the {kind} {name!r}", number, self._constant(constant))
 
+    def _check_entry_points(self) -> None:
+        """Every entry point is there, with arguments and result of the types that are described."""
+        words = {"real": self.ffi.typeof(f"{self.name}_real").cname, "int": "int"}
+        for entry in self.description.entry_points:
+            arguments = [self.ffi.typeof(f"{self.name}_solver_t *").cname]
+            arguments += [words[a.ctype] + (" *" if a.shape else "") for a in (*entry.inputs, *entry.outputs)]
+            compiled = self.ffi.typeof(self.function(entry.name))
+            self._same(f"{entry.name}(): the arguments", arguments, [a.cname for a in compiled.args])
+
     def _check_members(self, struct: Struct) -> None:
         """Names, element types and shapes, one by one."""
         compiled = self.ffi.typeof(f"{self.name}_{struct.name}_t")
@@ -147,11 +152,13 @@ class CompiledPackage:
                 expected = " or ".join("none" if entry is None else f"{entry[0]} {list(entry[1])}" for entry in allowed)
                 shown = "none" if found is None else f"{found[0]} {list(found[1])}"
                 self._refuse(f"the member {name} of the solver is {shown} in the description; expected {expected}")
-        scalars = {("stats", name, "int32") for name in COUNTERS} | {("stats", "violation", "real")}
-        for struct, name, ctype in scalars | {("kkt", part, "real") for part in Kkt.__dataclass_fields__}:
-            member = self.description.members(struct).get(name)
-            if member is None or (member.ctype, member.values) != (ctype, ()):
-                self._refuse(f"struct {struct} lacks the {ctype} {name}")
+        results = {"stats": {**dict.fromkeys(COUNTERS, "int32"), "violation": "real"}}
+        results["kkt"] = dict.fromkeys(Kkt.__dataclass_fields__, "real")
+        for struct, scalars in results.items():
+            members = self.description.members(struct)
+            for name, ctype in scalars.items() if members else ():
+                if name not in members or (members[name].ctype, members[name].values) != (ctype, ()):
+                    self._refuse(f"struct {struct} lacks the {ctype} {name}")
 
     def _roles(self) -> dict[str, tuple[tuple[str, tuple[int, ...]] | None, ...]]:
         """Member of the solver -> (type, shape) that it may have; None: it may be absent."""
@@ -162,8 +169,8 @@ class CompiledPackage:
         optional = {"lam": (nodes, d.nx), "mu_x": (nodes, d.nx), **path, "mu_N": (d.nh_N,), "eta": (coupled,)}
         return {
             "status": (("int32", ()),),
-            "stats": (("stats", ()),),
-            "kkt": (("kkt", ()),) if self.solves else (None,),
+            "stats": (("stats", ()), None),
+            "kkt": (("kkt", ()),) if self.description.offers("solve") else (None,),
             **{name: (("real", shape),) for name, shape in required.items()},
             **{name: (("real", shape), None) for name, shape in optional.items()},
             **self._settings(),

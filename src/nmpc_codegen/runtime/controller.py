@@ -19,14 +19,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.compiled import CompiledPackage
+from nmpc_codegen.runtime.compiled import COUNTERS, CompiledPackage
+from nmpc_codegen.runtime.given import checked_array, checked_weight, is_integer, is_positive, ndim
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
 from nmpc_codegen.runtime.status import Kkt, Solution, Stats, Status
-from nmpc_codegen.runtime.weight import checked_weight
 
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
+#: What stats are of an algorithm that counts nothing.
+_NO_COUNTS = {**dict.fromkeys(COUNTERS, 0), "violation": 0.0}
+
 EVERY_NODE = -1  # <NAME>_ALL of the C package
 
 Array = NDArray[Any]
@@ -50,8 +53,7 @@ class Controller:
         self._s = package.ffi.from_buffer(f"{package.name}_solver_t *", self._memory)
         self._xhat, self._xhat_c = self._buffer(self.dims.nx)
         self._u0, self._u0_c = self._buffer(self.dims.nu)
-        self._prepare_c = package.function("prepare")
-        self._feedback_c = package.function("feedback")
+        self._phases = self._functions("prepare", "feedback")
         self._prepare_ns = 0
         self._feedback_ns = 0
         self._expect(self._call("init", self._s), "init")
@@ -59,7 +61,7 @@ class Controller:
     # -- the real-time iteration ------------------------------------------------------------------------------------
 
     def step(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """prepare() and feedback(xhat).
+        """prepare() and feedback(xhat); an algorithm without these phases takes the whole sample at once.
 
         Args:
             xhat: measured state, shape (nx,). A NaN is not an error here: the status is NOT_FINITE, the control safe.
@@ -70,14 +72,19 @@ class Controller:
         """
         self._measure(xhat)
         start = perf_counter_ns()
-        prepared = self._prepare_c(self._s)
-        middle = perf_counter_ns()
-        status = self._feedback_c(self._s, self._xhat_c, self._u0_c)
-        self._feedback_ns = perf_counter_ns() - middle
-        self._prepare_ns = middle - start
-        if prepared:
-            status = prepared
-            self._struct["status"] = prepared
+        if self._phases is None:
+            status = self._call("step", self._s, self._xhat_c, self._u0_c)
+            self._feedback_ns = perf_counter_ns() - start
+        else:
+            prepare, feedback = self._phases
+            prepared = prepare(self._s)
+            middle = perf_counter_ns()
+            status = feedback(self._s, self._xhat_c, self._u0_c)
+            self._feedback_ns = perf_counter_ns() - middle
+            self._prepare_ns = middle - start
+            if prepared:
+                status = prepared
+                self._struct["status"] = prepared
         if on_failure != "status":
             self._judge(status, "step", on_failure)
         return self._u0.copy()
@@ -85,7 +92,7 @@ class Controller:
     def prepare(self, on_failure: OnFailure = "status") -> Status:
         """Everything that can be done before the state is known: linearise, condense, factorise."""
         start = perf_counter_ns()
-        status = self._prepare_c(self._s)
+        status = self._call("prepare", self._s)
         self._prepare_ns = perf_counter_ns() - start
         return self._judge(status, "prepare", on_failure)
 
@@ -93,7 +100,7 @@ class Controller:
         """Solve the prepared problem for the measured state (nx,); the control (nu,), as step() returns it."""
         self._measure(xhat)
         start = perf_counter_ns()
-        status = self._feedback_c(self._s, self._xhat_c, self._u0_c)
+        status = self._call("feedback", self._s, self._xhat_c, self._u0_c)
         self._feedback_ns = perf_counter_ns() - start
         self._judge(status, "feedback", on_failure)
         return self._u0.copy()
@@ -108,11 +115,12 @@ class Controller:
         """
         if not is_positive(tol):
             raise ControllerError(f"tol is {tol!r}; expected a positive number")
-        if not _is_integer(max_iterations) or max_iterations < 1:
+        if not is_integer(max_iterations) or max_iterations < 1:
             raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
-        if not self._package.solves:
+        if not self.description.offers("solve"):
             raise ControllerError(
-                f"{self._package.name} was exported without solve(): Options(solve=False) (--set solve=False)"
+                f"{self._package.name} was exported without solve(): by Options(solve=False) (--set solve=False), or "
+                "with an algorithm that has none"
             )
         self._measure(xhat)
         start = perf_counter_ns()
@@ -155,7 +163,7 @@ class Controller:
             for k in range(self.dims.N) if node is None and each else [node]:
                 row = current[self._node(k)] if each else current[0]
                 self._send(call, self._replaced(row, columns), k)
-        elif node is None and _ndim(y) == 2 and each:
+        elif node is None and ndim(y) == 2 and each:
             for k, row in enumerate(self._array("reference", y, (self.dims.N, self.dims.ny))):
                 self._send(call, row, k)
         else:
@@ -182,7 +190,7 @@ class Controller:
         each, ny = self._each_node("weight", "the weight", node), self.dims.ny
         self._expect_some(ny, "path residual")
         dense = self._view("W").ndim == 3
-        if node is None and each and _ndim(W) == 3:
+        if node is None and each and ndim(W) == 3:
             matrices = self._array("weight", W, (self.dims.N, ny, ny))
             checked = [self._weight(f"weight of node {k}", w, ny, dense) for k, w in enumerate(matrices)]
             for k, one in enumerate(checked):
@@ -210,12 +218,12 @@ class Controller:
         size = signals[index].size
         what = f"parameter {name!r}"
         each = self._each_node("parameter", what, node, terminal=True)
-        if node is None and _ndim(value) == 2 and each:
+        if node is None and ndim(value) == 2 and each:
             rows = self._array(what, value, (self.dims.N + 1, size))
             for k, row in enumerate(rows):
                 self._send("set_parameter", row, k, index)
             return
-        one = np.reshape(value, (1,)) if size == 1 and _ndim(value) == 0 else value
+        one = np.reshape(value, (1,)) if size == 1 and ndim(value) == 0 else value
         self._send("set_parameter", self._array(what, one, (size,)), node, index)
 
     def set_bounds(self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None = None) -> None:
@@ -307,9 +315,10 @@ class Controller:
 
     @property
     def stats(self) -> Stats:
-        """Counts, residuals and times of the last call."""
-        counts = self._struct["stats"]
-        kkt = self._struct["kkt"] if self._package.solves else dict.fromkeys(Kkt.__dataclass_fields__, math.nan)
+        """Counts, residuals and times of the last call; counts that the algorithm does not have are 0."""
+        members = self.description.members("solver")
+        counts = self._struct["stats"] if "stats" in members else _NO_COUNTS
+        kkt = self._struct["kkt"] if "kkt" in members else dict.fromkeys(Kkt.__dataclass_fields__, math.nan)
         return Stats(
             qp_iterations=int(counts["qp_iterations"]),
             active_set_changes=int(counts["active_set_changes"]),
@@ -331,8 +340,9 @@ class Controller:
 
     def kkt(self) -> Kkt:
         """KKT residuals of the current iterate."""
+        evaluate = self._package.function("kkt")
         out = self._package.ffi.new(f"{self._package.name}_kkt_t *")
-        self._call("kkt", self._s, out)
+        evaluate(self._s, out)
         return Kkt(*(float(getattr(out, part)) for part in Kkt.__dataclass_fields__))
 
     def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
@@ -400,6 +410,12 @@ class Controller:
 
     # -- inner ------------------------------------------------------------------------------------------------------
 
+    def _functions(self, *names: str) -> tuple[Any, ...] | None:
+        """The entry points of these names, looked up once; None if one of them is not there."""
+        if not all(map(self.description.offers, names)):
+            return None
+        return tuple(map(self._package.function, names))
+
     def _call(self, name: str, *arguments: Any) -> Any:
         return self._package.function(name)(*arguments)
 
@@ -432,6 +448,8 @@ class Controller:
         return f"; measured {', '.join(bad)}" if status is Status.NOT_FINITE and bad else ""
 
     def _violated_row(self) -> str | None:
+        if "stats" not in self.description.members("solver"):
+            return None
         index = int(self._struct["stats"]["violated_row"])
         return self.description.rows[index].name if index >= 0 else None
 
@@ -455,18 +473,7 @@ class Controller:
 
     def _array(self, what: str, value: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Array:
         """value as an array of that shape in the working precision."""
-        try:
-            given = np.asarray(value)
-            if np.iscomplexobj(given):
-                raise ControllerError(f"{what} is complex; expected real numbers of shape {shape}")
-            array = given.astype(self._real, copy=False)
-        except (TypeError, ValueError) as error:
-            raise ControllerError(f"{what} is no array of numbers; expected shape {shape}: {error}") from error
-        if array.shape != shape:
-            raise ControllerError(f"{what} has shape {array.shape}; expected {shape}")
-        if finite and not np.all(np.isfinite(array)):
-            raise ControllerError(f"{what} holds a NaN or an infinity: {array.tolist()}")
-        return array
+        return checked_array(value, what, self._real, shape, finite)
 
     def _each_node(self, option: Kind, what: str, node: int | None = None, terminal: bool = False) -> bool:
         """True if this kind of data is stored for every node; an error if ``node`` has none of its own.
@@ -496,7 +503,7 @@ class Controller:
 
     def _weight(self, what: str, W: ArrayLike, size: int, matrix: bool) -> Array:
         """W checked and in the form in which the struct stores it: diagonal (size,) or matrix (size, size)."""
-        given = self._array(what, W, (size,) if _ndim(W) == 1 else (size, size))
+        given = self._array(what, W, (size,) if ndim(W) == 1 else (size, size))
         square = np.diag(given) if given.ndim == 1 else given
         dense = checked_weight(square, what, ControllerError, float(np.finfo(self._real).eps))
         diagonal = np.diag(dense)
@@ -509,7 +516,7 @@ class Controller:
         return diagonal
 
     def _bound(self, name: str, which: str, value: ArrayLike, count: int) -> NDArray[np.float64]:
-        expanded = np.broadcast_to(value, (count,)) if _ndim(value) == 0 else value
+        expanded = np.broadcast_to(value, (count,)) if ndim(value) == 0 else value
         array = self._array(f"{which} bound of {name!r}", expanded, (count,), finite=False)
         if np.any(np.isnan(array)):
             raise ControllerError(f"{which} bound of {name!r} is NaN")
@@ -519,7 +526,7 @@ class Controller:
         """Node number for C; None: every node. The range is checked by C, which knows what may be set."""
         if node is None:
             return EVERY_NODE
-        if not _is_integer(node) or not 0 <= node <= self.dims.N:
+        if not is_integer(node) or not 0 <= node <= self.dims.N:
             raise ControllerError(f"node is {node!r}; expected None or an integer in 0..{self.dims.N}")
         return int(node)
 
@@ -585,22 +592,3 @@ def _aligned(size: int) -> NDArray[np.uint8]:
     raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
     start = -raw.ctypes.data % ALIGNMENT
     return raw[start : start + size]
-
-
-def is_positive(value: object) -> bool:
-    """True for a finite positive number."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        return False
-    return math.isfinite(value) and bool(value > 0)
-
-
-def _ndim(value: ArrayLike) -> int:
-    """Number of dimensions; -1 for what is no array, which is then refused where its shape is checked."""
-    try:
-        return np.ndim(value)
-    except ValueError:
-        return -1
-
-
-def _is_integer(value: object) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -140,6 +140,25 @@ class Struct:
 
 
 @dataclass(frozen=True)
+class Argument:
+    """An argument of an entry point: an array of the sizes that ``shape`` names, or a number."""
+
+    name: str
+    ctype: Literal["real", "int"]
+    shape: tuple[str, ...] = ()  # macros without prefix
+
+
+@dataclass(frozen=True)
+class EntryPoint:
+    """A function <prefix>_<name>(solver, inputs, outputs) -> status that the algorithm offers."""
+
+    name: str
+    doc: str
+    inputs: tuple[Argument, ...] = ()
+    outputs: tuple[Argument, ...] = ()
+
+
+@dataclass(frozen=True)
 class Signal:
     """A named scalar or vector among the states, controls or parameters.
 
@@ -239,6 +258,7 @@ class PackageDescription:
     discrete: bool
     statuses: tuple[str, ...]
     shift: str | None
+    entry_points: tuple[EntryPoint, ...]
     online: Layouts
     options: str
     report: Report
@@ -270,6 +290,10 @@ class PackageDescription:
             y_N=self.y_names_N,
         )
 
+    def offers(self, name: str) -> bool:
+        """Whether the algorithm has an entry point of that name."""
+        return any(entry.name == name for entry in self.entry_points)
+
     def members(self, struct: str) -> Mapping[str, Field]:
         """Members of a struct by name; none if there is no such struct."""
         return {f.name: f for s in self.structs if s.name == struct for f in s.fields}
@@ -293,6 +317,7 @@ class PackageDescription:
         entries |= {
             "structs": [_struct_entry(s) for s in self.structs],
             "rows": [_row_entry(r) for r in self.rows],
+            "entry_points": [asdict(e) for e in self.entry_points],
             "report": self.report.as_dict(),
         }
         for kind in ("states", "controls", "parameters"):
@@ -325,6 +350,7 @@ class PackageDescription:
             discrete=raw["discrete"].flag(),
             statuses=_unique(raw["statuses"], Entry.identifier),
             shift=None if raw["shift"].value is None else raw["shift"].text(),
+            entry_points=tuple(_entry_point(entry, sizes) for entry in raw["entry_points"].items()),
             online=_layouts(raw["online"]),
             options=raw["options"].text(),
             report=_report(raw["report"]),
@@ -499,6 +525,18 @@ def _nodes(entry: Entry, kind: str, N: int) -> tuple[int, ...]:
             "all nodes but the last for a control, the first and the last for a coupled row, else ascending ones"
         )
     return nodes
+
+
+def _entry_point(entry: Entry, sizes: Mapping[str, Entry]) -> EntryPoint:
+    raw = entry.members(("name", "doc", "inputs", "outputs"))
+    inputs, outputs = (tuple(_argument(item, sizes) for item in raw[side].items()) for side in ("inputs", "outputs"))
+    return EntryPoint(raw["name"].identifier(), raw["doc"].text(), inputs, outputs)
+
+
+def _argument(entry: Entry, sizes: Mapping[str, Entry]) -> Argument:
+    raw = entry.members(("name", "ctype", "shape"))
+    shape = tuple(size.word(tuple(sizes)) for size in raw["shape"].items())
+    return Argument(raw["name"].identifier(), raw["ctype"].word(("real", "int")), shape)
 
 
 def _layouts(entry: Entry) -> Layouts:

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.controller import Controller, Status, is_positive
+from nmpc_codegen.runtime.controller import Controller, Status
+from nmpc_codegen.runtime.given import is_positive
 from nmpc_codegen.runtime.package_description import RowKind, Signal
 from nmpc_codegen.runtime.pathrows import PathRows
 from nmpc_codegen.runtime.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, Curve, Trace, draw

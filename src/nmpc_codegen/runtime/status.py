@@ -40,7 +40,7 @@ class Status(IntEnum):
     RELAXED = 3, "soft solution: rows were relaxed", "constraints had to be relaxed"
     NUMERICAL_FAILURE = (
         4,
-        "numerical failure: the Hessian is not positive definite or a number is not finite",
+        "numerical failure: a factorisation broke down or a number is not finite",
         "a factorisation broke down; the control is safe but not optimal",
     )
     NOT_FINITE = (

@@ -12,12 +12,37 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nmpc_codegen.components.allowed import Number, Words, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims, Seam
+from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.model import ModelFunctions, operations
+from nmpc_codegen.runtime.package_description import Argument, EntryPoint
+
+_XHAT = Argument("xhat", "real", ("NX",))
+_U0 = Argument("u0", "real", ("NU",))
+PHASES = (
+    EntryPoint(
+        "prepare",
+        "Preparation phase: linearise, condense, factorise. A call that fails leaves the plan as it was; a "
+        "NUMERICAL_FAILURE that persists means that the plan itself is unusable: call reset.",
+    ),
+    EntryPoint(
+        "feedback",
+        "Feedback phase: u0 for the measured xhat; u0 is finite and inside its bounds on every return.",
+        (_XHAT,),
+        (_U0,),
+    ),
+    EntryPoint("step", "prepare and feedback.", (_XHAT,), (_U0,)),
+    EntryPoint("shift", "Move the plan by one interval."),
+)
+SOLVE = EntryPoint(
+    "solve",
+    "Iterate from the present plan to a KKT residual of tol, for at most max_iterations, with globalisation; kkt and "
+    "stats tell how it went.",
+    (_XHAT, Argument("tol", "real"), Argument("max_iterations", "int")),
+)
 
 SHIFTS = (None, "repeat", "periodic", "resample")
 MAX_TRIALS = 30
@@ -44,7 +69,8 @@ class RealTimeIteration(Defaults):
     seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
     template: ClassVar[str] = "algorithms/real_time_iteration.c"
-    needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing")
+    needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing", "qp")
+    core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "products", "kkt"})
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -57,11 +83,20 @@ class RealTimeIteration(Defaults):
                 "needs it, others not (--set algorithm.shift=... --set algorithm.sampling_time=...)"
             )
 
+    def default(self, seam: Seam) -> str | None:
+        """Gauss-Newton; integrator, condensing and QP solver follow from the problem."""
+        return "gauss_newton" if seam == "hessian" else None
+
+    def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
+        """The two phases of a sample, both in one call, the move of the plan, and the iteration to convergence."""
+        return (*PHASES, *((SOLVE,) if solve else ()))
+
     @property
     def switches(self) -> Mapping[str, int]:
         """How shift() moves the plan, without an option by one interval; whether infeasible QPs are relaxed."""
         return {
             "SHIFT_RESAMPLE": int(self.shift == "resample"),
+            "INTEGRATE_PLAN": int(self.shift == "resample"),
             "SHIFT_PERIODIC": int(self.shift == "periodic"),
             "RELAX": int(self.relaxation is not None),
         }
@@ -111,88 +146,66 @@ class RealTimeIteration(Defaults):
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Linearisation of every node, multipliers (members of the solver), results."""
-        nodes = Size("N + 1", dims.N.value + 1)
-        return (
-            Struct(
-                "node",
-                "linearisation of a path node",
-                (
-                    Field("S", (dims.nx, dims.nz), "[A_k B_k] = d Phi / d(x, u)", "data"),
-                    Field("b", (dims.nx,), "gap Phi(x_k, u_k) - x_{k+1}", "data"),
-                    Field("g", (dims.nz,), "gradient (q_k, r_k)", "data"),
-                    Field("h", (dims.nh,), "general rows", "data"),
-                    Field("J", (dims.nh, dims.nz), "their Jacobian [C_k D_k]", "data"),
-                ),
-                shape=(dims.N,),
-            ),
-            Struct(
-                "terminal",
-                "linearisation of the terminal node",
-                (
-                    Field("g", (dims.nx,), "gradient q_N", "data"),
-                    Field("h", (dims.nh_N,), "general rows", "data"),
-                    Field("J", (dims.nh_N, dims.nx), "their Jacobian C_N", "data"),
-                ),
-            ),
-            *_coupled_and_step(dims),
-            _line_search(dims),
-            Struct(
-                "solver",
-                "",
-                (
-                    Field("lam", (nodes, dims.nx), "multipliers of the dynamics; lam_0 of x_0 = xhat", "iterate"),
-                    Field("mu_x", (nodes, dims.nx), "multipliers of the state bounds, > 0 at the upper one", "iterate"),
-                    Field("mu_u", (dims.N, dims.nu), "multipliers of the control bounds", "iterate"),
-                    Field("mu", (dims.N, dims.nh), "multipliers of the general path rows", "iterate"),
-                    Field("mu_N", (dims.nh_N,), "multipliers of the general terminal rows", "iterate"),
-                    Field("eta", (dims.ne,), "multipliers of the coupled rows", "iterate"),
-                    Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
-                    Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-                    Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
-                    Field("failing", (), "1: the last QP had no solution, 2: nor had the one before", "keep", "int32"),
-                    Field(
-                        "reference_changed",
-                        (),
-                        "1: gradients are renewed in feedback",
-                        "keep",
-                        "int32",
-                        only="SET_REFERENCE",
-                    ),
-                ),
+        """Solution of the QP, counters, what is kept between samples."""
+        keep = (
+            Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
+            Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
+            Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
+            Field("failing", (), "1: the last QP had no solution, 2: nor had the one before", "keep", "int32"),
+        )
+        results = (
+            Field("stats", (), "counters", "result", "stats"),
+            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
+            Field(
+                *("relaxation", (), "l1 penalty of hard rows while a QP is relaxed, else infinite", "scratch"),
+                only="RELAXATION",
             ),
         )
+        return (_stats(), _step(dims), _line_search(dims), Struct("solver", "", (*keep, *results)))
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The linearisation of all nodes; a gap is one subtraction per state."""
         interval, path, terminal = model.interval, model.path, model.terminal
         derivatives = (interval.linearize, path.gradient) if interval.curved is None else (interval.curved,)
         node = operations(*derivatives, path.rows) + OpCount(add=dims.nx.value)
-        return {"linearize": node * dims.N.value + operations(terminal.gradient, terminal.rows)}
+        at_ends = operations(model.start.gradient, terminal.gradient, terminal.rows)
+        added = OpCount(add=dims.nx.value if model.start.gradient.writes else 0)
+        return {"linearize": node * dims.N.value + at_ends + added}
 
 
-def _coupled_and_step(dims: Dims) -> tuple[Struct, ...]:
-    """Linearisation of the coupled rows, solution of the QP."""
-    nodes = Size("N + 1", dims.N.value + 1)
-    return (
-        Struct(
-            "coupled",
-            "linearisation of the coupled rows",
-            (
-                Field("r", (dims.ne,), "values r(x_0, x_N)", "data"),
-                Field("J_0", (dims.ne, dims.nx), "Jacobian E_0 = d r / d x_0", "data"),
-                Field("J_N", (dims.ne, dims.nx), "Jacobian E_N = d r / d x_N", "data"),
-            ),
+def _stats() -> Struct:
+    """What the last sample took, and what it could not meet."""
+
+    def count(name: str, doc: str) -> Field:
+        return Field(name, (), doc, "result", "int32")
+
+    return Struct(
+        "stats",
+        "counters of the last feedback or solve",
+        (
+            count("qp_iterations", "iterations of the last QP"),
+            count("active_set_changes", "changes of the working set in the last QP"),
+            count("dropped_rows", "redundant rows left out of the working set"),
+            count("relaxed_rows", "soft or relaxed rows that are violated"),
+            count("sqp_iterations", "iterations of the last solve"),
+            count("violated_row", "hard row that cannot be met (INFEASIBLE) or is relaxed (RELAXED), or -1"),
+            count("violated_node", "its node, or -1"),
+            Field("violation", (), "by how much the last step of the QP violates it", "result"),
         ),
-        Struct(
-            "step",
-            "solution of the QP",
-            (
-                Field("dx", (nodes, dims.nx), "step of the states", "result"),
-                Field("du", (dims.N, dims.nu), "step of the controls", "result"),
-                Field("mult_u", (dims.N, dims.nu), "multipliers of the control bounds", "result"),
-                Field("mult", (dims.ng,), "multipliers of the rows", "result"),
-            ),
+    )
+
+
+def _step(dims: Dims) -> Struct:
+    """Solution of the QP."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    return Struct(
+        "step",
+        "solution of the QP",
+        (
+            Field("dx", (nodes, dims.nx), "step of the states", "result"),
+            Field("du", (dims.N, dims.nu), "step of the controls", "result"),
+            Field("mult_u", (dims.N, dims.nu), "multipliers of the control bounds", "result"),
+            Field("mult", (dims.ng,), "multipliers of the rows", "result"),
         ),
     )
 

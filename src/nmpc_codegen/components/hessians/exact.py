@@ -10,7 +10,7 @@ section IV). The first time an adjoint pass gives lam.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import casadi as ca
@@ -18,12 +18,12 @@ import casadi as ca
 from nmpc_codegen.components.allowed import Named, Number, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Regularization, Seam
 from nmpc_codegen.components.hessians.regularization import Mirror, Project
-from nmpc_codegen.components.hessians.stage_cost import StageCost, slices, stage_cost, stage_model
+from nmpc_codegen.components.stage_cost import StageCost, StageCosts, slices
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
-from nmpc_codegen.ir.model import ModelFunctions, QuadraticModel, operations
+from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import Pattern, irreducible_blocks, pattern
 from nmpc_codegen.ir.sweep import Call, Routine, Slice
 
@@ -87,18 +87,24 @@ class ExactHessian(Defaults):
         """Where it regularises: "stage", "reduced" or "nowhere"."""
         return "nowhere" if self.regularization is None else self.regularization.level
 
-    def quadratic_model(self, problem: Problem, integrator: Integrator) -> QuadraticModel:
-        """Cost and gradient of both stages, the terminal block, and path_exact(x, u, p, dt, yref, W, mu, lam ->
-        x_next, S, g, Q), which has those of the path."""
-        cost = stage_cost(problem.path, "path")
+    def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
+        """The terminal block, what the cost at the start and coupled rows add to the first block, and
+        path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q), which has the blocks of the path."""
+        cost = costs.path
         more = (*cost.data_ports, cost.mu_port)
-        last, first = self._ends(problem, stage_cost(problem.terminal, "terminal"))
+        last, first = self._ends(problem, costs.terminal)
+        start = self._start_block(costs.start)
+        added = pattern(first, "Q") | pattern(start, "Q")
         curved = integrator.curved(problem, self.sweep.scheme, "path_exact", self._start(cost), more)
-        curved = self._completed(curved, pattern(first, "Q"))
-        path, terminal = (stage_model(problem, integrator, name) for name in ("path", "terminal"))
-        Q = self._block(_lower(curved) | _lower(first), cost.nz)
+        curved = self._completed(curved, added)
+        Q = self._block(_lower(curved) | added, cost.nz)
         Q_N = self._block(_lower(last), problem.nx)
-        return QuadraticModel(replace(path, Q=Q), replace(terminal, Q=Q_N, hessian=last), first, curved)
+        return HessianModel(start, Block(Q), Block(Q_N, last), first, curved)
+
+    def _start_block(self, cost: StageCost) -> Kernel:
+        """Second derivatives of the cost at the start."""
+        doc = "Q = d2 l_0 / dx_0^2, lower triangle"
+        return cost.kernel("hessian", doc, cost.hessian, Port("Q", cost.nz, cost.nz))
 
     def _ends(self, problem: Problem, cost: StageCost) -> tuple[Routine, Routine]:
         """The terminal block, and what the coupled rows add to the first one."""

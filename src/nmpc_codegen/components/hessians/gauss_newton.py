@@ -8,19 +8,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Flag, Number, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
-from nmpc_codegen.components.hessians.stage_cost import weight_matrix
-from nmpc_codegen.frontend.problem import Problem, Stage
-from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.components.stage_cost import StageCost, StageCosts
+from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Struct
-from nmpc_codegen.ir.kernel import Kernel, Port, lift
-from nmpc_codegen.ir.model import ModelFunctions, QuadraticModel, StageModel, operations
+from nmpc_codegen.ir.kernel import Kernel, Port
+from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import pattern
 
 
@@ -44,49 +43,23 @@ class GaussNewton(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
-    def quadratic_model(self, problem: Problem, integrator: Integrator) -> QuadraticModel:
-        """cost, gradient and hessian of the path and of the terminal stage; least squares live at the nodes."""
-        return QuadraticModel(self._stage(problem.path, "path"), self._stage(problem.terminal, "terminal"))
+    def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
+        """J' W J of every stage, with the curvature of its rows apart."""
+        start = self._block(costs.start)
+        return HessianModel(start.hessian, self._block(costs.path), self._block(costs.terminal))
 
-    def _stage(self, stage: Stage, name: str) -> StageModel:
-        z = ca.vertcat(stage.x, stage.u)
-        nz, ny = int(z.numel()), stage.ny
-        yref, W, weight, nw = ca.SX.sym("yref", ny), *weight_matrix(stage)
-        residual = stage.y - yref
-        J = ca.jacobian(stage.y, z) if ny else ca.SX(0, nz)
-        weighted = weight @ residual
-        hessian = ca.sparsify(ca.tril(J.T @ weight @ J + self.levenberg_marquardt * ca.DM.eye(nz)))
-        mu = ca.SX.sym("mu", stage.nh)
-        curvature = ca.sparsify(ca.tril(ca.hessian(ca.dot(mu, stage.h), z)[0])) if stage.nh else ca.SX(nz, nz)
+    def _block(self, cost: StageCost) -> Block:
+        damping = 0.0 if cost.name == "start" else self.levenberg_marquardt
+        Q = ca.sparsify(cost.gauss_newton + damping * ca.DM.eye(cost.nz))
         if self.convex_rows:  # entries that only the rows have are stored as zeros, for add_rows() to add to
-            hessian = ca.project(hessian, hessian.sparsity().unite(curvature.sparsity()))
-        terminal = not stage.nu
-        args = [stage.x, stage.p] if terminal else [stage.x, stage.u, stage.p, stage.dt]
-        ports = [Port("x", stage.nx), Port("p", int(stage.p.numel()))]
-        if not terminal:
-            ports = [ports[0], Port("u", stage.nu), ports[1], Port("dt", 1)]
-        Wp = Port("W", nw, doc="diagonal of the weight" if stage.diagonal_weight else "weight, row-major")
-        yp = Port("yref", ny)
+            Q = ca.project(Q, Q.sparsity().unite(cost.curvature.sparsity()))
+        kernel = cost.kernel("hessian", "Q = J' W J, lower triangle", Q, Port("Q", cost.nz, cost.nz))
+        curvature = self._curvature(cost) if self.convex_rows else None
+        return Block(pattern(kernel, "Q"), kernel, curvature)
 
-        def kernel(
-            suffix: str, doc: str, more: list[Expression], more_ports: list[Port], value: Expression, out: Port
-        ) -> Kernel:
-            return lift(ca.Function(suffix, args + more, [value]), f"{name}_{suffix}", doc, ports + more_ports, [out])
-
-        gradient = ca.sparsify(J.T @ weighted) if ny else ca.SX(nz, 1)
-        cost = ca.dot(residual, weighted) / 2 if ny else ca.SX(1, 1)
-        value, slope, block = (
-            kernel("cost", "l = 1/2 (y - yref)' W (y - yref)", [yref, W], [yp, Wp], cost, Port("l", 1)),
-            kernel("gradient", "g = J' W (y - yref)", [yref, W], [yp, Wp], gradient, Port("g", nz)),
-            kernel("hessian", "Q = J' W J, lower triangle", [W], [Wp], hessian, Port("Q", nz, nz)),
-        )
-        model = StageModel(value, slope, pattern(block, "Q"), block)
-        if not self.convex_rows:
-            return model
-        function = ca.Function("curvature", [*args[: 2 if terminal else 3], mu], [curvature])
+    def _curvature(self, cost: StageCost) -> Kernel:
         doc = "M = sum_i mu_i d2 h_i, lower triangle"
-        curved = [*ports[: 2 if terminal else 3], Port("mu", stage.nh)]
-        return replace(model, curvature=lift(function, f"{name}_curvature", doc, curved, [Port("M", nz, nz)]))
+        return cost.kernel("curvature", doc, cost.curvature, Port("M", cost.nz, cost.nz), mu=True)
 
     @property
     def switches(self) -> Mapping[str, int]:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import casadi as ca
 
 from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
-from nmpc_codegen.components.hessians.stage_cost import stage_model
+from nmpc_codegen.components.stage_cost import StageCosts
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Struct
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
-from nmpc_codegen.ir.model import ModelFunctions, QuadraticModel, operations
+from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import pattern
 
 
@@ -29,16 +29,10 @@ class IdentityHessian(Defaults):
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )
 
-    def quadratic_model(self, problem: Problem, integrator: Integrator) -> QuadraticModel:
-        """Cost and gradient of both stages, and the constant blocks."""
-        path, terminal = (
-            replace(stage_model(problem, integrator, name), hessian=block, Q=pattern(block, "Q"))
-            for name, block in (
-                ("path", _identity("path", problem.nx + problem.nu)),
-                ("terminal", _identity("terminal", problem.nx)),
-            )
-        )
-        return QuadraticModel(path, terminal)
+    def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
+        """The constant blocks; the cost at the start adds nothing."""
+        path, terminal = _identity("path", problem.nx + problem.nu), _identity("terminal", problem.nx)
+        return HessianModel(None, Block(pattern(path, "Q"), path), Block(pattern(terminal, "Q"), terminal))
 
     @property
     def switches(self) -> Mapping[str, int]:

@@ -19,7 +19,6 @@ from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, 
 from nmpc_codegen.components.base import Defaults, Dims, Seam
 from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.components.integrators.quadrature import Quadrature
-from nmpc_codegen.components.integrators.second_order import expand_steps, fuse_steps
 from nmpc_codegen.components.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.components.integrators.tableau import RK4, TABLEAUS, ButcherTableau, combine
 from nmpc_codegen.errors import OptionError
@@ -27,6 +26,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.model import Interval
+from nmpc_codegen.ir.passes import expand_steps, fuse_steps
 from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import (
     Affine,

@@ -9,7 +9,8 @@ from __future__ import annotations
 import casadi as ca
 
 from nmpc_codegen.components.integrators.derivatives import TAPE_PER_COMPONENT
-from nmpc_codegen.components.integrators.second_order import Builder, Local, constant, copy
+from nmpc_codegen.components.integrators.second_order import Builder, Local, constant
+from nmpc_codegen.ir.passes import copy
 from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
 

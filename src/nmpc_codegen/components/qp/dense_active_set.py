@@ -2,7 +2,7 @@
 
     min 1/2 z'Hz + g'z   s.t.  lower <= (z, A z) <= upper
 
-Goldfarb and Idnani (1983) in the coordinates of H = L D L', with an orthonormal basis of the working set. The
+Goldfarb and Idnani (1983) in the coordinates of H = C C', with an orthonormal basis of the working set. The
 factorisation at the predicted working set belongs to the preparation phase, two substitutions to the feedback phase.
 """
 
@@ -61,29 +61,28 @@ class DenseActiveSet(Defaults):
                 "qp",
                 "condensed QP and its active-set factorisation",
                 (
-                    Field("H", (ld, ld), "Hessian (lower triangle); then D, L and L' of L D L'", "scratch"),
+                    Field("H", (ld, ld), "Hessian, its lower triangle; then C of C C'", "scratch"),
                     Field("A", (ng, ld), "general rows", "scratch"),
                     Field("g", (nv,), "gradient", "scratch"),
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
                     Field("upper", (rows,), "upper bounds", "scratch"),
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
-                    Field("inverse", (ld,), "D^{-1/2}", "scratch"),
+                    Field("inverse", (ld,), "inverse diagonal of C", "scratch"),
                     Field(
                         "work", (), "factors of the working set; before qp_factorize the caller's", "scratch", "work"
                     ),
                     Field("R_inverse", (ld,), "inverse diagonal of R", "scratch"),
                     Field("lam", (ld,), "multipliers of the members", "scratch"),
-                    Field("y0", (ld,), "unconstrained minimiser, y = D^{1/2} L'z", "scratch"),
+                    Field("y0", (ld,), "unconstrained minimiser, y = C'z", "scratch"),
                     Field("y", (ld,), "minimiser on the working set", "scratch"),
                     Field("x", (ld,), "z of y", "scratch"),
                     Field("m", (ld,), "normal of the row under consideration, in y", "scratch"),
                     Field("v", (ld,), "its part outside the span of the working set", "scratch"),
                     Field("d", (ld,), "its coefficients in the basis", "scratch"),
                     Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
-                    Field("scale", (), "|y0|", "scratch"),
-                    Field("shift", (), "part of |y0| that the saturated rows may have", "scratch"),
-                    Field("penalty", (rows,), "l1 penalty of violating a row; infinite: hard", "keep"),
+                    Field("scale", (), "|y0|, and the terms that saturated rows add to it", "scratch"),
+                    Field("penalty", (rows,), "l1 penalty of violating a row; infinite: hard", "keep", only="ELASTIC"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
                     Field("proximal", (ld,), "diagonal E added to a semidefinite Hessian", "scratch"),
                     Field("weight", (ld,), "its entries where they are needed", "scratch"),
@@ -100,7 +99,7 @@ class DenseActiveSet(Defaults):
                     Field("factorized", (), "qp_factorize has succeeded", "scratch", "int32"),
                     Field("semidefinite", (), "a pivot of H may be zero, E is not zero", "scratch", "int32"),
                     Field("face", (), "changes when the direction was set", "scratch", "int32"),
-                    Field("elastic", (), "a general row has a finite penalty", "scratch", "int32"),
+                    Field("elastic", (), "a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
                     Field("changes", (), "rows that entered or left the working set in it", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
@@ -115,13 +114,13 @@ class DenseActiveSet(Defaults):
         panels = n // 4
         # Per panel b: entries to the right of it, and to the left.
         right = sum(n - 4 * k - 4 for k in range(panels))
-        block = OpCount(add=6, mul=6, other=4)
+        block = OpCount(add=6, mul=6)
         scale = OpCount(mul=n)
         substitution = block * panels + OpCount(add=4, mul=4) * right
         return {
             "qp_factorize_hessian": _factorization(dims),
             "qp_forward": substitution + scale,
-            "qp_backward": substitution + scale,
+            "qp_backward": substitution + scale * 2,
         }
 
 
@@ -143,10 +142,10 @@ def _factorization(dims: Dims) -> OpCount:
     n, ld = dims.nv.value, dims.ld.value
     total = OpCount(sqrt=ld)
     for b in range(0, ld, 4):
-        total += OpCount(add=13, mul=20, div=4)
+        total += OpCount(add=10, mul=20, div=4)
         total += OpCount(add=6, mul=10) * (ld - b - 4)
         below = max(0, n - b - 4)  # row j of them works on 4 ceil(j / 4) entries
         whole, rest = divmod(below, 4)
         lanes = 4 * (whole + 1) * (2 * whole + rest)
-        total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4, other=4) * below
+        total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4) * below
     return total

@@ -15,7 +15,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
-from nmpc_codegen.components.qp.riccati import riccati_cost, riccati_sizes, riccati_struct, units_struct
+from nmpc_codegen.components.qp.riccati import (
+    riccati_cost,
+    riccati_sizes,
+    riccati_structs,
+    stage_qp_fields,
+    units_structs,
+)
 from nmpc_codegen.components.qp.riccati_interior_point import RiccatiInteriorPoint, interior_point_struct
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
@@ -87,30 +93,21 @@ class RiccatiActiveSet(Defaults):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion; the QP and its working set."""
-        nv, ng, nx = dims.nv, dims.ng, dims.nxs
-        rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+        ng, nx = dims.ng, dims.nxs
         nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
         history = Size("QP_MAX_ITERATIONS + 1", (self.max_iterations or MAX_ITERATIONS) + 1)
+        units, noise = units_structs(dims) if self.fallback is not None or ng.value > 0 else ((), None)
+        corrected = (Field("lam", (nodes, nx), "multipliers of the dynamics while refining", "scratch"),)
         return (
-            riccati_struct(dims),
-            *((units_struct(dims),) if self.fallback is not None or ng.value > 0 else ()),
-            *((interior_point_struct(dims),) if self.fallback is not None else ()),
+            *units,
+            *riccati_structs(dims, () if noise is None else (noise,), corrected),
+            *((interior_point_struct(dims, self.fallback),) if self.fallback is not None else ()),
             Struct(
                 "qp",
                 "working set of the stage QP",
                 (
-                    Field("lower", (rows,), "lower bounds of controls, then of rows", "scratch"),
-                    Field("upper", (rows,), "upper bounds", "scratch"),
-                    Field("penalty", (ng,), "l1 penalty of violating a row; infinite: hard", "keep"),
-                    Field("curvature", (ng,), "l2 penalty", "keep"),
-                    Field("x", (nodes, nx), "minimiser: states", "result"),
-                    Field("z", (nv,), "minimiser: controls", "result"),
-                    Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
-                    Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
-                    Field("lam", (nodes, nx), "multipliers of the dynamics while refining", "scratch"),
-                    Field("dx", (nodes, nx), "correction of x", "scratch"),
-                    Field("dz", (nv,), "correction of z", "scratch"),
-                    Field("target", (rows,), "bounds of the members that the vectors were made with", "scratch"),
+                    *stage_qp_fields(dims),
+                    Field("target", (ng,), "bounds of the members that the vectors were made with", "scratch"),
                     Field("center", (ng,), "multipliers of the members that the vectors were made with", "scratch"),
                     Field("value", (ng,), "values of the rows", "scratch"),
                     Field("root", (ng,), "root of the curvature of the cost along a row", "scratch"),
@@ -118,29 +115,16 @@ class RiccatiActiveSet(Defaults):
                     Field("scale", (dims.nzs,), "largest entry of every component of (x, u)", "scratch"),
                     Field("size", (dims.nzs,), "largest terms of the components of the gradient", "scratch"),
                     Field("residual", (), "what is left on the working set, relative", "scratch"),
-                    Field("largest_mult", (), "largest multiplier of a row", "scratch"),
-                    Field("largest", (), "largest multiplier of a row over its root", "scratch"),
-                    Field(
-                        "side",
-                        (rows,),
-                        "+-1: member at upper, lower bound; +-2: soft, violated; else 0",
-                        "keep",
-                        "int32",
-                    ),
                     Field("raised", (ng,), "how often the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
-                    Field("scaled", (), "1: root is known", "keep", "int32"),
+                    *((Field("scaled", (), "1: root is known", "keep", "int32"),) if ng.value else ()),
                     Field("rough", (), "1: it has errors beyond rounding", "scratch", "int32"),
                     Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
                     Field("stale_vectors", (), "last stage whose vectors are out of date, or -1", "scratch", "int32"),
-                    Field("factorized", (), "1: the recursion stands, 2: its matrices do", "scratch", "int32"),
-                    Field("iterations", (), "changes of the working set in the last qp_solve", "result", "int32"),
-                    Field("changes", (), "rows that entered or left it", "result", "int32"),
+                    Field("factorized", (), "what of the recursion stands", "scratch", "int32"),
                     Field("refinements", (), "corrections in the last qp_solve", "result", "int32"),
                     Field("exact", (), "1: the result is the minimiser on side[], to rounding", "result", "int32"),
-                    Field("dropped", (), "equalities left out as redundant", "result", "int32"),
-                    Field("relaxed", (), "soft rows that are violated", "result", "int32"),
                 ),
             ),
         )

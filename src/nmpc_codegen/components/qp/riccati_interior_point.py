@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
-from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_struct, units_struct
+from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
 if TYPE_CHECKING:
@@ -24,57 +24,56 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 80
 
 
-def interior_point_struct(dims: Dims) -> Struct:
+def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
     """The struct ``ipm`` of the solver: iterate and directions of the method."""
-    nv, ng, nx = dims.nv, dims.ng, dims.nxs
-    rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
-    sides = Size(f"2 * ( {nv.text} + {ng.text} )", 2 * rows.value)
+    ng = dims.ng
+    rows, sides = _rows_and_sides(dims)
     soft = Size(f"2 * {ng.text}", 2 * ng.value)
     nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+    before = Field("before", (rows,), "multipliers of the QP before", "scratch")
     return Struct(
         "ipm",
         "interior point iterate of the stage QP",
         (
             Field("gradient", (nodes, dims.nzs), "g + Q z of the stages", "scratch"),
-            Field("dx", (nodes, nx), "direction of the states", "scratch"),
-            Field("du", (nv,), "direction of the controls", "scratch"),
             Field("v", (rows,), "values of the rows", "scratch"),
             Field("origin", (rows,), "values of the rows at the first point", "scratch"),
             Field("dv", (rows,), "their direction", "scratch"),
-            Field("before", (rows,), "multipliers of the QP before", "scratch"),
-            Field("y", (rows,), "multipliers of equations", "scratch"),
-            Field("stiffness", (rows,), "weights of equations", "scratch"),
+            *((before,) if options.warm_start else ()),
+            Field("y", (ng,), "multipliers of equations", "scratch"),
+            Field("stiffness", (ng,), "weights of equations", "scratch"),
             Field("weight", (rows,), "weights of the rows", "scratch"),
             Field(
                 "proximal", (dims.nzs,), "share of the diagonal of a singular Hessian that is added to it", "scratch"
             ),
             Field("force", (rows,), "multipliers after a step that leaves v as it is", "scratch"),
-            Field("ray", (rows,), "weights of a contradiction", "scratch"),
-            Field("bound", (sides,), "bound of a side", "scratch"),
-            Field("sign", (sides,), "1: upper, -1: lower", "scratch"),
             Field("t", (sides,), "distance to the bound", "scratch"),
             Field("lam", (sides,), "multiplier", "scratch"),
             Field("r", (sides,), "residual of the distance", "scratch"),
-            Field("ratio", (sides,), "t / lam", "scratch"),
             Field("omega", (sides,), "weight", "scratch"),
-            Field("rho", (sides,), "constant part of the direction", "scratch"),
-            Field("extra", (sides,), "correction of the products t lam", "scratch"),
-            Field("dt", (sides,), "direction of t", "scratch"),
-            Field("dlam", (sides,), "direction of lam", "scratch"),
+            Field("dt", (sides,), "correction of the products t lam, then the direction of t", "scratch"),
+            Field("dlam", (sides,), "constant part of the direction of lam, then the direction", "scratch"),
             Field("e", (soft,), "violation of a soft side", "scratch"),
             Field("kappa", (soft,), "multiplier of e >= 0", "scratch"),
             Field("r_e", (soft,), "residual of l1 + l2 e = lam + kappa", "scratch"),
             Field("compliance", (soft,), "1 / (l2 + kappa / e)", "scratch"),
-            Field("extra_e", (soft,), "correction of the products e kappa", "scratch"),
             Field("de", (soft,), "direction of e", "scratch"),
-            Field("dkappa", (soft,), "direction of kappa", "scratch"),
-            *_progress(sides, rows),
+            Field("dkappa", (soft,), "correction of the products e kappa, then the direction of kappa", "scratch"),
+            *_progress(dims, options.warm_start),
         ),
     )
 
 
-def _progress(sides: Size, rows: Size) -> tuple[Field, ...]:
+def _rows_and_sides(dims: Dims) -> tuple[Size, Size]:
+    nv, ng = dims.nv, dims.ng
+    rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+    return rows, Size(f"2 * ( {nv.text} + {ng.text} )", 2 * rows.value)
+
+
+def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
     """What the struct ``ipm`` has besides vectors of numbers."""
+    rows, sides = _rows_and_sides(dims)
+    stretched = Field("stretched", (), "the next step is stretched towards the equations", "scratch", "int32")
     return (
         Field("mu", (), "mean of t lam and e kappa", "scratch"),
         Field("unit", (), "largest cost of a single row", "scratch"),
@@ -82,19 +81,19 @@ def _progress(sides: Size, rows: Size) -> tuple[Field, ...]:
         Field("merit", (), "residuals of the rows and products, relative to their tolerance", "scratch"),
         Field("slope", (), "gradient of the Lagrangian, relative to its tolerance", "scratch"),
         Field("step", (), "length of the last step", "scratch"),
-        Field("slow", (), "primal when the last step was stretched", "scratch"),
+        *((Field("slow", (), "primal when the last step was stretched", "scratch"),) if dims.ng.value else ()),
         Field("stiffening", (), "by how much the regularisation of the rows is divided", "scratch"),
         Field("stiffest", (), "limit of it", "scratch"),
         Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
         Field("least_pivot", (), "added to pivots that are zero", "scratch"),
-        Field("row", (sides,), "row of a side", "scratch", "int32"),
-        Field("kind", (rows,), "0: inequality, 1: equation, 2: fixed control", "scratch", "int32"),
+        Field("place", (sides,), "twice the row of a side, and 1 if it is the upper one", "scratch", "int32"),
+        Field("kind", (rows,), "inequality, equation or given control", "scratch", "int32"),
         Field("sides", (), "finite bounds of inequalities", "scratch", "int32"),
         Field("hard", (), "hard ones among them, which come first", "scratch", "int32"),
-        Field("warm", (), "the multipliers of the QP before are used", "scratch", "int32"),
-        Field("solved", (), "the last QP was solved", "keep", "int32"),
+        *((Field("warm", (), "the multipliers of the QP before are used", "scratch", "int32"),) if warm else ()),
+        *((Field("solved", (), "the last QP was solved", "keep", "int32"),) if warm else ()),
         Field("closed_gaps", (), "how often the gaps of the dynamics have been closed", "scratch", "int32"),
-        Field("stretched", (), "the next step is stretched towards the equations", "scratch", "int32"),
+        *((stretched,) if dims.ng.value else ()),
         Field("probing", (), "violated inequalities end the iterations", "scratch", "int32"),
         Field("ready", (), "the first factorisation stands", "scratch", "int32"),
     )
@@ -139,28 +138,6 @@ class RiccatiInteriorPoint(Defaults):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion, the method, the QP."""
-        nv, ng = dims.nv, dims.ng
-        rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
-        nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
-        qp = Struct(
-            "qp",
-            "bounds and results of the stage QP",
-            (
-                Field("lower", (rows,), "lower bounds of controls, then of rows", "scratch"),
-                Field("upper", (rows,), "upper bounds", "scratch"),
-                Field("penalty", (ng,), "l1 penalty of violating a row; infinite: hard", "keep"),
-                Field("curvature", (ng,), "l2 penalty", "keep"),
-                Field("x", (nodes, dims.nxs), "states", "result"),
-                Field("z", (nv,), "controls", "result"),
-                Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
-                Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
-                Field(
-                    "side", (rows,), "+-1: active at upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"
-                ),
-                Field("iterations", (), "iterations of the last qp_solve", "result", "int32"),
-                Field("changes", (), "rows that became active or inactive in it", "result", "int32"),
-                Field("dropped", (), "0: redundant equations stay", "result", "int32"),
-                Field("relaxed", (), "soft rows that are violated", "result", "int32"),
-            ),
-        )
-        return (riccati_struct(dims), units_struct(dims), interior_point_struct(dims), qp)
+        units, noise = units_structs(dims)
+        qp = Struct("qp", "bounds and results of the stage QP", stage_qp_fields(dims))
+        return (*units, *riccati_structs(dims, (noise,)), interior_point_struct(dims, self), qp)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.runtime.weight import checked_weight
+from nmpc_codegen.runtime.given import checked_weight
 
 
 @given(st.integers(0, 10_000), st.integers(1, 12), st.floats(1e-200, 1e200))

@@ -1,8 +1,9 @@
-"""The cost of a node as expressions, and its kernels.
+"""The cost of a stage as expressions, and the kernels of its value and gradient, which every algorithm has.
 
-    l = 1/2 (y - yref)' W (y - yref) + general cost at the node
+    l = 1/2 (y - yref)' W (y - yref) + general cost,   dl / dz = J' W (y - yref) + gradient of the general cost,
 
-Weights and references are inputs, as they can change at run time.
+J = dy / dz, z = (x, u). Weights and references are inputs, as they can change at run time. A Hessian component takes
+its blocks from the same expressions.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from nmpc_codegen.ir.sweep import Call, Slice
 class StageCost:
     """Symbols and expressions of one stage; z = (x, u).
 
-    ``inputs`` and ``ports``: x, u, p, dt, at the terminal stage x, p; ``data`` and ``data_ports``: yref, W.
+    ``inputs`` and ``ports``: x, u, p, dt, at the terminal stage x, p; ``data_ports``: yref, W. ``weight`` is the matrix
+    that W fills, with rows and columns scaled by dt where the residual says so.
     """
 
     name: str
@@ -34,7 +36,9 @@ class StageCost:
     data_ports: tuple[Port, Port]
     mu: Expression
     z: Expression
-    value: Expression
+    residual: Expression  # y - yref
+    weight: Expression
+    general: Expression | None  # the general cost
     rows: Expression  # mu' h
 
     @property
@@ -42,9 +46,39 @@ class StageCost:
         return int(self.z.numel())
 
     @property
+    def ny(self) -> int:
+        return int(self.residual.numel())
+
+    @property
+    def jacobian(self) -> Expression:
+        """J = dy / dz."""
+        return ca.jacobian(self.residual, self.z) if self.ny else ca.SX(0, self.nz)
+
+    @property
+    def value(self) -> Expression:
+        """l."""
+        least_squares = ca.dot(self.residual, self.weight @ self.residual) / 2 if self.ny else ca.SX(1, 1)
+        return least_squares if self.general is None else ca.SX(least_squares + self.general)
+
+    @property
     def gradient(self) -> Expression:
         """d l / dz."""
-        return ca.sparsify(ca.gradient(self.value, self.z))
+        least_squares = self.jacobian.T @ (self.weight @ self.residual) if self.ny else ca.SX(self.nz, 1)
+        if self.general is None:
+            return ca.sparsify(least_squares)
+        return ca.sparsify(least_squares + ca.gradient(self.general, self.z))
+
+    @property
+    def gauss_newton(self) -> Expression:
+        """Lower triangle of J' W J."""
+        return ca.sparsify(ca.tril(self.jacobian.T @ self.weight @ self.jacobian))
+
+    @property
+    def curvature(self) -> Expression:
+        """Lower triangle of d2 (mu' h) / dz^2."""
+        if not self.mu.numel():
+            return ca.SX(self.nz, self.nz)
+        return ca.sparsify(ca.tril(ca.hessian(self.rows, self.z)[0]))
 
     @property
     def hessian(self) -> Expression:
@@ -63,20 +97,18 @@ class StageCost:
 
     def cost_kernel(self) -> Kernel:
         """<stage>_cost -> l, which is not stored where the stage has no cost."""
-        return self.kernel("cost", "l = cost of the node", ca.sparsify(self.value), Port("l", 1))
+        doc = "l = 1/2 (y - yref)' W (y - yref)" + ("" if self.general is None else " + general cost")
+        return self.kernel("cost", doc, ca.sparsify(self.value), Port("l", 1))
 
     def gradient_kernel(self) -> Kernel:
         """<stage>_gradient -> g."""
-        return self.kernel("gradient", "g = dl / dz", self.gradient, Port("g", self.nz))
+        doc = "g = J' W (y - yref)" + ("" if self.general is None else " + gradient of the general cost")
+        return self.kernel("gradient", doc, self.gradient, Port("g", self.nz))
 
 
 def stage_cost(stage: Stage, name: str) -> StageCost:
-    """The cost of a stage of the problem; ``name`` is "path" or "terminal"."""
-    yref, (W, matrix, nw) = ca.SX.sym("yref", stage.ny), weight_matrix(stage)
-    residual = stage.y - yref
-    value = ca.dot(residual, matrix @ residual) / 2 if stage.ny else ca.SX(0)
-    if stage.cost is not None:
-        value = value + stage.cost
+    """The cost of a stage of the problem; ``name`` is "start", "path" or "terminal"."""
+    yref, (W, weight, nw) = ca.SX.sym("yref", stage.ny), weight_matrix(stage)
     mu = ca.SX.sym("mu", stage.nh)
     terminal = not stage.nu
     x, p = Port("x", stage.nx), Port("p", int(stage.p.numel()))
@@ -92,17 +124,31 @@ def stage_cost(stage: Stage, name: str) -> StageCost:
         ),
         mu=mu,
         z=ca.vertcat(stage.x, stage.u),
-        value=ca.SX(value),
+        residual=stage.y - yref,
+        weight=weight,
+        general=stage.cost,
         rows=ca.dot(mu, stage.h) if stage.nh else ca.SX(0),
     )
 
 
-def stage_model(problem: Problem, integrator: Integrator, name: str) -> StageModel:
-    """Cost and gradient of the stage "path" or "terminal"; those of an integrated cost come from the scheme of the
-    dynamics. Nothing is known about a Hessian block yet."""
-    cost = stage_cost(problem.path if name == "path" else problem.terminal, name)
-    if name == "terminal" or problem.path.cost_rate is None:
-        return StageModel(cost.cost_kernel(), cost.gradient_kernel(), frozenset())
+@dataclass(frozen=True, eq=False)
+class StageCosts:
+    """The costs of all stages of a problem."""
+
+    start: StageCost
+    path: StageCost
+    terminal: StageCost
+
+
+def stage_costs(problem: Problem) -> StageCosts:
+    """The expressions that algorithms and Hessians share."""
+    return StageCosts(*(stage_cost(getattr(problem, name), name) for name in ("start", "path", "terminal")))
+
+
+def stage_model(problem: Problem, integrator: Integrator, cost: StageCost) -> StageModel:
+    """Cost and gradient of a stage; those of an integrated cost come from the scheme of the dynamics."""
+    if cost.name != "path" or problem.path.cost_rate is None:
+        return StageModel(cost.cost_kernel(), cost.gradient_kernel())
     arguments, symbols = slices(*cost.ports, *cost.data_ports), [*cost.inputs, cost.yref, cost.W]
     value = Call(ca.Function("node_cost", symbols, [ca.densify(cost.value)]), arguments, (Slice("l", 1),))
     leaf = ca.Function("node_gradient", symbols, [ca.densify(cost.gradient)])
@@ -110,7 +156,6 @@ def stage_model(problem: Problem, integrator: Integrator, name: str) -> StageMod
     return StageModel(
         integrator.integrated_cost(problem, "path_cost", value, cost.data_ports),
         integrator.integrated_gradient(problem, "path_gradient", gradient, cost.data_ports),
-        frozenset(),
         integrated=True,
     )
 

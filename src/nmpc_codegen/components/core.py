@@ -1,0 +1,96 @@
+"""What the core has for algorithms that ask for it: linearised nodes and multipliers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from nmpc_codegen.components.base import Core, Dims
+from nmpc_codegen.ir.cmodule import Field, Size, Struct
+
+#: Word of Core -> the parts of C that belong to it; other words have none of their own.
+PARTS: dict[Core, tuple[str, ...]] = {"nodes": ("row_gradient.c",)}
+
+
+def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
+    """The structs of the words in ``core``; members of the solver stand in a struct of that name."""
+    wanted = set(core)
+    nodes = (_node(dims), _terminal(dims), _coupled(dims), _renewal()) if "nodes" in wanted else ()
+    multipliers = (_multipliers(dims),) if "multipliers" in wanted else ()
+    return (*nodes, *multipliers, *((_kkt(),) if "kkt" in wanted else ()))
+
+
+def _node(dims: Dims) -> Struct:
+    return Struct(
+        "node",
+        "linearisation of a path node",
+        (
+            Field("S", (dims.nx, dims.nz), "[A_k B_k] = d Phi / d(x, u)", "data"),
+            Field("b", (dims.nx,), "gap Phi(x_k, u_k) - x_{k+1}", "data"),
+            Field("g", (dims.nz,), "gradient (q_k, r_k)", "data"),
+            Field("h", (dims.nh,), "general rows", "data"),
+            Field("J", (dims.nh, dims.nz), "their Jacobian [C_k D_k]", "data"),
+        ),
+        shape=(dims.N,),
+    )
+
+
+def _terminal(dims: Dims) -> Struct:
+    return Struct(
+        "terminal",
+        "linearisation of the terminal node",
+        (
+            Field("g", (dims.nx,), "gradient q_N", "data"),
+            Field("h", (dims.nh_N,), "general rows", "data"),
+            Field("J", (dims.nh_N, dims.nx), "their Jacobian C_N", "data"),
+        ),
+    )
+
+
+def _coupled(dims: Dims) -> Struct:
+    return Struct(
+        "coupled",
+        "linearisation of the coupled rows",
+        (
+            Field("r", (dims.ne,), "values r(x_0, x_N)", "data"),
+            Field("J_0", (dims.ne, dims.nx), "Jacobian E_0 = d r / d x_0", "data"),
+            Field("J_N", (dims.ne, dims.nx), "Jacobian E_N = d r / d x_N", "data"),
+        ),
+    )
+
+
+def _renewal() -> Struct:
+    note = Field("reference_changed", (), "1: the gradients are not those of the references", "keep", "int32")
+    return Struct("solver", "", (replace(note, only="SET_REFERENCE"),))
+
+
+def _multipliers(dims: Dims) -> Struct:
+    nodes = Size("N + 1", dims.N.value + 1)
+    return Struct(
+        "solver",
+        "",
+        (
+            Field("lam", (nodes, dims.nx), "multipliers of the dynamics; lam_0 of x_0 = xhat", "iterate"),
+            Field("mu_x", (nodes, dims.nx), "multipliers of the state bounds, > 0 at the upper one", "iterate"),
+            Field("mu_u", (dims.N, dims.nu), "multipliers of the control bounds", "iterate"),
+            Field("mu", (dims.N, dims.nh), "multipliers of the general path rows", "iterate"),
+            Field("mu_N", (dims.nh_N,), "multipliers of the general terminal rows", "iterate"),
+            Field("eta", (dims.ne,), "multipliers of the coupled rows", "iterate"),
+        ),
+    )
+
+
+def _kkt() -> Struct:
+    def real(name: str, doc: str) -> Field:
+        return Field(name, (), doc, "result")
+
+    return Struct(
+        "kkt",
+        "KKT residuals, largest absolute values",
+        (
+            real("stationarity", "gradient of the Lagrangian"),
+            real("equality", "gaps of the dynamics and x_0 - xhat"),
+            real("inequality", "violation of bounds and rows"),
+            real("complementarity", "multiplier times distance to its bound"),
+        ),
+    )

@@ -1,0 +1,111 @@
+"""Passes on sweeps: fuse or expand the loops over steps, fix or shift the step of a node.
+
+A loop over steps has the index ``step``; what belongs to one step is at an offset that is linear in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+
+from nmpc_codegen.ir.casadi_types import Function
+from nmpc_codegen.ir.kernel import Port
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, unroll
+
+
+def copy(name: str, n: int) -> Function:
+    """y = x."""
+    x = ca.SX.sym("x", n)
+    return ca.Function(name, [x], [x], ["x"], ["y"])
+
+
+def fuse_steps(sweep: Sweep) -> Sweep:
+    """The same with the body of every loop over steps unrolled into a leaf of its own."""
+    sizes = dict(sweep.locals) | {p.name: p.size for p in (*sweep.inputs, *sweep.outputs)}
+    users = [_slices(node) for node in sweep.body]
+    body: list[Node] = []
+    for node, own in zip(sweep.body, users, strict=True):
+        if isinstance(node, For) and node.index == "step":
+            others = {s.buffer for found in users if found is not own for s, _ in found}
+            node = replace(node, body=(_fused(node, own, others, sizes, len(body)),))
+        body.append(node)
+    used = {s.buffer for node in body for s, _ in _slices(node)}
+    kept = tuple(local for local in sweep.locals if local[0] in used)
+    return replace(sweep, locals=kept, body=tuple(body))
+
+
+def _slices(node: Node) -> list[tuple[Slice, bool]]:
+    """(slice, written) of all calls of a node, in their order."""
+    if not isinstance(node, Call):
+        return [found for inner in node.body for found in _slices(inner)]
+    return [(s, False) for s in node.ins] + [(s, True) for s in node.outs]
+
+
+def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: dict[str, int], number: int) -> Call:
+    """One pass of the loop as a leaf on what the rest of the sweep sees: whole buffers, or their part of a step."""
+    written = dict.fromkeys(s.buffer for s, out in own if out)
+    first: dict[str, bool] = {}
+    for s, out in own:
+        first.setdefault(s.buffer, out)
+    part: dict[str, int] = {}
+    for s, _ in own:
+        step = dict(s.offset.terms).get("step", 0)
+        part[s.buffer] = max(part.get(s.buffer, 0), step)
+    visible = [b for b in first if b in others or (b in sizes and not first[b])]
+    slices = {b: Slice(b, part[b], Affine(0, (("step", part[b]),))) if part[b] else Slice(b, sizes[b]) for b in visible}
+    ports = {b: Port(f"{b}_0", slices[b].size) for b in visible}
+    load: tuple[Node, ...] = tuple(
+        Call(copy(f"load_{b}", s.size), (Slice(ports[b].name, s.size),), (Slice(b, s.size),)) for b, s in slices.items()
+    )
+    outs = [b for b in visible if b in written]
+    inner = tuple((b, part[b] or sizes[b]) for b in first if b not in outs)
+    results = tuple(Port(b, slices[b].size) for b in outs)
+    body = (*load, For("step", 0, 1, loop.body))
+    once = Sweep(f"step_{number}", "one step", tuple(ports.values()), results, inner, body)
+    return Call(unroll(once), tuple(slices.values()), tuple(slices[b] for b in outs))
+
+
+def expand_steps(sweep: Sweep) -> Sweep:
+    """The same with loops over steps written out and every leaf printed in its place; loops over columns stay."""
+    body: list[Node] = []
+    for node in sweep.body:
+        if isinstance(node, For) and node.index == "step":
+            for value in node.values({}):
+                body += [_at_step(inner, value) for inner in node.body]
+        else:
+            body.append(_at_step(node, 0))
+    return replace(sweep, body=tuple(body))
+
+
+def _at_step(node: Node, step: int) -> Node:
+    return fixed(node, step, inline=True)
+
+
+def fixed(node: Node, step: int, inline: bool = False) -> Node:
+    """The node at one step; ``inline`` prints all of its leaves in their place."""
+
+    def at(s: Slice) -> Slice:
+        terms = tuple(t for t in s.offset.terms if t[0] != "step")
+        constant = s.offset.constant + step * dict(s.offset.terms).get("step", 0)
+        return Slice(s.buffer, s.size, Affine(constant, terms), s.stride)
+
+    return _mapped(node, at, inline)
+
+
+def shifted(node: Node, by: int) -> Node:
+    """The node as it is ``by`` steps later."""
+
+    def later(s: Slice) -> Slice:
+        constant = s.offset.constant + by * dict(s.offset.terms).get("step", 0)
+        return Slice(s.buffer, s.size, Affine(constant, s.offset.terms), s.stride)
+
+    return _mapped(node, later)
+
+
+def _mapped(node: Node, change: Callable[[Slice], Slice], inline: bool = False) -> Node:
+    if not isinstance(node, Call):
+        return replace(node, body=tuple(_mapped(n, change, inline) for n in node.body))
+    ins, outs = tuple(map(change, node.ins)), tuple(map(change, node.outs))
+    return replace(node, ins=ins, outs=outs, inline=node.inline or inline)

@@ -1,0 +1,167 @@
+"""Prints sweeps whose buffers are members of structs: one C function that names them where they stand.
+
+Every leaf is printed in its place, as nested expressions. What it stores may be what it reads, so either all loads or
+all results get a name first: loads in a loop, those that are the same in all of its runs in front of it; results
+elsewhere. A direct call needs neither.
+"""
+
+from __future__ import annotations
+
+import re
+from textwrap import wrap
+
+import casadi as ca
+
+from nmpc_codegen.ir.kernel import Kernel
+from nmpc_codegen.ir.print_c import CStyle, Expressions
+from nmpc_codegen.ir.sweep import Affine, Block, Call, Entries, For, Frame, If, LoopedRoutine, Node, Slice, calls
+
+#: Columns of a line.
+WIDTH = 120
+
+#: Text of a load -> name of the constant that has it.
+Names = dict[str, str]
+
+
+def print_framed(routine: LoopedRoutine, style: CStyle) -> str:
+    """The C function of a sweep with a frame, with its formula and operation count above it."""
+    sweep, frame = routine.sweep, routine.sweep.frame
+    assert frame is not None
+    count = ", ".join(f"{v} {k}" for k, v in routine.count.as_dict().items() if v) or "no operations"
+    lines = _declarations(routine, frame, style) + _Printer(routine, frame, style).block(sweep.body, "    ", {}, set())
+    used = set(re.findall(r"\w+", "\n".join(lines)))
+    names = [re.sub(r"\W*(?:\[\w+\])*$", "", p).split("*")[-1].split(" ")[-1] for p in frame.parameters]
+    lines += [f"    (void){name};" for name in names if name not in used]
+    head = f"static {'inline ' if frame.inline else ''}void {sweep.name}({', '.join(frame.parameters)})"
+    return "\n".join([f"/* {sweep.doc}: {count} */", head, "{", *lines, "}"])
+
+
+def _declarations(routine: LoopedRoutine, frame: Frame, style: CStyle) -> list[str]:
+    """Local arrays; scalars are declared where they get their first value."""
+    arrays = [frame.places[name] for name, _ in routine.sweep.locals if name in routine.touched]
+    return [f"    {style.real} {a.text}{''.join(f'[{n}]' for n in a.shape)};" for a in arrays if a.shape]
+
+
+class _Printer:
+    """Text of the nodes of one sweep."""
+
+    def __init__(self, routine: LoopedRoutine, frame: Frame, style: CStyle) -> None:
+        self._leaves, self._places, self._style = routine.leaves, frame.places, style
+        self._stored = {s.buffer for call in calls(routine.sweep.body) for s in call.outs}
+
+    def block(self, nodes: tuple[Node, ...], indent: str, names: Names, scalars: set[str]) -> list[str]:
+        """The statements of a block; what it declares is known to the end of it."""
+        names, scalars = dict(names), set(scalars)
+        lines: list[str] = []
+        for node in nodes:
+            if isinstance(node, Block):
+                lines += self._nested(node, indent, names, scalars)
+            else:
+                lines += self._call(node, indent, names, scalars)
+        return lines
+
+    def _nested(self, node: Block, indent: str, names: Names, scalars: set[str]) -> list[str]:
+        """A loop or condition, after the loads that are the same in all runs of an innermost loop."""
+        inner, lines = indent + "    ", []
+        if isinstance(node, For) and len(node.body) == 1 and isinstance(node.body[0], Call):
+            call = node.body[0]
+            lines += self._loads(call, indent, names, node.index)
+            loads = [] if call.direct else self._loads(call, inner, inner_names := dict(names), None)
+            body = loads + self._stores(call, inner, names if call.direct else inner_names, scalars, False)
+        else:
+            body = self.block(node.body, inner, names, scalars)
+        entries = [f"{inner}const int {_bindings(node)};"] if isinstance(node, Entries) else []
+        return [*lines, f"{indent}{_head(node)} {{", *entries, *body, indent + "}"]
+
+    def _call(self, call: Call, indent: str, names: Names, scalars: set[str]) -> list[str]:
+        return self._stores(call, indent, names, scalars, not call.direct)
+
+    def _loads(self, call: Call, indent: str, names: Names, index: str | None) -> list[str]:
+        """Constants with loads: those that do not depend on a loop index and are never stored, or all."""
+        lines: list[str] = []
+        for port, element in sorted(_loaded(self._leaves[call.leaf.name()])):
+            s = call.ins[port]
+            text, name = self._element(s, element), self._name(s, element)
+            fixed = s.buffer not in self._stored and all(i != index for i, _ in s.offset.terms)
+            if text not in names and name not in names.values() and (fixed or index is None):
+                names[text] = name
+                lines.append(f"{indent}const {self._style.real} {name} = {text};")
+        return lines
+
+    def _stores(self, call: Call, indent: str, names: Names, scalars: set[str], named: bool) -> list[str]:
+        """What the leaf computes; ``named``: constants first, which are stored when all are known."""
+        kernel = self._leaves[call.leaf.name()]
+
+        def load(port: int, element: int) -> str:
+            text = self._element(call.ins[port], element)
+            return names.get(text, text)
+
+        expressions = Expressions(kernel, self._style, load)
+        lines, last = list(expressions.statements), []
+        for port, element, value in kernel.stores:
+            target = self._element(call.outs[port], element)
+            if named:
+                name = self._name(call.outs[port], element)
+                lines.append(f"const {self._style.real} {expressions.assignment(name, value)};")
+                last.append(f"{target} = {name};")
+            else:
+                new = not self._places[call.outs[port].buffer].shape and target not in scalars
+                scalars |= {target} if new else set()
+                lines.append(f"{self._style.real + ' ' if new else ''}{expressions.assignment(target, value)};")
+        return [part for line in lines + last for part in _wrapped(indent, line)]
+
+    def _element(self, s: Slice, element: int) -> str:
+        """C text of an element of a slice."""
+        place = self._places[s.buffer]
+        constant = s.offset.constant + s.stride * element if element else s.offset.constant
+        if not place.shape:
+            return place.text
+        if len(place.shape) == 1:
+            return f"{place.text}[{Affine(constant, s.offset.terms).c()}]"
+        columns = int(place.shape[1])
+        along = tuple((i, c // columns) for i, c in s.offset.terms if c % columns == 0)
+        across = tuple((i, c) for i, c in s.offset.terms if c % columns)
+        row, column = divmod(constant, columns)
+        column = constant if row == 0 else column  # with its name, if it has one
+        return f"{place.text}[{Affine(row, along).c()}][{Affine(column, across).c()}]"
+
+    def _name(self, s: Slice, element: int) -> str:
+        """Name of a constant that has the element."""
+        place = self._places[s.buffer]
+        if len(place.shape) == 2 and not s.offset.terms:
+            return "_".join(map(str, (s.buffer, *divmod(s.offset.constant + s.stride * element, int(place.shape[1])))))
+        return f"{s.buffer}_{element}"
+
+
+def _loaded(kernel: Kernel) -> set[tuple[int, int]]:
+    """(port, element) of all loads."""
+    return {(ins.args[0], ins.args[1]) for ins in kernel.instructions if ins.opcode == ca.OP_INPUT}
+
+
+def _head(node: Block) -> str:
+    if isinstance(node, If):
+        return f"if ({node.left} {node.relation} {node.right})"
+    if isinstance(node, Entries):
+        return f"for (int {node.index} = {node.first}; {node.index} < {node.last}; ++{node.index})"
+    assert isinstance(node.count, int)
+    assert not node.down
+    last = node.start + node.count if node.start else node.count
+    return f"for (int {node.index} = {node.start}; {node.index} < {last}; ++{node.index})"
+
+
+def _bindings(node: Entries) -> str:
+    return ", ".join(f"{name} = {table}[{node.index}]" for name, table, _ in node.tables)
+
+
+def _wrapped(indent: str, line: str) -> list[str]:
+    """The statement in lines of WIDTH columns, broken in front of a plus."""
+    glued = re.sub(r" (?!\+ )", "\0", line)
+    lines = wrap(
+        glued,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "    ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return [part.replace("\0", " ") for part in lines]

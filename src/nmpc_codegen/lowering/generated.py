@@ -1,0 +1,60 @@
+"""What parts include as ``generated/<name>.c``: the products with the stage matrices, and tables of their structure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from itertools import accumulate
+
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.print_sweep import print_routine
+
+
+def products(module: CModule, style: CStyle) -> str:
+    """The products with a vector that the package calls, after the tables that the loops of all products read."""
+    unused = () if module.switches["STATE_STEP"] else ("state_step",)
+    routines = (r for name, r in module.products.vectors.items() if name not in unused)
+    heading = (
+        "/* Products with the stage matrices S = [A B] and Q (lower triangle): "
+        + ("written out over the structural nonzeros." if module.products.written_out else "dense loops.")
+        + " */"
+    )
+    tables = _tables(module.products.tables)
+    if tables:
+        tables = "/* Structural nonzeros (row, column) of the lower triangles Q and Q_N. */\n" + tables
+    return _paragraphs(heading, tables, *(print_routine(r, style) for r in routines))
+
+
+def product_columns(module: CModule, style: CStyle) -> str:
+    """The products with a panel of columns of G_k."""
+    routines = (print_routine(r, style) for r in module.products.panels.values())
+    return _paragraphs("/* Products with a panel of columns of G_k. */", *routines)
+
+
+def hessian_blocks(module: CModule, style: CStyle) -> str:
+    """Irreducible blocks of Q and Q_N: their rows, and where each begins among these."""
+    blocks = {"Q": module.products.Q_blocks, "Q_N": module.products.Q_N_blocks}
+    numbers = ", ".join(f"{name}_BLOCKS = {len(found)}" for name, found in blocks.items())
+    tables: dict[str, Iterable[int]] = {}
+    for name, found in blocks.items():
+        tables[f"{name}_block_row"] = [i for block in found for i in block]
+        tables[f"{name}_block_first"] = [0, *accumulate(map(len, found))]
+    heading = "/* Irreducible blocks of Q and Q_N: their rows, and where each begins among these. */"
+    return "\n".join([heading, f"enum {{ {numbers} }};", _tables(tables)])
+
+
+#: Path of an include -> its text.
+GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
+    "generated/products.c": products,
+    "generated/product_columns.c": product_columns,
+    "generated/hessian_blocks.c": hessian_blocks,
+}
+
+
+def _tables(tables: Mapping[str, Iterable[int]]) -> str:
+    texts = {name: list(map(str, values)) for name, values in tables.items()}
+    return "\n".join(f"static const int {name}[{len(v)}] = {{ {', '.join(v)} }};" for name, v in texts.items())
+
+
+def _paragraphs(*texts: str) -> str:
+    return "\n\n".join(text for text in texts if text) + "\n"

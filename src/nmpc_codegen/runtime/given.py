@@ -1,0 +1,87 @@
+"""What a caller gives: when it is a number, an array of the expected shape, a weight."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError, NmpcError
+
+#: Asymmetry |W - W'| and negative eigenvalues that are rounding of a product like A' Q A: multiples of eps max|W|.
+ROUNDING = 2.0**12
+
+
+def checked_weight(
+    W: NDArray[Any], what: str, error: type[NmpcError], eps: float = float(np.finfo(np.float64).eps)
+) -> NDArray[np.float64]:
+    """(W + W') / 2 of a finite square W that is symmetric positive semidefinite up to rounding.
+
+    Args:
+        W: (n, n).
+        what: what it is, for the message.
+        error: what to raise if it is not symmetric or has a negative eigenvalue.
+        eps: machine epsilon of the numbers that W was computed with.
+    """
+    array = W.astype(np.float64)
+    scale = float(np.abs(array).max(initial=0.0))
+    if scale == 0.0:
+        return array
+    unit = array / scale
+    gap = np.abs(unit - unit.T)
+    if gap.max() > ROUNDING * eps:
+        i, j = np.unravel_index(gap.argmax(), gap.shape)
+        raise error(
+            f"{what} must be symmetric, but entry [{i}, {j}] is {array[i, j]:.12g} and [{j}, {i}] is "
+            f"{array[j, i]:.12g}: a difference of {gap.max():.2g} of the largest entry is more than rounding "
+            f"({ROUNDING * eps:.2g})"
+        )
+    unit = unit / 2 + unit.T / 2
+    smallest = float(np.linalg.eigvalsh(unit).min())
+    if smallest < -ROUNDING * eps:
+        raise error(f"{what} must be positive semidefinite, but has the eigenvalue {smallest * scale:g}")
+    return array if np.array_equal(array, array.T) else unit * scale
+
+
+def checked_array(
+    value: ArrayLike, what: str, real: np.dtype[Any], shape: tuple[int, ...], finite: bool = True
+) -> NDArray[Any]:
+    """value as an array of the given type and shape.
+
+    Raises:
+        ControllerError: it is none, or, with ``finite``, holds a NaN or an infinity.
+    """
+    try:
+        given = np.asarray(value)
+        if np.iscomplexobj(given):
+            raise ControllerError(f"{what} is complex; expected real numbers of shape {shape}")
+        array = given.astype(real, copy=False)
+    except (TypeError, ValueError) as error:
+        raise ControllerError(f"{what} is no array of numbers; expected shape {shape}: {error}") from error
+    if array.shape != shape:
+        raise ControllerError(f"{what} has shape {array.shape}; expected {shape}")
+    if finite and not np.all(np.isfinite(array)):
+        raise ControllerError(f"{what} holds a NaN or an infinity: {array.tolist()}")
+    return array
+
+
+def is_positive(value: object) -> bool:
+    """True for a finite positive number."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        return False
+    return math.isfinite(value) and bool(value > 0)
+
+
+def ndim(value: ArrayLike) -> int:
+    """Number of dimensions; -1 for what is no array, which is then refused where its shape is checked."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return -1
+
+
+def is_integer(value: object) -> bool:
+    """True for an integer of Python or NumPy."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -1,0 +1,64 @@
+/* Dense linear algebra in panels of four. Vectors and rows have LDV entries, zero beyond their last one. A triangular
+ * matrix has the inverses of its diagonal apart, and the other triangle is not read; rows that are missing in the last panel
+ * of n rows are zero, and so are their inverses. */
+
+/* sum_j a_j b_j,  j < n, in four partial sums */
+static inline real_t dot(const real_t *a, const real_t *b, int n)
+{
+    real_t s[4] = { R(0), R(0), R(0), R(0) };
+    for (int j = 0; j < n; j += 4) {
+        for (int l = 0; l < 4; ++l) {
+            s[l] += a[j + l] * b[j + l];
+        }
+    }
+    return (s[0] + s[2]) + (s[1] + s[3]);
+}
+
+/* |a| */
+static real_t norm(const real_t *a)
+{
+    return SQRT(dot(a, a, LDV));
+}
+
+/* y[j] -= c0 A[0][j] + c1 A[1][j] + c2 A[2][j] + c3 A[3][j],  from <= j < to */
+static inline void subtract_panel(real_t *y, const real_t (*A)[LDV], const real_t *c, int from, int to)
+{
+    const real_t c0 = c[0], c1 = c[1], c2 = c[2], c3 = c[3];
+    for (int j = from; j < to; j += 4) {
+        real_t s[4];
+        for (int l = 0; l < 4; ++l) {
+            s[l] = y[j + l] - ((c0 * A[0][j + l] + c1 * A[1][j + l]) + (c2 * A[2][j + l] + c3 * A[3][j + l]));
+        }
+        for (int l = 0; l < 4; ++l) {
+            y[j + l] = s[l];
+        }
+    }
+}
+
+/* y := L^{-1} y in the panel at column b of L', unit upper triangular: four entries of y. */
+static inline void solve_block(const real_t (*L)[LDV], int b, real_t *y)
+{
+    const real_t *l0 = L[0] + b, *l1 = L[1] + b, *l2 = L[2] + b;
+    const real_t y0 = y[0];
+    const real_t y1 = y[1] - l0[1] * y0;
+    const real_t y2 = y[2] - l0[2] * y0 - l1[2] * y1;
+    y[1] = y1;
+    y[2] = y2;
+    y[3] = y[3] - l0[3] * y0 - l1[3] * y1 - l2[3] * y2;
+}
+
+/* y := C^{-T} y, n entries; C lower triangular. */
+static void solve_upper(const real_t (*C)[LDV], const real_t *inverse, real_t *y, int n)
+{
+    for (int b = (n + 3) / 4 * 4 - 4; b >= 0; b -= 4) {
+        const real_t *c1 = C[b + 1] + b, *c2 = C[b + 2] + b, *c3 = C[b + 3] + b;
+        const real_t y3 = y[b + 3] * inverse[b + 3];
+        const real_t y2 = (y[b + 2] - c3[2] * y3) * inverse[b + 2];
+        const real_t y1 = (y[b + 1] - c3[1] * y3 - c2[1] * y2) * inverse[b + 1];
+        y[b] = (y[b] - c3[0] * y3 - c2[0] * y2 - c1[0] * y1) * inverse[b];
+        y[b + 1] = y1;
+        y[b + 2] = y2;
+        y[b + 3] = y3;
+        subtract_panel(y, C + b, y + b, 0, b);
+    }
+}

@@ -1,0 +1,151 @@
+/* Contract of this part: rows with a finite penalty, whose multipliers stay within it; where one stands at the limit its row
+ * is saturated and may be violated. */
+
+enum { SATURATED_LOWER = -2, SATURATED_UPPER = 2 };
+
+static int qp_is_saturated(const qp_t *q, int c)
+{
+    return q->side[c] == SATURATED_UPPER || q->side[c] == SATURATED_LOWER;
+}
+
+/* y += t a_c */
+static void qp_add_row(const qp_t *q, int c, real_t t, real_t *y)
+{
+    if (c < NV) {
+        y[c] += t;
+        return;
+    }
+    for (int i = 0; i < LDV; ++i) {
+        y[i] += t * q->A[c - NV][i];
+    }
+}
+
+/* Multiplier of row c, not a member. */
+static real_t qp_outside_multiplier(const qp_t *q, int c)
+{
+    return q->side[c] == INACTIVE ? R(0) : q->side[c] > 0 ? q->penalty[c] : -q->penalty[c];
+}
+
+/* y0 -= mult m for the row with normal m that joins the cost, or leaves it (mult with the other sign). */
+static void qp_shift_origin(qp_t *q, real_t mult)
+{
+    for (int j = 0; j < LDV; ++j) {
+        q->y0[j] -= mult * q->m[j];
+    }
+    q->scale += FABS(mult) * norm(q->m);
+}
+
+/* Member k leaves the working set with its multiplier at the limit of the given side; m = Q'R. */
+static void qp_saturate(qp_t *q, int k, int side)
+{
+    const int c = q->row[k];
+    const basis_t *w = &q->work.basis;
+    for (int i = 0; i <= k; ++i) {
+        for (int j = 0; j < LDV; ++j) {
+            q->y0[j] -= (side > 0 ? q->penalty[c] : -q->penalty[c]) * w->R[k][i] * w->Q[i][j];
+        }
+    }
+    q->scale += q->penalty[c] * SQRT(qp_square(q, k));
+    qp_remove(q, k);
+    q->side[c] = 2 * side;
+}
+
+/* Member k leaves with its multiplier at the end of its range, towards 0 if it falls: inactive, or saturated. */
+static void qp_release(qp_t *q, int k, int falls)
+{
+    const int c = q->row[k], side = q->side[c];
+    if (falls && !qp_is_equality(q, c)) {
+        qp_remove(q, k);
+    } else {
+        qp_saturate(q, k, falls ? -side : side);
+    }
+}
+
+/* y0 -= sum_saturated mult_c a_c;  scale: the sum of |mult_c| |D^{-1/2} a_c|, an estimate of |m|. */
+static void qp_add_saturated(qp_t *q)
+{
+    for (int c = 0; q->elastic && c < NV + NG; ++c) {
+        if (qp_is_saturated(q, c)) {
+            qp_add_row(q, c, -qp_outside_multiplier(q, c), q->y0);
+            q->scale += q->penalty[c] * qp_row_norm(q, c);
+        }
+    }
+}
+
+/* How far the value of the saturated row c lies inside the bound at which it is saturated: there its multiplier goes back. */
+static void qp_turn_inside(const qp_t *q, int c, real_t *over, real_t *under)
+{
+    if (q->side[c] > 0) {
+        *under = -*over;
+        *over = -(real_t)INFINITY;
+    } else {
+        *over = -*under;
+        *under = -(real_t)INFINITY;
+    }
+}
+
+/* Row c, not a member, comes to rest: its multiplier has moved by `moved`. It becomes a member, or saturated or inactive. */
+static void qp_settle(qp_t *q, int c, int side, int member, real_t moved, real_t vv)
+{
+    const int state = q->side[c];
+    const real_t before = qp_outside_multiplier(q, c), lam = side > 0 ? before + moved : before - moved;
+    if (member) {
+        qp_append(q, c, state == INACTIVE ? side : state > 0 ? AT_UPPER : AT_LOWER, vv, lam);
+    } else {
+        q->side[c] = state == INACTIVE || qp_is_equality(q, c) ? 2 * side : INACTIVE;
+        ++q->changes;
+    }
+    if (q->penalty[c] < (real_t)INFINITY) {
+        qp_shift_origin(q, (member ? R(0) : lam) - before);
+    }
+}
+
+/* How far the multiplier of the entering row c may move: from 0 to its limit, from there to 0 (equality: to -limit). */
+static real_t qp_reach(const qp_t *q, int c)
+{
+    return q->side[c] != INACTIVE && qp_is_equality(q, c) ? q->penalty[c] + q->penalty[c] : q->penalty[c];
+}
+
+/* Saturation ends where the row has become hard, or the bound infinite. */
+static void qp_release_saturated(qp_t *q)
+{
+    for (int c = NV; c < NV + NG; ++c) {
+        if (qp_is_saturated(q, c) && !(q->penalty[c] < (real_t)INFINITY && isfinite(qp_bound(q, c)))) {
+            q->side[c] = INACTIVE;
+        }
+    }
+}
+
+/* Sets elastic; returns 0 if a penalty is invalid. */
+static int qp_take_penalties(qp_t *q)
+{
+    int valid = 1, elastic = 0;
+    for (int c = 0; c < NV + NG; ++c) {
+        valid &= q->penalty[c] >= R(0);
+        elastic |= q->penalty[c] < (real_t)INFINITY;
+    }
+    if (elastic || q->elastic) {
+        qp_release_saturated(q);
+    }
+    q->elastic = elastic;
+    return valid;
+}
+
+/* Multipliers of the saturated rows; counts those that are violated by more than rounding. */
+static void qp_write_saturated(qp_t *q)
+{
+    for (int c = NV; q->elastic && c < NV + NG; ++c) {
+        if (qp_is_saturated(q, c)) {
+            const real_t bound = qp_bound(q, c), excess = qp_value(q, c, q->x) - bound;
+            q->mult[c] = qp_outside_multiplier(q, c);
+            q->relaxed += FABS(excess) > TOL_QP_REDUNDANT * (qp_row_size(q, c) + FABS(bound));
+        }
+    }
+}
+
+/* A multiplier that exceeds its limit by rounding. */
+static real_t qp_clip_multiplier(const qp_t *q, int c, real_t lam)
+{
+    const real_t limit = q->penalty[c];
+    return lam > limit ? limit : lam < -limit ? -limit : lam;
+}

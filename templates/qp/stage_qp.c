@@ -1,0 +1,150 @@
+/* Contract of this part: what solvers of the stage QP share: sides of bounds, rows, bounds that make sense, results that say
+ * nothing. Rows have their gradient in the variables of one stage; a bound of a state is its component. */
+
+/* The side of a row: a member of the working set is an equation at its bound; a soft row may be violated. */
+enum { BELOW = -2, AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1, ABOVE = 2 };
+
+#if NG
+static inline int qp_is_violated(int side)
+{
+    return side == BELOW || side == ABOVE;
+}
+
+static inline int qp_is_soft(const qp_t *q, int m)
+{
+    return q->penalty[m] < (real_t)INFINITY;
+}
+
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+/* a'z of the general row m, z = (x, u) at its stage; the last stage has no controls. */
+static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t *u)
+{
+    const real_t *a = stage_row(s, m);
+    real_t sum = riccati_dot(a, x, NXS);
+    for (int j = 0; stage_of_row[m] < NS && j < NUS; j++) {
+        sum += a[NXS + j] * u[j];
+    }
+    return sum;
+}
+
+#endif
+/* Value of row m at the present (x, z). */
+static inline real_t qp_row_value(const solver_t *s, int m)
+{
+    const int k = stage_of_row[m];
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+    if (stage_state[m] < 0) {
+        const int first = k * NUS;
+        return qp_product(s, m, s->qp.x[k], s->qp.z + first);
+    }
+#endif
+    return s->qp.x[k][stage_state[m]];
+}
+
+/* The same for the direction. */
+static inline real_t qp_row_change(const solver_t *s, int m)
+{
+    const direction_t *d = &s->riccati.work.vectors.rhs.direction;
+    const int k = stage_of_row[m];
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+    if (stage_state[m] < 0) {
+        const int first = k * NUS;
+        return qp_product(s, m, d->dx[k], d->du + first);
+    }
+#endif
+    return d->dx[k][stage_state[m]];
+}
+
+/* g += f a of row m, g that of its stage. */
+static inline void qp_add_row(solver_t *s, int m, real_t f)
+{
+    real_t *g = s->riccati.work.vectors.rhs.g[stage_of_row[m]];
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+    if (stage_state[m] < 0) {
+        riccati_combine(g, &f, stage_row(s, m), NZS, 1, stage_of_row[m] < NS ? NZS : NXS);
+        return;
+    }
+#endif
+    g[stage_state[m]] += f;
+}
+
+#endif
+/* z = (x, u) of stage k. */
+static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
+{
+    const int first = k * NUS;
+    memcpy(z, q->x[k], sizeof q->x[0]);
+    memcpy(z + NXS, q->z + first, sizeof z[0] * NUS);
+}
+
+/* g_k + Q_k z_k at the present point, for the entries that stage k has. */
+static void qp_cost_gradient(solver_t *s, int k, real_t *y)
+{
+    if (k < NS) {
+        real_t z[NZS];
+        qp_stage_point(&s->qp, k, z);
+        memcpy(y, stage_g(s, k), sizeof z);
+        riccati_add_symmetric(y, stage_Q(s, k)[0], NZS, z, NZS);
+    } else {
+        memcpy(y, stage_g(s, k), sizeof y[0] * NXS);
+        riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[k], NXS);
+    }
+}
+
+/* b = S_k z_k + b_k - x_{k+1} at the present point. */
+static void qp_gap(solver_t *s, int k, real_t *b)
+{
+    real_t (*S)[NZS] = stage_S(s, k);
+    real_t z[NZS];
+    qp_stage_point(&s->qp, k, z);
+    for (int i = 0; i < NXS; i++) {
+        b[i] = stage_b(s, k)[i] - s->qp.x[k + 1][i] + riccati_dot(S[i], z, NZS);
+    }
+}
+
+/* No bounds, nothing known. */
+static void qp_clear(qp_t *q)
+{
+    memset(q, 0, sizeof *q);
+    for (int c = 0; c < NV + NG; c++) {
+        q->lower[c] = -(real_t)INFINITY;
+        q->upper[c] = (real_t)INFINITY;
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        q->penalty[m] = (real_t)INFINITY;
+    }
+#endif
+}
+
+/* Bounds and penalties: NUMERICAL_FAILURE if one is invalid, INFEASIBLE if bounds cross, else OK. */
+static status_t qp_check_bounds(const qp_t *q)
+{
+    int valid = 1, ordered = 1;
+    for (int c = 0; c < NV + NG; c++) {
+        valid &= q->lower[c] < (real_t)INFINITY && q->upper[c] > -(real_t)INFINITY;
+        ordered &= q->lower[c] <= q->upper[c];
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        valid &= q->penalty[m] >= R(0) && q->curvature[m] >= R(0) && isfinite(q->curvature[m]);
+    }
+#endif
+    if (!valid) {
+        return NUMERICAL_FAILURE;
+    }
+    return ordered ? OK : INFEASIBLE;
+}
+
+/* Results that say nothing. */
+static void qp_clear_results(qp_t *q)
+{
+    memset(q->x, 0, sizeof q->x);
+    memset(q->z, 0, sizeof q->z);
+    memset(q->mult, 0, sizeof q->mult);
+    memset(q->side, 0, sizeof q->side);
+#if INTERIOR_POINT && NG
+    memset(q->certificate, 0, sizeof q->certificate);
+#endif
+    q->relaxed = 0;
+}
