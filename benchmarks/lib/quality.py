@@ -198,7 +198,9 @@ static void {p}_sample(int n)
 _RUNS = 'strcmp(argv[1], "all") == 0 || strcmp(argv[1], "{p}") == 0'
 
 
-def run_together(packages: Sequence[Sources], x0: Sequence[float], steps: int = 30) -> dict[str, tuple[list[str], ...]]:
+def run_together(
+    packages: Sequence[Sources], x0: Sequence[float], steps: int = 30, flags: Sequence[str] = RELEASE
+) -> dict[str, tuple[list[str], ...]]:
     """Link the packages into one program; prefix -> lines of its closed loop, alone and interleaved with the others.
 
     A line holds sample, status, u_0 and x_0 in hexadecimal.
@@ -215,7 +217,7 @@ def run_together(packages: Sequence[Sources], x0: Sequence[float], steps: int = 
     with written(*packages) as folder:
         (folder / "together.c").write_text(text, encoding="utf-8")
         files = ("together.c", *(f"{p}.c" for p in names))
-        compile_c(folder, *RELEASE, *files, "-o", "together", "-lm").check_returncode()
+        compile_c(folder, *flags, *files, "-o", "together", "-lm").check_returncode()
 
         def lines(which: str) -> list[str]:
             command = ["./together", which]

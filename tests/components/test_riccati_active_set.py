@@ -38,8 +38,8 @@ KINDS = {
     "given": (0, 1, 0, 2, 0),
 }
 seeds = st.integers(0, 2**32 - 1)
-many = settings(max_examples=40, deadline=None)
-few = settings(max_examples=12, deadline=None)
+many = settings(max_examples=25, deadline=None)
+few = settings(max_examples=8, deadline=None)
 
 
 def drawn_rows(rng: np.random.Generator, shape: Shape) -> np.ndarray:

@@ -297,7 +297,6 @@ class Solved:
 
 
 SOLVED = {
-    "cstr_0": Solved(lambda: cstr.build_ocp(0), lambda: cstr.START, frozenset({"u2"})),
     "cstr_1": Solved(lambda: cstr.build_ocp(1), lambda: cstr.START, frozenset({"th", "thK"})),
     "cstr_refined": Solved(
         lambda: cstr.build_ocp(1, intervals=cstr.REFINED), lambda: cstr.START, frozenset({"th", "thK", "u2"})
@@ -309,12 +308,6 @@ SOLVED = {
         optimum=22417.4595,
         options=cart_pole.options(),
     ),
-    "cart_pole_long": Solved(
-        lambda: cart_pole.build_ocp(any_length=True),
-        lambda: cart_pole.HANGING,
-        frozenset({"F"}),
-        data={"p": np.full((21, 1), 1.2)},
-    ),
     "quadrotor": Solved(
         lambda: quadrotor.build_ocp((0.5, 0.5, 0.5)),
         lambda: np.array([0.5, 0.5, 0.5, *[0.0] * 9]),
@@ -323,7 +316,6 @@ SOLVED = {
         tableau=replace(CLASSICAL, steps=1),
     ),
     "chain_3": Solved(lambda: chain.build_ocp(3), lambda: pushed(3), frozenset({"u[0]", "u[1]", "u[2]"})),
-    "chain_7": Solved(lambda: chain.build_ocp(7), lambda: pushed(7), frozenset()),
 }
 
 

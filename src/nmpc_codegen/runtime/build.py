@@ -202,7 +202,8 @@ def _compile(
     )
     try:
         _write_wrapper(files[f"{name}.h"], name, module, folder / "wrapper.c")
-        wrapper = [*common, "-O1", "-w", *includes, "wrapper.c", "-o", "wrapper.o"]
+        level = "-O0" if "-O0" in flags else "-O1"
+        wrapper = [*common, level, "-w", *includes, "wrapper.c", "-o", "wrapper.o"]
         second = _run(wrapper, folder)
     finally:
         _, errors = package.communicate()
