@@ -41,7 +41,6 @@ SWITCHES = {
     "BLOCK_ROWS": 1,
     "INTERIOR_POINT": 1,
     "SET_REFERENCE": 1,
-    "SOLVE": 1,
 }
 
 
