@@ -173,15 +173,16 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
     No row has a weight, no control is fixed, no pivot is regularised, and the dynamics have gaps.
     """
     ns, nx, nus, nf = (size.value for size in (dims.ns, dims.nxs, dims.nus, dims.nf))
-    ldx, nz = _padded(nx), nx + nus
+    ldx, nz, copies = _padded(nx), nx + nus, nx - dims.nx.value
+    fold = OpCount(add=copies * (ldx + nx), mul=copies * ldx)
     backward = _combined(ldx, nx) + _combined(nz, nx) + _combined(ldx, nus)
     backward += OpCount(add=1, mul=1) * (nus * (nus - 1)) + OpCount(mul=nus)
     forward = (_dot(ldx) + OpCount(add=1)) * nus + (_dot(nz) + OpCount(add=1)) * nx
     pairs = nf * (nf - 1) // 2
     free = OpCount(add=nf, div=nf) + _dot(nx) * nf + OpCount(add=1, mul=1) * (2 * pairs)
     return {
-        "riccati_factorize": _stage_recursion(nx, nus) * ns + _free_factor(nf),
-        "riccati_backward": backward * ns,
+        "riccati_factorize": _stage_recursion(nx, nus) * ns + fold + _free_factor(nf),
+        "riccati_backward": backward * ns + OpCount(add=copies),
         "riccati_forward": forward * ns + free,
     }
 
