@@ -18,9 +18,9 @@ static void qp_forward(const qp_t *q, real_t *y, int first)
     for (int b = first - first % 4; b < LDV; b += 4) {
         solve_block(q->H + b, b, y + b);
         subtract_panel(y, q->H + b, y + b, b + 4, LDV);
-        for (int l = b; l < b + 4; ++l) {
-            y[l] *= q->inverse[l];
-        }
+    }
+    for (int j = 0; j < LDV; ++j) {
+        y[j] *= q->inverse[j];
     }
 }
 

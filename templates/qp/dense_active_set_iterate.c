@@ -5,7 +5,7 @@
 static int qp_wrong_multiplier(const qp_t *q)
 {
     int worst = -1;
-    real_t most = TOL_QP_SIGN * (q->scale + norm(q->y));
+    real_t most = R(0);
     for (int k = 0; k < q->nw; ++k) {
         const int c = q->row[k];
         const real_t lam = q->side[c] > 0 ? q->lam[k] : -q->lam[k];
@@ -13,9 +13,12 @@ static int qp_wrong_multiplier(const qp_t *q)
 #if ELASTIC
         excess = FABS(lam) - q->penalty[c] > excess ? FABS(lam) - q->penalty[c] : excess;
 #endif
-        if (excess > R(0) && excess * SQRT(qp_square(q, k)) > most) {
-            most = excess * SQRT(qp_square(q, k));
-            worst = k;
+        if (excess > R(0)) {
+            const real_t weighted = excess * SQRT(qp_square(q, k));
+            if (weighted > most && weighted > TOL_QP_SIGN * (q->scale + norm(q->y))) {
+                most = weighted;
+                worst = k;
+            }
         }
     }
     return worst;
@@ -44,7 +47,7 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
 
 /* How far the value of row c, not a member, exceeds its upper bound, and how far it stays below its lower one. Returns 0 if
  * it is not finite. */
-static int qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
+static inline int qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
 {
 #if NG
     const real_t value = qp_value(q, c, z);

@@ -41,18 +41,18 @@ typedef struct { /* the condensed QP's dependence on dx_0 */
 } golden_condensed_t;
 
 typedef struct { /* condensed QP and its active-set factorisation */
-    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian, its lower triangle; then C of C C' */
+    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); then D, L and L' of L D L' */
     golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
     golden_real g[GOLDEN_NV]; /* gradient */
     golden_real lower[GOLDEN_NV + GOLDEN_NG]; /* lower bounds of variables, then of general rows */
     golden_real upper[GOLDEN_NV + GOLDEN_NG]; /* upper bounds */
     golden_real z[GOLDEN_NV]; /* minimiser */
     golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
-    golden_real inverse[GOLDEN_LDV]; /* inverse diagonal of C */
+    golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
     golden_work_t work; /* factors of the working set; before qp_factorize the caller's */
     golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
     golden_real lam[GOLDEN_LDV]; /* multipliers of the members */
-    golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = C'z */
+    golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
     golden_real y[GOLDEN_LDV]; /* minimiser on the working set */
     golden_real x[GOLDEN_LDV]; /* z of y */
     golden_real m[GOLDEN_LDV]; /* normal of the row under consideration, in y */
