@@ -62,7 +62,7 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
     """Self-contained C text of the component with exported entry points test_init, test_factorize, ..."""
     component = component or DenseActiveSet()
     dims = qp_dims(nv, ng)
-    sizes = {"NS": 1, "NUS": nv, "NV": nv, "NG": ng, "LDV": dims.ld.value, "ELASTIC": int(ng > 0)}
+    sizes = {"NS": 1, "NUS": nv, "NV": nv, "NG": ng, "LDV": dims.qp.ld.value, "ELASTIC": int(ng > 0)}
     sizes |= {name: value for name, value, _ in component.sizes(dims)}
     text = [unit_head(sizes, precision)]
     text += [struct_text(struct) for struct in component.structs(dims)]

@@ -53,21 +53,21 @@ class Shape:
 
 def _data(dims: Any) -> tuple[Struct, ...]:
     """What condensing, Hessian and algorithm own in a real package."""
-    nodes = Size("NS + 1", dims.ns.value + 1)
+    nodes = Size("NS + 1", dims.qp.ns.value + 1)
 
     def field(name: str, *shape: Size) -> Field:
         return Field(name, shape, "", "data")
 
     return (
-        Struct("hessian", "", (field("Q", dims.ns, dims.nzs, dims.nzs), field("Q_N", dims.nx, dims.nx))),
+        Struct("hessian", "", (field("Q", dims.qp.ns, dims.qp.nzs, dims.qp.nzs), field("Q_N", dims.nx, dims.nx))),
         Struct(
             "stage",
             "",
             (
-                field("S", dims.ns, dims.nx, dims.nzs),
-                field("b", dims.ns, dims.nx),
-                field("g", nodes, dims.nzs),
-                field("J", dims.ng, dims.nzs),
+                field("S", dims.qp.ns, dims.nx, dims.qp.nzs),
+                field("b", dims.qp.ns, dims.nx),
+                field("g", nodes, dims.qp.nzs),
+                field("J", dims.ng, dims.qp.nzs),
             ),
         ),
         Struct("step", "", (field("dx", nodes, dims.nx),)),

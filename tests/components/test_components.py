@@ -12,7 +12,7 @@ import pytest
 from nmpc_codegen import GaussNewton, OptionError, Options
 from nmpc_codegen.components.base import SEAMS, Component, Dims, called, refuse_unsupported
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.ir.cmodule import Field, Macro, Struct, struct_layout
+from nmpc_codegen.ir.cmodule import Field, Macro, Size, Struct, struct_layout
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import Model, linearize
@@ -101,7 +101,8 @@ def test_supports_known_features_and_refuses_the_others(cls: type) -> None:
 @every_component
 def test_sizes_and_structs(cls: type) -> None:
     component, _, dims = parts(cls)
-    common = {size.text for size in vars(dims).values()} | OWN_MACROS
+    sizes = [*vars(dims).values(), *vars(dims.qp).values()]
+    common = {size.text for size in sizes if isinstance(size, Size)} | OWN_MACROS
     for name, value, doc in component.sizes(dims):
         assert Macro(name, value, doc)
         assert name.isupper()

@@ -53,13 +53,31 @@ class Dims:
     nq: Size  # Hessian blocks of the path: 1 where the block is the same at all nodes, else N
     nf: Size  # free components of x_0
     ne: Size  # coupled rows
+    ng: Size  # scalar rows of all nodes besides control bounds
+    condensed: QpDims | None  # sizes of the QP, where there is condensing
+
+    @property
+    def qp(self) -> QpDims:
+        """Sizes of the QP.
+
+        Raises:
+            ValueError: the package has none.
+        """
+        if self.condensed is None:
+            raise ValueError("a package without condensing has no QP")
+        return self.condensed
+
+
+@dataclass(frozen=True)
+class QpDims:
+    """The sizes of the QP that condensing makes."""
+
     ns: Size  # stages of the QP after condensing
     nus: Size  # controls of such a stage
     nxs: Size  # states of such a stage: nx and copies of components of x_0
     nzs: Size  # nxs + nus
     nv: Size  # variables of the QP
     nsl: Size  # slacks among them
-    ng: Size  # rows of the QP besides control bounds
     ld: Size  # leading dimension of condensed matrices: nv rounded up to PANEL
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from nmpc_codegen.components.base import Dims, QpShape
+from collections.abc import Mapping
+
+from nmpc_codegen.components.base import Dims, QpDims, QpShape
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.cmodule import Size
 from nmpc_codegen.ir.stage_products import PANEL
@@ -10,7 +12,7 @@ from nmpc_codegen.ir.stage_products import PANEL
 
 def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool) -> Dims:
     """Every shared size; ``constant_hessian``: one path block serves all nodes; without a QP it has no shape."""
-    p, shape = problem, QpShape(0, 0, 0) if shape is None else shape
+    p = problem
     sizes = {
         "N": p.N,
         "NX": p.nx,
@@ -27,17 +29,29 @@ def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool) 
         "NQ": 1 if constant_hessian else p.N,
         "NF": len(p.free_initial),
         "NE": p.coupled_rows,
+        "NG": len(p.qp_rows),
+    }
+    fields = {"NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
+    condensed = None if shape is None else _qp_dims(p, shape)
+    return Dims(**_sizes(sizes, fields), condensed=condensed)
+
+
+def _qp_dims(problem: Problem, shape: QpShape) -> QpDims:
+    sizes = {
         "NS": shape.stages,
         "NUS": shape.controls,
-        "NXS": p.nx + shape.copies,
-        "NZS": p.nx + shape.copies + shape.controls,
+        "NXS": problem.nx + shape.copies,
+        "NZS": problem.nx + shape.copies + shape.controls,
         "NV": shape.variables,
         "NSL": shape.slacks,
-        "NG": len(p.qp_rows),
         "LDV": -(-shape.variables // PANEL) * PANEL,
     }
-    fields = {"LDV": "ld", "NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
-    return Dims(**{fields.get(name, name.lower()): Size(name, value) for name, value in sizes.items()})
+    return QpDims(**_sizes(sizes, {"LDV": "ld"}))
+
+
+def _sizes(values: Mapping[str, int], fields: Mapping[str, str]) -> dict[str, Size]:
+    """Field -> size, by macro; a field is its macro in lower case unless ``fields`` names it."""
+    return {fields.get(name, name.lower()): Size(name, value) for name, value in values.items()}
 
 
 def _weight_entries(stage: Stage) -> int:

@@ -186,10 +186,10 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
         "NG": "scalar rows of all nodes besides control bounds",
         "LDV": "NV rounded up to PANEL",
     }
-    absent = set() if model.parts.condensing else QP_SIZES
-    absent = absent if model.parts.hessian else absent | {"NQ"}
-    macros = [Macro(s.text, s.value, docs[s.text]) for s in vars(dims).values() if s.text not in absent]
-    if model.parts.condensing:
+    core = [s for s in vars(dims).values() if isinstance(s, Size) and (s.text != "NQ" or model.parts.hessian)]
+    of_qp: Iterable[Size] = () if dims.condensed is None else vars(dims.condensed).values()
+    macros = [Macro(s.text, s.value, docs[s.text]) for s in (*core, *of_qp)]
+    if dims.condensed:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in model.problem.rows), "rows with a penalty"))
     macros.append(Macro("PARAMS", len(model.problem.parameters), "parameters by name"))
@@ -199,10 +199,6 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
     macros.append(Macro("MANY", MANY, "counters stop here"))
     macros.append(Macro("MAGIC", MAGIC, "a struct that init has seen"))
     return tuple(macros)
-
-
-#: Sizes of the QP; without condensing there is none.
-QP_SIZES = {"NS", "NUS", "NXS", "NZS", "NV", "NSL", "LDV"}
 
 
 def _enums(problem: Problem) -> tuple[Enum, ...]:

@@ -97,8 +97,8 @@ class FullCondensing(Defaults):
                 "the condensed QP's dependence on dx_0",
                 (
                     Field("c", (nodes, dims.nx), "free response of the gaps b_k", "data"),
-                    Field("g", (dims.nv,), "condensed gradient at dx_0 = 0", "data"),
-                    Field("Hx", (dims.nv, dims.nx), "coupling of the controls to dx_0", "data"),
+                    Field("g", (dims.qp.nv,), "condensed gradient at dx_0 = 0", "data"),
+                    Field("Hx", (dims.qp.nv, dims.nx), "coupling of the controls to dx_0", "data"),
                     Field("Ax", (dims.ng, dims.nx), "coupling of the rows to dx_0", "data"),
                     Field("v", (dims.ng,), "values of the rows at du = 0, dx_0 = 0", "data"),
                 ),

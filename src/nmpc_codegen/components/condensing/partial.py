@@ -73,7 +73,7 @@ class PartialCondensing(Defaults):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The stages of the QP, and the states inside a block as functions of its variables."""
-        nx, nxs, nzs = dims.nx, dims.nxs, dims.nzs
+        nx, nxs, nzs = dims.nx, dims.qp.nxs, dims.qp.nzs
         return (
             Struct(
                 "block",
@@ -84,7 +84,7 @@ class PartialCondensing(Defaults):
                     Field("g", (nzs,), "gradient", "data"),
                     Field("Q", (nzs, nzs), "Hessian, lower triangle", "data"),
                 ),
-                shape=(dims.ns,),
+                shape=(dims.qp.ns,),
             ),
             Struct(
                 "blocks",
@@ -103,7 +103,7 @@ class PartialCondensing(Defaults):
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Everything but the gradients and values of the rows."""
-        N, nx, nxs, nu, nz = (size.value for size in (dims.N, dims.nx, dims.nxs, dims.nu, dims.nz))
+        N, nx, nxs, nu, nz = (size.value for size in (dims.N, dims.nx, dims.qp.nxs, dims.nu, dims.nz))
         block = self._block(N)
         forward, hessian = OpCount(), OpCount()
         for k in range(N):

@@ -45,7 +45,7 @@ class DenseActiveSet(Defaults):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """The iteration cap."""
-        cap = 10 * (dims.nv.value + dims.ng.value) + 50 if self.max_iterations is None else self.max_iterations
+        cap = 10 * (dims.qp.nv.value + dims.ng.value) + 50 if self.max_iterations is None else self.max_iterations
         return (
             ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one feedback phase"),
             ("QP_MAX_PROXIMAL_STEPS", 200, "cap on the proximal steps for a semidefinite Hessian"),
@@ -53,7 +53,7 @@ class DenseActiveSet(Defaults):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The QP: data, result, factors and working set."""
-        nv, ng, ld = dims.nv, dims.ng, dims.ld
+        nv, ng, ld = dims.qp.nv, dims.ng, dims.qp.ld
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         return (
             *_working_memory(dims),
@@ -110,7 +110,7 @@ class DenseActiveSet(Defaults):
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Operations of the functions whose count depends on sizes alone (padded columns included)."""
-        n = dims.ld.value
+        n = dims.qp.ld.value
         panels = n // 4
         # Per panel b: entries to the right of it, and to the left.
         right = sum(n - 4 * k - 4 for k in range(panels))
@@ -127,8 +127,8 @@ class DenseActiveSet(Defaults):
 def _working_memory(dims: Dims) -> tuple[Struct, ...]:
     """Factors of the working set, and the union through which the caller may use their memory before there are any."""
     basis = (
-        Field("Q", (dims.ld, dims.ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
-        Field("R", (dims.ld, dims.ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
+        Field("Q", (dims.qp.ld, dims.qp.ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
+        Field("R", (dims.qp.ld, dims.qp.ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
     )
     alternatives = (Field("basis", (), "from qp_factorize to the end of the feedback", "scratch", "basis"),)
     return (
@@ -139,7 +139,7 @@ def _working_memory(dims: Dims) -> tuple[Struct, ...]:
 
 def _factorization(dims: Dims) -> OpCount:
     """L D L' of a positive definite H, panel by panel."""
-    n, ld = dims.nv.value, dims.ld.value
+    n, ld = dims.qp.nv.value, dims.qp.ld.value
     total = OpCount(sqrt=ld)
     for b in range(0, ld, 4):
         total += OpCount(add=10, mul=20, div=4)

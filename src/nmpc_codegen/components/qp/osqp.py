@@ -48,7 +48,7 @@ class Osqp(Defaults):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Entries of the two matrices in OSQP's compressed columns."""
-        n = dims.nv.value
+        n = dims.qp.nv.value
         return (
             ("OSQP_P", n * (n + 1) // 2, "upper triangle of H by columns"),
             ("OSQP_A", n * (1 + dims.ng.value), "(I; A) by columns"),
@@ -56,7 +56,7 @@ class Osqp(Defaults):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The QP as the condensing fills it, and as OSQP reads it."""
-        nv, ng, ld = dims.nv, dims.ng, dims.ld
+        nv, ng, ld = dims.qp.nv, dims.ng, dims.qp.ld
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         entries = {name: Size(name, value) for name, value, _ in self.sizes(dims)}
         return (
@@ -103,7 +103,7 @@ class Osqp(Defaults):
                 "Osqp() (--set qp=osqp) clashes with precision='single' (--set precision=single): its embedded "
                 "code is in double precision"
             )
-        nv, ng = dims.nv.value, dims.ng.value
+        nv, ng = dims.qp.nv.value, dims.ng.value
         with tempfile.TemporaryDirectory(prefix="osqp-") as temporary:
             self._generate(Path(temporary), prefix, nv, ng)
             files = {

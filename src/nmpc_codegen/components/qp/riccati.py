@@ -23,7 +23,7 @@ def _padded(n: int) -> int:
 
 def riccati_sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
     """Leading dimensions: (macro without prefix, value, meaning)."""
-    nx, nus = dims.nxs.value, dims.nus.value
+    nx, nus = dims.qp.nxs.value, dims.qp.nus.value
     return (
         ("LDX", _padded(nx), "NXS rounded up to 4"),
         ("LDU", _padded(nus), "NUS rounded up to 4"),
@@ -42,7 +42,7 @@ def riccati_structs(
     by neither, ``scratch``. ``corrected``: what goes with the vectors while a minimiser is corrected.
     """
     ldx, ldu, ldz, ldw, ldt = (Size(name, value) for name, value, _ in riccati_sizes(dims))
-    stages, nodes = dims.ns, Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+    stages, nodes = dims.qp.ns, Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
     return (
         Struct(
             "recursion",
@@ -56,15 +56,15 @@ def riccati_structs(
             "direction",
             "minimiser of the recursion for residuals on its right-hand side",
             (
-                Field("dx", (nodes, dims.nxs), "of the states", "scratch"),
-                Field("du", (dims.nv,), "of the controls", "scratch"),
+                Field("dx", (nodes, dims.qp.nxs), "of the states", "scratch"),
+                Field("du", (dims.qp.nv,), "of the controls", "scratch"),
             ),
         ),
         Struct(
             "rhs",
             "the gradient is read before the direction is written",
             (
-                Field("g", (nodes, dims.nzs), "gradient", "scratch"),
+                Field("g", (nodes, dims.qp.nzs), "gradient", "scratch"),
                 Field("direction", (), "what follows from it", "scratch", "direction"),
             ),
             union=True,
@@ -88,24 +88,24 @@ def riccati_structs(
             "riccati",
             "Riccati recursion on the stage QP",
             (
-                Field("diagonal", (stages, dims.nus), "added to the diagonal of M_uu", "scratch"),
+                Field("diagonal", (stages, dims.qp.nus), "added to the diagonal of M_uu", "scratch"),
                 Field("diagonal_free", (dims.nf,), "added to that of P_0", "scratch"),
                 Field("weight", (dims.ng,), "of a a' for the rows of the QP", "scratch"),
-                Field("b", (stages, dims.nxs), "gaps of the dynamics", "scratch"),
-                Field("du", (dims.nv,), "values of the fixed controls", "scratch"),
+                Field("b", (stages, dims.qp.nxs), "gaps of the dynamics", "scratch"),
+                Field("du", (dims.qp.nv,), "values of the fixed controls", "scratch"),
                 Field("P", (nodes, ldx, ldx), "cost to go, symmetric", "scratch"),
                 Field("M", (stages, ldu, ldz), "rows of the controls of M_k", "scratch"),
-                Field("L", (stages, dims.nus, dims.nus), "M_uu = L D L', 1 / D on the diagonal", "scratch"),
-                Field("K", (stages, dims.nus, ldx), "feedback", "scratch"),
+                Field("L", (stages, dims.qp.nus, dims.qp.nus), "M_uu = L D L', 1 / D on the diagonal", "scratch"),
+                Field("K", (stages, dims.qp.nus, ldx), "feedback", "scratch"),
                 Field("F", (dims.nf, dims.nf), "L, D of P_0 for the free components of x_0", "scratch"),
                 Field("p", (nodes, ldx), "linear part of the cost to go", "scratch"),
-                Field("h", (stages, dims.nus), "gradient of the controls at z = 0", "scratch"),
-                Field("feed", (stages, dims.nus), "controls at x = 0", "scratch"),
+                Field("h", (stages, dims.qp.nus), "gradient of the controls at z = 0", "scratch"),
+                Field("feed", (stages, dims.qp.nus), "controls at x = 0", "scratch"),
                 Field("work", (), "of one phase", "scratch", "riccati_work"),
                 Field("regularize_zero", (), "the least that is added to a pivot that may be zero", "scratch"),
                 Field("shift", (), "last shift that made the Hessian convex", "keep", only="REGULARIZE_REDUCED"),
                 Field("hold", (), "last hold on a working set's controls", "keep", only="REGULARIZE_REDUCED"),
-                Field("fixed", (dims.nv,), "1: the control is given", "scratch", "int32"),
+                Field("fixed", (dims.qp.nv,), "1: the control is given", "scratch", "int32"),
                 Field("raised", (nodes,), "1: a pivot of the stage was raised, of x_0 the last", "scratch", "int32"),
                 Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),
                 Field("failed", (), "stage whose pivot was not positive; -1: x_0", "scratch", "int32"),
@@ -121,7 +121,7 @@ def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
     """
     sizes = {name: Size(name, value) for name, value, _ in riccati_sizes(dims)}
     ldx, ldu = sizes["LDX"], sizes["LDU"]
-    rows = Size(f"{dims.nv.text} + {dims.ng.text}", dims.nv.value + dims.ng.value)
+    rows = Size(f"{dims.qp.nv.text} + {dims.ng.text}", dims.qp.nv.value + dims.ng.value)
     structs = (
         Struct(
             "noise",
@@ -131,7 +131,7 @@ def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
                 Field("product", (ldx, ldx), "covariance times (A + B K)'", "scratch"),
                 Field("closed", (ldx, ldx), "(A + B K)'", "scratch"),
                 Field("push", (ldu, ldx), "(B G)'", "scratch"),
-                Field("gain", (ldu, dims.nus), "G', G G' = M_uu^{-1}", "scratch"),
+                Field("gain", (ldu, dims.qp.nus), "G', G G' = M_uu^{-1}", "scratch"),
             ),
         ),
         Struct(
@@ -145,9 +145,9 @@ def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
 
 def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
     """Bounds, penalties and results: what every solver of the stage QP has in its struct ``qp``."""
-    nv, ng = dims.nv, dims.ng
+    nv, ng = dims.qp.nv, dims.ng
     rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
-    nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+    nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
     doc = "if INFEASIBLE: weights of a contradiction"
     certificate = (Field("certificate", (rows,), doc, "result", only="INTERIOR_POINT"),)
     return (
@@ -155,7 +155,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         Field("upper", (rows,), "upper bounds", "scratch"),
         Field("penalty", (ng,), "l1 penalty of violating a row; infinite: hard", "keep"),
         Field("curvature", (ng,), "l2 penalty", "keep"),
-        Field("x", (nodes, dims.nxs), "minimiser: states", "result"),
+        Field("x", (nodes, dims.qp.nxs), "minimiser: states", "result"),
         Field("z", (nv,), "minimiser: controls", "result"),
         Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
         *(certificate if ng.value else ()),
@@ -172,7 +172,7 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
 
     No row has a weight, no control is fixed, no pivot is regularised, and the dynamics have gaps.
     """
-    ns, nx, nus, nf = (size.value for size in (dims.ns, dims.nxs, dims.nus, dims.nf))
+    ns, nx, nus, nf = (size.value for size in (dims.qp.ns, dims.qp.nxs, dims.qp.nus, dims.nf))
     ldx, nz, copies = _padded(nx), nx + nus, nx - dims.nx.value
     fold = OpCount(add=copies * (ldx + nx), mul=copies * ldx)
     backward = _combined(ldx, nx) + _combined(nz, nx) + _combined(ldx, nus)

@@ -93,8 +93,8 @@ class RiccatiActiveSet(Defaults):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion; the QP and its working set."""
-        ng, nx = dims.ng, dims.nxs
-        nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+        ng, nx = dims.ng, dims.qp.nxs
+        nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
         history = Size("QP_MAX_ITERATIONS + 1", (self.max_iterations or MAX_ITERATIONS) + 1)
         units, noise = units_structs(dims) if self.fallback is not None or ng.value > 0 else ((), None)
         corrected = (Field("lam", (nodes, nx), "multipliers of the dynamics while refining", "scratch"),)
@@ -112,8 +112,8 @@ class RiccatiActiveSet(Defaults):
                     Field("value", (ng,), "values of the rows", "scratch"),
                     Field("root", (ng,), "root of the curvature of the cost along a row", "scratch"),
                     Field("weight", (ng,), "weight of a row as a member", "scratch"),
-                    Field("scale", (dims.nzs,), "largest entry of every component of (x, u)", "scratch"),
-                    Field("size", (dims.nzs,), "largest terms of the components of the gradient", "scratch"),
+                    Field("scale", (dims.qp.nzs,), "largest entry of every component of (x, u)", "scratch"),
+                    Field("size", (dims.qp.nzs,), "largest terms of the components of the gradient", "scratch"),
                     Field("residual", (), "what is left on the working set, relative", "scratch"),
                     Field("raised", (ng,), "how often the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),

@@ -29,13 +29,13 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
     ng = dims.ng
     rows, sides = _rows_and_sides(dims)
     soft = Size(f"2 * {ng.text}", 2 * ng.value)
-    nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+    nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
     before = Field("before", (rows,), "multipliers of the QP before", "scratch")
     return Struct(
         "ipm",
         "interior point iterate of the stage QP",
         (
-            Field("gradient", (nodes, dims.nzs), "g + Q z of the stages", "scratch"),
+            Field("gradient", (nodes, dims.qp.nzs), "g + Q z of the stages", "scratch"),
             Field("v", (rows,), "values of the rows", "scratch"),
             Field("origin", (rows,), "values of the rows at the first point", "scratch"),
             Field("dv", (rows,), "their direction", "scratch"),
@@ -44,7 +44,7 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
             Field("stiffness", (ng,), "weights of equations", "scratch"),
             Field("weight", (rows,), "weights of the rows", "scratch"),
             Field(
-                "proximal", (dims.nzs,), "share of the diagonal of a singular Hessian that is added to it", "scratch"
+                "proximal", (dims.qp.nzs,), "share of the diagonal of a singular Hessian that is added to it", "scratch"
             ),
             Field("force", (rows,), "multipliers after a step that leaves v as it is", "scratch"),
             Field("t", (sides,), "distance to the bound", "scratch"),
@@ -65,7 +65,7 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
 
 
 def _rows_and_sides(dims: Dims) -> tuple[Size, Size]:
-    nv, ng = dims.nv, dims.ng
+    nv, ng = dims.qp.nv, dims.ng
     rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
     return rows, Size(f"2 * ( {nv.text} + {ng.text} )", 2 * rows.value)
 
