@@ -14,11 +14,19 @@ from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.runtime.package_description import EntryPoint, Kind, Layouts, PackageDescription, Precision
+from nmpc_codegen.runtime.package_description import EntryPoint, Kind, Layouts, PackageDescription, Precision, Role
 from nmpc_codegen.runtime.package_description import Field as Field
 from nmpc_codegen.runtime.package_description import Size as Size
 from nmpc_codegen.runtime.package_description import Struct as Struct
 from nmpc_codegen.runtime.status import Status
+
+#: What members of the solver are for, by their role.
+WORK = "work: linearisation, QP, scratch"
+PURPOSES: Mapping[Role, str] = {
+    "iterate": "plan",
+    "setting": "settings",
+    "result": "what the last call found",
+}
 
 # Bytes of the C types; "real" depends on the precision.
 REAL_BYTES = {"double": 8, "single": 4}

@@ -13,6 +13,8 @@ from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.components.core import PARTS, core_structs
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage, c_identifier
 from nmpc_codegen.ir.cmodule import (
+    PURPOSES,
+    WORK,
     CModule,
     Enum,
     Field,
@@ -241,7 +243,9 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
     vectors = [f for f in own_members if f.shape]
     scalars = [f for f in own_members if not f.shape]
     fields = (*common, *vectors, *members, *scalars, *results)
-    solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
+    purposes = [PURPOSES["iterate"], PURPOSES["setting"], WORK, PURPOSES["result"]]
+    ordered = sorted(fields, key=lambda f: purposes.index(PURPOSES.get(f.role, WORK)))
+    solver = Struct("solver", "the whole controller: no pointers, copy it with '='", tuple(ordered))
     return (*inner, _existing(solver, switches))
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from itertools import groupby
 from textwrap import wrap
 from typing import Any
 
 import jinja2
 
-from nmpc_codegen.ir.cmodule import CModule, Field, Table
+from nmpc_codegen.ir.cmodule import PURPOSES, WORK, CModule, Field, Struct, Table
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.lowering.generated import GENERATED
@@ -73,6 +74,7 @@ def _names(module: CModule) -> dict[str, Any]:
         "m": module,
         "gcc12": GCC_12,
         "member": lambda field: _member(field, module),
+        "by_purpose": _by_purpose,
         "comment": lambda text: _comment(text),
         "prototype": lambda entry: _prototype(entry, module),
         "dim": lambda macro: _dim(macro, module),
@@ -121,6 +123,14 @@ def _member(field: Field, module: CModule) -> str:
     ctype = {"real": f"{module.name}_real", "int32": "int32_t"}.get(field.ctype, f"{module.name}_{field.ctype}_t")
     sizes = "".join(f"[{s.c(module.macro)}]" for s in field.shape)
     return f"{ctype} {field.name}{sizes};"
+
+
+def _by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:
+    """(heading, members) of a struct; those of the solver stand by what they are for."""
+    if struct.name != "solver":
+        return [("", struct.fields)]
+    groups = groupby(struct.fields, key=lambda member: PURPOSES.get(member.role, WORK))
+    return [(f"    /* {heading} */\n", tuple(fields)) for heading, fields in groups]
 
 
 def _comment(text: str) -> str:
