@@ -225,7 +225,7 @@ static status_t qp_minimize(solver_t *s, int *changed)
 static status_t qp_iterate(solver_t *s, int most)
 {
     qp_t *q = &s->qp;
-    (void)qp_seen(q, 0);
+    qp_seen(q, 0);
     for (int tried = 1; tried <= most; tried++) {
         int changed;
         const status_t status = qp_minimize(s, &changed);

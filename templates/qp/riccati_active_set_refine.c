@@ -87,7 +87,7 @@ static inline real_t qp_offset(const qp_t *q, int m)
     return q->value[m] - q->target[m];
 }
 
-/* By how much to stretch the correction (dx, du), d = distances of the members: to the least (d + times change)'W(d + times change).
+/* By how much to stretch the correction (dx, du), d = distances of members: to the least (d + times change)'W(d + times change).
  * Where members nearly depend on each other the method of multipliers takes short steps in one direction. */
 static real_t qp_stretch(const solver_t *s)
 {

@@ -168,7 +168,7 @@ class RealTimeIteration(Defaults):
         interval, path, terminal = model.interval, model.path, model.terminal
         derivatives = (interval.linearize, path.gradient) if interval.curved is None else (interval.curved,)
         node = operations(*derivatives, path.rows) + OpCount(add=dims.nx.value)
-        at_ends = operations(model.start.gradient, terminal.gradient, terminal.rows)
+        at_ends = operations(model.start.gradient, terminal.gradient, terminal.rows, model.coupled)
         added = OpCount(add=dims.nx.value if model.start.gradient.writes else 0)
         return {"linearize": node * dims.N.value + at_ends + added}
 

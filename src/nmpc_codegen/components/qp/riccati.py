@@ -41,8 +41,49 @@ def riccati_structs(
     Its member ``work`` is a union: a stage of the factorisation, the vectors of a substitution, and what else is read
     by neither, ``scratch``. ``corrected``: what goes with the vectors while a minimiser is corrected.
     """
+<<<<<<< HEAD
     ldx, ldu, ldz, ldw, ldt = (Size(name, value) for name, value, _ in riccati_sizes(dims))
     stages, nodes = dims.qp.ns, Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
+=======
+    ldx, ldu, ldz, _, _ = (Size(name, value) for name, value, _ in riccati_sizes(dims))
+    stages, nodes = dims.ns, Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
+>>>>>>> stages
+    return (
+        *_work(dims, scratch, corrected),
+        Struct(
+            "riccati",
+            "Riccati recursion on the stage QP",
+            (
+                Field("diagonal", (stages, dims.nus), "added to the diagonal of M_uu", "scratch"),
+                Field("diagonal_free", (dims.nf,), "added to that of P_0", "scratch"),
+                Field("weight", (dims.ng,), "of a a' for the rows of the QP", "scratch"),
+                Field("b", (stages, dims.nxs), "gaps of the dynamics", "scratch"),
+                Field("du", (dims.nv,), "values of the fixed controls", "scratch"),
+                Field("P", (nodes, ldx, ldx), "cost to go, symmetric", "scratch"),
+                Field("M", (stages, ldu, ldz), "rows of the controls of M_k", "scratch"),
+                Field("L", (stages, dims.nus, dims.nus), "M_uu = L D L', 1 / D on the diagonal", "scratch"),
+                Field("K", (stages, dims.nus, ldx), "feedback", "scratch"),
+                Field("F", (dims.nf, dims.nf), "L, D of P_0 for the free components of x_0", "scratch"),
+                Field("p", (nodes, ldx), "linear part of the cost to go", "scratch"),
+                Field("h", (stages, dims.nus), "gradient of the controls at z = 0", "scratch"),
+                Field("feed", (stages, dims.nus), "controls at x = 0", "scratch"),
+                Field("work", (), "of one phase", "scratch", "riccati_work"),
+                Field("regularize_zero", (), "the least that is added to a pivot that may be zero", "scratch"),
+                Field("shift", (), "last shift that made the Hessian convex", "keep", only="REGULARIZE_REDUCED"),
+                Field("hold", (), "last hold on a working set's controls", "keep", only="REGULARIZE_REDUCED"),
+                Field("fixed", (dims.nv,), "1: the control is given", "scratch", "int32"),
+                Field("raised", (nodes,), "1: a pivot of the stage was raised, of x_0 the last", "scratch", "int32"),
+                Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),
+                Field("failed", (), "stage whose pivot was not positive; -1: x_0", "scratch", "int32"),
+            ),
+        ),
+    )
+
+
+def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) -> tuple[Struct, ...]:
+    """The union ``riccati_work``, after the structs that are its members."""
+    ldz, ldw, ldt = (Size(name, value) for name, value, _ in riccati_sizes(dims)[2:])
+    nodes = Size(f"{dims.ns.text} + 1", dims.ns.value + 1)
     return (
         Struct(
             "recursion",
@@ -84,6 +125,7 @@ def riccati_structs(
             ),
             union=True,
         ),
+<<<<<<< HEAD
         Struct(
             "riccati",
             "Riccati recursion on the stage QP",
@@ -111,6 +153,8 @@ def riccati_structs(
                 Field("failed", (), "stage whose pivot was not positive; -1: x_0", "scratch", "int32"),
             ),
         ),
+=======
+>>>>>>> stages
     )
 
 
