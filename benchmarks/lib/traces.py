@@ -34,7 +34,7 @@ def traces(sources: Mapping[str, str]) -> dict[str, int]:
         + sum(bool(re.search(r"< *0 *(?:$|&&|\))", h)) for h in heads),
         "void_statements": len(re.findall(r"^\s*\(void\)\s*\w+\s*;", text, re.MULTILINE)),
         "empty_functions": len(re.findall(r"^\w[^;{}]*\)\s*\{\s*(?:\(void\)\s*\w+\s*;\s*)*\}", text, re.MULTILINE)),
-        "empty_tables": len(re.findall(r"\bstatic const \w+ \w+\[(?:0|1)\] = \{ 0(?:\.0f?)? \};", text)),
+        "empty_tables": len(re.findall(r"\bstatic const \w+ \w+\[(?:0|1)\] = \{ 0(?:\.0F?)? \};", text)),
         **{kind: _warned(sources, unit, warning) for kind, warning in WARNINGS.items()},
     }
 
