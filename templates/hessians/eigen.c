@@ -1,14 +1,13 @@
 /* Eigenvalues of one symmetric matrix by Householder reflections to tridiagonal form and implicit QL (Bowdler, Martin, Reinsch
  * and Wilkinson 1968; procedures tred2 and tql2), at most MAX_QL iterations per eigenvalue.
  *
- * On entry W holds the matrix, n rows of length ld, entries at most 1; on return row k of W is an eigenvector of d[k]. */
+ * On entry W holds the matrix of n rows, entries at most 1; on return row k of W is an eigenvector of d[k]. */
 
 /* Row i is reflected to a multiple of e_{i-1}: the reflector goes to d, its product with the matrix to e. */
-static real_t reflect_row(real_t *W, real_t *d, real_t *e, int i, int ld, real_t scale)
+static real_t reflect_row(real_t (*W)[LDV], real_t *d, real_t *e, int i, real_t scale)
 {
     real_t h = R(0), f, g;
-    int j, k;
-    for (k = 0; k < i; k++) {
+    for (int k = 0; k < i; ++k) {
         d[k] /= scale;
         h += d[k] * d[k];
         e[k] = R(0);
@@ -18,13 +17,13 @@ static real_t reflect_row(real_t *W, real_t *d, real_t *e, int i, int ld, real_t
     e[i] = scale * g;
     h -= f * g;
     d[i - 1] = f - g;
-    for (j = 0; j < i; j++) {
+    for (int j = 0; j < i; ++j) {
         f = d[j];
-        W[i * ld + j] = f;
-        g = e[j] + W[j * ld + j] * f;
-        for (k = j + 1; k < i; k++) {
-            g += W[j * ld + k] * d[k];
-            e[k] += W[j * ld + k] * f;
+        W[i][j] = f;
+        g = e[j] + W[j][j] * f;
+        for (int k = j + 1; k < i; ++k) {
+            g += W[j][k] * d[k];
+            e[k] += W[j][k] * f;
         }
         e[j] = g;
     }
@@ -32,48 +31,46 @@ static real_t reflect_row(real_t *W, real_t *d, real_t *e, int i, int ld, real_t
 }
 
 /* The trailing update W -= d e' + e d' of the leading i rows. */
-static void reflect_rest(real_t *W, real_t *d, real_t *e, int i, int ld, real_t h)
+static void reflect_rest(real_t (*W)[LDV], real_t *d, real_t *e, int i, real_t h)
 {
     real_t f = R(0);
-    int j, k;
-    for (j = 0; j < i; j++) {
+    for (int j = 0; j < i; ++j) {
         e[j] /= h;
         f += e[j] * d[j];
     }
     f /= h + h;
-    for (j = 0; j < i; j++) {
+    for (int j = 0; j < i; ++j) {
         e[j] -= f * d[j];
     }
-    for (j = 0; j < i; j++) {
+    for (int j = 0; j < i; ++j) {
         const real_t a = d[j], b = e[j];
-        for (k = j; k < i; k++) {
-            W[j * ld + k] -= a * e[k] + b * d[k];
+        for (int k = j; k < i; ++k) {
+            W[j][k] -= a * e[k] + b * d[k];
         }
-        d[j] = W[j * ld + i - 1];
-        W[j * ld + i] = R(0);
+        d[j] = W[j][i - 1];
+        W[j][i] = R(0);
     }
 }
 
 /* W = Q T Q': diagonal of T to d, the rest of it to e[1 ..], rows of Q' to W. */
-static void tridiagonalize(real_t *W, real_t *d, real_t *e, int n, int ld)
+static void tridiagonalize(real_t (*W)[LDV], real_t *d, real_t *e, int n)
 {
-    int i, j, k;
-    for (j = 0; j < n; j++) {
-        d[j] = W[j * ld + n - 1];
+    for (int j = 0; j < n; ++j) {
+        d[j] = W[j][n - 1];
     }
-    for (i = n - 1; i > 0; i--) {
+    for (int i = n - 1; i > 0; --i) {
         real_t scale = R(0), h = R(0);
-        for (k = 0; k < i; k++) {
+        for (int k = 0; k < i; ++k) {
             scale += FABS(d[k]);
         }
         if (scale > TOL_EIGEN_TINY) {
-            h = reflect_row(W, d, e, i, ld, scale);
-            reflect_rest(W, d, e, i, ld, h);
+            h = reflect_row(W, d, e, i, scale);
+            reflect_rest(W, d, e, i, h);
         } else {
             e[i] = d[i - 1];
-            for (j = 0; j < i; j++) {
-                d[j] = W[j * ld + i - 1];
-                W[j * ld + i] = W[i * ld + j] = R(0);
+            for (int j = 0; j < i; ++j) {
+                d[j] = W[j][i - 1];
+                W[j][i] = W[i][j] = R(0);
             }
         }
         d[i] = h;
@@ -81,59 +78,57 @@ static void tridiagonalize(real_t *W, real_t *d, real_t *e, int n, int ld)
 }
 
 /* The reflections are multiplied out. */
-static void collect_reflections(real_t *W, real_t *d, real_t *e, int n, int ld)
+static void collect_reflections(real_t (*W)[LDV], real_t *d, real_t *e, int n)
 {
-    int i, j, k;
-    for (i = 0; i < n - 1; i++) {
+    for (int i = 0; i < n - 1; ++i) {
         const real_t h = d[i + 1];
-        real_t *w = W + (i + 1) * ld;
-        W[i * ld + n - 1] = W[i * ld + i];
-        W[i * ld + i] = R(1);
-        for (k = 0; k <= i && h != R(0); k++) {
+        real_t *w = W[i + 1];
+        W[i][n - 1] = W[i][i];
+        W[i][i] = R(1);
+        for (int k = 0; k <= i && h != R(0); ++k) {
             d[k] = w[k] / h;
         }
-        for (j = 0; j <= i && h != R(0); j++) {
+        for (int j = 0; j <= i && h != R(0); ++j) {
             real_t g = R(0);
-            for (k = 0; k <= i; k++) {
-                g += w[k] * W[j * ld + k];
+            for (int k = 0; k <= i; ++k) {
+                g += w[k] * W[j][k];
             }
-            for (k = 0; k <= i; k++) {
-                W[j * ld + k] -= g * d[k];
+            for (int k = 0; k <= i; ++k) {
+                W[j][k] -= g * d[k];
             }
         }
-        for (k = 0; k <= i; k++) {
+        for (int k = 0; k <= i; ++k) {
             w[k] = R(0);
         }
     }
-    for (j = 0; j < n; j++) {
-        d[j] = W[j * ld + n - 1];
-        W[j * ld + n - 1] = R(0);
+    for (int j = 0; j < n; ++j) {
+        d[j] = W[j][n - 1];
+        W[j][n - 1] = R(0);
     }
-    W[(n - 1) * ld + n - 1] = R(1);
-    for (i = 1; i < n; i++) {
+    W[n - 1][n - 1] = R(1);
+    for (int i = 1; i < n; ++i) {
         e[i - 1] = e[i];
     }
     e[n - 1] = R(0);
 }
 
 /* One implicit QL step on rows l .. m of T. Returns the shift, by which all later eigenvalues were moved. */
-static real_t ql_step(real_t *W, real_t *d, real_t *e, int l, int m, int n, int ld)
+static real_t ql_step(real_t (*W)[LDV], real_t *d, real_t *e, int l, int m, int n)
 {
     const real_t first = d[l], ratio = (d[l + 1] - d[l]) / (R(2) * e[l]);
     const real_t root = SQRT(ratio * ratio + R(1));
     const real_t t = ratio + ((ratio < R(0)) ? -root : root), next = e[l + 1];
     real_t c = R(1), c2 = c, c3 = c, s = R(0), s2 = s, p, shift, pushed;
-    int i, k;
     d[l] = e[l] / t;
     pushed = d[l + 1] = e[l] * t;
     shift = first - d[l];
-    for (i = l + 2; i < n; i++) {
+    for (int i = l + 2; i < n; ++i) {
         d[i] -= shift;
     }
     p = d[m];
-    for (i = m - 1; i >= l; i--) {
+    for (int i = m - 1; i >= l; --i) {
         const real_t g = c * e[i], h = c * p, r = SQRT(p * p + e[i] * e[i]);
-        real_t *w = W + i * ld;
+        real_t *w = W[i], *v = W[i + 1];
         c3 = c2;
         c2 = c;
         s2 = s;
@@ -142,9 +137,9 @@ static real_t ql_step(real_t *W, real_t *d, real_t *e, int l, int m, int n, int 
         c = (r > R(0)) ? p / r : R(1);
         p = c * d[i] - s * g;
         d[i + 1] = h + s * (c * g + s * d[i]);
-        for (k = 0; k < n; k++) {
-            const real_t a = w[k], b = w[ld + k];
-            w[ld + k] = s * a + c * b;
+        for (int k = 0; k < n; ++k) {
+            const real_t a = w[k], b = v[k];
+            v[k] = s * a + c * b;
             w[k] = c * a - s * b;
         }
     }
@@ -154,21 +149,20 @@ static real_t ql_step(real_t *W, real_t *d, real_t *e, int l, int m, int n, int 
     return shift;
 }
 
-static void decompose(real_t *W, real_t *d, real_t *e, int n, int ld)
+static void decompose(real_t (*W)[LDV], real_t *d, real_t *e, int n)
 {
     real_t f = R(0), size = R(0);
-    int l, m, iteration;
-    tridiagonalize(W, d, e, n, ld);
-    collect_reflections(W, d, e, n, ld);
-    for (l = 0; l < n; l++) {
+    tridiagonalize(W, d, e, n);
+    collect_reflections(W, d, e, n);
+    for (int l = 0; l < n; ++l) {
         const real_t here = FABS(d[l]) + FABS(e[l]);
         size = (here > size) ? here : size;
-        m = l;
+        int m = l;
         while (m < n - 1 && FABS(e[m]) > TOL_UNIT * size) {
-            m++;
+            ++m;
         }
-        for (iteration = 0; m > l && iteration < MAX_QL && FABS(e[l]) > TOL_UNIT * size; iteration++) {
-            f += ql_step(W, d, e, l, m, n, ld);
+        for (int iteration = 0; m > l && iteration < MAX_QL && FABS(e[l]) > TOL_UNIT * size; ++iteration) {
+            f += ql_step(W, d, e, l, m, n);
         }
         d[l] += f;
         e[l] = R(0);

@@ -2,38 +2,37 @@
 
 /* H, lower triangle of n rows, becomes V f(Lambda) V', f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor); floor
  * relative to the largest |Lambda|. 0 is returned, and H stays as it is, if it is zero or not finite. work has the size of H. */
-static int regularize_reduced(real_t *H, int n, int ld, real_t *work)
+static int regularize_reduced(real_t (*H)[LDV], int n, real_t (*work)[LDV])
 {
     real_t d[LDV], e[LDV], scale = R(0), smallest = R(0);
-    int i, j, k;
-    for (i = 0; i < n; i++) {
-        for (j = 0; j <= i; j++) {
-            const real_t a = FABS(H[i * ld + j]);
+    for (int i = 0; i < n; ++i) {
+        for (int j = 0; j <= i; ++j) {
+            const real_t a = FABS(H[i][j]);
             scale = (a > scale) ? a : scale;
         }
     }
     if (!(scale > R(0)) || !isfinite(scale)) {
         return 0;
     }
-    for (i = 0; i < n; i++) {
-        for (j = 0; j <= i; j++) {
-            work[i * ld + j] = work[j * ld + i] = H[i * ld + j] / scale;
-            H[i * ld + j] = R(0);
+    for (int i = 0; i < n; ++i) {
+        for (int j = 0; j <= i; ++j) {
+            work[i][j] = work[j][i] = H[i][j] / scale;
+            H[i][j] = R(0);
         }
     }
-    decompose(work, d, e, n, ld);
-    for (k = 0; k < n; k++) {
+    decompose(work, d, e, n);
+    for (int k = 0; k < n; ++k) {
         smallest = (FABS(d[k]) > smallest) ? FABS(d[k]) : smallest;
     }
     smallest *= regularization[0];
-    for (k = 0; k < n; k++) {
+    for (int k = 0; k < n; ++k) {
         const real_t a = (MIRROR && d[k] < R(0)) ? -d[k] : d[k];
         const real_t value = scale * ((a < smallest) ? smallest : a);
-        const real_t *v = work + k * ld;
-        for (i = 0; i < n; i++) {
+        const real_t *v = work[k];
+        for (int i = 0; i < n; ++i) {
             const real_t b = value * v[i];
-            for (j = 0; j <= i; j++) {
-                H[i * ld + j] += b * v[j];
+            for (int j = 0; j <= i; ++j) {
+                H[i][j] += b * v[j];
             }
         }
     }
@@ -48,5 +47,5 @@ static status_t condense_factorize(solver_t *s)
         return status;
     }
     condense_matrices(s);
-    return regularize_reduced(&s->qp.H[0][0], NV - NSL, LDV, &s->qp.work.basis.Q[0][0]) ? qp_factorize(&s->qp) : status;
+    return regularize_reduced(s->qp.H, NV - NSL, s->qp.work.basis.Q) ? qp_factorize(&s->qp) : status;
 }

@@ -29,7 +29,7 @@ def test_a_literal_reads_back_to_the_same_number(value: float) -> None:
 )
 def test_literals(value: float, text: str) -> None:
     assert DOUBLE.literal(value) == text
-    assert SINGLE.literal(value) == text + "f"
+    assert SINGLE.literal(value) == text + "F"
 
 
 def test_the_compiler_reads_what_was_meant() -> None:
@@ -102,7 +102,7 @@ def test_a_whole_kernel() -> None:
 
 
 def test_a_whole_kernel_in_single_precision() -> None:
-    expected = TEXT.replace("-0.5", "-0.5f").replace("sin(", "sinf(").replace("1.0 /", "1.0f /")
+    expected = TEXT.replace("-0.5", "-0.5F").replace("sin(", "sinf(").replace("1.0 /", "1.0F /")
     assert print_kernel(KERNEL, SINGLE) == expected
 
 

@@ -109,7 +109,7 @@ def test_tidy() -> None:
 def test_context() -> None:
     names = context("crane", "single")
     assert (names["p"], names["P"], names["real"]) == ("crane", "CRANE", "crane_real")
-    assert names["lit"](2) == "2.0f"
+    assert names["lit"](2) == "2.0F"
 
 
 def test_arithmetic_of_the_working_precision() -> None:

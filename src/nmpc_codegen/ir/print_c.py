@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CStyle:
-    """Spelling of types, literals and functions: ``real`` is the typedef, ``single`` picks 0.5f and sinf."""
+    """Spelling of types, literals and functions: ``real`` is the typedef, ``single`` picks 0.5F and sinf."""
 
     real: str
     single: bool
 
     def literal(self, value: float) -> str:
-        """A C literal that reads back to the same number, e.g. ``0.1`` or ``0.1f``."""
+        """A C literal that reads back to the same number, e.g. ``0.1`` or ``0.1F``."""
         text = repr(float(value))
         if "." not in text and "e" not in text:
             text += ".0"
-        return text + ("f" if self.single else "")
+        return text + ("F" if self.single else "")
 
     def function(self, name: str) -> str:
         """Name of a function of math.h in the working precision."""

@@ -41,13 +41,8 @@ def riccati_structs(
     Its member ``work`` is a union: a stage of the factorisation, the vectors of a substitution, and what else is read
     by neither, ``scratch``. ``corrected``: what goes with the vectors while a minimiser is corrected.
     """
-<<<<<<< HEAD
-    ldx, ldu, ldz, ldw, ldt = (Size(name, value) for name, value, _ in riccati_sizes(dims))
-    stages, nodes = dims.qp.ns, Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
-=======
     ldx, ldu, ldz, _, _ = (Size(name, value) for name, value, _ in riccati_sizes(dims))
     stages, nodes = dims.qp.ns, Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
->>>>>>> stages
     return (
         *_work(dims, scratch, corrected),
         Struct(
@@ -125,36 +120,6 @@ def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) 
             ),
             union=True,
         ),
-<<<<<<< HEAD
-        Struct(
-            "riccati",
-            "Riccati recursion on the stage QP",
-            (
-                Field("diagonal", (stages, dims.qp.nus), "added to the diagonal of M_uu", "scratch"),
-                Field("diagonal_free", (dims.nf,), "added to that of P_0", "scratch"),
-                Field("weight", (dims.ng,), "of a a' for the rows of the QP", "scratch"),
-                Field("b", (stages, dims.qp.nxs), "gaps of the dynamics", "scratch"),
-                Field("du", (dims.qp.nv,), "values of the fixed controls", "scratch"),
-                Field("P", (nodes, ldx, ldx), "cost to go, symmetric", "scratch"),
-                Field("M", (stages, ldu, ldz), "rows of the controls of M_k", "scratch"),
-                Field("L", (stages, dims.qp.nus, dims.qp.nus), "M_uu = L D L', 1 / D on the diagonal", "scratch"),
-                Field("K", (stages, dims.qp.nus, ldx), "feedback", "scratch"),
-                Field("F", (dims.nf, dims.nf), "L, D of P_0 for the free components of x_0", "scratch"),
-                Field("p", (nodes, ldx), "linear part of the cost to go", "scratch"),
-                Field("h", (stages, dims.qp.nus), "gradient of the controls at z = 0", "scratch"),
-                Field("feed", (stages, dims.qp.nus), "controls at x = 0", "scratch"),
-                Field("work", (), "of one phase", "scratch", "riccati_work"),
-                Field("regularize_zero", (), "the least that is added to a pivot that may be zero", "scratch"),
-                Field("shift", (), "last shift that made the Hessian convex", "keep", only="REGULARIZE_REDUCED"),
-                Field("hold", (), "last hold on a working set's controls", "keep", only="REGULARIZE_REDUCED"),
-                Field("fixed", (dims.qp.nv,), "1: the control is given", "scratch", "int32"),
-                Field("raised", (nodes,), "1: a pivot of the stage was raised, of x_0 the last", "scratch", "int32"),
-                Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),
-                Field("failed", (), "stage whose pivot was not positive; -1: x_0", "scratch", "int32"),
-            ),
-        ),
-=======
->>>>>>> stages
     )
 
 
