@@ -20,6 +20,14 @@ static real_t norm(const real_t *a)
     return SQRT(dot(a, a, LDV));
 }
 
+/* y = 0; a loop, for a call of memset takes longer. */
+static inline void clear(real_t *y)
+{
+    for (int j = 0; j < LDV; ++j) {
+        y[j] = R(0);
+    }
+}
+
 /* y[j] -= c0 A[0][j] + c1 A[1][j] + c2 A[2][j] + c3 A[3][j],  from <= j < to */
 static inline void subtract_panel(real_t *y, const real_t (*A)[LDV], const real_t *c, int from, int to)
 {

@@ -35,12 +35,12 @@ SCALARS = {"double": np.float64, "single": np.float32}
 SWITCHES = {
     "SHIFT_RESAMPLE": 0,
     "REGULARIZE_REDUCED": 0,
+    "SOLVE": 1,
     "STATE_ROWS": 1,
     "GENERAL_ROWS": 1,
     "BLOCK_ROWS": 1,
     "INTERIOR_POINT": 1,
     "SET_REFERENCE": 1,
-    "SOLVE": 1,
 }
 
 

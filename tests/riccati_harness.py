@@ -209,7 +209,9 @@ class RiccatiQP:
         return ctypes.c_void_p(self.memory.ctypes.data)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        return self.memory["qp"][name]
+        """A member; one of size 0, which does not exist, is an empty array."""
+        qp = self.memory["qp"]
+        return qp[name] if name in qp.dtype.names else np.zeros(0)
 
     def load(self, qp: Any) -> None:
         """All data of a StageQP; strict upper triangles are NaN, nobody may read them."""

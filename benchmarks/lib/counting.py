@@ -82,7 +82,8 @@ def _call(module: CModule, name: str) -> str:
     for routine in module.routines:
         if routine.name == name:
             return f"{name}({', '.join('w' for _ in (*routine.reads, *routine.writes))})"
-    return STATEMENTS.get(name, f"{name}({ARGUMENTS.get(name, '&s')})")
+    spelled = name.upper() if name in {r.name for r in module.called_products} else name
+    return STATEMENTS.get(name, f"{spelled}({ARGUMENTS.get(name, '&s')})")
 
 
 def _room(module: CModule) -> int:

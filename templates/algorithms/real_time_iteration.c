@@ -1,6 +1,12 @@
 /* Seam "algorithm", contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt and, if SOLVE, _solve.
  * Here: real-time iteration, one QP per sample, full step. */
 
+/* Control j at node k: u, or the reference if that is not finite, inside its bounds. */
+static real_t safe_value(const solver_t *s, int k, int j, real_t u)
+{
+    return clip(isfinite(u) ? u : CONTROL_REFERENCE(s, k, j), CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+}
+
 /* Every state of the plan at x, every control where it is or, if that is not finite, at its reference; multipliers 0, empty
  * working set. */
 static void start_at(solver_t *s, const real_t *x)
@@ -12,8 +18,7 @@ static void start_at(solver_t *s, const real_t *x)
     }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            const real_t u = isfinite(s->u[k][j]) ? s->u[k][j] : CONTROL_REFERENCE(s, k, j);
-            s->u[k][j] = clip(u, CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+            s->u[k][j] = safe_value(s, k, j, s->u[k][j]);
         }
     }
     memset(s->lam, 0, sizeof s->lam);
@@ -134,8 +139,7 @@ static void renew_gradients(solver_t *s)
 static void safe_control(const solver_t *s, real_t *u0)
 {
     for (int j = 0; j < NU; j++) {
-        const real_t u = isfinite(s->u[0][j]) ? s->u[0][j] : CONTROL_REFERENCE(s, 0, j);
-        u0[j] = clip(u, CONTROL_LOWER(s, 0, j), CONTROL_UPPER(s, 0, j));
+        u0[j] = safe_value(s, 0, j, s->u[0][j]);
     }
 }
 
@@ -181,7 +185,7 @@ status_t API(prepare)(solver_t *s)
 static void recover_multipliers(solver_t *s)
 {
     real_t w[NZ];
-    terminal_adjoint(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
+    TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
     for (int k = N;; k--) {
         for (int i = 0; i < NX; i++) {
             w[i] += s->mu_x[k][i];
@@ -205,7 +209,7 @@ static void recover_multipliers(solver_t *s)
         if (k == 0) {
             break;
         }
-        adjoint_step(&s->node[k - 1], s->hessian.Q[NQ == 1 ? 0 : k - 1], s->step.dx[k - 1], s->step.du[k - 1], w);
+        ADJOINT_STEP(&s->node[k - 1], s->hessian.Q[NQ == 1 ? 0 : k - 1], s->step.dx[k - 1], s->step.du[k - 1], w);
     }
 #if NF
     for (int f = 0; f < NF; f++) {
@@ -252,8 +256,7 @@ static void take_step(solver_t *s)
     }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            const real_t u = s->u[k][j] + s->step.du[k][j];
-            s->u[k][j] = clip(u, CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+            s->u[k][j] = safe_value(s, k, j, s->u[k][j] + s->step.du[k][j]);
         }
     }
 }

@@ -34,7 +34,7 @@ static void shift_plan(solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = mean_control(s, j, node_time[k] + sampling_time[0], node_time[k + 1] + sampling_time[0]);
-            s->u[k][j] = clip(u, CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+            s->u[k][j] = safe_value(s, k, j, u);
         }
     }
 }

@@ -108,8 +108,7 @@ static void move_to(solver_t *s, real_t alpha)
     }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            const real_t u = q->u[k][j] + alpha * q->du[k][j];
-            s->u[k][j] = clip(u, CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+            s->u[k][j] = safe_value(s, k, j, q->u[k][j] + alpha * q->du[k][j]);
         }
     }
 }
@@ -170,7 +169,7 @@ static void correct_constraints(solver_t *s)
         node_t *node = &s->node[k];
         real_t y[NX];
         memcpy(node->b, none, sizeof y);
-        state_step(node, q->dx[k], q->du[k], y);
+        STATE_STEP(node, q->dx[k], q->du[k], y);
         for (int i = 0; i < NX; i++) {
             node->b[i] = q->b[k][i] + q->dx[k + 1][i] - y[i];
         }

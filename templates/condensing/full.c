@@ -72,7 +72,7 @@ static void condense_propagate(solver_t *s, int column)
         condense_enter(p, &s->node[first - 1], first - 1, column);
     }
     for (int k = first; k < N; ++k) {
-        condense_forward_panel(p, &s->node[k], k);
+        CONDENSE_FORWARD_PANEL(p, &s->node[k], k);
         if (k < last) {
             condense_enter(p, &s->node[k], k, column);
         }
@@ -126,13 +126,13 @@ static void condense_hessian(solver_t *s, int column)
     columns_t *p = &s->qp.work.columns;
     const int first = condense_first_node(column);
 #if TERMINAL_BLOCK
-    condense_terminal_panel(p, s->hessian.Q_N);
+    CONDENSE_TERMINAL_PANEL(p, s->hessian.Q_N);
 #else
     condense_clear(p->W);
 #endif
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
         real_t (*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
-        condense_backward_panel(p, &s->node[k], Q, k);
+        CONDENSE_BACKWARD_PANEL(p, &s->node[k], Q, k);
         condense_store_rows(s, Q, k, column);
     }
 #if NF
@@ -298,11 +298,11 @@ static void condense_gradient(solver_t *s)
     const real_t du[NU] = {0};
     real_t w[NZ];
     for (int k = 0; k < N; ++k) {
-        state_step(&s->node[k], d->c[k], du, d->c[k + 1]);
+        STATE_STEP(&s->node[k], d->c[k], du, d->c[k + 1]);
     }
-    terminal_adjoint(&s->terminal, s->hessian.Q_N, d->c[N], w);
+    TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, d->c[N], w);
     for (int k = N - 1; k >= 0; --k) {
-        adjoint_step(&s->node[k], s->hessian.Q[NQ == 1 ? 0 : k], d->c[k], du, w);
+        ADJOINT_STEP(&s->node[k], s->hessian.Q[NQ == 1 ? 0 : k], d->c[k], du, w);
         for (int j = 0; j < NU; ++j) {
             d->g[k * NU + j] = w[NX + j];
         }
@@ -433,7 +433,7 @@ static void condense_expand(solver_t *s)
             d->du[k][j] = s->qp.z[k * NU + j];
             d->mult_u[k][j] = s->qp.mult[k * NU + j];
         }
-        state_step(&s->node[k], d->dx[k], d->du[k], d->dx[k + 1]);
+        STATE_STEP(&s->node[k], d->dx[k], d->du[k], d->dx[k + 1]);
     }
 #if NG
     for (int m = 0; m < NG; ++m) {

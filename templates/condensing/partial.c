@@ -226,12 +226,12 @@ static void condense_vectors(solver_t *s)
         const int n = (k < NS - 1) ? BLOCK : N - k * BLOCK;
         for (j = 0; j < n; j++) {
             real_t *next = (j + 1 < n) ? s->blocks.c[k * BLOCK + j + 1] : block->b;
-            state_step(&s->node[k * BLOCK + j], s->blocks.c[k * BLOCK + j], none, next);
+            STATE_STEP(&s->node[k * BLOCK + j], s->blocks.c[k * BLOCK + j], none, next);
         }
         memset(w, 0, sizeof w);
         for (j = n - 1; j >= 0; j--) {
             const int node = k * BLOCK + j;
-            adjoint_step(&s->node[node], s->hessian.Q[NQ == 1 ? 0 : node], s->blocks.c[node], none, w);
+            ADJOINT_STEP(&s->node[node], s->hessian.Q[NQ == 1 ? 0 : node], s->blocks.c[node], none, w);
             for (i = 0; i < NU; i++) {
                 block->g[NXS + j * NU + i] = w[NX + i];
             }
@@ -284,7 +284,7 @@ static void condense_expand(solver_t *s)
 #endif
     memcpy(s->step.dx[0], s->qp.x[0], sizeof s->step.dx[0]);
     for (k = 0; k < N; k++) {
-        state_step(&s->node[k], s->step.dx[k], s->step.du[k], s->step.dx[k + 1]);
+        STATE_STEP(&s->node[k], s->step.dx[k], s->step.du[k], s->step.dx[k + 1]);
     }
 }
 

@@ -1,6 +1,6 @@
 /* Seam "integrator", contract: INTEGRATOR_INTERVAL (above); interval_value(): x_next of interval k alone;
  * integrate_plan(): x_next = x(dt) from x under control u_k, any dt >= 0; API(integrate): likewise for any control, NaN for a
- * solver or an argument that is not fit.
+ * solver that init has not seen.
  * Here: explicit Runge-Kutta; steps are equal and no longer than the controller's longest one. */
 
 static void interval_value(const solver_t *s, int k, real_t *x_next)
@@ -37,13 +37,12 @@ static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt,
 
 void API(integrate)(const solver_t *s, const real_t x[NX], const real_t u[NU], real_t dt, real_t x_next[NX])
 {
-    const int fit = s->magic == MAGIC && all_finite(x, NX) && all_finite(u, NU) && isfinite(dt);
     const int steps = steps_for(dt);
     const real_t h = dt / (real_t)steps;
     for (int i = 0; i < NX; i++) {
-        x_next[i] = fit ? x[i] : (real_t)NAN;
+        x_next[i] = (s->magic == MAGIC) ? x[i] : (real_t)NAN;
     }
-    for (int n = 0; fit && n < steps; n++) {
+    for (int n = 0; n < steps; n++) {
         INTEGRATOR_STEP(s, 0, x_next, u, &h, x_next);
     }
 }

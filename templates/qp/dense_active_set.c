@@ -18,7 +18,7 @@
  *   qp_shift_controls, qp_shift_rows  before qp_factorize: the prediction moves n controls towards the front, and rows as told.
  * Bounds may be infinite; equality = equal bounds. Redundant consistent equalities get multiplier 0 and are counted in
  * dropped; elastic rows that are violated, in relaxed. Bounds that cross are INFEASIBLE, of elastic rows too; without
- * crossed bounds and hard rows the answer is never INFEASIBLE. After INFEASIBLE certificate[] holds weights f, |f| <= 1, with
+ * crossed bounds and hard rows the answer is never INFEASIBLE. After INFEASIBLE certificate[] (if SOLVE) holds weights f, |f| <= 1, with
  *     sum_c f_c a_c = 0   and   sum_c f_c (upper_c if f_c > 0, lower_c if f_c < 0) < 0       (0 if bounds cross).
  * side[] is the working set and stays for the warm start (+-1: member at its upper or lower bound, +-2: saturated there); a
  * caller may edit it before qp_factorize.
@@ -68,7 +68,7 @@ static void qp_init(qp_t *q)
 static status_t qp_factorize(qp_t *q)
 {
     status_t status = qp_factorize_hessian(q);
-    memset(q->R_inverse, 0, sizeof q->R_inverse);
+    clear(q->R_inverse);
     q->nw = 0;
     for (int equality = 1; equality >= 0; --equality) {
         for (int c = 0; c < NV + NG && status == OK; ++c) {

@@ -18,9 +18,9 @@ static void qp_forward(const qp_t *q, real_t *y, int first)
     for (int b = first - first % 4; b < LDV; b += 4) {
         solve_block(q->H + b, b, y + b);
         subtract_panel(y, q->H + b, y + b, b + 4, LDV);
-        for (int l = b; l < b + 4; ++l) {
-            y[l] *= q->inverse[l];
-        }
+    }
+    for (int j = 0; j < LDV; ++j) {
+        y[j] *= q->inverse[j];
     }
 }
 
@@ -84,7 +84,7 @@ static void qp_set_proximal_weights(qp_t *q, const real_t *reference)
         const int known = reference[i] > TOL_QP_PIVOT * other;
         q->weight[i] = known ? qp_proximal_share() * reference[i] : R(1.0 / 64) * other;
     }
-    memset(q->proximal, 0, sizeof q->proximal);
+    clear(q->proximal);
     q->semidefinite = 1;
 }
 
@@ -162,7 +162,7 @@ static status_t qp_factorize_hessian(qp_t *q)
     real_t reference[LDV];
     q->semidefinite = 0;
     for (int i = NV; i < LDV; ++i) {
-        memset(q->H[i], 0, sizeof q->H[i]);
+        clear(q->H[i]);
         q->H[i][i] = R(1);
     }
     for (int i = 0; i < LDV; ++i) {

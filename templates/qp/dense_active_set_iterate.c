@@ -5,7 +5,7 @@
 static int qp_wrong_multiplier(const qp_t *q)
 {
     int worst = -1;
-    real_t most = TOL_QP_SIGN * (q->scale + norm(q->y));
+    real_t most = R(0);
     for (int k = 0; k < q->nw; ++k) {
         const int c = q->row[k];
         const real_t lam = q->side[c] > 0 ? q->lam[k] : -q->lam[k];
@@ -13,9 +13,12 @@ static int qp_wrong_multiplier(const qp_t *q)
 #if ELASTIC
         excess = FABS(lam) - q->penalty[c] > excess ? FABS(lam) - q->penalty[c] : excess;
 #endif
-        if (excess > R(0) && excess * SQRT(qp_square(q, k)) > most) {
-            most = excess * SQRT(qp_square(q, k));
-            worst = k;
+        if (excess > R(0)) {
+            const real_t weighted = excess * SQRT(qp_square(q, k));
+            if (weighted > most && weighted > TOL_QP_SIGN * (q->scale + norm(q->y))) {
+                most = weighted;
+                worst = k;
+            }
         }
     }
     return worst;
@@ -44,7 +47,7 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
 
 /* How far the value of row c, not a member, exceeds its upper bound, and how far it stays below its lower one. Returns 0 if
  * it is not finite. */
-static int qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
+static inline int qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
 {
 #if NG
     const real_t value = qp_value(q, c, z);
@@ -153,6 +156,7 @@ static real_t qp_rounding(const qp_t *q, const real_t *r, real_t bound, real_t m
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }
 
+#if SOLVE
 /* The rows c and row[k] contradict each other: certificate = side (e_c - sum_k r_k e_k), normalised, rounding left out. */
 static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 {
@@ -167,59 +171,70 @@ static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
         q->certificate[q->row[k]] = qp_takes_part(q, r, k, mm) ? -unit * r[k] : R(0);
     }
 }
+#endif
+
+/* The step after which the entering row is met, its violation over v'v; infinite where its normal has no part v. */
+static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
+{
+    if (!(vv > TOL_QP_DEPENDENT * TOL_QP_DEPENDENT * mm)) {
+        return (real_t)INFINITY;
+    }
+    return violation > R(0) ? violation / vv : R(0);
+}
 
 /* Dual steps until the violated row c is satisfied and in the working set, or its multiplier at the end of its range. A
  * violation that may be rounding is accepted instead, and remembered in slack[c]. */
 static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
 {
 #if ELASTIC
-    const real_t reach = qp_reach(q, c);
     const int at = q->side[c] == INACTIVE ? side : q->side[c];
+    real_t left = qp_reach(q, c);
 #else
-    const real_t reach = (real_t)INFINITY;
     const int at = side;
+    const real_t left = (real_t)INFINITY;
 #endif
     const real_t mm = qp_normal(q, c), bound = at > 0 ? q->upper[c] : q->lower[c], sign = side > 0 ? R(1) : -R(1);
     real_t r[LDV], step, moved = R(0);
-    if (!isfinite(mm)) {
-        return NUMERICAL_FAILURE;
-    }
-    while (q->iterations < QP_MAX_ITERATIONS) {
+    while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) {
         const real_t vv = qp_project(q, mm);
-        const int primal = vv > TOL_QP_DEPENDENT * TOL_QP_DEPENDENT * mm;
         memcpy(r, q->d, sizeof r);
         qp_solve_triangle(q, r);
-        q->slack[c] = moved > R(0) ? q->slack[c] : qp_rounding(q, r, bound, mm, vv);
-        if (!(moved > R(0)) && violation <= q->slack[c]) {
-            return OK;
+        if (!(moved > R(0))) {
+            q->slack[c] = qp_rounding(q, r, bound, mm, vv);
+            if (violation <= q->slack[c]) {
+                return OK;
+            }
         }
-        const int blocking = qp_blocking(q, r, side, mm, &step);
-        if (!primal && blocking < 0 && !(reach < (real_t)INFINITY)) {
+        violation = sign * (dot(q->m, q->y, LDV) - bound);
+        const real_t full = qp_full_step(violation, mm, vv);
+        const int blocking = qp_blocking(q, r, side, mm, &step), last = full <= step || left <= step;
+        step = full <= step ? full : step;
+        step = left < step ? left : step;
+        if (!(step < (real_t)INFINITY)) {
+#if SOLVE
             qp_certify(q, c, side, r, mm);
+#endif
             return INFEASIBLE;
         }
         ++q->iterations;
-        violation = sign * (dot(q->m, q->y, LDV) - bound);
-        const real_t full = !primal ? (real_t)INFINITY : violation > R(0) ? violation / vv : R(0);
-        const int member = primal && full <= step && full <= reach - moved, last = member || reach - moved <= step;
-        step = member ? full : last ? reach - moved : step;
         moved += step;
-        qp_move(q, r, sign * step, primal);
+        qp_move(q, r, sign * step, full < (real_t)INFINITY);
         if (last) {
 #if ELASTIC
-            qp_settle(q, c, side, member, moved, vv);
+            qp_settle(q, c, side, full <= step, moved, vv);
 #else
             qp_append(q, c, side, vv, sign * moved);
 #endif
             return OK;
         }
 #if ELASTIC
+        left -= step;
         qp_release(q, blocking, qp_falls(q, r, blocking, side));
 #else
         qp_remove(q, blocking);
 #endif
     }
-    return ITERATION_LIMIT;
+    return isfinite(mm) ? ITERATION_LIMIT : NUMERICAL_FAILURE;
 }
 
 /* Row c enters the predicted working set unless it depends on the rows already there. */
@@ -301,7 +316,9 @@ static status_t qp_fail(qp_t *q, status_t status)
     q->nw = q->relaxed = q->dropped = 0;
     memset(q->z, 0, sizeof q->z);
     memset(q->mult, 0, sizeof q->mult);
+#if SOLVE
     memset(q->certificate, 0, sizeof q->certificate);
+#endif
     memset(q->side, 0, sizeof q->side);
     return status;
 }

@@ -100,8 +100,8 @@ static status_t qp_move_center(qp_t *q)
 static status_t qp_iterate_proximal(qp_t *q)
 {
     status_t status = ITERATION_LIMIT;
-    memset(q->center, 0, sizeof q->center);
-    memset(q->direction, 0, sizeof q->direction);
+    clear(q->center);
+    clear(q->direction);
     q->total = R(0);
     q->step = (real_t)INFINITY;
     for (int step = 0; step < QP_MAX_PROXIMAL_STEPS && status == ITERATION_LIMIT; ++step) {

@@ -72,7 +72,8 @@ static real_t qp_square(const qp_t *q, int k)
 /* d = Q v */
 static void qp_coefficients(const qp_t *q, const real_t *v, real_t *d)
 {
-    for (int k = 0; k < qp_padded(q); ++k) {
+    const int n = qp_padded(q);
+    for (int k = 0; k < n; ++k) {
         d[k] = dot(q->work.basis.Q[k], v, LDV);
     }
 }
@@ -94,7 +95,7 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
 /* The normal of row c in y: m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
 {
-    memset(q->m, 0, sizeof q->m);
+    clear(q->m);
 #if NG
     if (c >= NV) {
         memcpy(q->m, q->A[c - NV], sizeof q->m);
@@ -110,14 +111,16 @@ static real_t qp_normal(qp_t *q, int c)
 /* m = Q'd + v with Q v = 0; a second pass where cancellation has cost orthogonality. Returns v'v. */
 static real_t qp_project(qp_t *q, real_t mm)
 {
-    real_t e[LDV], vv = mm;
+    real_t vv = mm;
     memcpy(q->v, q->m, sizeof q->v);
-    if (q->nw > 0) {
-        qp_coefficients(q, q->v, q->d);
-        qp_subtract_span(q, q->d, q->v);
-        vv = dot(q->v, q->v, LDV);
+    if (q->nw == 0) {
+        return vv;
     }
+    qp_coefficients(q, q->v, q->d);
+    qp_subtract_span(q, q->d, q->v);
+    vv = dot(q->v, q->v, LDV);
     if (vv < R(0.5) * mm) {
+        real_t e[LDV] = { R(0) };
         qp_coefficients(q, q->v, e);
         qp_subtract_span(q, e, q->v);
         for (int k = 0; k < q->nw; ++k) {
@@ -134,9 +137,9 @@ static void qp_append(qp_t *q, int c, int side, real_t vv, real_t lam)
     basis_t *w = &q->work.basis;
     const int k = q->nw;
     const real_t length = SQRT(vv), scale = R(1) / length;
-    if (k % 4 == 0) {
-        memset(w->Q + k, 0, 4 * sizeof w->Q[k]);
-        memset(w->R + k, 0, 4 * sizeof w->R[k]);
+    for (int i = k; k % 4 == 0 && i < k + 4; ++i) {
+        clear(w->Q[i]);
+        clear(w->R[i]);
     }
     for (int j = 0; j < LDV; ++j) {
         w->Q[k][j] = q->v[j] * scale;
@@ -194,8 +197,8 @@ static void qp_remove(qp_t *q, int k)
         qp_rotate(q, i);
     }
     q->R_inverse[last] = R(0);
-    memset(w->Q[last], 0, sizeof w->Q[last]);
-    memset(w->R[last], 0, sizeof w->R[last]);
+    clear(w->Q[last]);
+    clear(w->R[last]);
     ++q->changes;
 }
 
@@ -206,7 +209,7 @@ static void qp_remove(qp_t *q, int k)
 /* y0 = -C^{-1} (g - proximal center + sum_saturated mult_c a_c);  scale = |y0|, or the size of its terms. */
 static void qp_set_origin(qp_t *q)
 {
-    memset(q->y0, 0, sizeof q->y0);
+    clear(q->y0);
     for (int i = 0; i < NV; ++i) {
         q->y0[i] = q->semidefinite ? q->proximal[i] * q->center[i] - q->g[i] : -q->g[i];
     }
@@ -238,7 +241,7 @@ static void qp_move_to_bounds(const qp_t *q, const real_t *w, real_t *c, real_t 
  * a second pass, with y in place of y0, makes Q y = w again. */
 static void qp_minimize_on_working_set(qp_t *q)
 {
-    real_t w[LDV], c[LDV];
+    real_t w[LDV];
     for (int k = 0; k < q->nw; ++k) {
         real_t sum = qp_bound(q, q->row[k]);
         for (int j = 0; j < k; ++j) {
@@ -250,6 +253,7 @@ static void qp_minimize_on_working_set(qp_t *q)
     qp_move_to_bounds(q, w, q->lam, q->y);
     qp_solve_triangle(q, q->lam);
     if (qp_cancelled(q)) {
+        real_t c[LDV];
         qp_move_to_bounds(q, w, c, q->y);
     }
 }

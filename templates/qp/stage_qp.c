@@ -86,8 +86,8 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
         memcpy(y, stage_g(s, k), sizeof z);
         riccati_add_symmetric(y, stage_Q(s, k)[0], NZS, z, NZS);
     } else {
-        memcpy(y, stage_g(s, k), sizeof y[0] * NXS);
-        riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[k], NXS);
+        memcpy(y, stage_g(s, NS), sizeof y[0] * NXS);
+        riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[NS], NXS);
     }
 }
 

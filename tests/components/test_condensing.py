@@ -192,7 +192,7 @@ def test_rows(name: str, spelling: str, seed: int) -> None:
         close(p["qp"]["A"][m, : d.N * d.nu], a)
         close(p["condensed"]["Ax"][m], ax)
         close(p["condensed"]["v"][m], v)
-    assert not p["qp"]["A"][:, d.N * d.nu :].any(), "the padding belongs to the QP solver's contract"
+        assert not p["qp"]["A"][m, d.N * d.nu :].any(), "the padding belongs to the QP solver's contract"
 
 
 @every_case
@@ -249,6 +249,8 @@ def test_both_spellings_agree(name: str) -> None:
         ("condensed", "v"),
         ("qp", "A"),
     ):
+        if field not in found[0][struct].dtype.names:  # a problem without rows
+            continue
         close(found[0][struct][field], found[1][struct][field])
 
 

@@ -443,10 +443,9 @@ def test_single_precision() -> None:
 def test_the_template_is_cpp_too(name: str, precision: str, tmp_path: Path, need: object) -> None:
     need("cxx")  # type: ignore[operator]
     component, shape = RiccatiActiveSet(), SHAPES[name]
-    extra = tuple(struct for struct in component.structs(shape.dims) if struct.name != "riccati")
     known = {entry[0] for entry in riccati_sizes(shape.dims)}
     sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-    text = source(shape, component.template, sizes, extra, precision) + SOLVER
+    text = source(shape, component.template, sizes, component.structs(shape.dims), precision) + SOLVER
     (tmp_path / "riccati.cpp").write_text(text)
     flags = ["-std=c++17", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
     unused = ["-Wno-unused-function", "-Wno-unused-variable"]

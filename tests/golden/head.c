@@ -34,12 +34,13 @@
 #error "compile without -ffast-math and -ffinite-math-only: they void the checks for NaN"
 #endif
 
-#if defined(__GNUC__) && !defined(__clang__) && __GNUC__ >= 12
+#if defined(__GNUC__) && !defined(__clang__) && __GNUC__ == 12
 /* GCC 12 takes addresses that its loop optimiser has split into a null base and an index for accesses to NULL, finds the
- * function without effects and drops calls to it (seen with 12.2 at -O2); this switches the inference off. And where it turns
- * a loop over a local array into memset, with -march=native its stores may want an alignment that it has not given the stack
- * of a leaf function (seen with 12.2, too). Functions that are not declared inline stay apart: inside a larger one the loops
- * of the matrix products stay scalar, which halves the speed. */
+ * function without effects and drops calls to it (seen with 12.2 at -O2); -fno-delete-null-pointer-checks switches the
+ * inference off. Where it turns a loop over a local array into memset, with -march=native its stores may want an alignment
+ * that it has not given the stack of a leaf function (seen with 12.2, too). Functions that are not declared inline stay
+ * apart: inside a larger one the loops of the matrix products stay scalar, which halves the speed. CMakeLists.txt passes the
+ * same options; the pragma is for those who compile in another way. */
 #pragma GCC optimize("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
 #endif
 

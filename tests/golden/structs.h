@@ -41,18 +41,18 @@ typedef struct { /* the condensed QP's dependence on dx_0 */
 } golden_condensed_t;
 
 typedef struct { /* condensed QP and its active-set factorisation */
-    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian, its lower triangle; then C of C C' */
+    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); then D, L and L' of L D L' */
     golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
     golden_real g[GOLDEN_NV]; /* gradient */
     golden_real lower[GOLDEN_NV + GOLDEN_NG]; /* lower bounds of variables, then of general rows */
     golden_real upper[GOLDEN_NV + GOLDEN_NG]; /* upper bounds */
     golden_real z[GOLDEN_NV]; /* minimiser */
     golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
-    golden_real inverse[GOLDEN_LDV]; /* inverse diagonal of C */
+    golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
     golden_work_t work; /* factors of the working set; before qp_factorize the caller's */
     golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
     golden_real lam[GOLDEN_LDV]; /* multipliers of the members */
-    golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = C'z */
+    golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
     golden_real y[GOLDEN_LDV]; /* minimiser on the working set */
     golden_real x[GOLDEN_LDV]; /* z of y */
     golden_real m[GOLDEN_LDV]; /* normal of the row under consideration, in y */
@@ -133,10 +133,6 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
     golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
-    int32_t prepared; /* 1 between prepare and feedback */
-    int32_t samples; /* feedbacks since init or reset */
-    int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
-    int32_t reference_changed; /* 1: gradients are renewed in feedback */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
     golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
     golden_qp_t qp; /* condensed QP and its active-set factorisation */
@@ -144,6 +140,10 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
+    int32_t prepared; /* 1 between prepare and feedback */
+    int32_t samples; /* feedbacks since init or reset */
+    int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
+    int32_t reference_changed; /* 1: gradients are renewed in feedback */
     golden_stats_t stats; /* counters */
     golden_kkt_t kkt; /* KKT residuals of the last solve */
     golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */

@@ -58,11 +58,15 @@ def residuals(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray, penalty: np
     largest, times the relative distance (at most 1) from the bound that its sign names.
     ``penalty``: of the general rows, cost penalty * violation in place of the row. A row whose multiplier is at this
     limit may be violated on that side; |mult| > penalty counts as a sign violation of 1.
+    Multipliers have the unit of the cost over that of a row. A cost that is constant (H = 0, g = 0) gives no unit, and
+    every multiplier of a solution is 0; there the residuals are relative to 1, so that rounding is not compared with
+    itself.
     """
+    unit = np.finfo(float).tiny if np.any(qp.H) or np.any(qp.g) else 1.0
     C = qp.rows
     limit = np.concatenate([np.full(len(z), np.inf), np.broadcast_to(penalty, len(qp.A))])
     terms = np.abs(qp.H) @ np.abs(z) + np.abs(qp.g) + np.abs(C.T) @ np.abs(mult)
-    stationarity = np.max(np.abs(qp.H @ z + qp.g + C.T @ mult)) / max(np.max(terms), np.finfo(float).tiny)
+    stationarity = np.max(np.abs(qp.H @ z + qp.g + C.T @ mult)) / max(np.max(terms), unit)
     value = C @ z
     size = np.abs(C) @ np.full(len(z), np.max(np.abs(z), initial=0.0)) + 1e-20
     over = np.where(np.isfinite(qp.upper), value - qp.upper, -np.inf)
@@ -72,7 +76,7 @@ def residuals(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray, penalty: np
     bound = np.where(np.isfinite(qp.upper), np.abs(qp.upper), 0) + np.where(np.isfinite(qp.lower), np.abs(qp.lower), 0)
     feasibility = np.max(np.maximum(over, under) / (size + bound), initial=0.0)
     distance = np.where(mult > 0, -over, np.where(mult < 0, -under, 0.0)) / (size + bound)
-    weight = np.abs(mult) / max(np.max(np.abs(mult), initial=0.0), np.finfo(float).tiny)
+    weight = np.abs(mult) / max(np.max(np.abs(mult), initial=0.0), unit)
     sign = np.max(weight * np.minimum(1.0, np.abs(distance)), initial=float(np.any(np.abs(mult) > limit)))
     return Residuals(float(stationarity), float(max(feasibility, 0.0)), float(sign))
 

@@ -193,6 +193,15 @@ def counted() -> OCP:
     return ocp
 
 
+def free() -> OCP:
+    """A component of the start is free and no row couples it to the end."""
+    ocp, _, w, u = _pendulum("loose")
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-0.6, w, 0.6)
+    ocp.free_initial(w)
+    return ocp
+
+
 def everything() -> OCP:
     """Every kind of row and of data, on a non-uniform grid."""
     ocp = OCP("everything", intervals=[0.1, 0.1, 0.2, 0.2])
@@ -279,6 +288,11 @@ def _partial(block: int = 2, **more: Any) -> Options:
     return Options(qp=RiccatiActiveSet(), condensing=PartialCondensing(block), **more)
 
 
+def _alone(qp: Any, condensing: Any = STAGES) -> Options:
+    """Real-time iterations and nothing that they can do without."""
+    return Options(qp=qp, condensing=condensing, solve=False, online=FIXED)
+
+
 #: Examples as they are exported by default.
 EXAMPLES = (
     Sample("crane", crane.build_ocp),
@@ -292,6 +306,7 @@ EXAMPLES = (
 SAMPLES = (
     *EXAMPLES,
     Sample("crane riccati single", crane.build_ocp, _riccati(precision="single", online=SHARED)),
+    Sample("crane without solve", crane.build_ocp, Options(solve=False)),
     Sample("crane identity", crane.build_ocp, Options(hessian=IdentityHessian(), online=NODE)),
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare riccati", bare, _riccati(online=FIXED)),
@@ -303,6 +318,10 @@ SAMPLES = (
     Sample("controls partial", controls, _partial(algorithm=RESAMPLE)),
     Sample("controls interior", controls, _interior(algorithm=RESAMPLE)),
     Sample("controls OSQP", controls, Options(qp=Osqp(), algorithm=RESAMPLE)),
+    Sample("controls riccati alone", controls, _alone(RiccatiActiveSet(fallback=None))),
+    Sample("controls partial alone", controls, _alone(RiccatiActiveSet(), PartialCondensing(2))),
+    Sample("controls interior alone", controls, _alone(RiccatiInteriorPoint())),
+    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None))),
     Sample("states dense", states, _dense(hessian=ExactHessian(regularization=None))),
     Sample("states riccati", states, _riccati(hessian=IdentityHessian(), algorithm=RESAMPLE)),
     Sample("states interior", states, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
@@ -321,6 +340,8 @@ SAMPLES = (
     Sample("soft rows interior", soft_rows, _interior(hessian=GaussNewton(levenberg_marquardt=0.1))),
     Sample("cycle dense", cycle, _dense(algorithm=PERIODIC)),
     Sample("cycle interior", cycle, _interior(algorithm=PERIODIC)),
+    Sample("free riccati", free, _riccati(hessian=ExactHessian())),
+    Sample("free interior", free, _interior(hessian=ExactHessian())),
     Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=RESAMPLE, online=NODE)),
     Sample("everything interior", everything, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("everything looped", everything, _interior(integrator=LOOPED, online=FIXED, precision="single")),

@@ -16,7 +16,8 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import render, unit_style
+from nmpc_codegen.lowering.preamble import unit_style
+from nmpc_codegen.lowering.render import render
 from nmpc_codegen.runtime.build import find_compiler
 
 CODE_LIMITS = {"": 62_000, "_rti": 48_000}

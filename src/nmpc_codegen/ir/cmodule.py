@@ -13,7 +13,7 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.stage_products import Products
-from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.runtime.package_description import EntryPoint, Kind, Layouts, PackageDescription, Precision
 from nmpc_codegen.runtime.package_description import Field as Field
 from nmpc_codegen.runtime.package_description import Size as Size
@@ -133,6 +133,15 @@ class CModule:
     def structs(self) -> tuple[Struct, ...]:
         """A struct stands after those that it holds, "solver" last."""
         return self.description.structs
+
+    @property
+    def called_products(self) -> tuple[LoopedRoutine, ...]:
+        """The products with the stage matrices that the package may call."""
+        if not self.switches["PRODUCTS"]:
+            return ()
+        unused = () if self.switches["HAS_STATE_STEP"] else ("state_step",)
+        vectors = (routine for name, routine in self.products.vectors.items() if name not in unused)
+        return (*vectors, *self.products.panels.values())
 
     @property
     def core_products(self) -> tuple[str, ...]:

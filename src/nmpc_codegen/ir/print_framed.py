@@ -28,12 +28,35 @@ def print_framed(routine: LoopedRoutine, style: CStyle) -> str:
     sweep, frame = routine.sweep, routine.sweep.frame
     assert frame is not None
     count = ", ".join(f"{v} {k}" for k, v in routine.count.as_dict().items() if v) or "no operations"
-    lines = _declarations(routine, frame, style) + _Printer(routine, frame, style).block(sweep.body, "    ", {}, set())
-    used = set(re.findall(r"\w+", "\n".join(lines)))
-    names = [re.sub(r"\W*(?:\[\w+\])*$", "", p).split("*")[-1].split(" ")[-1] for p in frame.parameters]
-    lines += [f"    (void){name};" for name in names if name not in used]
-    head = f"static {'inline ' if frame.inline else ''}void {sweep.name}({', '.join(frame.parameters)})"
+    lines = _body(routine, frame, style)
+    parameters = [text for name, text in named(frame).items() if name in _names(lines)]
+    head = f"static {'inline ' if frame.inline else ''}void {sweep.name}({', '.join(parameters)})"
     return "\n".join([f"/* {sweep.doc}: {count} */", head, "{", *lines, "}"])
+
+
+def call(routine: LoopedRoutine, style: CStyle) -> tuple[tuple[str, ...], str]:
+    """Names of all parameters of a product, and its call with those of them that it reads or writes."""
+    frame = routine.sweep.frame
+    assert frame is not None
+    names = tuple(named(frame))
+    used = _names(_body(routine, frame, style))
+    return names, f"{routine.name}({', '.join(name for name in names if name in used)})"
+
+
+def named(frame: Frame) -> dict[str, str]:
+    """Name -> declaration of every parameter."""
+    stripped = (re.sub(r"\W*(?:\[\w+\])*$", "", p) for p in frame.parameters)
+    return {s.split("*")[-1].split(" ")[-1]: p for s, p in zip(stripped, frame.parameters, strict=True)}
+
+
+def _body(routine: LoopedRoutine, frame: Frame, style: CStyle) -> list[str]:
+    """The statements of the function."""
+    printer = _Printer(routine, frame, style)
+    return _declarations(routine, frame, style) + printer.block(routine.sweep.body, "    ", {}, set())
+
+
+def _names(lines: list[str]) -> set[str]:
+    return set(re.findall(r"\w+", "\n".join(lines)))
 
 
 def _declarations(routine: LoopedRoutine, frame: Frame, style: CStyle) -> list[str]:

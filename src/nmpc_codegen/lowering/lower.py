@@ -125,7 +125,7 @@ def _switches(model: Model) -> dict[str, int]:
     switches |= {f"SET_{kind.upper()}": int(layouts[kind] != "fixed" and size > 0) for kind, size in data.items()}
     switches |= {
         "SOLVE": int(model.solve),
-        "STATE_STEP": int(model.solve or (parts.condensing is not None and parts.condensing.eliminates)),
+        "HAS_STATE_STEP": int(model.solve or (parts.condensing is not None and parts.condensing.eliminates)),
         "INTEGRATE_PLAN": 0,
         "NODES": int("nodes" in core),
         "PRODUCTS": int("products" in core),
@@ -241,7 +241,10 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
     inner = _inner_structs(owned)
     held = {f.ctype for s in inner for f in s.fields} | {f.ctype for f in own_members}
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held and s.name != "kkt"]
-    fields = (*common, *own_members, *members, *results)
+    # Vectors before scalars: where their sizes allow it they keep the alignment of the whole.
+    vectors = [f for f in own_members if f.shape]
+    scalars = [f for f in own_members if not f.shape]
+    fields = (*common, *vectors, *members, *scalars, *results)
     solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
     return (*inner, _existing(solver, switches))
 
@@ -411,7 +414,7 @@ def _report(model: Model, structs: tuple[Struct, ...]) -> Report:
     counts = {r.name: r.count for r in _printed(model)}
     switches = _switches(model)
     if switches["PRODUCTS"]:
-        without = set() if switches["STATE_STEP"] else {"state_step"}
+        without = set() if switches["HAS_STATE_STEP"] else {"state_step"}
         counts |= {name: count for name, count in model.products.counts.items() if name not in without}
     if model.parts.condensing and model.parts.condensing.columns:
         counts |= model.products.column_counts

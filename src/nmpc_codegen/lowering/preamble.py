@@ -12,7 +12,8 @@ from textwrap import wrap
 
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.print_framed import call
+from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.tolerances import TOLERANCES, tolerance
 from nmpc_codegen.runtime.package_description import Kind
 
@@ -29,6 +30,11 @@ REAL_CONSTANT = ("R", "x", "((real_t)(x))")
 
 # (name, arguments or None, text)
 Definition = tuple[str, str | None, str]
+
+
+def unit_style(precision: str) -> CStyle:
+    """How numbers and functions are spelled inside the translation unit."""
+    return CStyle("real_t", precision == "single")
 
 
 def preamble(module: CModule, body: str) -> str:
@@ -69,6 +75,7 @@ def _definitions(module: CModule) -> list[Definition]:
     constants += arithmetic(module.precision)
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
     parametric += [kernel_call(routine) for routine in module.routines]
+    parametric += [product_call(routine, unit_style(module.precision)) for routine in module.called_products]
     return [*((name, None, text) for name, text in constants), *parametric]
 
 
@@ -79,7 +86,7 @@ def conditions(module: CModule) -> str:
 
 def arithmetic(precision: str) -> list[tuple[str, str]]:
     """(macro, text): functions of math.h and tolerances in the working precision."""
-    style = CStyle("real_t", precision == "single")
+    style = unit_style(precision)
     functions = [(name.upper(), style.function(name)) for name in FUNCTIONS]
     return functions + [(f"TOL_{name.upper()}", style.literal(tolerance(name, precision))) for name in TOLERANCES]
 
@@ -188,6 +195,12 @@ def _general(sizes: Mapping[str, int], path: str, terminal: str) -> str:
     if path == terminal or not sizes["NH_N"]:
         return path
     return f"(row_node[m] == N) ? {terminal} : {path}" if sizes["NH"] else terminal
+
+
+def product_call(routine: LoopedRoutine, style: CStyle) -> Definition:
+    """(macro, arguments, text): call of a product with the stage matrices, which takes what it reads and writes."""
+    names, text = call(routine, style)
+    return routine.name.upper(), ", ".join(names), text
 
 
 #: Where an input of a kernel stands at node k of the solver s, and what differs at the terminal node and at the start.

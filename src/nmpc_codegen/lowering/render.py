@@ -14,11 +14,15 @@ from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.lowering.generated import GENERATED
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
-from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble
+from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble, unit_style
 from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
 
 #: Columns of a comment in the header, its margin apart.
 WIDTH = 116
+
+#: -f options that GCC 12 needs: with these optimisations it drops calls, takes the stack of leaf functions for aligned,
+#: and inlines loops into functions where it no longer vectorises them.
+GCC_12 = ("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
 
 # path -> text of one package
 Sources = dict[str, str]
@@ -41,11 +45,6 @@ def context(prefix: str, precision: str) -> dict[str, Any]:
     """Names every template may use: prefixes, type of the header, and spelling of literals in the unit."""
     style = unit_style(precision)
     return {"p": prefix, "P": prefix.upper(), "real": f"{prefix}_real", "lit": style.literal}
-
-
-def unit_style(precision: str) -> CStyle:
-    """How numbers and functions are spelled inside the translation unit."""
-    return CStyle("real_t", precision == "single")
 
 
 def render(module: CModule, resolved: bool = True) -> Sources:
@@ -72,6 +71,7 @@ def _names(module: CModule) -> dict[str, Any]:
     names: dict[str, Any] = context(module.name, module.precision)
     names |= {
         "m": module,
+        "gcc12": GCC_12,
         "member": lambda field: _member(field, module),
         "comment": lambda text: _comment(text),
         "prototype": lambda entry: _prototype(entry, module),

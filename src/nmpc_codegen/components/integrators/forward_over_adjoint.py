@@ -22,7 +22,7 @@ class AdjointSweep(Builder):
         """All nodes, from the inputs x, u, p, dt, lam to x_next, S, and what is added to g and Q."""
         nodes = self.start()
         first = [node for i in range(self.stages) for node in (*self.evaluate(i), *self._slope(i))]
-        nodes.append(For("step", 0, self.steps, (*first, self.update(), self.update_columns())))
+        nodes.append(For("step", 0, self.steps, (*first, self.rk.update_state(), self.update_columns())))
         nodes += self.results()
         if not self.rows:
             return nodes
@@ -47,7 +47,7 @@ class AdjointSweep(Builder):
 
     def _second(self, stage: int) -> list[Node]:
         """kappa_i, H_i, and the columns of Xbar_i' and ubar'."""
-        needed, later = len(self.d.needed), self.later(stage)
+        needed, later = len(self.d.needed), self.rk.later(stage)
         nodes = [*self.again(stage, self.d.tape), self.curvature(stage)]
         ins = [self.tape(stage, self.d.slopes), Slice("h", 1), Slice("Hs", self.d.values), self._stored(stage)]
         ins += [self.column("E", len(self.controls)), self.column("adjS", needed)]
@@ -61,9 +61,9 @@ class AdjointSweep(Builder):
         tape, h, H = sym("t", d.slopes), sym("h"), sym("H", d.values)
         Z, units = sym("Z", len(d.curved_states)), sym("E", len(self.controls))
         adj, ubar = sym("adj", len(needed)), sym("ubar", len(self.controls))
-        bars = {j: sym(f"bar{j}", len(needed)) for j in self.later(stage)}
+        bars = {j: sym(f"bar{j}", len(needed)) for j in self.rk.later(stage)}
         K = ca.SX(self.nF, 1)
-        K[needed] = self.adjoint_of_slope(stage, adj, h, bars)
+        K[needed] = self.rk.adjoint_of_slope(stage, adj, h, bars)
         curved = ca.SX(self.nz, 1)
         curved[self.rows] = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
         bar = ca.densify(d.Fz(tape).T @ K + curved)
@@ -74,12 +74,9 @@ class AdjointSweep(Builder):
 
     def _update(self) -> For:
         """lam' += sum_i Xbar_i'."""
-        needed = len(self.d.needed)
-        adj = ca.SX.sym("adj", needed)
-        bars = [ca.SX.sym(f"bar{i}", needed) for i in range(self.stages)]
-        leaf = ca.Function("update_bars", [adj, *bars], [sum(bars, adj)])
-        here = self.column("adjS", needed)
-        return self.columnwise(leaf, (here, *(self.column("XbarS", needed, i) for i in range(self.stages))), (here,))
+        n = len(self.d.needed)
+        update = self.rk.update_adjoint("update_bars", self.column("adjS", n), lambda i: self.column("XbarS", n, i))
+        return self.columnwise(update.leaf, update.ins, update.outs)
 
     def _results(self) -> list[Node]:
         """Q += [lam'; ubar'], rows up to their diagonal."""

@@ -11,12 +11,12 @@ out; the others are kept packed, in rows of a multiple of PANEL.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from itertools import zip_longest
 
 import casadi as ca
 
 from nmpc_codegen.components.integrators.derivatives import Derivatives
+from nmpc_codegen.components.integrators.runge_kutta import LENGTH, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function
@@ -39,13 +39,13 @@ class Builder:
         self.d = d = Derivatives(problem)
         # Calls of functions take more than staggering would hide; with a long tape there is work enough in one step.
         self.staggered = staggered and steps > 1 and not d.functions and d.tape <= STAGGERED_TAPE
+        self.rk = RungeKutta(problem, tableau, steps)
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
         self.nx, self.nu, self.nz, self.nF = d.nx, d.nu, d.nz, d.nF
         self.columns = [j for j in range(d.nz) if not d.closed(j)]
         self.state_columns = sum(j < d.nx for j in self.columns)
         self.controls = self.columns[self.state_columns :]
         self.ld = -(-len(self.columns) // PANEL) * PANEL
-        self.fixed_length = problem.dt[0] / steps if problem.uniform else None
         self.rows = [*d.curved_states, *(d.nx + j for j in d.curved_controls)]  # of H
         self.forced = sorted({i for i, j in d.jacobian if j >= d.nx})  # rows of F with controls
         kernel = lift(d.leaf_hessian(), "h", "", self._hessian_ports(), [Port("H", d.values)])
@@ -102,10 +102,6 @@ class Builder:
         """The leaf for every packed column."""
         return For("c", 0, self.ld, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
 
-    @property
-    def up(self) -> tuple[Slice, Slice]:
-        return Slice("u", self.nu), Slice("p", self.d.np)
-
     def locals(self) -> tuple[Local, ...]:
         """Buffers of both schemes."""
         n, d, s = self.steps * self.stages, self.d, self.stages
@@ -120,30 +116,12 @@ class Builder:
 
     # Leaves ----------------------------------------------------------------------------------------------------------
 
-    def combination(self, name: str, coefficients: Sequence[Fraction], size: int) -> Function:
-        """y = x + h sum_j c_j K_j."""
-        x, h = ca.SX.sym("x", size), ca.SX.sym("h")
-        slopes = [ca.SX.sym(f"K{j}", size) for j, c in enumerate(coefficients) if c]
-        names = ["x", "h", *(f"K{j}" for j in range(len(slopes)))]
-        return ca.Function(name, [x, h, *slopes], [combine(x, h, slopes, coefficients)], names, ["y"])
-
-    def later(self, stage: int) -> list[int]:
-        """Stages whose point depends on K_stage."""
-        return [j for j in range(stage + 1, self.stages) if self.tableau.a[j][stage]]
-
-    def adjoint_of_slope(self, stage: int, value: Expression, h: Expression, bars: dict[int, Expression]) -> Expression:
-        """h b_i value + h sum_j a_ji Xbar_j over later stages j."""
-        later = [j for j in self.later(stage) if j in bars]
-        coefficients = (self.tableau.b[stage], *(self.tableau.a[j][stage] for j in later))
-        slopes = [value, *(bars[j] for j in later)][0 if coefficients[0] else 1 :]
-        return combine(ca.SX.zeros(*value.shape), h, slopes, coefficients)
-
     def leaf_backward(self, stage: int) -> Function:
         """kappa_i of the curved rows and Xbar_i = F_x' kappa_i; kappa of an integrated cost is h b_i."""
         d, h, adj = self.d, ca.SX.sym("h"), ca.SX.sym("adj", self.nx)
         tape = ca.SX.sym("t", d.slopes)
-        bars = {j: ca.SX.sym(f"Xbar{j}", self.nx) for j in self.later(stage)}
-        kappa = self.adjoint_of_slope(stage, adj, h, bars)
+        bars = {j: ca.SX.sym(f"Xbar{j}", self.nx) for j in self.rk.later(stage)}
+        kappa = self.rk.adjoint_of_slope(stage, adj, h, bars)
         if self.nF > self.nx:
             kappa = ca.vertcat(kappa, h * float(self.tableau.b[stage]))
         bar = d.Fz(tape)[:, : self.nx].T @ kappa
@@ -204,14 +182,11 @@ class Builder:
 
     def start(self) -> list[Node]:
         """h, X = x, S = [I 0], constant forcing."""
-        dt = ca.SX.sym("dt")
-        h = dt / self.steps if self.fixed_length is None else ca.SX(self.fixed_length)
         identity = ca.SX.zeros(self.nF * self.ld)
         for c, j in enumerate(self.columns[: self.state_columns]):
             identity[j * self.ld + c] = 1
         nodes: list[Node] = [
-            Call(ca.Function("step_length", [dt], [h], ["dt"], ["h"]), (Slice("dt", 1),), (Slice("h", 1),)),
-            Call(copy("copy_x", self.nx), (Slice("x", self.nx),), (Slice("X", self.nx),)),
+            *self.rk.start(),
             Call(constant("identity", identity), (), (Slice("Sx", self.nF * self.ld),)),
         ]
         if self.d.curved_controls or self.forcing_varies:
@@ -225,30 +200,17 @@ class Builder:
 
     def evaluate(self, stage: int) -> list[Node]:
         """Stage point and K_i, with the tape where it is kept."""
-        nodes: list[Node] = []
-        coefficients, state, h = self.tableau.a[stage], Slice("X", self.nx), Slice("h", 1)
-        point = self.point(stage)
-        if any(coefficients):
-            slopes = [Slice("K", self.nx, Affine(j * self.nx)) for j, c in enumerate(coefficients) if c]
-            leaf = self.combination(f"point_{stage}", coefficients, self.nx)
-            nodes.append(Call(leaf, (state, h, *slopes), (point,)))
-        else:
-            nodes.append(Call(copy("copy_x", self.nx), (state,), (point,)))
-        K = Slice("K", self.nx, Affine(stage * self.nx))
+        point, K = self.point(stage), self.rk.slope(stage)
+        start = Call(copy("copy_x", self.nx), (self.rk.state,), (point,))
+        nodes: list[Node] = [self.rk.point(stage, point) if any(self.tableau.a[stage]) else start]
         if self.wide:
             functions = self.kept("M", stage, len(self.d.functions), self.staggered)
-            nodes.append(Call(self.d.leaf_value_and_functions(), (point, *self.up), (K, functions), inline=True))
+            nodes.append(Call(self.d.leaf_value_and_functions(), (point, *self.rk.up), (K, functions), inline=True))
         elif self.d.keeps_tape:
-            nodes.append(Call(self.d.leaf_tape(self.d.tape), (point, *self.up), (K, self.tape(stage))))
+            nodes.append(Call(self.d.leaf_tape(self.d.tape), (point, *self.rk.up), (K, self.tape(stage))))
         else:
-            nodes.append(Call(self.d.leaf_value(), (point, *self.up), (K,)))
+            nodes.append(Call(self.d.leaf_value(), (point, *self.rk.up), (K,)))
         return nodes
-
-    def update(self) -> Call:
-        """X += h sum b_i K_i."""
-        b, state = self.tableau.b, Slice("X", self.nx)
-        slopes = [Slice("K", self.nx, Affine(j * self.nx)) for j, c in enumerate(b) if c]
-        return Call(self.combination("update", b, self.nx), (state, Slice("h", 1), *slopes), (state,))
 
     def slope(self, stage: int, rows: list[int], target: Slice) -> For:
         """Columns of K_i' = F_x Z + [0 F_u]; the given rows of Z go to ``target``."""
@@ -266,16 +228,17 @@ class Builder:
         return self.columnwise(leaf, ins, (self.column("Ks", self.nF, stage), target))
 
     def update_columns(self) -> For:
-        """The same for the sensitivities."""
-        b, S = self.tableau.b, self.column("Sx", self.nF)
-        slopes = [self.column("Ks", self.nF, j) for j, c in enumerate(b) if c]
-        return self.columnwise(self.combination("update_columns", b, self.nF), (S, Slice("h", 1), *slopes), (S,))
+        """S += h sum_i b_i K_i'."""
+        update = self.rk.update("update_columns", self.column("Sx", self.nF), lambda j: self.column("Ks", self.nF, j))
+        return self.columnwise(update.leaf, update.ins, update.outs)
 
     def again(self, stage: int, length: int) -> list[Node]:
         """The first ``length`` numbers of a tape that is not kept."""
         if self.d.keeps_tape or not length:
             return []
-        return [Call(self.d.leaf_tape(length, value=False), (self.point(stage), *self.up), (self.tape(stage, length),))]
+        return [
+            Call(self.d.leaf_tape(length, value=False), (self.point(stage), *self.rk.up), (self.tape(stage, length),))
+        ]
 
     def backward(self) -> list[Node]:
         """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i; one leaf where the tapes are kept."""
@@ -283,15 +246,12 @@ class Builder:
         adj, h = ca.SX.sym("adj", self.nx), ca.SX.sym("h")
         if not self.d.keeps_tape:
             nodes = [n for i in reversed(stages) for n in (*self.again(i, self.d.slopes), self._backward_stage(i))]
-            bars = [ca.SX.sym(f"Xbar{i}", self.nx) for i in stages]
-            slices = [Slice("Xbar", self.nx, Affine(i * self.nx)) for i in stages]
-            leaf = ca.Function("update_adjoint", [adj, *bars], [sum(bars, adj)])
-            return [*nodes, Call(leaf, (Slice("adj", self.nx), *slices), (Slice("adj", self.nx),))]
+            return [*nodes, self.rk.update_adjoint("update_adjoint", Slice("adj", self.nx), self._bar)]
         tapes = [ca.SX.sym(f"t{i}", self.d.slopes) for i in stages]
         found: dict[int, Expression] = {}
         kappas: dict[int, Expression] = {}
         for i in reversed(stages):
-            kappas[i], found[i] = self.leaf_backward(i)(adj, h, tapes[i], *(found[j] for j in self.later(i)))
+            kappas[i], found[i] = self.leaf_backward(i)(adj, h, tapes[i], *(found[j] for j in self.rk.later(i)))
         outputs = [*(kappas[i] for i in stages), sum(found.values(), adj)]
         leaf = ca.Function("backward", [adj, h, *tapes], outputs)
         ins = (Slice("adj", self.nx), Slice("h", 1), *(self.tape(i, self.d.slopes) for i in stages))
@@ -299,10 +259,11 @@ class Builder:
 
     def _backward_stage(self, stage: int) -> Call:
         """kappa_i and Xbar_i."""
-        bars = [Slice("Xbar", self.nx, Affine(j * self.nx)) for j in self.later(stage)]
-        ins = (Slice("adj", self.nx), Slice("h", 1), self.tape(stage, self.d.slopes), *bars)
-        outs = (self.kappa(stage), Slice("Xbar", self.nx, Affine(stage * self.nx)))
-        return Call(self.leaf_backward(stage), ins, outs)
+        ins = (Slice("adj", self.nx), LENGTH, self.tape(stage, self.d.slopes), *map(self._bar, self.rk.later(stage)))
+        return Call(self.leaf_backward(stage), ins, (self.kappa(stage), self._bar(stage)))
+
+    def _bar(self, stage: int) -> Slice:
+        return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
     def stagewise(self, leaf: Function, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
         """The leaf for every stage of a step."""
@@ -316,13 +277,13 @@ class Builder:
     def tapes(self) -> For:
         """The tapes of a step."""
         d = self.d
-        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.up, self.lane("M", len(d.functions), self.staggered))
+        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.rk.up, self.lane("M", len(d.functions), self.staggered))
         return self.stagewise(d.leaf_tape_of_functions(), ins, (self.lane("tape", d.tape),))
 
     def curvatures(self) -> For:
         """The values of H of a step."""
         d = self.d
-        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.up, self.lane("tape", d.tape))
+        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.rk.up, self.lane("tape", d.tape))
         kappa = self.lane("kappa", len(d.curved), self.keeps_kappa)
         return self.stagewise(d.leaf_hessian(), (*ins, kappa), (self.lane("Hs", d.values, False),))
 
@@ -334,7 +295,7 @@ class Builder:
         """The values of H_i."""
         d, H = self.d, Slice("Hs", self.d.values)
         point = self.point(stage) if self.keeps_points else Slice("X", self.nx)
-        return Call(d.leaf_hessian(), (point, *self.up, self.tape(stage), self.kappa(stage)), (H,))
+        return Call(d.leaf_hessian(), (point, *self.rk.up, self.tape(stage), self.kappa(stage)), (H,))
 
     def loop(self, first: Groups, second: Groups = (), down: bool = False) -> list[Node]:
         """``first`` and ``second``, groups of nodes, for every step. Staggered: ``second`` follows one step behind.

@@ -83,7 +83,7 @@ class ThreeSweeps(Builder):
     def _points(self) -> list[list[Node]]:
         """Stage points and slopes, stage by stage, and the end of the step."""
         groups = [self.evaluate(i) for i in range(self.stages)]
-        groups[-1].append(self.update())
+        groups[-1].append(self.rk.update_state())
         return groups
 
     def _clear(self) -> list[Node]:

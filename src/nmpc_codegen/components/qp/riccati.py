@@ -93,9 +93,6 @@ def riccati_structs(
                 Field("weight", (dims.ng,), "of a a' for the rows of the QP", "scratch"),
                 Field("b", (stages, dims.nxs), "gaps of the dynamics", "scratch"),
                 Field("du", (dims.nv,), "values of the fixed controls", "scratch"),
-                Field("regularize_zero", (), "the least that is added to a pivot that may be zero", "scratch"),
-                Field("shift", (), "last shift that made the Hessian convex", "keep", only="REGULARIZE_REDUCED"),
-                Field("hold", (), "last hold on a working set's controls", "keep", only="REGULARIZE_REDUCED"),
                 Field("P", (nodes, ldx, ldx), "cost to go, symmetric", "scratch"),
                 Field("M", (stages, ldu, ldz), "rows of the controls of M_k", "scratch"),
                 Field("L", (stages, dims.nus, dims.nus), "M_uu = L D L', 1 / D on the diagonal", "scratch"),
@@ -105,6 +102,9 @@ def riccati_structs(
                 Field("h", (stages, dims.nus), "gradient of the controls at z = 0", "scratch"),
                 Field("feed", (stages, dims.nus), "controls at x = 0", "scratch"),
                 Field("work", (), "of one phase", "scratch", "riccati_work"),
+                Field("regularize_zero", (), "the least that is added to a pivot that may be zero", "scratch"),
+                Field("shift", (), "last shift that made the Hessian convex", "keep", only="REGULARIZE_REDUCED"),
+                Field("hold", (), "last hold on a working set's controls", "keep", only="REGULARIZE_REDUCED"),
                 Field("fixed", (dims.nv,), "1: the control is given", "scratch", "int32"),
                 Field("raised", (nodes,), "1: a pivot of the stage was raised, of x_0 the last", "scratch", "int32"),
                 Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),
@@ -173,15 +173,16 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
     No row has a weight, no control is fixed, no pivot is regularised, and the dynamics have gaps.
     """
     ns, nx, nus, nf = (size.value for size in (dims.ns, dims.nxs, dims.nus, dims.nf))
-    ldx, nz = _padded(nx), nx + nus
+    ldx, nz, copies = _padded(nx), nx + nus, nx - dims.nx.value
+    fold = OpCount(add=copies * (ldx + nx), mul=copies * ldx)
     backward = _combined(ldx, nx) + _combined(nz, nx) + _combined(ldx, nus)
     backward += OpCount(add=1, mul=1) * (nus * (nus - 1)) + OpCount(mul=nus)
     forward = (_dot(ldx) + OpCount(add=1)) * nus + (_dot(nz) + OpCount(add=1)) * nx
     pairs = nf * (nf - 1) // 2
     free = OpCount(add=nf, div=nf) + _dot(nx) * nf + OpCount(add=1, mul=1) * (2 * pairs)
     return {
-        "riccati_factorize": _stage_recursion(nx, nus) * ns + _free_factor(nf),
-        "riccati_backward": backward * ns,
+        "riccati_factorize": _stage_recursion(nx, nus) * ns + fold + _free_factor(nf),
+        "riccati_backward": backward * ns + OpCount(add=copies),
         "riccati_forward": forward * ns + free,
     }
 

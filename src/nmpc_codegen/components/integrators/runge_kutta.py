@@ -1,0 +1,96 @@
+"""What every Runge-Kutta sweep is composed of: steps of any vector by one tableau, and the adjoint of a step.
+
+    y = x + h sum_j c_j K_j;   kappa_i = h b_i lam + h sum_j a_ji Xbar_j over later stages j;   lam += sum_i Xbar_i
+
+Buffers: h the length of a step, X the state, K the slopes of all stages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+
+import casadi as ca
+
+from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.ir.kernel import Port
+from nmpc_codegen.ir.passes import copy
+from nmpc_codegen.ir.sweep import Affine, Call, Slice
+
+#: Length of a step.
+LENGTH = Slice("h", 1)
+
+
+class RungeKutta:
+    """Calls of the sweeps of one problem, scheme and number of steps."""
+
+    def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int = 1) -> None:
+        self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
+        self.nx, self.nu, self.np = problem.nx, problem.nu, problem.np
+        self.state, self.up = Slice("X", self.nx), (Slice("u", self.nu), Slice("p", self.np))
+        self._fixed_length = problem.dt[0] / steps if problem.uniform else None
+
+    @property
+    def ports(self) -> tuple[Port, ...]:
+        """What an interval is given."""
+        return Port("x", self.nx), Port("u", self.nu), Port("p", self.np), Port("dt", 1)
+
+    def start(self) -> list[Call]:
+        """The length of a step, X = x."""
+        dt = ca.SX.sym("dt")
+        h = dt / self.steps if self._fixed_length is None else ca.SX(self._fixed_length)
+        return [
+            Call(ca.Function("step_length", [dt], [h], ["dt"], ["h"]), (Slice("dt", 1),), (LENGTH,)),
+            Call(copy("copy_x", self.nx), (Slice("x", self.nx),), (self.state,)),
+        ]
+
+    def slope(self, stage: int) -> Slice:
+        """K of a stage."""
+        return Slice("K", self.nx, Affine(stage * self.nx))
+
+    def combined(
+        self, name: str, coefficients: Sequence[Fraction], x: Slice, slope: Callable[[int], Slice], y: Slice
+    ) -> Call:
+        """y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
+        value, h = ca.SX.sym("x", x.size), ca.SX.sym("h")
+        used = [j for j, c in enumerate(coefficients) if c]
+        slopes = [ca.SX.sym(f"K{j}", x.size) for j in used]
+        names = ["x", "h", *(f"K{j}" for j in range(len(used)))]
+        leaf = ca.Function(name, [value, h, *slopes], [combine(value, h, slopes, coefficients)], names, ["y"])
+        return Call(leaf, (x, LENGTH, *(slope(j) for j in used)), (y,))
+
+    def point(self, stage: int, target: Slice, name: str = "point") -> Call:
+        """Stage point X + h sum_j a_ij K_j."""
+        return self.combined(f"{name}_{stage}", self.tableau.a[stage], self.state, self.slope, target)
+
+    def update(self, name: str, x: Slice, slope: Callable[[int], Slice], target: Slice | None = None) -> Call:
+        """target = x + h sum_i b_i K_i; in place if it is left out."""
+        return self.combined(name, self.tableau.b, x, slope, target or x)
+
+    def update_state(self, target: Slice | None = None) -> Call:
+        """X + h sum_i b_i K_i."""
+        return self.update("update", self.state, self.slope, target)
+
+    # Adjoints --------------------------------------------------------------------------------------------------------
+
+    def later(self, stage: int) -> list[int]:
+        """Stages whose point depends on K_stage."""
+        return [j for j in range(stage + 1, self.stages) if self.tableau.a[j][stage]]
+
+    def adjoint_of_slope(
+        self, stage: int, value: Expression, h: Expression, bars: Mapping[int, Expression]
+    ) -> Expression:
+        """h b_i value + h sum_j a_ji Xbar_j over later stages j."""
+        later = [j for j in self.later(stage) if j in bars]
+        coefficients = (self.tableau.b[stage], *(self.tableau.a[j][stage] for j in later))
+        slopes = [value, *(bars[j] for j in later)][0 if coefficients[0] else 1 :]
+        return combine(ca.SX.zeros(*value.shape), h, slopes, coefficients)
+
+    def update_adjoint(self, name: str, adjoint: Slice, bar: Callable[[int], Slice]) -> Call:
+        """adjoint += sum_i Xbar_i."""
+        value = ca.SX.sym("adj", adjoint.size)
+        bars = [ca.SX.sym(f"Xbar{i}", adjoint.size) for i in range(self.stages)]
+        leaf = ca.Function(name, [value, *bars], [sum(bars, value)])
+        return Call(leaf, (adjoint, *(bar(i) for i in range(self.stages))), (adjoint,))
