@@ -131,8 +131,8 @@ def test_shift_under_sanitizers() -> None:
     ("old", "new"),
     [
         ("s->yref[n][i] = yref[i];", "s->yref[n + 1][i] = yref[i];"),  # past the last node
-        ("isfinite(s->u[0][j]) ? s->u[0][j] : CONTROL_REFERENCE(s, 0, j)", "s->u[0][j]"),  # a NaN gets through
-        ("if (!(lower <= upper)", "if (lower > upper"),  # a NaN is taken as a bound
+        ("u0[j] = safe_value(s, 0, j, s->u[0][j]);", "u0[j] = s->u[0][j];"),  # a NaN gets through
+        ("lower < (real_t)INFINITY && upper", "upper"),  # no number lies between infinity and itself
     ],
 )
 def test_exercise_finds_defects(old: str, new: str) -> None:
@@ -242,7 +242,7 @@ def test_no_machine_or_date_in_the_sources() -> None:
 def test_functions_fit_a_screen(name: str) -> None:
     """At most about 40 lines each, kernels and stage products (printed) apart."""
     source = problems.sources(name)[f"{quality.package_name(problems.sources(name))}.c"]
-    written = source[source.index("/* Rows of the QP") :]
+    written = source[source.index("/* Rows besides the control bounds") :]
     written = re.sub(r"/\* ==== stage products.*?(?=/\* ==== )", "", written, flags=re.DOTALL)
     found = re.findall(r"^(\w[^;{}]*\))\n\{\n(.*?)^\}$", written, flags=re.DOTALL | re.MULTILINE)
     assert len(found) > 50
