@@ -12,7 +12,8 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from benchmarks.lib.house.samples import SAMPLES, TIMED
+from benchmarks.lib.house.samples import SAMPLES
+from benchmarks.lib.house.timed import TIMED
 from benchmarks.lib.report import Report
 from nmpc_codegen import generate
 

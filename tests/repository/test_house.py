@@ -10,7 +10,8 @@ from conftest import require_tool
 
 from benchmarks.lib.closed_loop import member_path
 from benchmarks.lib.house import commits, disagreement, lint, sizes, suite
-from benchmarks.lib.house.samples import SAMPLES, TIMED
+from benchmarks.lib.house.samples import SAMPLES
+from benchmarks.lib.house.timed import TIMED
 from benchmarks.lib.house.unresolved import texts
 from benchmarks.lib.report import Report
 from examples import crane

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.lib import scenarios
 from benchmarks.lib.closed_loop import Scenario
 from benchmarks.lib.house.ratios import scenario_of
-from benchmarks.lib.house.samples import TIMED, Sample
+from benchmarks.lib.house.timed import TIMED, Sample
 from benchmarks.lib.quality import package_name, written
 from benchmarks.lib.report import Report
 from nmpc_codegen import Controller, build, generate

@@ -23,7 +23,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from benchmarks.lib.house.samples import SAMPLES, Sample
+from benchmarks.lib.house.samples import SAMPLES
+from benchmarks.lib.house.timed import Sample
 from benchmarks.lib.house.unresolved import texts
 from benchmarks.lib.quality import package_name, written
 from benchmarks.lib.report import Report

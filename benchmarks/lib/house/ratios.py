@@ -10,7 +10,7 @@ from benchmarks.lib import scenarios
 from benchmarks.lib.closed_loop import Scenario, Timing, compile_driver, run_driver
 from benchmarks.lib.hessian import bioreactor
 from benchmarks.lib.house.commits import has_commit, packages_of
-from benchmarks.lib.house.samples import TIMED, Sample
+from benchmarks.lib.house.timed import TIMED, Sample
 from benchmarks.lib.report import Report
 from nmpc_codegen import generate
 

@@ -6,7 +6,8 @@ import shutil
 from collections.abc import Sequence
 
 from benchmarks.lib.house.commits import packages_of
-from benchmarks.lib.house.samples import SAMPLES, Sample
+from benchmarks.lib.house.samples import SAMPLES
+from benchmarks.lib.house.timed import Sample
 from benchmarks.lib.house.unresolved import COMPILERS, differing, texts
 from benchmarks.lib.report import Report
 

@@ -6,13 +6,12 @@ A part or a condition that no sample reaches gets a sample here.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from benchmarks.lib.house.timed import Sample
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
     OCP,
@@ -33,15 +32,6 @@ from nmpc_codegen import (
     RiccatiActiveSet,
     RiccatiInteriorPoint,
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One package: how its problem is made, and its options."""
-
-    name: str
-    make: Callable[[], OCP]
-    options: Options = field(default_factory=Options)
 
 
 def _pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
@@ -370,24 +360,3 @@ SAMPLES = (
     Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
     Sample("discrete rows dense", discrete_rows, _dense(precision="single", online=FIXED)),
 )  # fmt: skip
-
-#: Problems that are timed, in the settings of the benchmarks that time them against peers.
-TIMED = (
-    Sample("timed crane", crane.build_ocp),
-    Sample("timed cstr", cstr.build_ocp),
-    Sample(
-        "timed quadrotor",
-        lambda: quadrotor.build_ocp((0.5, 0.5, 0.5)),
-        Options(integrator=ExplicitRungeKutta(RK4, steps=1)),
-    ),
-    Sample("timed chain5", lambda: chain.build_ocp(5)),
-    Sample(
-        "timed bioreactor",
-        lambda: bioreactor.build_ocp("a", periodic=False),
-        _dense(
-            integrator=ExplicitRungeKutta(RK4, steps=bioreactor.STEPS),
-            hessian=ExactHessian(Mirror(level="stage")),
-            algorithm=REPEAT,
-        ),
-    ),
-)

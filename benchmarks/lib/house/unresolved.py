@@ -17,7 +17,7 @@ from functools import cache, partial
 from itertools import product
 from pathlib import Path
 
-from benchmarks.lib.house.samples import Sample
+from benchmarks.lib.house.timed import Sample
 from benchmarks.lib.quality import package_name
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
