@@ -28,6 +28,14 @@ static inline void clear(real_t *y)
     }
 }
 
+/* y = x; a loop, for memcpy is in halves of a vector register, which what is read next would wait for. */
+static inline void copy(real_t *y, const real_t *x)
+{
+    for (int j = 0; j < LDV; ++j) {
+        y[j] = x[j];
+    }
+}
+
 /* y[j] -= c0 A[0][j] + c1 A[1][j] + c2 A[2][j] + c3 A[3][j],  from <= j < to */
 static inline void subtract_panel(real_t *y, const real_t (*A)[LDV], const real_t *c, int from, int to)
 {
@@ -43,16 +51,14 @@ static inline void subtract_panel(real_t *y, const real_t (*A)[LDV], const real_
     }
 }
 
-/* y := L^{-1} y in the panel at column b of L', unit upper triangular: four entries of y. */
-static inline void solve_block(const real_t (*L)[LDV], int b, real_t *y)
+/* c = L^{-1} y, four entries, in the panel at column b of L', unit upper triangular. */
+static inline void solve_block(const real_t (*L)[LDV], int b, const real_t *y, real_t *c)
 {
     const real_t *l0 = L[0] + b, *l1 = L[1] + b, *l2 = L[2] + b;
-    const real_t y0 = y[0];
-    const real_t y1 = y[1] - l0[1] * y0;
-    const real_t y2 = y[2] - l0[2] * y0 - l1[2] * y1;
-    y[1] = y1;
-    y[2] = y2;
-    y[3] = y[3] - l0[3] * y0 - l1[3] * y1 - l2[3] * y2;
+    c[0] = y[0];
+    c[1] = y[1] - l0[1] * c[0];
+    c[2] = y[2] - l0[2] * c[0] - l1[2] * c[1];
+    c[3] = y[3] - l0[3] * c[0] - l1[3] * c[1] - l2[3] * c[2];
 }
 
 /* y := C^{-T} y, n entries; C lower triangular. */

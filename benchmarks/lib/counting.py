@@ -42,7 +42,7 @@ ARGUMENTS = {
 
 #: Functions that are called more than once for their count: the statement that does it.
 STATEMENTS = {
-    "condense_hessian": "for (int c = 0; c < PREFIX_LDG; c += PREFIX_PANEL) "
+    "condense_hessian": "for (int c = 0; c < PREFIX_LDG; c += PREFIX_COLUMNS) "
     "{ condense_propagate(&s, c); condense_hessian(&s, c); }",
 }
 

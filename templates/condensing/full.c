@@ -6,7 +6,7 @@
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
  *   condense_shift     the predicted working set of the controls moves by one interval
  *   condense_shift_rows  that of row m takes what row source[m] had
- * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k, all states but dx_0 eliminated in O(N^2), PANEL columns at a time in
+ * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k, all states but dx_0 eliminated in O(N^2), COLUMNS columns at a time in
  * memory that the QP solver lends: qp.work.columns, which qp_factorize overwrites. Variables of the QP are
  * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
  * lower <= row - sigma <= upper, cost l2/2 sigma^2, sigma = 0 elastic with penalty l1. */
@@ -38,10 +38,10 @@ static inline int condense_first_node(int column)
 }
 
 /* Columns of G_k or W that are zero. */
-static inline void condense_clear(real_t (*columns)[PANEL])
+static inline void condense_clear(real_t (*columns)[COLUMNS])
 {
     for (int i = 0; i < NX; ++i) {
-        for (int l = 0; l < PANEL; ++l) {
+        for (int l = 0; l < COLUMNS; ++l) {
             columns[i][l] = R(0);
         }
     }
@@ -51,7 +51,7 @@ static inline void condense_clear(real_t (*columns)[PANEL])
 static inline void condense_enter(columns_t *p, const node_t *node, int k, int column)
 {
     const int entering = NX + k * NU - column;
-    for (int j = (entering < 0) ? -entering : 0; j < NU && entering + j < PANEL; ++j) {
+    for (int j = (entering < 0) ? -entering : 0; j < NU && entering + j < COLUMNS; ++j) {
         for (int i = 0; i < NX; ++i) {
             p->G[k + 1][i][entering + j] = node->S[i][NX + j];
         }
@@ -62,9 +62,9 @@ static inline void condense_enter(columns_t *p, const node_t *node, int k, int c
 static void condense_propagate(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
-    const int first = condense_first_node(column), last = condense_first_node(column + PANEL - 1);
+    const int first = condense_first_node(column), last = condense_first_node(column + COLUMNS - 1);
     condense_clear(p->G[first]);
-    for (int i = column; i < NX && i < column + PANEL; ++i) {
+    for (int i = column; i < NX && i < column + COLUMNS; ++i) {
         p->G[0][i][i - column] = R(1);
     }
     if (first > 0) {
@@ -79,19 +79,27 @@ static void condense_propagate(solver_t *s, int column)
     }
 }
 
-/* A panel of a row of (Hx, H) or (Ax, A), of which `width` columns of du count. */
-static inline void condense_store(const real_t *panel, int column, int width, real_t *dx0, real_t *du)
+/* A panel of a row of (Hx, H) or (Ax, A). Entries of H beyond its diagonal are not read. */
+static inline void condense_store(const real_t *panel, int column, real_t *dx0, real_t *du)
 {
-    if (column + PANEL <= NX) {
-        memcpy(dx0 + column, panel, sizeof(real_t) * PANEL);
-    } else if (column >= NX && column + PANEL - NX <= width) {
-        memcpy(du + (column - NX), panel, sizeof(real_t) * PANEL);
-    } else {
-        for (int i = column; i < NX; ++i) {
-            dx0[i] = panel[i - column];
+    if (column + COLUMNS <= NX) {
+        for (int i = 0; i < COLUMNS; ++i) {
+            dx0[column + i] = panel[i];
         }
-        for (int i = (column < NX) ? 0 : column - NX; i < width && NX + i < column + PANEL; ++i) {
+    } else if (column >= NX && column - NX + COLUMNS <= LDV) {
+        for (int i = 0; i < COLUMNS; ++i) {
+            du[column - NX + i] = panel[i];
+        }
+    } else if (column >= NX) {
+        for (int i = column - NX; i < LDV; ++i) {
             du[i] = panel[NX + i - column];
+        }
+    } else { /* the panel in which dx_0 ends */
+        for (int i = 0; i < NX % COLUMNS; ++i) {
+            dx0[column + i] = panel[i];
+        }
+        for (int i = 0; i < COLUMNS - NX % COLUMNS && i < LDV; ++i) {
+            du[i] = panel[NX % COLUMNS + i];
         }
     }
 }
@@ -101,7 +109,7 @@ static void condense_add_curvature(columns_t *p, real_t (*Q)[NZ], int k, int col
 {
     const int diagonal = NX + k * NU - column;
     for (int j = 0; j < NU; ++j) {
-        for (int i = (diagonal < 0) ? -diagonal : 0; i <= j && diagonal + i < PANEL; ++i) {
+        for (int i = (diagonal < 0) ? -diagonal : 0; i <= j && diagonal + i < COLUMNS; ++i) {
             p->T[j][diagonal + i] += Q[NX + j][NX + i];
         }
     }
@@ -111,12 +119,12 @@ static void condense_add_curvature(columns_t *p, real_t (*Q)[NZ], int k, int col
 static void condense_store_rows(solver_t *s, real_t (*Q)[NZ], int k, int column)
 {
     columns_t *p = &s->qp.work.columns;
-    if (column + PANEL > NX + k * NU) {
+    if (column + COLUMNS > NX + k * NU) {
         condense_add_curvature(p, Q, k, column);
     }
     for (int j = 0; j < NU; ++j) {
         const int row = k * NU + j;
-        condense_store(p->T[j], column, row + 1, s->condensed.Hx[row], s->qp.H[row]);
+        condense_store(p->T[j], column, s->condensed.Hx[row], s->qp.H[row]);
     }
 }
 
@@ -137,7 +145,7 @@ static void condense_hessian(solver_t *s, int column)
     }
 #if NF
     for (int f = 0; f < NF; ++f) {
-        for (int i = column; i < NX && i < column + PANEL; ++i) {
+        for (int i = column; i < NX && i < column + COLUMNS; ++i) {
             s->condensed.Hx[N * NU + f][i] = p->W[free_state[f]][i - column];
         }
     }
@@ -178,7 +186,7 @@ static void condense_store_slacks(solver_t *s)
 static void condense_take_state(const solver_t *s, int m, int column, real_t *sum)
 {
     if (row_node[m] + 1 >= condense_first_node(column)) {
-        memcpy(sum, s->qp.work.columns.G[row_node[m]][row_index[m]], sizeof(real_t) * PANEL);
+        memcpy(sum, s->qp.work.columns.G[row_node[m]][row_index[m]], sizeof(real_t) * COLUMNS);
     }
 }
 
@@ -210,18 +218,18 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
     const real_t *J = condense_row_gradient(s, m);
     const int last = (k + 1 >= condense_first_node(column)) ? NX : 0;
 #if NE
-    for (int i = column; IS_COUPLED(m) && i < NX && i < column + PANEL; ++i) {
+    for (int i = column; IS_COUPLED(m) && i < NX && i < column + COLUMNS; ++i) {
         sum[i - column] = s->coupled.J_0[row_index[m]][i];
     }
 #endif
     for (int i = 0; i < last; ++i) {
         if (J[i] != R(0)) {
-            for (int l = 0; l < PANEL; ++l) {
+            for (int l = 0; l < COLUMNS; ++l) {
                 sum[l] += J[i] * s->qp.work.columns.G[k][i][l];
             }
         }
     }
-    for (int j = (entering < 0) ? -entering : 0; k < N && j < NU && entering + j < PANEL; ++j) {
+    for (int j = (entering < 0) ? -entering : 0; k < N && j < NU && entering + j < COLUMNS; ++j) {
         sum[entering + j] = J[NX + j];
     }
 }
@@ -231,7 +239,7 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 /* A panel of row m of the QP: A = J_x G_k + J_u at du_k; a state row is J_x = e_i, a coupled row has J_0 dx_0 besides. */
 static void condense_row(solver_t *s, int m, int column)
 {
-    real_t sum[PANEL] = { R(0) };
+    real_t sum[COLUMNS] = { R(0) };
 #if STATE_ROWS && (GENERAL_ROWS || NE)
     if (row_kind[m] == ROW_STATE) {
         condense_take_state(s, m, column, sum);
@@ -243,7 +251,7 @@ static void condense_row(solver_t *s, int m, int column)
 #else
     condense_add_row(s, m, column, sum);
 #endif
-    condense_store(sum, column, N * NU, s->condensed.Ax[m], s->qp.A[m]);
+    condense_store(sum, column, s->condensed.Ax[m], s->qp.A[m]);
 }
 
 #if NF || NSL
@@ -270,7 +278,7 @@ static void condense_store_others(solver_t *s)
 /* Hessian and rows of the QP, a panel of columns after the other. */
 static void condense_matrices(solver_t *s)
 {
-    for (int column = 0; column < LDG; column += PANEL) {
+    for (int column = 0; column < LDG; column += COLUMNS) {
         condense_propagate(s, column);
         condense_hessian(s, column);
 #if NG

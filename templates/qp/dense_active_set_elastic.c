@@ -30,9 +30,9 @@ static real_t qp_outside_multiplier(const qp_t *q, int c)
 static void qp_shift_origin(qp_t *q, real_t mult)
 {
     for (int j = 0; j < LDV; ++j) {
-        q->y0[j] -= mult * q->m[j];
+        q->y0[j] -= mult * q->work.basis.m[j];
     }
-    q->scale += FABS(mult) * norm(q->m);
+    q->scale += FABS(mult) * norm(q->work.basis.m);
 }
 
 /* Member k leaves the working set with its multiplier at the limit of the given side; m = Q'R. */

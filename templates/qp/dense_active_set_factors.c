@@ -16,11 +16,13 @@ static inline real_t qp_proximal_share(void)
 static void qp_forward(const qp_t *q, real_t *y, int first)
 {
     for (int b = first - first % 4; b < LDV; b += 4) {
-        solve_block(q->H + b, b, y + b);
-        subtract_panel(y, q->H + b, y + b, b + 4, LDV);
-    }
-    for (int j = 0; j < LDV; ++j) {
-        y[j] *= q->inverse[j];
+        real_t c[4];
+        solve_block(q->H + b, b, y + b, c);
+        y[b] = c[0] * q->inverse[b];
+        y[b + 1] = c[1] * q->inverse[b + 1];
+        y[b + 2] = c[2] * q->inverse[b + 2];
+        y[b + 3] = c[3] * q->inverse[b + 3];
+        subtract_panel(y, q->H + b, c, b + 4, LDV);
     }
 }
 
@@ -128,12 +130,13 @@ static void qp_factorize_panel(qp_t *q, int b)
 {
     const qp_t *known = q;
     for (int i = b + 4; i < LDV; ++i) {
-        real_t *h = q->H[i] + b;
-        solve_block(known->H + b, b, h);
-        q->H[b][i] = h[0] * q->inverse[b];
-        q->H[b + 1][i] = h[1] * q->inverse[b + 1];
-        q->H[b + 2][i] = h[2] * q->inverse[b + 2];
-        q->H[b + 3][i] = h[3] * q->inverse[b + 3];
+        real_t *h = q->H[i] + b, x[4];
+        solve_block(known->H + b, b, h, x);
+        memcpy(h, x, sizeof x);
+        q->H[b][i] = x[0] * q->inverse[b];
+        q->H[b + 1][i] = x[1] * q->inverse[b + 1];
+        q->H[b + 2][i] = x[2] * q->inverse[b + 2];
+        q->H[b + 3][i] = x[3] * q->inverse[b + 3];
     }
     for (int i = b + 4; i < NV; ++i) {
         subtract_panel(q->H[i], known->H + b, q->H[i] + b, b + 4, i + 1);

@@ -15,7 +15,7 @@ static int qp_wrong_multiplier(const qp_t *q)
 #endif
         if (excess > R(0)) {
             const real_t weighted = excess * SQRT(qp_square(q, k));
-            if (weighted > most && weighted > TOL_QP_SIGN * (q->scale + norm(q->y))) {
+            if (weighted > most && weighted > TOL_QP_SIGN * (q->scale + norm(q->work.basis.y))) {
                 most = weighted;
                 worst = k;
             }
@@ -138,7 +138,7 @@ static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
         q->lam[k] -= step * r[k];
     }
     for (int j = 0; primal && j < LDV; ++j) {
-        q->y[j] -= step * q->v[j];
+        q->work.basis.y[j] -= step * q->work.basis.v[j];
     }
 }
 
@@ -148,7 +148,7 @@ static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
 static real_t qp_rounding(const qp_t *q, const real_t *r, real_t bound, real_t mm, real_t vv)
 {
     const real_t most = TOL_QP_REDUNDANT, least = TOL_QP_FEASIBILITY;
-    real_t size = FABS(bound) + SQRT(mm) * (R(0.25) * norm(q->y) + R(1.0 / 1048576) * q->scale);
+    real_t size = FABS(bound) + SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);
     for (int k = 0; k < q->nw; ++k) {
         size += FABS(qp_bound(q, q->row[k]) * r[k]);
     }
@@ -197,7 +197,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
     real_t r[LDV], step, moved = R(0);
     while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) {
         const real_t vv = qp_project(q, mm);
-        memcpy(r, q->d, sizeof r);
+        copy(r, q->work.basis.d);
         qp_solve_triangle(q, r);
         if (!(moved > R(0))) {
             q->slack[c] = qp_rounding(q, r, bound, mm, vv);
@@ -205,7 +205,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
                 return OK;
             }
         }
-        violation = sign * (dot(q->m, q->y, LDV) - bound);
+        violation = sign * (dot(q->work.basis.m, q->work.basis.y, LDV) - bound);
         const real_t full = qp_full_step(violation, mm, vv);
         const int blocking = qp_blocking(q, r, side, mm, &step), last = full <= step || left <= step;
         step = full <= step ? full : step;
@@ -342,7 +342,7 @@ static status_t qp_iterate(qp_t *q)
     status_t status = isfinite(q->scale) ? qp_restore_dual_feasibility(q) : NUMERICAL_FAILURE;
     while (status == OK) {
         const int changes = q->changes;
-        qp_backward(q, q->y, q->x);
+        qp_backward(q, q->work.basis.y, q->x);
         const int c = qp_most_violated(q, &side, &violation);
         if (c >= 0) {
             status = qp_enforce(q, c, side, violation);
@@ -361,6 +361,6 @@ static status_t qp_iterate(qp_t *q)
             direct = 1;
         }
     }
-    qp_backward(q, q->y, q->x);
+    qp_backward(q, q->work.basis.y, q->x);
     return status;
 }

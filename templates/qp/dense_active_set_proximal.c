@@ -75,7 +75,7 @@ static real_t qp_conjugate_step(qp_t *q, const real_t *s, real_t total)
 static status_t qp_move_center(qp_t *q)
 {
     real_t s[LDV], u[LDV], e[LDV];
-    const real_t size = q->scale + norm(q->y), before = q->step;
+    const real_t size = q->scale + norm(q->work.basis.y), before = q->step;
     for (int i = 0; i < LDV; ++i) {
         s[i] = q->x[i] - q->center[i];
     }
@@ -90,7 +90,7 @@ static status_t qp_move_center(qp_t *q)
     if (dot(e, e, qp_padded(q)) <= TOL_QP_DEPENDENT_PREDICTION * total) {
         return qp_conjugate_step(q, s, total) < (real_t)INFINITY ? ITERATION_LIMIT : NUMERICAL_FAILURE;
     }
-    memcpy(q->center, q->x, sizeof q->center);
+    copy(q->center, q->x);
     q->total = R(0);
     return ITERATION_LIMIT;
 }

@@ -54,7 +54,7 @@ static real_t qp_row_size(const qp_t *q, int c)
         return sum;
     }
 #endif
-    return FABS(q->x[c]) + q->inverse[c] * FABS(q->y[c]);
+    return FABS(q->x[c]) + q->inverse[c] * FABS(q->work.basis.y[c]);
 }
 
 /* Members of the working set, in whole panels. */
@@ -95,38 +95,39 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
 /* The normal of row c in y: m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
 {
-    clear(q->m);
+    clear(q->work.basis.m);
 #if NG
     if (c >= NV) {
-        memcpy(q->m, q->A[c - NV], sizeof q->m);
+        copy(q->work.basis.m, q->A[c - NV]);
     }
 #endif
     if (c < NV) {
-        q->m[c] = R(1);
+        q->work.basis.m[c] = R(1);
     }
-    qp_forward(q, q->m, c < NV ? c : 0);
-    return dot(q->m, q->m, LDV);
+    qp_forward(q, q->work.basis.m, c < NV ? c : 0);
+    return dot(q->work.basis.m, q->work.basis.m, LDV);
 }
 
 /* m = Q'd + v with Q v = 0; a second pass where cancellation has cost orthogonality. Returns v'v. */
 static real_t qp_project(qp_t *q, real_t mm)
 {
     real_t vv = mm;
-    memcpy(q->v, q->m, sizeof q->v);
+    copy(q->work.basis.v, q->work.basis.m);
     if (q->nw == 0) {
         return vv;
     }
-    qp_coefficients(q, q->v, q->d);
-    qp_subtract_span(q, q->d, q->v);
-    vv = dot(q->v, q->v, LDV);
+    qp_coefficients(q, q->work.basis.v, q->work.basis.d);
+    qp_subtract_span(q, q->work.basis.d, q->work.basis.v);
+    vv = dot(q->work.basis.v, q->work.basis.v, LDV);
     if (vv < R(0.5) * mm) {
-        real_t e[LDV] = { R(0) };
-        qp_coefficients(q, q->v, e);
-        qp_subtract_span(q, e, q->v);
+        real_t e[LDV];
+        clear(e);
+        qp_coefficients(q, q->work.basis.v, e);
+        qp_subtract_span(q, e, q->work.basis.v);
         for (int k = 0; k < q->nw; ++k) {
-            q->d[k] += e[k];
+            q->work.basis.d[k] += e[k];
         }
-        vv = dot(q->v, q->v, LDV);
+        vv = dot(q->work.basis.v, q->work.basis.v, LDV);
     }
     return vv;
 }
@@ -142,10 +143,10 @@ static void qp_append(qp_t *q, int c, int side, real_t vv, real_t lam)
         clear(w->R[i]);
     }
     for (int j = 0; j < LDV; ++j) {
-        w->Q[k][j] = q->v[j] * scale;
+        w->Q[k][j] = q->work.basis.v[j] * scale;
     }
     for (int j = 0; j < k; ++j) {
-        w->R[k][j] = q->d[j];
+        w->R[k][j] = q->work.basis.d[j];
     }
     w->R[k][k] = length;
     q->R_inverse[k] = scale;
@@ -190,7 +191,7 @@ static void qp_remove(qp_t *q, int k)
     for (int i = k; i < last; ++i) {
         q->row[i] = q->row[i + 1];
         q->lam[i] = q->lam[i + 1];
-        memcpy(w->R[i], w->R[i + 1], sizeof w->R[i]);
+        copy(w->R[i], w->R[i + 1]);
     }
     q->nw = last;
     for (int i = k; i < last; ++i) {
@@ -224,7 +225,7 @@ static void qp_set_origin(qp_t *q)
 /* 1 if y is the small difference of large terms. */
 static int qp_cancelled(const qp_t *q)
 {
-    return norm(q->y) < R(0.125) * q->scale;
+    return norm(q->work.basis.y) < R(0.125) * q->scale;
 }
 
 /* c = Q v - w, and v := v - Q'c fulfils Q v = w. */
@@ -249,11 +250,11 @@ static void qp_minimize_on_working_set(qp_t *q)
         }
         w[k] = sum * q->R_inverse[k];
     }
-    memcpy(q->y, q->y0, sizeof q->y);
-    qp_move_to_bounds(q, w, q->lam, q->y);
+    copy(q->work.basis.y, q->y0);
+    qp_move_to_bounds(q, w, q->lam, q->work.basis.y);
     qp_solve_triangle(q, q->lam);
     if (qp_cancelled(q)) {
         real_t c[LDV];
-        qp_move_to_bounds(q, w, c, q->y);
+        qp_move_to_bounds(q, w, c, q->work.basis.y);
     }
 }

@@ -15,6 +15,9 @@ from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, Node, Place, Size, Sweep
 # Columns of a dense matrix that are processed together; leading dimensions are rounded up to it.
 PANEL = 4
 
+# Columns of G_k that condensing processes together: more than PANEL, so that S and Q are loaded less often.
+COLUMNS = 8
+
 
 @dataclass(frozen=True, eq=False)
 class Interface:
@@ -43,7 +46,7 @@ class Interfaces:
 
     def __init__(self, nx: int, nu: int) -> None:
         self.nx, self.nu, self.nz = Size(nx, "NX"), Size(nu, "NU"), Size(nx + nu, "NZ")
-        self.panel = Size(PANEL, "PANEL")
+        self.panel = Size(COLUMNS, "COLUMNS")
         self._node = {"S": Place("node->S", (self.nx, self.nz))}
         self._matrices = {"Q": Place("Q", (self.nz, self.nz)), "Q_N": Place("Q", (self.nx, self.nx))}
         self._z = {"dx": Place("dx", (self.nx,)), "du": Place("du", (self.nu,))}

@@ -9,7 +9,7 @@ from typing import Protocol
 import casadi as ca
 
 from nmpc_codegen.ir.casadi_types import Expression
-from nmpc_codegen.ir.product_interfaces import PANEL, Interface, Interfaces
+from nmpc_codegen.ir.product_interfaces import COLUMNS, Interface, Interfaces
 from nmpc_codegen.ir.sweep import Affine, Call, Entries, For, If, LoopedRoutine, Node, Place, Size, Slice
 
 Pattern = frozenset[tuple[int, int]]
@@ -107,7 +107,7 @@ class _Operands:
 
     def columns(self, rows: dict[str, list[Expression]], direct: bool = False) -> LoopedRoutine:
         """The product that yields these rows of every column of a panel."""
-        return self._interface.routine(For("l", 0, Size(PANEL, "PANEL"), (self._call(rows, direct),)))
+        return self._interface.routine(For("l", 0, Size(COLUMNS, "COLUMNS"), (self._call(rows, direct),)))
 
     def _call(self, rows: dict[str, list[Expression]], direct: bool) -> Call:
         leaf = ca.Function("rows", list(self._symbols.values()), [ca.vertcat(ca.SX(0, 1), *r) for r in rows.values()])
@@ -120,7 +120,7 @@ class _Operands:
     def _slice(self, name: str) -> Slice:
         shape = self._interface.places[name].shape
         if self._in_panel(name):
-            return Slice(name, int(shape[0]), Affine(0, (("l", 1),)), PANEL)
+            return Slice(name, int(shape[0]), Affine(0, (("l", 1),)), COLUMNS)
         return Slice(name, prod(shape))
 
 
@@ -177,18 +177,18 @@ class Loops:
 
     def forward_panel(self) -> LoopedRoutine:
         totals = {"sum": Place("sum", (self.panel,))}
-        rows = self._combined(_at("S", i=self.nz), 1, "G", _at("G_next", i=PANEL, l=1))
+        rows = self._combined(_at("S", i=self.nz), 1, "G", _at("G_next", i=COLUMNS, l=1))
         return replace(self.of.forward_panel, locals=totals).routine(For("i", 0, self.nx, rows))
 
     def terminal_panel(self) -> LoopedRoutine:
-        clear = For("i", 0, self.nx, (For("l", 0, self.panel, (_zero(_at("W", i=PANEL, l=1)),)),))
+        clear = For("i", 0, self.nx, (For("l", 0, self.panel, (_zero(_at("W", i=COLUMNS, l=1)),)),))
         products = self._symmetric("Q_N", self.nx, 0, len(self.Q_N), "W", "G", panel=True)
         return self.of.terminal_panel.routine(clear, *products)
 
     def backward_panel(self) -> LoopedRoutine:
-        copy = _copy(_at("W", i=PANEL, l=1), _at("later", i=PANEL, l=1))
-        W = self._combined(_at("S", i=1), self.nz, "later", _at("W", i=PANEL, l=1))
-        T = self._combined(_at("S", self.nx, i=1), self.nz, "later", _at("T", i=PANEL, l=1))
+        copy = _copy(_at("W", i=COLUMNS, l=1), _at("later", i=COLUMNS, l=1))
+        W = self._combined(_at("S", i=1), self.nz, "later", _at("W", i=COLUMNS, l=1))
+        T = self._combined(_at("S", self.nx, i=1), self.nz, "later", _at("T", i=COLUMNS, l=1))
         states = sum(r < self.nx for r, _ in self.Q)
         nodes = [
             For("i", 0, self.nx, (For("l", 0, self.panel, (copy,)),)),
@@ -204,10 +204,10 @@ class Loops:
         """out[l] = sum_j a[j] rows[j][l] over NX rows, TERMS at a time."""
         blocks, rest = divmod(int(self.nx), TERMS)
         many = _dot(
-            _at("sum", l=1), _along(a, TERMS, stride), Slice(rows, TERMS, _affine(0, j=TERMS * PANEL, l=1), PANEL)
+            _at("sum", l=1), _along(a, TERMS, stride), Slice(rows, TERMS, _affine(0, j=TERMS * COLUMNS, l=1), COLUMNS)
         )
         done = blocks * TERMS
-        one = _dot(_at("sum", l=1), _along(a, 1, stride), Slice(rows, 1, _affine(0, j=PANEL, l=1), PANEL))
+        one = _dot(_at("sum", l=1), _along(a, 1, stride), Slice(rows, 1, _affine(0, j=COLUMNS, l=1), COLUMNS))
 
         def panel(call: Call) -> For:
             return For("l", 0, self.panel, (call,))
@@ -228,7 +228,7 @@ class Loops:
         def product(row: str, column: str) -> Node:
             if not panel:
                 return _add(_at(out, **{row: 1}), value, _at(factor, **{column: 1}))
-            target, source = (_at(name, **{i: PANEL, "l": 1}) for name, i in ((out, row), (factor, column)))
+            target, source = (_at(name, **{i: COLUMNS, "l": 1}) for name, i in ((out, row), (factor, column)))
             return For("l", 0, self.panel, (_add(target, value, source),))
 
         body = (product("a", "b"), If("a", "!=", "b", (product("b", "a"),)))
@@ -236,8 +236,8 @@ class Loops:
 
     def _mixed(self, first: int) -> list[Node]:
         """T += the rows of Q of the controls, its columns of the states, times G."""
-        target = _at("T", -self.nx * PANEL, a=PANEL, l=1)
-        product = For("l", 0, self.panel, (_add(target, _at("Q", a=self.nz, b=1), _at("G", b=PANEL, l=1)),))
+        target = _at("T", -self.nx * COLUMNS, a=COLUMNS, l=1)
+        product = For("l", 0, self.panel, (_add(target, _at("Q", a=self.nz, b=1), _at("G", b=COLUMNS, l=1)),))
         some = any(c < self.nx for _, c in self.Q[first:])
         return self._entries("Q", first, len(self.Q) if some else first, (If("b", "<", self.nx, (product,)),))
 

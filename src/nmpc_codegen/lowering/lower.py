@@ -13,8 +13,6 @@ from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.components.core import PARTS, core_structs
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage, c_identifier
 from nmpc_codegen.ir.cmodule import (
-    PURPOSES,
-    WORK,
     CModule,
     Enum,
     Field,
@@ -33,6 +31,7 @@ from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.lowering.placement import placed
 from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report
 from nmpc_codegen.runtime.status import Status
 
@@ -239,14 +238,9 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
     inner = _inner_structs(owned)
     held = {f.ctype for s in inner for f in s.fields} | {f.ctype for f in own_members}
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held and s.name != "kkt"]
-    # Vectors before scalars: where their sizes allow it they keep the alignment of the whole.
-    vectors = [f for f in own_members if f.shape]
-    scalars = [f for f in own_members if not f.shape]
-    fields = (*common, *vectors, *members, *scalars, *results)
-    purposes = [PURPOSES["iterate"], PURPOSES["setting"], WORK, PURPOSES["result"]]
-    ordered = sorted(fields, key=lambda f: purposes.index(PURPOSES.get(f.role, WORK)))
-    solver = Struct("solver", "the whole controller: no pointers, copy it with '='", tuple(ordered))
-    return (*inner, _existing(solver, switches))
+    fields = (*common, *own_members, *members, *results)
+    solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
+    return placed((*inner, _existing(solver, switches)), model.precision)
 
 
 def _inner_structs(owned: list[Struct]) -> list[Struct]:

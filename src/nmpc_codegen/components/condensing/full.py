@@ -16,11 +16,11 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.model import ModelFunctions
-from nmpc_codegen.ir.stage_products import PANEL
+from nmpc_codegen.ir.product_interfaces import COLUMNS
 
 
 def _panels(width: int) -> int:
-    return -(-width // PANEL) * PANEL
+    return -(-width // COLUMNS) * COLUMNS
 
 
 def _slacks(problem: Problem) -> tuple[int, ...]:
@@ -71,11 +71,14 @@ class FullCondensing(Defaults):
         return () if none else (Table("row_slack", "int", slacks, "slack variable of QP row m, or -1"),)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return (("LDG", _panels(_columns(dims)), "columns of G_k: NX + N NU, rounded up to PANEL"),)
+        return (
+            ("COLUMNS", COLUMNS, "columns of G_k that are processed together"),
+            ("LDG", _panels(_columns(dims)), "columns of G_k: NX + N NU, rounded up to COLUMNS"),
+        )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Sensitivities of the condensed states and what the feedback phase needs."""
-        panel, nodes = Size("PANEL", PANEL), Size("N + 1", dims.N.value + 1)
+        panel, nodes = Size("COLUMNS", COLUMNS), Size("N + 1", dims.N.value + 1)
         return (
             Struct(
                 "columns",
@@ -106,11 +109,11 @@ class FullCondensing(Defaults):
         )
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """All but condense_rows, which leaves out zeros of the row gradients; columns are padded to PANEL."""
+        """All but condense_rows, which leaves out zeros of the row gradients; columns are padded to COLUMNS."""
         N, nx, nu, nf, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf, dims.ng))
 
         def panels(first: int, step: int, nodes: int) -> int:
-            return sum(_panels(first + k * step) // PANEL for k in range(nodes))
+            return sum(_panels(first + k * step) // COLUMNS for k in range(nodes))
 
         hessian = model.products.forward_panel * panels(nx, nu, N)
         hessian += model.products.terminal_panel * panels(nx + N * nu, 0, 1)

@@ -75,11 +75,7 @@ class DenseActiveSet(Defaults):
                     Field("R_inverse", (ld,), "inverse diagonal of R", "scratch"),
                     Field("lam", (ld,), "multipliers of the members", "scratch"),
                     Field("y0", (ld,), "unconstrained minimiser, y = D^{1/2} L'z", "scratch"),
-                    Field("y", (ld,), "minimiser on the working set", "scratch"),
                     Field("x", (ld,), "z of y", "scratch"),
-                    Field("m", (ld,), "normal of the row under consideration, in y", "scratch"),
-                    Field("v", (ld,), "its part outside the span of the working set", "scratch"),
-                    Field("d", (ld,), "its coefficients in the basis", "scratch"),
                     Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
                     Field("scale", (), "|y0|, and the terms that saturated rows add to it", "scratch"),
                     Field("penalty", (rows,), "l1 penalty of violating a row; infinite: hard", "keep", only="ELASTIC"),
@@ -129,10 +125,14 @@ def _working_memory(dims: Dims) -> tuple[Struct, ...]:
     basis = (
         Field("Q", (dims.qp.ld, dims.qp.ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
         Field("R", (dims.qp.ld, dims.qp.ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
+        Field("y", (dims.qp.ld,), "minimiser on the working set", "scratch"),
+        Field("m", (dims.qp.ld,), "normal of the row under consideration, in y", "scratch"),
+        Field("v", (dims.qp.ld,), "its part outside the span of the working set", "scratch"),
+        Field("d", (dims.qp.ld,), "its coefficients in the basis", "scratch"),
     )
     alternatives = (Field("basis", (), "from qp_factorize to the end of the feedback", "scratch", "basis"),)
     return (
-        Struct("basis", "factors of the working set", basis),
+        Struct("basis", "factors of the working set, vectors of an iteration", basis),
         Struct("work", "memory of phases that never overlap", alternatives, union=True),
     )
 
