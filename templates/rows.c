@@ -28,7 +28,7 @@ static int all_finite(const real_t *v, int n)
 static void evaluate_rows(const solver_t *s, real_t *value)
 {
 #if GENERAL_ROWS
-    real_t h[NH + NH_N], J[(NH + NH_N) * NZ];
+    real_t h[NH + NH_N] = {R(0)}, J[(NH + NH_N) * NZ];
 #endif
 #if NE
     real_t r[NE], J_0[NE * NX], J_N[NE * NX];

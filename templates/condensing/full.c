@@ -215,7 +215,7 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
     }
 #endif
     for (int i = 0; i < last; ++i) {
-        if (J[i] != R(0)) {
+        if (J[i] != R(0)) { /* a row depends on few states: the others are exactly 0 */
             for (int l = 0; l < PANEL; ++l) {
                 sum[l] += J[i] * s->qp.work.columns.G[k][i][l];
             }

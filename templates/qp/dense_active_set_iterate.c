@@ -297,9 +297,13 @@ static int qp_write_result(qp_t *q)
 #endif
         const int side = lam > R(0) ? AT_UPPER : lam < R(0) ? AT_LOWER : q->side[c];
         total += FABS(lam);
+#if NG
         if (c < NV) {
             q->z[c] = qp_bound(q, c);
         }
+#else
+        q->z[c] = qp_bound(q, c);
+#endif
         if (qp_is_equality(q, c)) {
             q->side[c] = side;
         }
