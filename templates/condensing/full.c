@@ -393,7 +393,12 @@ static void condense_rows(solver_t *s)
     for (int m = 0; m < NG; ++m) {
         const real_t *c = s->condensed.c[row_node[m]];
 #if STATE_ROWS && (GENERAL_ROWS || NE)
-        const real_t change = (row_kind[m] == ROW_STATE) ? c[row_index[m]] : condense_sum(R(0), condense_row_gradient(s, m), c);
+        real_t change;
+        if (row_kind[m] == ROW_STATE) {
+            change = c[row_index[m]];
+        } else {
+            change = condense_sum(R(0), condense_row_gradient(s, m), c);
+        }
 #elif STATE_ROWS
         const real_t change = c[row_index[m]];
 #else
