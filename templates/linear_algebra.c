@@ -5,7 +5,7 @@
 /* sum_j a_j b_j,  j < n, in four partial sums */
 static inline real_t dot(const real_t *a, const real_t *b, int n)
 {
-    real_t s[4] = { R(0), R(0), R(0), R(0) };
+    real_t s[4] = {R(0), R(0), R(0), R(0)};
     for (int j = 0; j < n; j += 4) {
         for (int l = 0; l < 4; ++l) {
             s[l] += a[j + l] * b[j + l];

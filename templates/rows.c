@@ -28,26 +28,24 @@ static int all_finite(const real_t *v, int n)
 static void evaluate_rows(const solver_t *s, real_t *value)
 {
 #if GENERAL_ROWS
-    real_t h[NH + NH_N], J[(NH + NH_N) * NZ];
+    real_t h[NH + NH_N] = {R(0)}, J[(NH + NH_N) * NZ];
 #endif
 #if NE
     real_t r[NE], J_0[NE * NX], J_N[NE * NX];
     COUPLED_ROWS(s, r, J_0, J_N);
 #endif
-    for (int k = 0; k <= N; k++) {
+    for (int m = 0; m < NG; m++) {
 #if NH
-        if (k < N) {
-            PATH_ROWS(s, k, h, J);
+        if (row_node[m] < N && m == row_first[row_node[m]]) {
+            PATH_ROWS(s, row_node[m], h, J);
         }
 #endif
 #if NH_N
-        if (k == N) {
+        if (row_node[m] == N && m == row_first[N]) {
             TERMINAL_ROWS(s, h, J);
         }
 #endif
-        for (int m = row_first[k]; m < row_first[k + 1]; m++) {
-            value[m] = ROW_VALUE(s, m, h, r);
-        }
+        value[m] = ROW_VALUE(s, m, h, r);
     }
 }
 #endif

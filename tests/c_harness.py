@@ -55,7 +55,7 @@ class Routines:
         self.scalar = SCALARS[precision]
         style = CStyle("real", precision == "single")
         ctype = {"double": "double", "single": "float"}[precision]
-        texts = ["#include <math.h>", f"typedef {ctype} real;"]
+        texts = ["#include <math.h>", "#include <stddef.h>", f"typedef {ctype} real;"]
         for key, routine in self.routines.items():
             texts.append(print_routine(routine, style).replace(routine.name, key))
             ports = [f"const real *{p.name}" for p in routine.inputs] + [f"real *{p.name}" for p in routine.outputs]

@@ -34,7 +34,8 @@ def times(
     ``points``: port -> (n, size); routines of any port names may be mixed.
     """
     n = len(next(iter(points.values())))
-    lines = ["#define _POSIX_C_SOURCE 199309L", "#include <math.h>", "#include <stdio.h>", "#include <time.h>"]
+    lines = ["#define _POSIX_C_SOURCE 199309L", "#include <math.h>", "#include <stddef.h>"]
+    lines += ["#include <stdio.h>", "#include <time.h>"]
     lines += ["typedef double real;", MAIN]
     for name, values in points.items():
         table = values.reshape(n, -1) if values.size else np.zeros((n, 1))
@@ -72,7 +73,8 @@ def code_bytes(routine: Routine) -> int:
     name = routine.name
     text = print_routine(routine, CStyle("real", False)).replace(f"static void {name}(", f"void {name}(")
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "k.c").write_text(f"#include <math.h>\ntypedef double real;\n{text}\n", encoding="utf-8")
+        unit = f"#include <math.h>\n#include <stddef.h>\ntypedef double real;\n{text}\n"
+        (Path(folder) / "k.c").write_text(unit, encoding="utf-8")
         subprocess.run([*find_compiler(), *PROFILES["fast"].flags, "-c", "k.c"], cwd=folder, check=True)
         out = subprocess.run(["size", "k.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
     return int(out.splitlines()[1].split()[0])

@@ -15,10 +15,14 @@ static real_t row_excess(const solver_t *s, int m)
     const int k = row_node[m];
     for (int i = 0; i < NX; i++) {
         value += J[i] * s->step.dx[k][i];
-#if NE
-        value += IS_COUPLED(m) ? s->coupled.J_0[row_index[m]][i] * s->step.dx[0][i] : R(0);
-#endif
     }
+#if NE
+    if (IS_COUPLED(m)) {
+        for (int i = 0; i < NX; i++) {
+            value += s->coupled.J_0[row_index[m]][i] * s->step.dx[0][i];
+        }
+    }
+#endif
     for (int i = 0; k < N && i < NU; i++) {
         value += J[NX + i] * s->step.du[k][i];
     }

@@ -1,9 +1,10 @@
 /* Seam "algorithm", contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt and, if SOLVE, _solve.
  * Here: real-time iteration, one QP per sample, full step. */
 
-/* Control j at node k: u, or the reference if that is not finite, inside its bounds. */
-static real_t safe_value(const solver_t *s, int k, int j, real_t u)
+/* Control j at node k, or its reference if that is not finite, inside its bounds. */
+static real_t safe_value(const solver_t *s, int k, int j)
 {
+    const real_t u = s->u[k][j];
     return clip(isfinite(u) ? u : CONTROL_REFERENCE(s, k, j), CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
 }
 
@@ -18,7 +19,7 @@ static void start_at(solver_t *s, const real_t *x)
     }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            s->u[k][j] = safe_value(s, k, j, s->u[k][j]);
+            s->u[k][j] = safe_value(s, k, j);
         }
     }
     memset(s->lam, 0, sizeof s->lam);
@@ -139,7 +140,7 @@ static void renew_gradients(solver_t *s)
 static void safe_control(const solver_t *s, real_t *u0)
 {
     for (int j = 0; j < NU; j++) {
-        u0[j] = safe_value(s, 0, j, s->u[0][j]);
+        u0[j] = safe_value(s, 0, j);
     }
 }
 
@@ -171,7 +172,8 @@ status_t API(prepare)(solver_t *s)
 #if SHIFT
     if (s->samples > 0 && !s->prepared) {
         API(shift)(s);
-        if (s->failing == 2) { /* states that a shift has integrated from the measured one would be as lost as the plan */
+        if (s->failing ==
+            2) { /* states that a shift has integrated from the measured one would be as lost as the plan */
             start_at_measured(s);
         }
     }
@@ -256,7 +258,8 @@ static void take_step(solver_t *s)
     }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            s->u[k][j] = safe_value(s, k, j, s->u[k][j] + s->step.du[k][j]);
+            s->u[k][j] += s->step.du[k][j];
+            s->u[k][j] = safe_value(s, k, j);
         }
     }
 }

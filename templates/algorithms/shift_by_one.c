@@ -27,7 +27,8 @@ static void shift_by_one(solver_t *s)
             s->mu_x[k][i] = s->mu_x[from][i];
         }
         for (int j = 0; j < NU; j++) {
-            s->u[k][j] = safe_value(s, k, j, s->u[from][j]);
+            s->u[k][j] = s->u[from][j];
+            s->u[k][j] = safe_value(s, k, j);
             s->mu_u[k][j] = s->mu_u[from][j];
         }
 #if NH

@@ -108,7 +108,8 @@ static void move_to(solver_t *s, real_t alpha)
     }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            s->u[k][j] = safe_value(s, k, j, q->u[k][j] + alpha * q->du[k][j]);
+            s->u[k][j] = q->u[k][j] + alpha * q->du[k][j];
+            s->u[k][j] = safe_value(s, k, j);
         }
     }
 }

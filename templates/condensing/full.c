@@ -139,7 +139,7 @@ static void condense_hessian(solver_t *s, int column)
     condense_clear(p->W);
 #endif
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
-        real_t (*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
+        real_t(*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
         CONDENSE_BACKWARD_PANEL(p, &s->node[k], Q, k);
         condense_store_rows(s, Q, k, column);
     }
@@ -223,7 +223,7 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
     }
 #endif
     for (int i = 0; i < last; ++i) {
-        if (J[i] != R(0)) {
+        if (J[i] != R(0)) { /* a row depends on few states: the others are exactly 0 */
             for (int l = 0; l < COLUMNS; ++l) {
                 sum[l] += J[i] * s->qp.work.columns.G[k][i][l];
             }
@@ -239,7 +239,7 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 /* A panel of row m of the QP: A = J_x G_k + J_u at du_k; a state row is J_x = e_i, a coupled row has J_0 dx_0 besides. */
 static void condense_row(solver_t *s, int m, int column)
 {
-    real_t sum[COLUMNS] = { R(0) };
+    real_t sum[COLUMNS] = {R(0)};
 #if STATE_ROWS && (GENERAL_ROWS || NE)
     if (row_kind[m] == ROW_STATE) {
         condense_take_state(s, m, column, sum);
@@ -401,7 +401,12 @@ static void condense_rows(solver_t *s)
     for (int m = 0; m < NG; ++m) {
         const real_t *c = s->condensed.c[row_node[m]];
 #if STATE_ROWS && (GENERAL_ROWS || NE)
-        const real_t change = (row_kind[m] == ROW_STATE) ? c[row_index[m]] : condense_sum(R(0), condense_row_gradient(s, m), c);
+        real_t change;
+        if (row_kind[m] == ROW_STATE) {
+            change = c[row_index[m]];
+        } else {
+            change = condense_sum(R(0), condense_row_gradient(s, m), c);
+        }
 #elif STATE_ROWS
         const real_t change = c[row_index[m]];
 #else

@@ -120,7 +120,7 @@ static void condense_forward(const node_t *node, real_t (*G)[NZS], real_t (*next
 static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int node, int j)
 {
     const int width = NXS + (j + 1) * NU;
-    real_t (*Z)[NZS] = s->blocks.Z;
+    real_t(*Z)[NZS] = s->blocks.Z;
     real_t T[NZS];
     int i, l, c, r;
     memcpy(Z, s->blocks.G[node], sizeof s->blocks.G[node]);
@@ -150,7 +150,7 @@ static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int n
  * block, or of the last one of the horizon, needs none. */
 static void condense_block_rows(solver_t *s, int node)
 {
-    const int j = node % BLOCK;
+    const int j = node - node / BLOCK * BLOCK; /* place of the node in its block */
     int m, i, c;
     for (m = row_first[node]; m < row_first[node + 1]; m++) {
         real_t J[NZ];
@@ -186,8 +186,11 @@ static void condense_row_values(solver_t *s)
     for (m = 0; m < NG; m++) {
         real_t J[NZ];
         real_t value = row_gradient(s, m, J);
-        for (i = 0; row_node[m] < N && i < NX; i++) {
-            value += J[i] * s->blocks.c[row_node[m]][i];
+        if (row_node[m] < N) {
+            const real_t *c = s->blocks.c[row_node[m]];
+            for (i = 0; i < NX; i++) {
+                value += J[i] * c[i];
+            }
         }
         s->blocks.v[m] = value;
     }

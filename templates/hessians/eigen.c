@@ -85,10 +85,10 @@ static void collect_reflections(real_t (*W)[LDV], real_t *d, real_t *e, int n)
         real_t *w = W[i + 1];
         W[i][n - 1] = W[i][i];
         W[i][i] = R(1);
-        for (int k = 0; k <= i && h != R(0); ++k) {
+        for (int k = 0; k <= i && h != R(0); ++k) { /* exactly 0: row i was not reflected */
             d[k] = w[k] / h;
         }
-        for (int j = 0; j <= i && h != R(0); ++j) {
+        for (int j = 0; j <= i && h != R(0); ++j) { /* as above */
             real_t g = R(0);
             for (int k = 0; k <= i; ++k) {
                 g += w[k] * W[j][k];

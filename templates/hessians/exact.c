@@ -8,7 +8,7 @@ static int has_multipliers(const solver_t *s)
     int k, i;
     for (k = 1; k <= N; k++) {
         for (i = 0; i < NX; i++) {
-            if (s->lam[k][i] != R(0)) {
+            if (s->lam[k][i] != R(0)) { /* exactly 0 after reset only */
                 return 1;
             }
         }

@@ -70,12 +70,10 @@ static int jacobi_rotate(real_t (*A)[LANES], real_t (*V)[LANES], int n, int p, i
     return 1;
 }
 
-/* A = V' Lambda V: eigenvalues to the diagonal of A, eigenvectors to the rows of V. Planes in rounds of disjoint ones, so that
- * their angles do not wait for one another; m is n rounded up to an even number, plane with the row n left out. */
-static void jacobi(real_t (*A)[LANES], real_t (*V)[LANES], int n)
+/* V = I */
+static void jacobi_identity(real_t (*V)[LANES], int n)
 {
-    const int m = n + (n & 1);
-    int sweep, round, i, j, l, rotated = 1;
+    int i, j, l;
     for (i = 0; i < n; i++) {
         for (j = 0; j < n; j++) {
             for (l = 0; l < LANES; l++) {
@@ -83,16 +81,32 @@ static void jacobi(real_t (*A)[LANES], real_t (*V)[LANES], int n)
             }
         }
     }
-    for (sweep = 0; sweep < MAX_SWEEPS && rotated; sweep++) {
-        rotated = 0;
-        for (round = 0; round < m - 1; round++) {
-            for (i = 0; i < m / 2; i++) {
-                const int a = (i == 0) ? m - 1 : (round + i) % (m - 1);
-                const int b = (round - i + m - 1) % (m - 1);
-                if (a < n && b < n) {
-                    rotated |= jacobi_rotate(A, V, n, (a < b) ? a : b, (a < b) ? b : a);
-                }
+}
+
+/* Every plane once, in rounds of disjoint ones, so that their angles do not wait for one another; m is n rounded up to an even
+ * number, a plane with the row n is left out. Returns 0 where nothing was done. */
+static int jacobi_sweep(real_t (*A)[LANES], real_t (*V)[LANES], int n)
+{
+    const int m = n + (n & 1);
+    int round, i, rotated = 0;
+    for (round = 0; round < m - 1; round++) {
+        for (i = 0; i < m / 2; i++) {
+            const int a = (i == 0) ? m - 1 : (round + i) % (m - 1);
+            const int b = (round - i + m - 1) % (m - 1);
+            if (a < n && b < n) {
+                rotated |= jacobi_rotate(A, V, n, (a < b) ? a : b, (a < b) ? b : a);
             }
         }
+    }
+    return rotated;
+}
+
+/* A = V' Lambda V: eigenvalues to the diagonal of A, eigenvectors to the rows of V. */
+static void jacobi(real_t (*A)[LANES], real_t (*V)[LANES], int n)
+{
+    int sweep, rotated = 1;
+    jacobi_identity(V, n);
+    for (sweep = 0; sweep < MAX_SWEEPS && rotated; sweep++) {
+        rotated = jacobi_sweep(A, V, n);
     }
 }

@@ -9,7 +9,8 @@ static void block_norms(const real_t *Q, int stride, int n, int nodes, real_t *n
 {
     int l, i, j;
     for (l = 0; l < LANES; l++) {
-        const real_t *q = Q + ((l < nodes) ? l : nodes - 1) * stride;
+        const int at = ((l < nodes) ? l : nodes - 1) * stride;
+        const real_t *q = Q + at;
         real_t largest = R(0);
         for (i = 0; i < n; i++) {
             for (j = 0; j <= i; j++) {
@@ -23,12 +24,13 @@ static void block_norms(const real_t *Q, int stride, int n, int nodes, real_t *n
 }
 
 /* A = lower triangle of one block of every lane, entries at most 1. */
-static void gather_block(real_t (*A)[LANES], const real_t *Q, int stride, int ld, int nodes, const int *row, int n,
-    const real_t *inverse)
+static void gather_block(
+    real_t (*A)[LANES], const real_t *Q, int stride, int ld, int nodes, const int *row, int n, const real_t *inverse)
 {
     int l, i, j;
     for (l = 0; l < LANES; l++) {
-        const real_t *q = Q + ((l < nodes) ? l : nodes - 1) * stride;
+        const int at = ((l < nodes) ? l : nodes - 1) * stride;
+        const real_t *q = Q + at;
         for (i = 0; i < n; i++) {
             for (j = 0; j <= i; j++) {
                 A[i * n + j][l] = q[row[i] * ld + row[j]] * inverse[l];
@@ -37,27 +39,34 @@ static void gather_block(real_t (*A)[LANES], const real_t *Q, int stride, int ld
     }
 }
 
+/* Entry (i, j) of L D in W below the diagonal, that of L above it; A - shift I = L D L'. */
+static inline void test_entry(real_t (*A)[LANES], real_t (*W)[LANES], int n, int i, int j, const real_t *shift)
+{
+    real_t sum[LANES];
+    int k, l;
+    for (l = 0; l < LANES; l++) {
+        sum[l] = A[i * n + j][l] - ((i == j) ? shift[l] : R(0));
+    }
+    for (k = 0; k < j; k++) {
+        for (l = 0; l < LANES; l++) {
+            sum[l] -= W[i * n + k][l] * W[k * n + j][l];
+        }
+    }
+    for (l = 0; l < LANES; l++) {
+        W[i * n + j][l] = sum[l];
+    }
+}
+
 /* keep[l] = 0 where A - shift I (lower triangle) has a pivot that is not positive; L D L' in W. */
 static void test_block(real_t (*A)[LANES], real_t (*W)[LANES], int n, const real_t *shift, int *keep)
 {
-    int i, j, k, l;
+    int i, j, l;
     for (i = 0; i < n; i++) {
         for (j = 0; j <= i; j++) {
-            real_t sum[LANES];
-            for (l = 0; l < LANES; l++) {
-                sum[l] = A[i * n + j][l] - ((i == j) ? shift[l] : R(0));
-            }
-            for (k = 0; k < j; k++) { /* W: below the diagonal L D, above it L */
-                for (l = 0; l < LANES; l++) {
-                    sum[l] -= W[i * n + k][l] * W[k * n + j][l];
-                }
-            }
-            for (l = 0; l < LANES; l++) {
-                W[i * n + j][l] = sum[l];
-            }
+            test_entry(A, W, n, i, j, shift);
             if (j < i) {
                 for (l = 0; l < LANES; l++) {
-                    W[j * n + i][l] = sum[l] / W[j * n + j][l];
+                    W[j * n + i][l] = W[i * n + j][l] / W[j * n + j][l];
                 }
             }
         }
@@ -100,7 +109,8 @@ static void scatter_block(real_t (*A)[LANES], real_t *Q, int stride, int ld, int
 {
     int l, i, j;
     for (l = 0; l < nodes; l++) {
-        real_t *q = Q + l * stride;
+        const int at = l * stride;
+        real_t *q = Q + at;
         for (i = 0; i < n; i++) {
             for (j = 0; j <= i && !keep[l]; j++) {
                 q[row[i] * ld + row[j]] = A[i * n + j][l] * norm[l];
@@ -114,16 +124,16 @@ static void scatter_block(real_t (*A)[LANES], real_t *Q, int stride, int ld, int
 static void block_floors(real_t (*A)[LANES], const int *first, int blocks, real_t *floor_value)
 {
     real_t largest[LANES] = {0};
-    int b, i, l;
+    int b, i, l, at = 0;
     for (b = 0; b < blocks; b++) {
         const int n = first[b + 1] - first[b];
         for (i = 0; i < n; i++) {
             for (l = 0; l < LANES; l++) {
-                const real_t a = FABS(A[i * n + i][l]);
+                const real_t a = FABS(A[at + i * n + i][l]);
                 largest[l] = (a > largest[l]) ? a : largest[l];
             }
         }
-        A += n * n;
+        at += n * n;
     }
     for (l = 0; l < LANES; l++) {
         floor_value[l] = regularization[0] * largest[l];
@@ -131,8 +141,8 @@ static void block_floors(real_t (*A)[LANES], const int *first, int blocks, real_
 }
 
 /* Up to LANES matrices of ld rows, stride apart; scale[l]: largest absolute entry. */
-static void regularize_batch(hessian_t *h, real_t *Q, int stride, int ld, int nodes, const int *row, const int *first,
-    int blocks, real_t *scale)
+static void regularize_batch(
+    hessian_t *h, real_t *Q, int stride, int ld, int nodes, const int *row, const int *first, int blocks, real_t *scale)
 {
     real_t norm[LANES], factor[LANES], shift[LANES];
     int keep[LANES], b, l, at, kept = 1;
@@ -188,11 +198,9 @@ static void regularize_stages(solver_t *s)
     int k;
     for (k = 0; k < N; k += LANES) {
         const int nodes = (N - k < LANES) ? N - k : LANES;
-        regularize_batch(h, &h->Q[k][0][0], NZ * NZ, NZ, nodes, Q_block_row, Q_block_first,
-            Q_BLOCKS, &h->scale[k]);
+        regularize_batch(h, &h->Q[k][0][0], NZ * NZ, NZ, nodes, Q_block_row, Q_block_first, Q_BLOCKS, &h->scale[k]);
     }
-    regularize_batch(h, &h->Q_N[0][0], 0, NX, 1, Q_N_block_row, Q_N_block_first, Q_N_BLOCKS,
-        &h->scale[N]);
+    regularize_batch(h, &h->Q_N[0][0], 0, NX, 1, Q_N_block_row, Q_N_block_first, Q_N_BLOCKS, &h->scale[N]);
     for (k = 0; k <= N; k++) {
         largest = (h->scale[k] > largest) ? h->scale[k] : largest;
     }

@@ -78,7 +78,8 @@ static int qp_most_violated(const qp_t *q, int *side, real_t *violation)
             return -2;
         }
         const real_t amount = over > under ? over : under;
-        if (amount > q->slack[c] && amount > TOL_QP_FEASIBILITY * qp_row_size(q, c) && amount > most * qp_row_norm(q, c)) {
+        if (amount > q->slack[c] && amount > TOL_QP_FEASIBILITY * qp_row_size(q, c) &&
+            amount > most * qp_row_norm(q, c)) {
             most = amount / qp_row_norm(q, c);
             worst = c;
             *side = over > under ? AT_UPPER : AT_LOWER;
@@ -297,9 +298,13 @@ static int qp_write_result(qp_t *q)
 #endif
         const int side = lam > R(0) ? AT_UPPER : lam < R(0) ? AT_LOWER : q->side[c];
         total += FABS(lam);
+#if NG
         if (c < NV) {
             q->z[c] = qp_bound(q, c);
         }
+#else
+        q->z[c] = qp_bound(q, c);
+#endif
         if (qp_is_equality(q, c)) {
             q->side[c] = side;
         }

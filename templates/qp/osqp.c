@@ -4,8 +4,8 @@
  * overlap. All data are loaded anew for every solve. */
 
 /* In osqp/API(osqp).c: OSQP's status of the run, 0 if it refused the data. infinity: that of OSQP. */
-int API(osqp_solve)(const double *P, const double *A, const double *g, const double *lower, const double *upper, double *z,
-    double *mult, double *certificate, int *iterations);
+int API(osqp_solve)(const double *P, const double *A, const double *g, const double *lower, const double *upper,
+    double *z, double *mult, double *certificate, int *iterations);
 
 static void qp_init(qp_t *q)
 {
@@ -74,7 +74,8 @@ static status_t qp_solve(qp_t *q)
     if (!ordered || !all_finite(q->g, NV)) {
         return qp_fail(q, ordered ? NUMERICAL_FAILURE : INFEASIBLE);
     }
-    const int status = API(osqp_solve)(q->P_x, q->A_x, q->g, q->lower, q->upper, q->z, q->mult, q->certificate, &iterations);
+    const int status =
+        API(osqp_solve)(q->P_x, q->A_x, q->g, q->lower, q->upper, q->z, q->mult, q->certificate, &iterations);
     q->iterations = iterations;
     if (status == 1) {
         return OK;

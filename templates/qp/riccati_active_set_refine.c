@@ -48,7 +48,7 @@ static void qp_residual(solver_t *s, int k)
 static void qp_take_sizes(solver_t *s, int k, real_t *size)
 {
     const real_t *g = stage_g(s, k), *lam = s->riccati.work.vectors.lam[k + 1];
-    real_t (*S)[NZS] = stage_S(s, k);
+    real_t(*S)[NZS] = stage_S(s, k);
     for (int i = 0; i < NXS; i++) {
         const real_t term = FABS(lam[i]) + FABS(g[i]);
         size[i] = term > size[i] ? term : size[i];

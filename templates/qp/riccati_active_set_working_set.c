@@ -209,7 +209,8 @@ static int qp_take_multipliers(solver_t *s)
 #if NG
     for (int m = 0; m < NG; m++) {
         q->value[m] = qp_row_value(s, m);
-        q->mult[NV + m] = q->side[NV + m] != INACTIVE ? q->center[m] + r->weight[m] * (q->value[m] - q->target[m]) : R(0);
+        q->mult[NV + m] =
+            q->side[NV + m] != INACTIVE ? q->center[m] + r->weight[m] * (q->value[m] - q->target[m]) : R(0);
         sum += FABS(q->value[m]);
     }
 #endif

@@ -67,7 +67,7 @@ static void ipm_take_controls(solver_t *s, int k, const real_t *w, const real_t 
  * unstable horizon. Given controls get their multipliers. */
 static real_t ipm_stationarity(solver_t *s)
 {
-    real_t (*g)[NZS] = s->riccati.work.vectors.rhs.g;
+    real_t(*g)[NZS] = s->riccati.work.vectors.rhs.g;
     slope_t largest = {R(0), R(0)};
     real_t lam[NXS], w[NZS], size[NUS], next[NXS];
     ipm_load_gradient(s);

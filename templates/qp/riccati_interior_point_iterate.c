@@ -381,7 +381,7 @@ static int ipm_weigh_and_factorize(solver_t *s)
 static int ipm_slow_equations(const ipm_t *q, real_t before)
 {
     return !q->stretched && q->primal > R(0.875) * before && q->stiffening >= q->stiffest &&
-           q->mu <= R(16384) * TOL_IPM_GAP * q->unit && ipm_any(q, EQUATION);
+        q->mu <= R(16384) * TOL_IPM_GAP * q->unit && ipm_any(q, EQUATION);
 }
 
 /* The same before an end with equations that are off by more than rounding; 1 also after a stretched step: another one follows. */

@@ -144,7 +144,7 @@ static int ipm_first_forces(solver_t *s)
 static void ipm_first_backward(solver_t *s)
 {
     riccati_t *r = &s->riccati;
-    real_t (*g)[NZS] = r->work.vectors.rhs.g;
+    real_t(*g)[NZS] = r->work.vectors.rhs.g;
     for (int k = 0; k < NS; k++) {
         memcpy(g[k], stage_g(s, k), sizeof g[k]);
         memcpy(r->b[k], stage_b(s, k), sizeof r->b[k]);

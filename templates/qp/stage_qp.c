@@ -94,7 +94,7 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 /* b = S_k z_k + b_k - x_{k+1} at the present point. */
 static void qp_gap(solver_t *s, int k, real_t *b)
 {
-    real_t (*S)[NZS] = stage_S(s, k);
+    real_t(*S)[NZS] = stage_S(s, k);
     real_t z[NZS];
     qp_stage_point(&s->qp, k, z);
     for (int i = 0; i < NXS; i++) {

@@ -12,9 +12,9 @@ static inline void riccati_clear_padding(real_t (*P)[LDX])
 static void riccati_load_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
-    real_t (*Q)[NZS] = stage_Q(s, k);
-    real_t (*P)[LDX] = r->P[k];
-    real_t (*M)[LDZ] = r->M[k];
+    real_t(*Q)[NZS] = stage_Q(s, k);
+    real_t(*P)[LDX] = r->P[k];
+    real_t(*M)[LDZ] = r->M[k];
     for (int i = 0; i < NXS; i++) {
         memcpy(P[i], Q[i], sizeof(Q[0][0]) * NXS);
     }
@@ -106,7 +106,7 @@ static void riccati_propagate(solver_t *s, int k)
 {
     const riccati_t *r = &s->riccati;
     recursion_t *work = &s->riccati.work.recursion;
-    real_t (*S)[NZS] = stage_S(s, k);
+    real_t(*S)[NZS] = stage_S(s, k);
     for (int i = 0; i < NXS; i++) {
         memcpy(work->W[i], S[i], sizeof S[0]);
     }
@@ -155,8 +155,8 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
  * positive. */
 static int riccati_eliminate_controls(riccati_t *r, int k)
 {
-    real_t (*L)[NUS] = r->L[k];
-    real_t (*V)[LDZ] = r->work.recursion.T + NXS;
+    real_t(*L)[NUS] = r->L[k];
+    real_t(*V)[LDZ] = r->work.recursion.T + NXS;
     riccati_load_controls(r, k);
     r->raised[k] = 0;
     for (int l = 0; l < NUS; l++) {

@@ -127,7 +127,7 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
 #endif
     memcpy(z, x[0], sizeof x[0]);
     for (int k = 0; k < NS; k++) {
-        real_t (*S)[NZS] = stage_S(s, k);
+        real_t(*S)[NZS] = stage_S(s, k);
         for (int j = 0; j < NUS; j++) {
             z[NXS + j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, LDX);
             u[k * NUS + j] = z[NXS + j];

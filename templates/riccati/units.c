@@ -20,7 +20,7 @@ static void riccati_closed_loop(solver_t *s, int k)
 {
     const riccati_t *r = &s->riccati;
     noise_t *q = &s->riccati.work.noise;
-    real_t (*S)[NZS] = stage_S(s, k);
+    real_t(*S)[NZS] = stage_S(s, k);
     real_t column[LDX] = {0};
     for (int l = 0; l < NUS; l++) {
         const int fixed = r->fixed[k * NUS + l];

@@ -9,7 +9,7 @@ const char *golden_status_string(status_t status)
         "iteration limit reached",
         "the constraints cannot be met",
         "soft solution: rows were relaxed",
-        "numerical failure: the Hessian is not positive definite or a number is not finite",
+        "numerical failure: a factorisation broke down or a number is not finite",
         "the measured state is not finite",
         "feedback without prepare",
         "init was not called",
@@ -35,9 +35,8 @@ status_t golden_reset(solver_t *s)
 /* to = copies of from (n numbers), one after the other. */
 static void fill_copies(real_t *to, int copies, const real_t *from, int n)
 {
-    int k, i;
-    for (k = 0; k < copies; k++) {
-        for (i = 0; i < n; i++) {
+    for (int k = 0; k < copies; k++) {
+        for (int i = 0; i < n; i++) {
             to[k * n + i] = from[i];
         }
     }
@@ -72,7 +71,7 @@ static int locate(int k, int lowest, int highest, int copies, int *first, int *e
 /* Reference of the path residual y. Takes effect in the next feedback. */
 status_t golden_set_reference(solver_t *s, int k, const real_t yref[GOLDEN_NY])
 {
-    int first, end, n, i;
+    int first, end;
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
@@ -82,8 +81,8 @@ status_t golden_set_reference(solver_t *s, int k, const real_t yref[GOLDEN_NY])
     if (!all_finite(yref, NY)) {
         return BAD_ARGUMENT;
     }
-    for (n = first; n < end; n++) {
-        for (i = 0; i < NY; i++) {
+    for (int n = first; n < end; n++) {
+        for (int i = 0; i < NY; i++) {
             s->yref[n][i] = yref[i];
         }
     }
@@ -93,14 +92,13 @@ status_t golden_set_reference(solver_t *s, int k, const real_t yref[GOLDEN_NY])
 
 status_t golden_set_terminal_reference(solver_t *s, const real_t yref[GOLDEN_NY_N])
 {
-    int i;
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
     if (!all_finite(yref, NY_N)) {
         return BAD_ARGUMENT;
     }
-    for (i = 0; i < NY_N; i++) {
+    for (int i = 0; i < NY_N; i++) {
         s->yref_N[i] = yref[i];
     }
     s->reference_changed = 1;
@@ -111,12 +109,12 @@ status_t golden_set_terminal_reference(solver_t *s, const real_t yref[GOLDEN_NY_
 static int weight_is_valid(const real_t *W, int n, int entries)
 {
     const int stride = (entries == n) ? 1 : n + 1;
-    int i, j;
-    for (i = 0; i < n; i++) {
-        if (!(W[i * stride] >= R(0))) {
+    for (int i = 0; i < n; i++) {
+        const int diagonal = i * stride;
+        if (!(W[diagonal] >= R(0))) {
             return 0;
         }
-        for (j = 0; entries > n && j < i; j++) {
+        for (int j = 0; entries > n && j < i; j++) {
             if (W[i * n + j] < W[j * n + i] || W[i * n + j] > W[j * n + i]) {
                 return 0;
             }
@@ -128,7 +126,7 @@ static int weight_is_valid(const real_t *W, int n, int entries)
 /* Weight of the path residual: its diagonal. Takes effect in the next prepare. */
 status_t golden_set_weight(solver_t *s, int k, const real_t W[GOLDEN_NW])
 {
-    int first, end, n;
+    int first, end;
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
@@ -138,7 +136,7 @@ status_t golden_set_weight(solver_t *s, int k, const real_t W[GOLDEN_NW])
     if (!weight_is_valid(W, NY, NW)) {
         return BAD_ARGUMENT;
     }
-    for (n = first; n < end; n++) {
+    for (int n = first; n < end; n++) {
         memcpy(s->W[n], W, NW * sizeof(*W));
     }
     return OK;
@@ -159,7 +157,7 @@ status_t golden_set_terminal_weight(solver_t *s, const real_t W[GOLDEN_NW_N])
 /* One parameter (PARAM_...). Takes effect in the next prepare. */
 status_t golden_set_parameter(solver_t *s, int param, int k, const real_t *values)
 {
-    int first, end, n, i;
+    int first, end;
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
@@ -169,8 +167,8 @@ status_t golden_set_parameter(solver_t *s, int param, int k, const real_t *value
     if (!all_finite(values, parameter_offset[param + 1] - parameter_offset[param])) {
         return BAD_ARGUMENT;
     }
-    for (n = first; n < end; n++) {
-        for (i = parameter_offset[param]; i < parameter_offset[param + 1]; i++) {
+    for (int n = first; n < end; n++) {
+        for (int i = parameter_offset[param]; i < parameter_offset[param + 1]; i++) {
             s->p[n][i] = values[i - parameter_offset[param]];
         }
     }
@@ -197,7 +195,7 @@ static int row_holds(int row, int k)
  * Takes effect in the next feedback. */
 status_t golden_set_bounds(solver_t *s, int row, int k, real_t lower, real_t upper)
 {
-    int first, end, n;
+    int first, end;
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
@@ -207,10 +205,10 @@ status_t golden_set_bounds(solver_t *s, int row, int k, real_t lower, real_t upp
     if (k != ALL && !row_holds(row, k)) {
         return BAD_INDEX;
     }
-    if (!(lower <= upper) || lower == (real_t)INFINITY || upper == -(real_t)INFINITY) {
+    if (!(lower <= upper && lower < (real_t)INFINITY && upper > -(real_t)INFINITY)) {
         return BAD_BOUNDS;
     }
-    for (n = first; n < end; n++) {
+    for (int n = first; n < end; n++) {
         s->lower[n][row] = lower;
         s->upper[n][row] = upper;
     }

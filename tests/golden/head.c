@@ -23,7 +23,7 @@
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
  *   condensing: full                condensing/full.c                                   108 operations      136 bytes
  *   qp: dense_active_set            qp/dense_active_set.c                                74 operations     1464 bytes
- *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      472 bytes
+ *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      360 bytes
  */
 #include "golden.h"
 
@@ -47,17 +47,17 @@
 #ifdef NMPC_CODEGEN_UNIT
 #error "one generated controller per translation unit: compile the others on their own"
 #endif
-#define NMPC_CODEGEN_UNIT
+#define NMPC_CODEGEN_UNIT GOLDEN_MAGIC
 
 /* Short names inside this translation unit. */
 typedef golden_real real_t;
+typedef golden_node_t node_t;
+typedef golden_terminal_t terminal_t;
 typedef golden_kkt_t kkt_t;
 typedef golden_columns_t columns_t;
 typedef golden_basis_t basis_t;
 typedef golden_condensed_t condensed_t;
 typedef golden_qp_t qp_t;
-typedef golden_node_t node_t;
-typedef golden_terminal_t terminal_t;
 typedef golden_step_t step_t;
 typedef golden_sqp_t sqp_t;
 typedef golden_solver_t solver_t;
@@ -74,10 +74,10 @@ typedef golden_status_t status_t;
 #define NH_N GOLDEN_NH_N
 #define NR GOLDEN_NR
 #define NQ GOLDEN_NQ
+#define NG GOLDEN_NG
 #define NS GOLDEN_NS
 #define NUS GOLDEN_NUS
 #define NV GOLDEN_NV
-#define NG GOLDEN_NG
 #define LDV GOLDEN_LDV
 #define PANEL GOLDEN_PANEL
 #define PARAMS GOLDEN_PARAMS
@@ -88,7 +88,7 @@ typedef golden_status_t status_t;
 #define MAX_TRIALS GOLDEN_MAX_TRIALS
 #define MEMORY GOLDEN_MEMORY
 #define MANY GOLDEN_MANY
-#define MAGIC GOLDEN_MAGIC
+#define MAGIC NMPC_CODEGEN_UNIT
 #define ALL GOLDEN_ALL
 #define OK GOLDEN_OK
 #define ITERATION_LIMIT GOLDEN_ITERATION_LIMIT
@@ -149,6 +149,12 @@ typedef golden_status_t status_t;
 #define TERMINAL_HESSIAN(s, Q) terminal_hessian(WEIGHT_N(s), Q)
 #define PATH_ROWS(s, k, h, J) path_rows((s)->x[k], (s)->u[k], h, J)
 #define TERMINAL_ROWS(s, h, J) terminal_rows((s)->x[N], h, J)
+#define STATE_STEP(node, dx, du, y) state_step(node, dx, du, y)
+#define ADJOINT_STEP(node, Q, dx, du, w) adjoint_step(node, Q, dx, du, w)
+#define TERMINAL_ADJOINT(terminal, Q, dx, w) terminal_adjoint(terminal, Q, dx, w)
+#define CONDENSE_FORWARD_PANEL(p, node, k) condense_forward_panel(p, node, k)
+#define CONDENSE_TERMINAL_PANEL(p, Q) condense_terminal_panel(p, Q)
+#define CONDENSE_BACKWARD_PANEL(p, node, Q, k) condense_backward_panel(p, node, Q, k)
 
 /* dt_k */
 static const real_t interval_length[2] = { 0.5, 0.5 };
@@ -176,7 +182,7 @@ static const real_t default_upper[4] = { 1.0, 2.0, 3.0, 4.0 };
 static const int control_reference[1] = { 1 };
 /* row that bounds control j, or -1 */
 static const int control_row[1] = { 0 };
-/* node of QP row m */
+/* node of row m */
 static const int row_node[5] = { 0, 1, 1, 2, 2 };
 /* 0: state bound, 1: general row, 2: coupled row */
 static const int row_kind[5] = { 1, 0, 1, 0, 1 };
@@ -184,7 +190,7 @@ static const int row_kind[5] = { 1, 0, 1, 0, 1 };
 static const int row_index[5] = { 0, 0, 0, 0, 0 };
 /* scalar row of the user */
 static const int row_id[5] = { 2, 1, 2, 1, 3 };
-/* first QP row of node k */
+/* first row of node k */
 static const int row_first[4] = { 0, 1, 3, 5 };
 /* first element of a parameter in p */
 static const int parameter_offset[2] = { 0, 1 };

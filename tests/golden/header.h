@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2568 bytes, holds no pointers and may be copied with '='.
+ * The caller owns the memory: one golden_solver_t is 2576 bytes, holds no pointers and may be copied with '='.
  * One context per instance; not interrupt-safe by itself: copy measurements first. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
 #define GOLDEN_H
@@ -38,13 +38,13 @@ typedef double golden_real;
 #define GOLDEN_NQ 1 /* path Hessian blocks */
 #define GOLDEN_NF 0 /* free components of x_0 */
 #define GOLDEN_NE 0 /* coupled rows */
+#define GOLDEN_NG 5 /* scalar rows of all nodes besides control bounds */
 #define GOLDEN_NS 1 /* stages of the QP */
 #define GOLDEN_NUS 2 /* controls of a stage of the QP */
 #define GOLDEN_NXS 1 /* states of a stage: NX and copies of components of x_0 */
 #define GOLDEN_NZS 3 /* NXS + NUS */
 #define GOLDEN_NV 2 /* variables of the QP */
 #define GOLDEN_NSL 0 /* slacks among them */
-#define GOLDEN_NG 5 /* rows of the QP besides control bounds */
 #define GOLDEN_LDV 4 /* NV rounded up to PANEL */
 #define GOLDEN_PANEL 4 /* columns processed together */
 #define GOLDEN_SOFT_ROWS 0 /* rows with a penalty */
@@ -78,7 +78,7 @@ typedef enum {
     GOLDEN_ITERATION_LIMIT = 1, /* iteration limit reached */
     GOLDEN_INFEASIBLE = 2, /* the constraints cannot be met */
     GOLDEN_RELAXED = 3, /* soft solution: rows were relaxed */
-    GOLDEN_NUMERICAL_FAILURE = 4, /* numerical failure: the Hessian is not positive definite or a number is not finite */
+    GOLDEN_NUMERICAL_FAILURE = 4, /* numerical failure: a factorisation broke down or a number is not finite */
     GOLDEN_NOT_FINITE = 5, /* the measured state is not finite */
     GOLDEN_NOT_PREPARED = 6, /* feedback without prepare */
     GOLDEN_NOT_INITIALIZED = 7, /* init was not called */
@@ -87,6 +87,8 @@ typedef enum {
     GOLDEN_BAD_ARGUMENT = 10, /* argument out of range or not finite */
     GOLDEN_STALLED = 11 /* no further progress */
 } golden_status_t;
+
+
 
 
 
@@ -115,21 +117,25 @@ typedef union { /* memory of phases that never overlap */
 
 
 
-
-
 /* Everything to what the problem states; reset keeps the settings and goes back to the plain start. */
 golden_status_t golden_init(golden_solver_t *s);
 golden_status_t golden_reset(golden_solver_t *s);
 
-/* Preparation phase: linearise, condense, factorise. Feedback phase: u0 for the measured xhat; u0 is finite and inside
- * its bounds on every return. step = prepare + feedback. shift moves the plan by one interval. A call that fails leaves
- * the plan as it was; a NUMERICAL_FAILURE that persists means that the plan itself is unusable: call reset. */
+/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan as it was; a NUMERICAL_FAILURE
+ * that persists means that the plan itself is unusable: call reset. */
 golden_status_t golden_prepare(golden_solver_t *s);
+
+/* Feedback phase: u0 for the measured xhat; u0 is finite and inside its bounds on every return. */
 golden_status_t golden_feedback(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
+
+/* prepare and feedback. */
 golden_status_t golden_step(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
+
+/* Move the plan by one interval. */
 golden_status_t golden_shift(golden_solver_t *s);
 
-/* SQP iterations until all KKT residuals are at most tol. */
+/* Iterate from the present plan to a KKT residual of tol, for at most max_iterations, with globalisation; kkt and
+ * stats tell how it went. */
 golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real tol, int max_iterations);
 
 /* Data that can be changed. k is GOLDEN_ALL or one node:
@@ -146,7 +152,7 @@ golden_status_t golden_set_terminal_weight(golden_solver_t *s, const golden_real
 golden_status_t golden_set_parameter(golden_solver_t *s, int param, int k, const golden_real *values);
 golden_status_t golden_set_bounds(golden_solver_t *s, int row, int k, golden_real lower, golden_real upper);
 
-/* The plant model over dt, the cost and the KKT residuals of the present plan. */
+/* The plant model over dt; the cost and the KKT residuals of the present plan. */
 void golden_integrate(const golden_solver_t *s, const golden_real x[GOLDEN_NX], const golden_real u[GOLDEN_NU],
     golden_real dt, golden_real x_next[GOLDEN_NX]);
 golden_real golden_cost(const golden_solver_t *s);

@@ -523,7 +523,7 @@ static void integrator_interval(const real *x, const real *u, const real *p, con
     real Ks[16];
     real fx[4];
     real Fu[8];
-    int step, c, i;
+    ptrdiff_t step, c, i;
     integrator_interval_step_length(&dt[0], &h[0]);
     integrator_interval_copy_x(&x[0], &X[0]);
     integrator_interval_identity(&Sx[0]);

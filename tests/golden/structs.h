@@ -1,20 +1,23 @@
+typedef struct { /* linearisation of a path node */
+    golden_real S[GOLDEN_NX][GOLDEN_NZ]; /* [A_k B_k] = d Phi / d(x, u) */
+    golden_real b[GOLDEN_NX]; /* gap Phi(x_k, u_k) - x_{k+1} */
+    golden_real g[GOLDEN_NZ]; /* gradient (q_k, r_k) */
+    golden_real h[GOLDEN_NH]; /* general rows */
+    golden_real J[GOLDEN_NH][GOLDEN_NZ]; /* their Jacobian [C_k D_k] */
+} golden_node_t;
+
+typedef struct { /* linearisation of the terminal node */
+    golden_real g[GOLDEN_NX]; /* gradient q_N */
+    golden_real h[GOLDEN_NH_N]; /* general rows */
+    golden_real J[GOLDEN_NH_N][GOLDEN_NX]; /* their Jacobian C_N */
+} golden_terminal_t;
+
 typedef struct { /* KKT residuals, largest absolute values */
     golden_real stationarity; /* gradient of the Lagrangian */
     golden_real equality; /* gaps of the dynamics and x_0 - xhat */
     golden_real inequality; /* violation of bounds and rows */
     golden_real complementarity; /* multiplier times distance to its bound */
 } golden_kkt_t;
-
-typedef struct { /* counters of the last feedback or solve */
-    int32_t qp_iterations; /* iterations of the last QP */
-    int32_t active_set_changes; /* changes of the working set in the last QP */
-    int32_t dropped_rows; /* redundant rows left out of the working set */
-    int32_t relaxed_rows; /* soft or relaxed rows that are violated */
-    int32_t sqp_iterations; /* iterations of the last solve */
-    int32_t violated_row; /* hard row that cannot be met (INFEASIBLE) or is relaxed (RELAXED), or -1 */
-    int32_t violated_node; /* its node, or -1 */
-    golden_real violation; /* by how much the last step of the QP violates it */
-} golden_stats_t;
 
 typedef struct { /* Hessian blocks, lower triangles, z = (x, u) */
     golden_real Q[GOLDEN_NQ][GOLDEN_NZ][GOLDEN_NZ]; /* path blocks; one for all nodes where it is constant */
@@ -82,19 +85,16 @@ typedef struct { /* condensed QP and its active-set factorisation */
     int32_t relaxed; /* elastic rows that are violated */
 } golden_qp_t;
 
-typedef struct { /* linearisation of a path node */
-    golden_real S[GOLDEN_NX][GOLDEN_NZ]; /* [A_k B_k] = d Phi / d(x, u) */
-    golden_real b[GOLDEN_NX]; /* gap Phi(x_k, u_k) - x_{k+1} */
-    golden_real g[GOLDEN_NZ]; /* gradient (q_k, r_k) */
-    golden_real h[GOLDEN_NH]; /* general rows */
-    golden_real J[GOLDEN_NH][GOLDEN_NZ]; /* their Jacobian [C_k D_k] */
-} golden_node_t;
-
-typedef struct { /* linearisation of the terminal node */
-    golden_real g[GOLDEN_NX]; /* gradient q_N */
-    golden_real h[GOLDEN_NH_N]; /* general rows */
-    golden_real J[GOLDEN_NH_N][GOLDEN_NX]; /* their Jacobian C_N */
-} golden_terminal_t;
+typedef struct { /* counters of the last feedback or solve */
+    int32_t qp_iterations; /* iterations of the last QP */
+    int32_t active_set_changes; /* changes of the working set in the last QP */
+    int32_t dropped_rows; /* redundant rows left out of the working set */
+    int32_t relaxed_rows; /* soft or relaxed rows that are violated */
+    int32_t sqp_iterations; /* iterations of the last solve */
+    int32_t violated_row; /* hard row that cannot be met (INFEASIBLE) or is relaxed (RELAXED), or -1 */
+    int32_t violated_node; /* its node, or -1 */
+    golden_real violation; /* by how much the last step of the QP violates it */
+} golden_stats_t;
 
 typedef struct { /* solution of the QP */
     golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
@@ -118,8 +118,15 @@ typedef struct { /* line search of solve() */
 } golden_sqp_t;
 
 typedef struct { /* the whole controller: no pointers, copy it with '=' */
+    /* plan */
     golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states of the plan */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls of the plan */
+    golden_real lam[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the dynamics; lam_0 of x_0 = xhat */
+    golden_real mu_x[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the state bounds, > 0 at the upper one */
+    golden_real mu_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
+    golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
+    golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
+    /* settings */
     golden_real p[GOLDEN_N + 1][GOLDEN_NP]; /* parameters */
     golden_real yref[GOLDEN_N][GOLDEN_NY]; /* references of the path residual */
     golden_real yref_N[GOLDEN_NY_N]; /* reference of the terminal residual */
@@ -127,26 +134,23 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real W_N[GOLDEN_NY_N]; /* weight of the terminal residual */
     golden_real lower[2][GOLDEN_NR]; /* lower bounds of the rows: path, terminal */
     golden_real upper[2][GOLDEN_NR]; /* upper bounds of the rows: path, terminal */
-    golden_real lam[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the dynamics; lam_0 of x_0 = xhat */
-    golden_real mu_x[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the state bounds, > 0 at the upper one */
-    golden_real mu_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
-    golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
-    golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
+    /* work: linearisation, QP, scratch */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
+    golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
+    golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
     golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
     golden_qp_t qp; /* condensed QP and its active-set factorisation */
-    golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
-    golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
+    int32_t reference_changed; /* 1: the gradients are not those of the references */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
     int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
-    int32_t reference_changed; /* 1: gradients are renewed in feedback */
+    golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
+    int32_t magic; /* set by init */
+    /* what the last call found */
     golden_stats_t stats; /* counters */
     golden_kkt_t kkt; /* KKT residuals of the last solve */
-    golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
-    int32_t status; /* status of the last prepare, feedback or solve */
-    int32_t magic; /* set by init */
+    int32_t status; /* status of the last call */
 } golden_solver_t;

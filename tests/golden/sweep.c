@@ -3,9 +3,9 @@
  * no operations */
 static void recursion_zero(real *o)
 {
-    o[0] = 0.0f;
-    o[1] = 0.0f;
-    o[2] = 0.0f;
+    o[0] = 0.0F;
+    o[1] = 0.0F;
+    o[2] = 0.0F;
 }
 
 /* recursion: fade
@@ -21,11 +21,11 @@ static void recursion_fade(const real *i0, const real *i1, real *o)
     const real i1_1 = i1[1];
     const real i0_2 = i0[2];
     const real i1_2 = i1[2];
-    const real t2 = 0.5f * i0_0;
+    const real t2 = 0.5F * i0_0;
     const real t4 = t2 + i1_0;
-    const real t6 = 0.5f * i0_1;
+    const real t6 = 0.5F * i0_1;
     const real t8 = t6 + i1_1;
-    const real t10 = 0.5f * i0_2;
+    const real t10 = 0.5F * i0_2;
     const real t12 = t10 + i1_2;
     o[0] = t4;
     o[1] = t8;
@@ -51,7 +51,7 @@ static void recursion_double(const real *i0, real *o)
 static void recursion(const real *A, real *y, real *Y)
 {
     real s[3];
-    int k, c, r;
+    ptrdiff_t k, c, r;
     recursion_zero(&s[0]);
     for (k = 3; k >= 0; k--) {
         recursion_fade(&s[0], &A[3 * k], &s[0]);

@@ -151,7 +151,7 @@ def test_printed_loops() -> None:
 static void recursion(const real *A, real *y, real *Y)
 {
     real s[3];
-    int k, c, r;
+    ptrdiff_t k, c, r;
     recursion_zero(&s[0]);
     for (k = 3; k >= 0; k--) {
         recursion_fade(&s[0], &A[3 * k], &s[0]);

@@ -20,7 +20,7 @@ from nmpc_codegen.components.integrators import TABLEAUS, ButcherTableau
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
-from nmpc_codegen.ir.model import Interval, StageModel
+from nmpc_codegen.ir.model import Block, Interval, StageModel
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.ir.stage_products import pattern
@@ -141,11 +141,16 @@ def handwritten() -> Model:
     defaults = {seam: next(iter(REGISTRIES[seam].values()))() for seam in SEAMS}
     parts = Parts(**{**defaults, "integrator": ExplicitRungeKutta(TABLEAUS["Euler"], 1)})
     path, terminal = (
-        StageModel(value, slope, pattern(block, "Q"), block, rows=row)
+        StageModel(value, slope, row, Block(pattern(block, "Q"), block))
         for (value, slope, block), row in zip((cost("path"), cost("terminal")), rows(), strict=True)
     )
+    nothing = (
+        Program("start_cost", "l = 0", (X,), (Port("l", 1),)),
+        Program("start_gradient", "g = 0", (X,), (Port("g", 1),)),
+    )
+    start = StageModel(*(program.kernel() for program in nothing))
     return Model(
-        *(Interval(*dynamics()), path, terminal, None, None),
+        *(Interval(*dynamics()), start, path, terminal, None, None),
         problem=stated(),
         parts=parts,
         online=Online(),

@@ -23,9 +23,9 @@ def print_routine(routine: Routine, style: CStyle) -> str:
     lines = [comment(sweep.doc, routine.reads, routine.writes, written)]
     lines += [signature(sweep.name, routine.reads, routine.writes, style), "{"]
     indices = dict.fromkeys(_indices(sweep.body))
-    lines += [f"    {style.real} {name}[{size}];" for name, size in sweep.locals if name in routine.touched]
+    lines += [f"    {style.real} {name}[{size}];" for name, size in sweep.locals if size and name in routine.touched]
     if indices:
-        lines.append(f"    int {', '.join(indices)};")
+        lines.append(f"    ptrdiff_t {', '.join(indices)};")
     lines += _print_nodes(sweep.body, routine, style, "    ")
     return "\n\n".join([*texts, "\n".join([*lines, "}"])])
 

@@ -6,8 +6,8 @@ writes C loops; and count. What rewrites sweeps is in passes.py.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -320,8 +320,10 @@ def _reads(nodes: tuple[Node, ...], index: str) -> bool:
 def looped(sweep: Sweep) -> LoopedRoutine:
     """Lift the leaves of a sweep that is to be emitted as loops.
 
-    Leaves store into buffers that are reused, so every output element is stored, structural zeros too.
+    Leaves store into buffers that are reused, so every output element is stored, structural zeros too. What no later
+    node reads is not computed.
     """
+    sweep = sweep if sweep.frame else _without_unread(sweep)
     leaves: dict[str, Kernel] = {}
     for call in calls(sweep.body):
         name = call.leaf.name()
@@ -331,6 +333,37 @@ def looped(sweep: Sweep) -> LoopedRoutine:
             kernel = lift(_dense(call.leaf), f"{sweep.name}_{name}", f"{sweep.name}: {name}", inputs, outputs)
             leaves[name] = kernel
     return LoopedRoutine(sweep, leaves)
+
+
+def _without_unread(sweep: Sweep) -> Sweep:
+    """The same without results of its last nodes in local buffers that no node behind them reads."""
+    read = {p.name for p in sweep.outputs}
+    body: list[Node] = []
+    for node in reversed(sweep.body):
+        kept = _read_results(node, read) if isinstance(node, Call) else node
+        if kept is not None:
+            body.append(kept)
+            read |= {s.buffer for call in calls((kept,)) for s in call.ins}
+    return replace(sweep, body=tuple(reversed(body)))
+
+
+def _read_results(call: Call, read: Collection[str]) -> Call | None:
+    """The call with those of its results that stand in the buffers ``read``; None if there are none."""
+    kept = [o for o, s in enumerate(call.outs) if s.size and s.buffer in read]
+    if len(kept) == len(call.outs):
+        return call
+    if not kept:
+        return None
+    leaf, symbols = call.leaf, call.leaf.sx_in()
+    results = leaf.call(symbols)
+    fewer = ca.Function(
+        f"{leaf.name()}_{''.join(map(str, kept))}",
+        symbols,
+        [results[o] for o in kept],
+        leaf.name_in(),
+        [leaf.name_out(o) for o in kept],
+    )
+    return replace(call, leaf=fewer, outs=tuple(call.outs[o] for o in kept))
 
 
 def _dense(leaf: Function) -> Function:
