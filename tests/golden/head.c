@@ -21,7 +21,7 @@
  *   terminal_rows                   printed kernel                                        2 operations
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c                    - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
- *   condensing: full                condensing/full.c                                   108 operations      136 bytes
+ *   condensing: full                condensing/full.c                                   152 operations      136 bytes
  *   qp: dense_active_set            qp/dense_active_set.c                                74 operations     1464 bytes
  *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      360 bytes
  */
@@ -79,9 +79,9 @@ typedef golden_status_t status_t;
 #define NUS GOLDEN_NUS
 #define NV GOLDEN_NV
 #define LDV GOLDEN_LDV
-#define PANEL GOLDEN_PANEL
 #define PARAMS GOLDEN_PARAMS
 #define STEPS GOLDEN_STEPS
+#define COLUMNS GOLDEN_COLUMNS
 #define LDG GOLDEN_LDG
 #define QP_MAX_ITERATIONS GOLDEN_QP_MAX_ITERATIONS
 #define QP_MAX_PROXIMAL_STEPS GOLDEN_QP_MAX_PROXIMAL_STEPS

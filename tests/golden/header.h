@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2576 bytes, holds no pointers and may be copied with '='.
+ * The caller owns the memory: one golden_solver_t is 2584 bytes, holds no pointers and may be copied with '='.
  * One context per instance; not interrupt-safe by itself: copy measurements first. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
 #define GOLDEN_H
@@ -51,7 +51,8 @@ typedef double golden_real;
 #define GOLDEN_PARAMS 1 /* parameters by name */
 #define GOLDEN_SIZE_P 1 /* numbers of p */
 #define GOLDEN_STEPS 1 /* Runge-Kutta steps per interval */
-#define GOLDEN_LDG 4 /* columns of G_k: NX + N NU, rounded up to PANEL */
+#define GOLDEN_COLUMNS 8 /* columns of G_k that are processed together */
+#define GOLDEN_LDG 8 /* columns of G_k: NX + N NU, rounded up to COLUMNS */
 #define GOLDEN_QP_MAX_ITERATIONS 120 /* cap on the active-set iterations of one feedback phase */
 #define GOLDEN_QP_MAX_PROXIMAL_STEPS 200 /* cap on the proximal steps for a semidefinite Hessian */
 #define GOLDEN_SHIFT 0 /* 1: step() moves the plan before preparing */

@@ -1,9 +1,9 @@
 typedef struct { /* linearisation of a path node */
     golden_real S[GOLDEN_NX][GOLDEN_NZ]; /* [A_k B_k] = d Phi / d(x, u) */
-    golden_real b[GOLDEN_NX]; /* gap Phi(x_k, u_k) - x_{k+1} */
     golden_real g[GOLDEN_NZ]; /* gradient (q_k, r_k) */
-    golden_real h[GOLDEN_NH]; /* general rows */
     golden_real J[GOLDEN_NH][GOLDEN_NZ]; /* their Jacobian [C_k D_k] */
+    golden_real b[GOLDEN_NX]; /* gap Phi(x_k, u_k) - x_{k+1} */
+    golden_real h[GOLDEN_NH]; /* general rows */
 } golden_node_t;
 
 typedef struct { /* linearisation of the terminal node */
@@ -25,53 +25,53 @@ typedef struct { /* Hessian blocks, lower triangles, z = (x, u) */
 } golden_hessian_t;
 
 typedef struct { /* a panel of columns of dx_k = G_k (dx_0, du) + c_k, as long as the QP is formed */
-    golden_real G[GOLDEN_N + 1][GOLDEN_NX][GOLDEN_PANEL]; /* columns of G_0 .. G_N */
-    golden_real W[GOLDEN_NX][GOLDEN_PANEL]; /* W_k of the backward sweep */
-    golden_real T[GOLDEN_NU][GOLDEN_PANEL]; /* one block row of the condensed Hessian */
+    golden_real G[GOLDEN_N + 1][GOLDEN_NX][GOLDEN_COLUMNS]; /* columns of G_0 .. G_N */
+    golden_real W[GOLDEN_NX][GOLDEN_COLUMNS]; /* W_k of the backward sweep */
+    golden_real T[GOLDEN_NU][GOLDEN_COLUMNS]; /* one block row of the condensed Hessian */
 } golden_columns_t;
 
-typedef struct { /* factors of the working set */
+typedef struct { /* factors of the working set, vectors of an iteration */
     golden_real Q[GOLDEN_LDV][GOLDEN_LDV]; /* rows: orthonormal basis of the normals in the working set */
     golden_real R[GOLDEN_LDV][GOLDEN_LDV]; /* row j: coefficients of member j in that basis (R transposed) */
+    golden_real y[GOLDEN_LDV]; /* minimiser on the working set */
+    golden_real m[GOLDEN_LDV]; /* normal of the row under consideration, in y */
+    golden_real v[GOLDEN_LDV]; /* its part outside the span of the working set */
+    golden_real d[GOLDEN_LDV]; /* its coefficients in the basis */
 } golden_basis_t;
 
 typedef struct { /* the condensed QP's dependence on dx_0 */
-    golden_real c[GOLDEN_N + 1][GOLDEN_NX]; /* free response of the gaps b_k */
     golden_real g[GOLDEN_NV]; /* condensed gradient at dx_0 = 0 */
     golden_real Hx[GOLDEN_NV][GOLDEN_NX]; /* coupling of the controls to dx_0 */
+    golden_real c[GOLDEN_N + 1][GOLDEN_NX]; /* free response of the gaps b_k */
     golden_real Ax[GOLDEN_NG][GOLDEN_NX]; /* coupling of the rows to dx_0 */
     golden_real v[GOLDEN_NG]; /* values of the rows at du = 0, dx_0 = 0 */
 } golden_condensed_t;
 
 typedef struct { /* condensed QP and its active-set factorisation */
     golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); then D, L and L' of L D L' */
-    golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
-    golden_real g[GOLDEN_NV]; /* gradient */
-    golden_real lower[GOLDEN_NV + GOLDEN_NG]; /* lower bounds of variables, then of general rows */
-    golden_real upper[GOLDEN_NV + GOLDEN_NG]; /* upper bounds */
-    golden_real z[GOLDEN_NV]; /* minimiser */
-    golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
-    golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
     golden_work_t work; /* factors of the working set; before qp_factorize the caller's */
+    golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
+    golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
     golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
     golden_real lam[GOLDEN_LDV]; /* multipliers of the members */
     golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
-    golden_real y[GOLDEN_LDV]; /* minimiser on the working set */
     golden_real x[GOLDEN_LDV]; /* z of y */
-    golden_real m[GOLDEN_LDV]; /* normal of the row under consideration, in y */
-    golden_real v[GOLDEN_LDV]; /* its part outside the span of the working set */
-    golden_real d[GOLDEN_LDV]; /* its coefficients in the basis */
-    golden_real slack[GOLDEN_NV + GOLDEN_NG]; /* violation of a row that is accepted as rounding */
-    golden_real scale; /* |y0|, and the terms that saturated rows add to it */
-    golden_real penalty[GOLDEN_NV + GOLDEN_NG]; /* l1 penalty of violating a row; infinite: hard */
-    golden_real certificate[GOLDEN_NV + GOLDEN_NG]; /* if INFEASIBLE: weights of a contradiction */
     golden_real proximal[GOLDEN_LDV]; /* diagonal E added to a semidefinite Hessian */
     golden_real weight[GOLDEN_LDV]; /* its entries where they are needed */
     golden_real center[GOLDEN_LDV]; /* centre of the proximal term */
     golden_real direction[GOLDEN_LDV]; /* direction of the last proximal step */
+    golden_real g[GOLDEN_NV]; /* gradient */
+    golden_real z[GOLDEN_NV]; /* minimiser */
+    int32_t row[GOLDEN_LDV]; /* rows in the working set, in the order of the basis */
+    golden_real lower[GOLDEN_NV + GOLDEN_NG]; /* lower bounds of variables, then of general rows */
+    golden_real upper[GOLDEN_NV + GOLDEN_NG]; /* upper bounds */
+    golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
+    golden_real slack[GOLDEN_NV + GOLDEN_NG]; /* violation of a row that is accepted as rounding */
+    golden_real scale; /* |y0|, and the terms that saturated rows add to it */
+    golden_real penalty[GOLDEN_NV + GOLDEN_NG]; /* l1 penalty of violating a row; infinite: hard */
+    golden_real certificate[GOLDEN_NV + GOLDEN_NG]; /* if INFEASIBLE: weights of a contradiction */
     golden_real total; /* s'(H + E)s of it; 0: no conjugate direction follows */
     golden_real step; /* length of the proximal step */
-    int32_t row[GOLDEN_LDV]; /* rows in the working set, in the order of the basis */
     int32_t side[GOLDEN_NV + GOLDEN_NG]; /* +-1: member at upper, lower bound; +-2: saturated; else 0 */
     int32_t snapshot[GOLDEN_NV + GOLDEN_NG]; /* an earlier side, to recognise cycles */
     int32_t nw; /* members of the working set */
@@ -97,60 +97,60 @@ typedef struct { /* counters of the last feedback or solve */
 } golden_stats_t;
 
 typedef struct { /* solution of the QP */
-    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
     golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
     golden_real mult_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
+    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
     golden_real mult[GOLDEN_NG]; /* multipliers of the rows */
 } golden_step_t;
 
 typedef struct { /* line search of solve() */
-    golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states before the step */
+    golden_real recent[GOLDEN_MEMORY]; /* last merit values */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls before the step */
-    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
     golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
-    golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* the same before the second-order correction */
     golden_real du_full[GOLDEN_N][GOLDEN_NU]; /* likewise */
     golden_real b[GOLDEN_N][GOLDEN_NX]; /* gaps at a trial point */
+    golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states before the step */
+    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
+    golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* the same before the second-order correction */
     golden_real gap_weight; /* weight of the gaps in the merit function */
     golden_real row_weight; /* weight of the rows; penalty of the elastic QP */
-    golden_real recent[GOLDEN_MEMORY]; /* last merit values */
     int32_t elastic; /* 1: the last QP was infeasible and relaxed */
 } golden_sqp_t;
 
 typedef struct { /* the whole controller: no pointers, copy it with '=' */
-    /* plan */
-    golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states of the plan */
-    golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls of the plan */
-    golden_real lam[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the dynamics; lam_0 of x_0 = xhat */
-    golden_real mu_x[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the state bounds, > 0 at the upper one */
-    golden_real mu_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
-    golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
-    golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
-    /* settings */
-    golden_real p[GOLDEN_N + 1][GOLDEN_NP]; /* parameters */
-    golden_real yref[GOLDEN_N][GOLDEN_NY]; /* references of the path residual */
-    golden_real yref_N[GOLDEN_NY_N]; /* reference of the terminal residual */
-    golden_real W[1][GOLDEN_NY]; /* weight of the path residual */
-    golden_real W_N[GOLDEN_NY_N]; /* weight of the terminal residual */
-    golden_real lower[2][GOLDEN_NR]; /* lower bounds of the rows: path, terminal */
-    golden_real upper[2][GOLDEN_NR]; /* upper bounds of the rows: path, terminal */
     /* work: linearisation, QP, scratch */
-    golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
-    golden_terminal_t terminal; /* linearisation of the terminal node */
-    golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
-    golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
-    golden_qp_t qp; /* condensed QP and its active-set factorisation */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
     int32_t reference_changed; /* 1: the gradients are not those of the references */
+    golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
     int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
     golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
+    golden_terminal_t terminal; /* linearisation of the terminal node */
+    golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
+    golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
+    golden_qp_t qp; /* condensed QP and its active-set factorisation */
     int32_t magic; /* set by init */
+    /* plan */
+    golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls of the plan */
+    golden_real mu_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
+    golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
+    golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states of the plan */
+    golden_real lam[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the dynamics; lam_0 of x_0 = xhat */
+    golden_real mu_x[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the state bounds, > 0 at the upper one */
+    golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
+    /* settings */
+    golden_real lower[2][GOLDEN_NR]; /* lower bounds of the rows: path, terminal */
+    golden_real upper[2][GOLDEN_NR]; /* upper bounds of the rows: path, terminal */
+    golden_real yref[GOLDEN_N][GOLDEN_NY]; /* references of the path residual */
+    golden_real W[1][GOLDEN_NY]; /* weight of the path residual */
+    golden_real p[GOLDEN_N + 1][GOLDEN_NP]; /* parameters */
+    golden_real yref_N[GOLDEN_NY_N]; /* reference of the terminal residual */
+    golden_real W_N[GOLDEN_NY_N]; /* weight of the terminal residual */
     /* what the last call found */
-    golden_stats_t stats; /* counters */
     golden_kkt_t kkt; /* KKT residuals of the last solve */
+    golden_stats_t stats; /* counters */
     int32_t status; /* status of the last call */
 } golden_solver_t;
