@@ -336,10 +336,12 @@ def looped(sweep: Sweep) -> LoopedRoutine:
 
 
 def _without_unread(sweep: Sweep) -> Sweep:
-    """The same without results of its last nodes in local buffers that no node behind them reads."""
+    """The same without loops of no trip and results in local buffers that no later node reads."""
     read = {p.name for p in sweep.outputs}
     body: list[Node] = []
     for node in reversed(sweep.body):
+        if isinstance(node, For) and node.count == 0:
+            continue
         kept = _read_results(node, read) if isinstance(node, Call) else node
         if kept is not None:
             body.append(kept)
