@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nmpc_codegen.components.base import Dims
+from nmpc_codegen.components.base import Dims, QpDims
 from nmpc_codegen.components.qp import DenseActiveSet
 from nmpc_codegen.ir.cmodule import Size, Struct
 from nmpc_codegen.lowering.parts import read_part, resolve
@@ -47,7 +47,7 @@ SWITCHES = {
 def qp_dims(nv: int, ng: int) -> Dims:
     """Dims of a QP with nv variables and ng general rows; the other sizes are not looked at."""
     zero = Size("0", 0)
-    named = dict.fromkeys(Dims.__dataclass_fields__, zero)
+    named = dict.fromkeys((*Dims.__dataclass_fields__, *QpDims.__dataclass_fields__), zero)
     named |= {
         "ns": Size("NS", 1),
         "nus": Size("NUS", nv),
@@ -55,7 +55,9 @@ def qp_dims(nv: int, ng: int) -> Dims:
         "ng": Size("NG", ng),
         "ld": Size("LDV", -(-nv // 4) * 4),
     }
-    return Dims(**named)
+    condensed = QpDims(**{name: named[name] for name in QpDims.__dataclass_fields__})
+    core = {name: named[name] for name in Dims.__dataclass_fields__ if name != "condensed"}
+    return Dims(**core, condensed=condensed)
 
 
 def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSet | None = None) -> str:

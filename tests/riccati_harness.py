@@ -43,7 +43,9 @@ class Shape:
             "nf": len(self.free),
         }
         named |= {"nv": self.ns * self.nus, "ng": len(self.rows)}
-        return types.SimpleNamespace(**{name: Size(name.upper(), value) for name, value in named.items()})
+        found = types.SimpleNamespace(**{name: Size(name.upper(), value) for name, value in named.items()})
+        found.qp = found
+        return found
 
     @property
     def first(self) -> list[int]:
@@ -118,7 +120,7 @@ def source(
 ) -> str:
     """Self-contained C text of a part on the stage seam."""
     dims = vars(shape.dims)
-    values = {size.text: size.value for size in dims.values()}
+    values = {size.text: size.value for size in dims.values() if isinstance(size, Size)}
     values |= {name: value for name, value, _ in (*riccati_sizes(shape.dims), *sizes)}
     measured = [int(i not in shape.free) for i in range(shape.nx)]
     tables = {
