@@ -19,7 +19,7 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir import stage_products as products
 from nmpc_codegen.ir.kernel import OpCount
-from nmpc_codegen.ir.stage_products import PANEL
+from nmpc_codegen.ir.product_interfaces import COLUMNS
 from tests.c_harness import Package, module_of
 from tests.oracles.condensing import Condensed, StageData, condense, condense_row, multipliers
 
@@ -258,7 +258,7 @@ def test_patterns_are_not_all_dense() -> None:
     """The sparse problem has what its comment promises, else nothing is shown about empty rows and columns."""
     p = package("sparse", "nonzeros").module.products
     assert sorted(p.S) == [(0, 0), (0, 1), (1, 1), (1, 4), (3, 5)]
-    assert p.panels["condense_forward_panel"].count == OpCount(add=PANEL, mul=3 * PANEL)
+    assert p.panels["condense_forward_panel"].count == OpCount(add=COLUMNS, mul=3 * COLUMNS)
     assert sorted(p.Q) == [(0, 0), (4, 4)]
     assert not p.Q_N
 

@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import pytest
 
+from benchmarks.lib.house.samples import SAMPLES
 from nmpc_codegen import (
     OCP,
     RK4,
@@ -60,7 +61,7 @@ BAD: list[tuple[Callable[[], Any], list[str]]] = [
     ),
     (lambda: Options(integrator=RK4), ["integrator", "ExplicitRungeKutta(...)"]),
     (lambda: Options(integrator=GaussNewton()), ["integrator: GaussNewton", "Discrete(...)"]),
-    (lambda: Options(hessian=None), ["hessian: None", "GaussNewton(...)", "gauss_newton", "--set hessian="]),
+    (lambda: Options(hessian=3), ["hessian: 3", "GaussNewton(...)", "gauss_newton", "--set hessian="]),
     (lambda: Options(hessian="exact"), ["hessian: 'exact'", "GaussNewton(...)"]),
     (lambda: Options(condensing="none"), ["condensing: 'none'", "FullCondensing(...)", "None"]),
     (lambda: Options(qp="qpoases"), ["qp: 'qpoases'", "DenseActiveSet(...)", "None", "--set qp="]),
@@ -182,9 +183,13 @@ def test_prefix_of_the_package(name: str) -> None:
         generate(ocp, name=name)
 
 
-def test_taken_prefixes_are_all_that_clash() -> None:
+@pytest.mark.parametrize(
+    "name", ["crane", "crane riccati single", "controls interior", "everything dense", "mixed dense", "controls OSQP"]
+)
+def test_taken_prefixes_are_all_that_clash(name: str) -> None:
     """<prefix>_<API function> for every prefix of an internal function of the emitted C."""
-    source = generate(integrator_ocp(), name="zz")["zz.c"]
+    sample = next(s for s in SAMPLES if s.name == name)
+    source = generate(sample.make(), sample.options, name="zz")["zz.c"]
     api = re.findall(r"^\S.*\b(?:zz_|API\()(\w+)", source, flags=re.MULTILINE)
     internal = re.findall(r"^static [^=;]*?\b(\w+)\(", source, flags=re.MULTILINE)
     assert "step" in api

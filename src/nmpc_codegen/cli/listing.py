@@ -13,7 +13,7 @@ from nmpc_codegen.options import Options
 
 def list_options(printer: Printer) -> None:
     """Print the components of every variation point, then the other options."""
-    defaults = Options()
+    defaults = Options().with_defaults
     for seam in SEAMS:
         chosen = getattr(defaults, seam)
         default = "chosen from the problem" if chosen is None else chosen.name

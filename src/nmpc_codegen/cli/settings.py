@@ -74,7 +74,7 @@ def _changed(part: Any, change: Change, where: str) -> Any:
         value = getattr(part, name)
         if key in SEAMS:
             value = _component(key, inner.value) if inner.given else value
-            value = _first_with(key, inner.inside) if value is None and inner.inside else value
+            value = _default(part, key, inner.inside) if value is None and inner.inside else value
         elif inner.given:
             rule = fields[name]
             value = inner.value if rule is None else rule.converted(inner.value)
@@ -91,6 +91,12 @@ def _component(seam: str, word: Any) -> Any:
     if not isinstance(known, str) or known not in words:
         raise OptionError(f"there is no {seam} {shown(word)}; there is {', '.join(words)} (--set {seam}=WORD)")
     return words[known]()
+
+
+def _default(options: Options, seam: str, names: Mapping[str, Any]) -> Any:
+    """The algorithm's default component, else the only one that has all these options."""
+    default = getattr(options.with_defaults, seam)
+    return default if default is not None else _first_with(seam, names)
 
 
 def _first_with(seam: str, names: Mapping[str, Any]) -> Any:
