@@ -110,7 +110,7 @@ def test_path(name: str, dt: float) -> None:
     )
     gradient = call("path_gradient", *arguments, REFERENCE, stored(W, case))[0]
     np.testing.assert_allclose(gradient, J.T @ weight @ y, rtol=TOLERANCE, atol=TOLERANCE)
-    Q = call("path_hessian", *arguments, stored(W, case))[0]
+    Q = call("path_hessian", *arguments, REFERENCE, stored(W, case))[0]
     expected = np.tril(J.T @ weight @ J + case.damping * np.eye(3))
     np.testing.assert_allclose(Q, expected, rtol=TOLERANCE, atol=TOLERANCE)
 
@@ -124,7 +124,7 @@ def test_terminal(name: str) -> None:
     cost, gradient, Q = (
         call("terminal_cost", X, P, REFERENCE_N, stored(W, case))[0],
         call("terminal_gradient", X, P, REFERENCE_N, stored(W, case))[0],
-        call("terminal_hessian", X, P, stored(W, case))[0],
+        call("terminal_hessian", X, P, REFERENCE_N, stored(W, case))[0],
     )
     np.testing.assert_allclose(cost, [y @ W @ y / 2], rtol=TOLERANCE)
     np.testing.assert_allclose(gradient, J.T @ W @ y, rtol=TOLERANCE)
