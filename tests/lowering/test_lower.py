@@ -91,8 +91,8 @@ def test_sizes(case: str) -> None:
     assert m.value("LDV") % m.value("PANEL") == 0
     assert 0 <= m.value("LDV") - m.value("NV") < m.value("PANEL")
     if any(s.template == "condensing/full.c" for s in m.sections):
-        assert m.value("LDG") % m.value("PANEL") == 0
-        assert 0 <= m.value("LDG") - m.value("NV") - m.value("NX") < m.value("PANEL")
+        assert m.value("LDG") % m.value("COLUMNS") == 0
+        assert 0 <= m.value("LDG") - m.value("NV") - m.value("NX") < m.value("COLUMNS")
     assert m.value("NQ") in (1, m.value("N"))
     with pytest.raises(KeyError):
         m.value("NOTHING")
