@@ -115,7 +115,7 @@ def test_context() -> None:
 def test_arithmetic_of_the_working_precision() -> None:
     macros = dict(arithmetic("single"))
     assert macros["SQRT"] == "sqrtf"
-    assert float(macros["TOL_QP_PIVOT"].rstrip("f")) == 2.0**5 * 2.0**-23
+    assert float(macros["TOL_QP_PIVOT"].rstrip("F")) == 2.0**5 * 2.0**-23
 
 
 def test_names_of_the_package() -> None:

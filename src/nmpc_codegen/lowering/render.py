@@ -54,6 +54,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
     body = render_unit(module, names, resolved)
     tables = render_tables(module, names, body if resolved else render_unit(module, names))
     short_names = preamble(module, tables + body)
+    names["system_headers"] = ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"]
     names |= {"body": body, "tables": tables, "preamble": short_names if resolved else short_names + conditions(module)}
     files = {
         f"{module.name}.h": "solver.h.jinja",
