@@ -118,7 +118,7 @@ typedef struct { /* line search of solve() */
 } golden_sqp_t;
 
 typedef struct { /* the whole controller: no pointers, copy it with '=' */
-    /* work: linearisation, QP, scratch */
+    /* work */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */

@@ -9,7 +9,8 @@ from nmpc_codegen.ir import stage_products
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
-from nmpc_codegen.ir.stage_products import PANEL, Pattern, Products
+from nmpc_codegen.ir.product_interfaces import COLUMNS
+from nmpc_codegen.ir.stage_products import Pattern, Products
 from nmpc_codegen.ir.sweep import unroll
 
 WRITTEN_OUT = {"nonzeros": 10**9, "loops": -1}
@@ -30,7 +31,7 @@ def random_products(nx: int, nu: int, seed: int) -> tuple[Products, dict[str, np
     for name, size in (("b", nx), ("g", nz), ("dx", nx), ("du", nu), ("w", nz)):
         data[name] = random.uniform(-1, 1, size)
     for name in ("G", "W"):
-        data[name] = random.uniform(-1, 1, (nx, PANEL))
+        data[name] = random.uniform(-1, 1, (nx, COLUMNS))
     return Products(nx, nu, S, Q, Q_N), data
 
 
@@ -82,7 +83,7 @@ def test_dense_loops_stop_at_sizes_and_skip_what_is_zero(monkeypatch: pytest.Mon
     assert "(*Q)" not in text
     assert "int k" not in text.split("{")[0]
     count = products.panels["condense_backward_panel"].count
-    assert count == OpCount(add=5 * 6, mul=5 * 6) * PANEL
+    assert count == OpCount(add=5 * 6, mul=5 * 6) * COLUMNS
     assert products.vectors["adjoint_step"].count == OpCount(add=31, mul=31)
 
 
@@ -113,7 +114,7 @@ static void state_step(const node_t *node, const real_t *dx, const real_t *du, r
         const int a = Q_row[n], b = Q_column[n];
         if (b < NX) {
             const real_t Q_0 = Q[a][b];
-            for (int l = 0; l < PANEL; ++l) {
+            for (int l = 0; l < COLUMNS; ++l) {
                 p->T[a - 2][l] += Q_0 * p->G[k][b][l];
             }
         }

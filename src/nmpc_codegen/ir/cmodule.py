@@ -21,7 +21,7 @@ from nmpc_codegen.runtime.package_description import Struct as Struct
 from nmpc_codegen.runtime.status import Status
 
 #: What members of the solver are for, by their role.
-WORK = "work: linearisation, QP, scratch"
+WORK = "work"
 PURPOSES: Mapping[Role, str] = {
     "iterate": "plan",
     "setting": "settings",
