@@ -42,12 +42,12 @@ static void add_lower(real_t *Q, const real_t *M, int n)
 static void add_rows(solver_t *s)
 {
     real_t M[NZ * NZ] = {0};
-    real_t copy[NZ * NZ];
+    real_t factor[NZ * NZ];
 #if HAS_PATH_CURVATURE
     for (int k = 0; k < N; k++) {
         PATH_CURVATURE(s, k, M);
-        memcpy(copy, M, sizeof M);
-        if (is_semidefinite(copy, NZ)) {
+        memcpy(factor, M, sizeof M);
+        if (is_semidefinite(factor, NZ)) {
             add_lower(&s->hessian.Q[k][0][0], M, NZ);
         }
     }
@@ -55,8 +55,8 @@ static void add_rows(solver_t *s)
 #if HAS_TERMINAL_CURVATURE
     memset(M, 0, sizeof M);
     TERMINAL_CURVATURE(s, M);
-    memcpy(copy, M, sizeof M);
-    if (is_semidefinite(copy, NX)) {
+    memcpy(factor, M, sizeof M);
+    if (is_semidefinite(factor, NX)) {
         add_lower(&s->hessian.Q_N[0][0], M, NX);
     }
 #endif
