@@ -1,30 +1,40 @@
+#if GENERAL_ROWS || NE
+/* Where the gradient of the general or coupled row m stands: NZ numbers at a path node, NX at the last one; that of a coupled
+ * row is dr / dx_N. */
+static inline const real_t *nodal_row(const solver_t *s, int m)
+{
+#if NE && GENERAL_ROWS
+    if (IS_COUPLED(m)) {
+        return s->coupled.J_N[row_index[m]];
+    }
+#endif
+#if NH && NH_N
+    return (row_node[m] < N) ? s->node[row_node[m]].J[row_index[m]] : s->terminal.J[row_index[m]];
+#elif NH
+    return s->node[row_node[m]].J[row_index[m]];
+#elif NH_N
+    return s->terminal.J[row_index[m]];
+#else
+    return s->coupled.J_N[row_index[m]];
+#endif
+}
+
+#endif
 #if NG
 /* Gradient J = (d row / dx, d row / du) and value of row m in the linearisation; of a coupled row J = d row / dx_N. */
 static real_t row_gradient(const solver_t *s, int m, real_t *J)
 {
-    const int i = row_index[m];
     memset(J, 0, NZ * sizeof *J);
 #if STATE_ROWS && (GENERAL_ROWS || NE)
     if (row_kind[m] == ROW_STATE) {
-        J[i] = R(1);
+        J[row_index[m]] = R(1);
+    } else {
+        memcpy(J, nodal_row(s, m), (row_node[m] < N ? NZ : NX) * sizeof *J);
     }
 #elif STATE_ROWS
-    J[i] = R(1);
-#endif
-#if NH
-    if (IS_GENERAL(m) && row_node[m] < N) {
-        memcpy(J, s->node[row_node[m]].J[i], NZ * sizeof *J);
-    }
-#endif
-#if NH_N
-    if (IS_GENERAL(m) && row_node[m] == N) {
-        memcpy(J, s->terminal.J[i], NX * sizeof *J);
-    }
-#endif
-#if NE
-    if (IS_COUPLED(m)) {
-        memcpy(J, s->coupled.J_N[i], NX * sizeof *J);
-    }
+    J[row_index[m]] = R(1);
+#else
+    memcpy(J, nodal_row(s, m), (row_node[m] < N ? NZ : NX) * sizeof *J);
 #endif
     return ROW_CONSTANT(s, m);
 }

@@ -34,6 +34,7 @@ TOOLS = {
     "tidy": ("clang-tidy",),
     "cppcheck": ("cppcheck",),
     "cmake": ("cmake",),
+    "unifdef": ("unifdef",),
     "arm": ("arm-none-eabi-gcc",),
     "valgrind": ("valgrind",),
 }

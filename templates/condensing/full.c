@@ -192,30 +192,11 @@ static void condense_take_state(const solver_t *s, int m, int column, real_t *su
 
 #endif
 #if GENERAL_ROWS || NE
-/* Gradient (J_x, J_u) of the general or coupled row m; of a coupled one that in x_N. */
-static const real_t *condense_row_gradient(const solver_t *s, int m)
-{
-#if NE && GENERAL_ROWS
-    if (IS_COUPLED(m)) {
-        return s->coupled.J_N[row_index[m]];
-    }
-#endif
-#if NH && NH_N
-    return (row_node[m] < N) ? s->node[row_node[m]].J[row_index[m]] : s->terminal.J[row_index[m]];
-#elif NH
-    return s->node[row_node[m]].J[row_index[m]];
-#elif NH_N
-    return s->terminal.J[row_index[m]];
-#else
-    return s->coupled.J_N[row_index[m]];
-#endif
-}
-
 /* Adds a panel of J_x G_k + J_u at du_k of the general or coupled row m; of a coupled one J_0 dx_0 besides. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 {
     const int k = row_node[m], entering = NX + k * NU - column;
-    const real_t *J = condense_row_gradient(s, m);
+    const real_t *J = nodal_row(s, m);
     const int last = (k + 1 >= condense_first_node(column)) ? NX : 0;
 #if NE
     for (int i = column; IS_COUPLED(m) && i < NX && i < column + COLUMNS; ++i) {
@@ -405,12 +386,12 @@ static void condense_rows(solver_t *s)
         if (row_kind[m] == ROW_STATE) {
             change = c[row_index[m]];
         } else {
-            change = condense_sum(R(0), condense_row_gradient(s, m), c);
+            change = condense_sum(R(0), nodal_row(s, m), c);
         }
 #elif STATE_ROWS
         const real_t change = c[row_index[m]];
 #else
-        const real_t change = condense_sum(R(0), condense_row_gradient(s, m), c);
+        const real_t change = condense_sum(R(0), nodal_row(s, m), c);
 #endif
         s->condensed.v[m] = ROW_CONSTANT(s, m) + change;
     }

@@ -47,20 +47,7 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
 /* Gradient of the general or coupled row m in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
-#if NE && GENERAL_ROWS
-    if (IS_COUPLED(m)) {
-        return s->coupled.J_N[row_index[m]];
-    }
-#endif
-#if NH && NH_N
-    return (row_node[m] < N) ? s->node[row_node[m]].J[row_index[m]] : s->terminal.J[row_index[m]];
-#elif NH
-    return s->node[row_node[m]].J[row_index[m]];
-#elif NH_N
-    return s->terminal.J[row_index[m]];
-#else
-    return s->coupled.J_N[row_index[m]];
-#endif
+    return nodal_row(s, m);
 }
 
 #endif

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -73,11 +74,13 @@ class ProjectedGradient(Defaults):
         return (Struct("solver", "", members),)
 
 
-@pytest.fixture(autouse=True)
-def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module", autouse=True)
+def registered() -> Iterator[None]:
     registry = dict[str, type[Algorithm]](REGISTRIES["algorithm"])  # type: ignore[arg-type]
     registry[ProjectedGradient.name] = ProjectedGradient
-    monkeypatch.setitem(REGISTRIES, "algorithm", registry)  # type: ignore[arg-type]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(REGISTRIES, "algorithm", registry)  # type: ignore[arg-type]
+        yield
 
 
 def pendulum() -> OCP:
@@ -91,10 +94,8 @@ def pendulum() -> OCP:
 
 
 @pytest.fixture(scope="module")
-def controller() -> Controller:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(REGISTRIES, "algorithm", {"projected_gradient": ProjectedGradient})  # type: ignore[arg-type]
-        return build(pendulum(), Options(algorithm=ProjectedGradient()), "test")
+def controller(registered: None) -> Controller:
+    return build(pendulum(), Options(algorithm=ProjectedGradient()), "test")
 
 
 def test_the_package_has_the_integrator_and_the_cost_and_nothing_else() -> None:

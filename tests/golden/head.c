@@ -128,7 +128,6 @@ typedef golden_status_t status_t;
 #define CONTROL_LOWER(s, k, j) PATH_LOWER(s, k, control_row[j])
 #define CONTROL_UPPER(s, k, j) PATH_UPPER(s, k, control_row[j])
 #define CONTROL_REFERENCE(s, k, j) YREF(s, k)[control_reference[j]]
-#define IS_GENERAL(m) (row_kind[m] == ROW_GENERAL)
 #define ROW_MULTIPLIER(s, m) (*((row_kind[m] == ROW_STATE) ? &((s)->mu_x[row_node[m]])[row_index[m]] : \
     &((row_node[m] == N) ? (s)->mu_N : (s)->mu[row_node[m]])[row_index[m]]))
 #define ROW_CONSTANT(s, m) (*((row_kind[m] == ROW_STATE) ? &((s)->x[row_node[m]])[row_index[m]] : &((row_node[m] \

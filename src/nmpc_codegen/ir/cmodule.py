@@ -147,9 +147,8 @@ class CModule:
         """The products with the stage matrices that the package may call."""
         if not self.switches["PRODUCTS"]:
             return ()
-        unused = () if self.switches["HAS_STATE_STEP"] else ("state_step",)
-        vectors = (routine for name, routine in self.products.vectors.items() if name not in unused)
-        return (*vectors, *self.products.panels.values())
+        vectors = self.products.called_vectors(bool(self.switches["HAS_STATE_STEP"]))
+        return (*vectors.values(), *self.products.panels.values())
 
     @property
     def core_products(self) -> tuple[str, ...]:

@@ -51,6 +51,10 @@ class Products:
         s = self._sweeps
         return _by_name(s.forward_panel(), *((s.terminal_panel(),) if self.Q_N else ()), s.backward_panel())
 
+    def called_vectors(self, with_state_step: bool) -> Mapping[str, LoopedRoutine]:
+        """The products with a vector in a package that needs state_step() or not."""
+        return {name: routine for name, routine in self.vectors.items() if with_state_step or name != "state_step"}
+
     @property
     def counts(self) -> Mapping[str, OpCount]:
         """Operations of one run of every product with a vector, by C function."""

@@ -12,8 +12,7 @@ from nmpc_codegen.ir.print_sweep import print_routine
 
 def products(module: CModule, style: CStyle) -> str:
     """The products with a vector that the package calls, after the tables that the loops of all products read."""
-    unused = () if module.switches["HAS_STATE_STEP"] else ("state_step",)
-    routines = (r for name, r in module.products.vectors.items() if name not in unused)
+    routines = module.products.called_vectors(bool(module.switches["HAS_STATE_STEP"])).values()
     heading = (
         "/* Products with the stage matrices S = [A B] and Q (lower triangle): "
         + ("written out over the structural nonzeros." if module.products.written_out else "dense loops.")

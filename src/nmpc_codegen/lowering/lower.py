@@ -57,7 +57,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
             c.template,
             _section_count(c.cost(dims, model)),
             sum(
-                layout[s.name][0] * int(np.prod(s_shape(s)))
+                layout[s.name][0] * s.count
                 for s in c.structs(dims)
                 if s.name in layout and s.name != "solver" and s.name not in held
             ),
@@ -66,12 +66,12 @@ def lower(model: Model, name: str | None = None) -> CModule:
     )
     macros = _macros(model, dims)
     return CModule(
-        description=_description(model, name, macros, structs),
+        description=_description(model, name, macros, structs, _report(model, dims, switches, structs, layout)),
         macros=macros,
         enums=_enums(problem),
         tables=_tables(model),
         settings=_settings(model, dims),
-        setters=_setters(model),
+        setters=_setters(model, switches),
         routines=_printed(model),
         products=model.products,
         core_parts=tuple(part for word in sorted(model.parts.algorithm.core) for part in PARTS.get(word, ())),
@@ -144,11 +144,6 @@ def _switches(model: Model) -> dict[str, int]:
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
     return {**switches, "RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
-
-
-def s_shape(struct: Struct) -> tuple[int, ...]:
-    """Padded shape of the member that holds a struct."""
-    return tuple(max(1, s.value) for s in struct.shape)
 
 
 def _section_count(counts: Counts) -> OpCount | None:
@@ -311,9 +306,9 @@ _NODES: Mapping[Kind, Mapping[Layout, str]] = {
 }
 
 
-def _setters(model: Model) -> tuple[Setter, ...]:
+def _setters(model: Model, switches: Mapping[str, int]) -> tuple[Setter, ...]:
     """The setters of data that there are and that may change."""
-    layouts, switches = model.online.layouts, _switches(model)
+    layouts = model.online.layouts
     return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if switches[f"SET_{n.upper()}"])
 
 
@@ -377,7 +372,9 @@ def _default_controls(p: Problem) -> list[float]:
     return [float(np.clip(0.0, r.lower, r.upper)) if r else 0.0 for r in rows]
 
 
-def _description(model: Model, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...]) -> PackageDescription:
+def _description(
+    model: Model, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...], report: Report
+) -> PackageDescription:
     """What Controller and open_package() need besides the C text."""
     p = model.problem
     return PackageDescription(
@@ -398,26 +395,29 @@ def _description(model: Model, name: str, macros: tuple[Macro, ...], structs: tu
         entry_points=model.parts.algorithm.entries(model.solve),
         online=model.online.layouts,
         options=repr(model.options),
-        report=_report(model, structs),
+        report=report,
     )
 
 
-def _report(model: Model, structs: tuple[Struct, ...]) -> Report:
+def _report(
+    model: Model,
+    dims: Dims,
+    switches: Mapping[str, int],
+    structs: tuple[Struct, ...],
+    layout: Mapping[str, tuple[int, int]],
+) -> Report:
     """Memory, exact operation counts, and what was chosen and why."""
-    layout = struct_layout(structs, model.precision)
     counts = {r.name: r.count for r in _printed(model)}
-    switches = _switches(model)
     if switches["PRODUCTS"]:
-        without = set() if switches["HAS_STATE_STEP"] else {"state_step"}
-        counts |= {name: count for name, count in model.products.counts.items() if name not in without}
+        called = model.products.called_vectors(bool(switches["HAS_STATE_STEP"]))
+        counts |= {name: routine.count for name, routine in called.items()}
     if model.parts.condensing and model.parts.condensing.columns:
         counts |= model.products.column_counts
-    dims = _dims(model)
     for component in model.parts.components:
         counts |= component.cost(dims, model)
     return Report(
         ram_bytes=layout["solver"][0],
-        ram_bytes_by_struct={s.name: layout[s.name][0] * int(np.prod(s_shape(s))) for s in structs},
+        ram_bytes_by_struct={s.name: layout[s.name][0] * s.count for s in structs},
         operations=counts,
         linearization_operations=counts.get("linearize", OpCount()).total,
         choices=model.choices,

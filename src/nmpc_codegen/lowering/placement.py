@@ -1,7 +1,7 @@
 """Where members stand in their structs: vectors whose size is a multiple of a cache line first.
 
 What has such a size leaves the alignment of what follows as it is, so that vector registers are not loaded across cache
-lines (8 % of a step of the crane, 10 % of the quadrotor). The memory as a whole is the caller's; a static object or one
+lines (2 % of a step of the crane, 10 % of the quadrotor). The memory as a whole is the caller's; a static object or one
 of Controller is aligned.
 """
 

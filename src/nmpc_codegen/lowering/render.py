@@ -78,7 +78,7 @@ def _names(module: CModule) -> dict[str, Any]:
         "by_purpose": _by_purpose,
         "comment": lambda text: _comment(text),
         "prototype": lambda entry: _prototype(entry, module),
-        "dim": lambda macro: _dim(macro, module),
+        "dim": lambda macro: f"{module.macro}_{macro}",
         "values": lambda table: _values(table, style),
         "print_routine": lambda routine: print_routine(routine, style),
         "resolved": lambda template: resolve(environment().get_template(template).render(names), module.sizes).rstrip(),
@@ -144,17 +144,13 @@ def _prototype(entry: EntryPoint, module: CModule) -> str:
     """Declaration of an entry point."""
 
     def declared(argument: Argument, constant: bool) -> str:
-        sizes = "".join(f"[{_dim(macro, module)}]" for macro in argument.shape)
+        sizes = "".join(f"[{module.macro}_{macro}]" for macro in argument.shape)
         ctype = {"real": f"{module.name}_real", "int": "int"}[argument.ctype]
         return f"{'const ' if constant and sizes else ''}{ctype} {argument.name}{sizes}"
 
     p = module.name
     arguments = [declared(a, True) for a in entry.inputs] + [declared(a, False) for a in entry.outputs]
     return f"{p}_status_t {p}_{entry.name}({', '.join([f'{p}_solver_t *s', *arguments])});"
-
-
-def _dim(macro: str, module: CModule) -> str:
-    return f"{module.macro}_{macro}" if module.value(macro) else "1"
 
 
 def _values(table: Table, style: CStyle) -> str:

@@ -276,8 +276,7 @@ def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tablea
     N = problem.N
     x, u = point.x, point.u
     (Phi, Phi_z), *others = _jacobians(problem, integrator)
-    start_gradient = _start_gradient(problem)
-    cost_z, h_z, cost_N, h_N, coupled_z = (jacobian for _, jacobian in others)
+    cost_z, h_z, cost_N, h_N, cost_0, coupled_z = (jacobian for _, jacobian in others)
     grad_x = np.array(point.mu_x, dtype=float) - point.lam
     grad_u = np.array(point.mu_u, dtype=float)
     given = [i for i in range(problem.nx) if i not in problem.free_initial]
@@ -293,7 +292,8 @@ def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tablea
         grad_x[k] += grad[: problem.nx]
         grad_u[k] += grad[problem.nx :]
     empty = ca.DM(0, 1)
-    grad_x[0] += start_gradient(x[0], data.p[0]).full().ravel()
+    start = problem.start
+    grad_x[0] += cost_0(x[0], empty, data.p[0], 0.0, start.reference, start.weight).full().ravel()
     grad_x[N] += cost_N(x[N], empty, data.p[N], 0.0, data.yref_N, data.W_N).full().ravel()
     grad_x[N] += h_N(x[N], empty, data.p[N]).full().T @ point.mu_N
     if problem.coupled is not None:
@@ -317,17 +317,11 @@ def _norm(values: Array) -> float:
 
 @lru_cache(maxsize=8)
 def _jacobians(problem: Problem, integrator: Tableau) -> tuple[tuple[Any, Any], ...]:
-    """Interval map, cost and rows of the path, cost and rows of the terminal stage, coupled rows: (value, Jacobian)."""
+    """(value, Jacobian) of interval map, cost and rows of path and terminal stage, cost at the start, coupled rows."""
     nodes = [f(stage) for stage in (problem.path, problem.terminal) for f in (node_cost, node_rows)]
+    nodes.append(node_cost(problem.start))
     coupled = (None, None) if problem.coupled is None else _with_jacobian(problem.coupled)
     return (_with_jacobian(interval_map(problem, integrator)), *map(_with_jacobian, nodes), coupled)
-
-
-def _start_gradient(problem: Problem) -> Any:
-    """Function (x, p) -> gradient of start_cost() in x."""
-    stage = problem.start
-    value = start_cost(problem)(stage.x, stage.p)
-    return ca.Function("start_gradient", [stage.x, stage.p], [ca.gradient(value, stage.x)])
 
 
 def _with_jacobian(f: Any) -> tuple[Any, Any]:

@@ -62,9 +62,15 @@ class CompiledPackage:
     def function(self, name: str) -> Any:
         """The C function <prefix>_<name>."""
         try:
-            return getattr(self.lib, f"{self.name}_{name}")
-        except AttributeError:
+            return self._functions[name]
+        except KeyError:
             raise ControllerError(f"{self.name} was exported without {name}()") from None
+
+    @cached_property
+    def _functions(self) -> dict[str, Any]:
+        """The C functions by their names without the prefix: looked up once, for they are called at every sample."""
+        prefix = f"{self.name}_"
+        return {n.removeprefix(prefix): getattr(self.lib, n) for n in dir(self.lib) if n.startswith(prefix)}
 
     # -- does the description fit the compiled code? ----------------------------------------------------------------
 

@@ -98,7 +98,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Field:
-    """A member of a C struct. Zero sizes are padded to 1 in C; ``shape`` keeps the true ones.
+    """A member of a C struct. A description may state members of size 0, which are padded to 1 in C.
 
     ``only``: name of a switch; where it is 0 the member does not exist, nor does one of size 0.
     """
@@ -137,6 +137,11 @@ class Struct:
     shape: tuple[Size, ...] = ()
     only: str = ""
     union: bool = False
+
+    @property
+    def count(self) -> int:
+        """How many of it the solver holds."""
+        return math.prod(size.value for size in self.shape)
 
 
 @dataclass(frozen=True)
