@@ -5,13 +5,14 @@
 /* sum_j a_j b_j,  j < n, in four partial sums */
 static inline real_t dot(const real_t *a, const real_t *b, int n)
 {
-    real_t s[4] = {R(0), R(0), R(0), R(0)};
+    real_t s0 = R(0), s1 = R(0), s2 = R(0), s3 = R(0);
     for (int j = 0; j < n; j += 4) {
-        for (int l = 0; l < 4; ++l) {
-            s[l] += a[j + l] * b[j + l];
-        }
+        s0 += a[j] * b[j];
+        s1 += a[j + 1] * b[j + 1];
+        s2 += a[j + 2] * b[j + 2];
+        s3 += a[j + 3] * b[j + 3];
     }
-    return (s[0] + s[2]) + (s[1] + s[3]);
+    return (s0 + s2) + (s1 + s3);
 }
 
 /* |a| */
@@ -65,14 +66,32 @@ static inline void solve_block(const real_t (*L)[LDV], int b, const real_t *y, r
 static void solve_upper(const real_t (*C)[LDV], const real_t *inverse, real_t *y, int n)
 {
     for (int b = (n + 3) / 4 * 4 - 4; b >= 0; b -= 4) {
-        const real_t *c1 = C[b + 1] + b, *c2 = C[b + 2] + b, *c3 = C[b + 3] + b;
-        const real_t y3 = y[b + 3] * inverse[b + 3];
-        const real_t y2 = (y[b + 2] - c3[2] * y3) * inverse[b + 2];
-        const real_t y1 = (y[b + 1] - c3[1] * y3 - c2[1] * y2) * inverse[b + 1];
-        y[b] = (y[b] - c3[0] * y3 - c2[0] * y2 - c1[0] * y1) * inverse[b];
-        y[b + 1] = y1;
-        y[b + 2] = y2;
-        y[b + 3] = y3;
-        subtract_panel(y, C + b, y + b, 0, b);
+        const real_t *c1 = C[b + 1] + b, *c2 = C[b + 2] + b, *c3 = C[b + 3] + b, *d = inverse + b;
+        real_t x[4];
+        x[3] = y[b + 3] * d[3];
+        x[2] = (y[b + 2] - c3[2] * x[3]) * d[2];
+        x[1] = (y[b + 1] - c3[1] * x[3] - c2[1] * x[2]) * d[1];
+        x[0] = (y[b] - c3[0] * x[3] - c2[0] * x[2] - c1[0] * x[1]) * d[0];
+        subtract_panel(y, C + b, x, 0, b);
+        for (int l = 0; l < 4; ++l) {
+            y[b + l] = x[l];
+        }
+    }
+}
+
+/* y := L^{-T} y; L unit lower triangular. */
+static void solve_unit_upper(const real_t (*L)[LDV], real_t *y)
+{
+    for (int b = LDV - 4; b >= 0; b -= 4) {
+        const real_t *l1 = L[b + 1] + b, *l2 = L[b + 2] + b, *l3 = L[b + 3] + b;
+        real_t x[4];
+        x[3] = y[b + 3];
+        x[2] = y[b + 2] - l3[2] * x[3];
+        x[1] = y[b + 1] - l3[1] * x[3] - l2[1] * x[2];
+        x[0] = y[b] - l3[0] * x[3] - l2[0] * x[2] - l1[0] * x[1];
+        subtract_panel(y, L + b, x, 0, b);
+        for (int l = 0; l < 3; ++l) {
+            y[b + l] = x[l];
+        }
     }
 }

@@ -82,53 +82,46 @@ static void condense_propagate(solver_t *s, int column)
 /* A panel of a row of (Hx, H) or (Ax, A). Entries of H beyond its diagonal are not read. */
 static inline void condense_store(const real_t *panel, int column, real_t *dx0, real_t *du)
 {
+    enum {
+        BORDER = NX % COLUMNS, /* columns of dx_0 in a panel that has du_0, too */
+        LAST = LDV + NX < LDG ? LDV + NX + COLUMNS - LDG : COLUMNS /* columns of the last panel that H has */
+    };
     if (column + COLUMNS <= NX) {
-        for (int i = 0; i < COLUMNS; ++i) {
-            dx0[column + i] = panel[i];
-        }
-    } else if (column >= NX && column - NX + COLUMNS <= LDV) {
-        for (int i = 0; i < COLUMNS; ++i) {
-            du[column - NX + i] = panel[i];
-        }
-    } else if (column >= NX) {
-        for (int i = column - NX; i < LDV; ++i) {
-            du[i] = panel[NX + i - column];
-        }
-    } else { /* the panel in which dx_0 ends */
-        for (int i = 0; i < NX % COLUMNS; ++i) {
-            dx0[column + i] = panel[i];
-        }
-        for (int i = 0; i < COLUMNS - NX % COLUMNS && i < LDV; ++i) {
-            du[i] = panel[NX % COLUMNS + i];
-        }
+        memcpy(dx0 + column, panel, COLUMNS * sizeof *panel);
+    } else if (column < NX) {
+        memcpy(dx0 + column, panel, BORDER * sizeof *panel);
+        memcpy(du, panel + BORDER, (COLUMNS - BORDER < LDV ? COLUMNS - BORDER : LDV) * sizeof *panel);
+    } else if (column + COLUMNS < LDG) {
+        memcpy(du + column - NX, panel, COLUMNS * sizeof *panel);
+    } else {
+        memcpy(du + column - NX, panel, LAST * sizeof *panel);
     }
 }
 
-/* T += R_k, its lower triangle, at du_k. */
-static void condense_add_curvature(columns_t *p, real_t (*Q)[NZ], int k, int column)
-{
-    const int diagonal = NX + k * NU - column;
-    for (int j = 0; j < NU; ++j) {
-        for (int i = (diagonal < 0) ? -diagonal : 0; i <= j && diagonal + i < COLUMNS; ++i) {
-            p->T[j][diagonal + i] += Q[NX + j][NX + i];
-        }
-    }
-}
-
-/* A panel of the block row k, T, goes to the condensed Hessian (lower triangle, plus R_k) and to its coupling to dx_0. */
-static void condense_store_rows(solver_t *s, real_t (*Q)[NZ], int k, int column)
+/* A panel of the block row k, T, goes to the condensed Hessian and to its coupling to dx_0. */
+static void condense_store_rows(solver_t *s, int k, int column)
 {
     columns_t *p = &s->qp.work.columns;
-    if (column + COLUMNS > NX + k * NU) {
-        condense_add_curvature(p, Q, k, column);
-    }
     for (int j = 0; j < NU; ++j) {
         const int row = k * NU + j;
         condense_store(p->T[j], column, s->condensed.Hx[row], s->qp.H[row]);
     }
 }
 
-/* A panel of the condensed Hessian: W_N = Q_N G_N, then its block rows T from the last to the first. */
+/* The condensed Hessian += R_k at (du_k, du_k), lower triangle. */
+static void condense_add_curvature(solver_t *s)
+{
+    for (int k = 0; k < N; ++k) {
+        real_t(*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
+        for (int j = 0; j < NU; ++j) {
+            for (int i = 0; i <= j; ++i) {
+                s->qp.H[k * NU + j][k * NU + i] += Q[NX + j][NX + i];
+            }
+        }
+    }
+}
+
+/* A panel of the condensed Hessian without R_k: W_N = Q_N G_N, then its block rows T from the last to the first. */
 static void condense_hessian(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
@@ -141,7 +134,7 @@ static void condense_hessian(solver_t *s, int column)
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
         real_t(*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
         CONDENSE_BACKWARD_PANEL(p, &s->node[k], Q, k);
-        condense_store_rows(s, Q, k, column);
+        condense_store_rows(s, k, column);
     }
 #if NF
     for (int f = 0; f < NF; ++f) {
@@ -181,16 +174,6 @@ static void condense_store_slacks(solver_t *s)
 }
 
 #endif
-#if STATE_ROWS
-/* A panel of the state row m, a row of G_k. */
-static void condense_take_state(const solver_t *s, int m, int column, real_t *sum)
-{
-    if (row_node[m] + 1 >= condense_first_node(column)) {
-        memcpy(sum, s->qp.work.columns.G[row_node[m]][row_index[m]], sizeof(real_t) * COLUMNS);
-    }
-}
-
-#endif
 #if GENERAL_ROWS || NE
 /* Adds a panel of J_x G_k + J_u at du_k of the general or coupled row m; of a coupled one J_0 dx_0 besides. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
@@ -216,23 +199,35 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 }
 
 #endif
+#if STATE_ROWS
+/* A panel of the state row m, a row of G_k. */
+static inline const real_t *condense_state_row(const solver_t *s, int m, int column)
+{
+    static const real_t zero[COLUMNS] = {R(0)};
+    const int reached = row_node[m] + 1 >= condense_first_node(column);
+    return reached ? s->qp.work.columns.G[row_node[m]][row_index[m]] : zero;
+}
+
+#endif
 #if NG
 /* A panel of row m of the QP: A = J_x G_k + J_u at du_k; a state row is J_x = e_i, a coupled row has J_0 dx_0 besides. */
 static void condense_row(solver_t *s, int m, int column)
 {
-    real_t sum[COLUMNS] = {R(0)};
 #if STATE_ROWS && (GENERAL_ROWS || NE)
+    real_t sum[COLUMNS] = {R(0)};
+    const real_t *panel = sum;
     if (row_kind[m] == ROW_STATE) {
-        condense_take_state(s, m, column, sum);
+        panel = condense_state_row(s, m, column);
     } else {
         condense_add_row(s, m, column, sum);
     }
 #elif STATE_ROWS
-    condense_take_state(s, m, column, sum);
+    const real_t *panel = condense_state_row(s, m, column);
 #else
-    condense_add_row(s, m, column, sum);
+    real_t panel[COLUMNS] = {R(0)};
+    condense_add_row(s, m, column, panel);
 #endif
-    condense_store(sum, column, s->condensed.Ax[m], s->qp.A[m]);
+    condense_store(panel, column, s->condensed.Ax[m], s->qp.A[m]);
 }
 
 #if NF || NSL
@@ -268,6 +263,7 @@ static void condense_matrices(solver_t *s)
         }
 #endif
     }
+    condense_add_curvature(s);
 #if NF
     condense_store_free(s);
 #endif

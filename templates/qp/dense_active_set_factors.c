@@ -29,12 +29,10 @@ static void qp_forward(const qp_t *q, real_t *y, int first)
 /* z = C^{-T} y = L^{-T} D^{-1/2} y */
 static void qp_backward(const qp_t *q, const real_t *y, real_t *z)
 {
-    real_t ones[LDV];
     for (int j = 0; j < LDV; ++j) {
         z[j] = y[j] * q->inverse[j];
-        ones[j] = R(1);
     }
-    solve_upper(q->H, ones, z, LDV);
+    solve_unit_upper(q->H, z);
 }
 
 /* The middle one of the positive numbers in v; 1 if there is none. */

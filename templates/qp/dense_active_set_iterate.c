@@ -45,9 +45,9 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
     }
 }
 
-/* How far the value of row c, not a member, exceeds its upper bound, and how far it stays below its lower one. Returns 0 if
- * it is not finite. */
-static inline int qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
+/* How far the value of row c, not a member, exceeds its upper bound, and how far it stays below its lower one. Returns the
+ * value. */
+static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
 {
 #if NG
     const real_t value = qp_value(q, c, z);
@@ -61,7 +61,7 @@ static inline int qp_violations(const qp_t *q, int c, const real_t *z, real_t *o
         qp_turn_inside(q, c, over, under);
     }
 #endif
-    return isfinite(value);
+    return value;
 }
 
 /* The row that is violated most, measured in y by 1/|D^{-1/2} a_c|, and by how much; -1 if none, -2 if a value is not finite.
@@ -74,12 +74,15 @@ static int qp_most_violated(const qp_t *q, int *side, real_t *violation)
         if (qp_is_member(q, c)) {
             continue;
         }
-        if (!qp_violations(q, c, q->x, &over, &under)) {
+        const real_t value = qp_violations(q, c, q->x, &over, &under);
+        if (over <= q->slack[c] && under <= q->slack[c]) {
+            continue;
+        }
+        if (!isfinite(value)) {
             return -2;
         }
         const real_t amount = over > under ? over : under;
-        if (amount > q->slack[c] && amount > TOL_QP_FEASIBILITY * qp_row_size(q, c) &&
-            amount > most * qp_row_norm(q, c)) {
+        if (amount > TOL_QP_FEASIBILITY * qp_row_size(q, c) && amount > most * qp_row_norm(q, c)) {
             most = amount / qp_row_norm(q, c);
             worst = c;
             *side = over > under ? AT_UPPER : AT_LOWER;

@@ -33,7 +33,7 @@ static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
         const real_t slope = p[c];
 #endif
         const real_t speed = FABS(slope);
-        if (qp_is_member(q, c) || !qp_violations(q, c, z, &over, &under)) {
+        if (qp_is_member(q, c) || !isfinite(qp_violations(q, c, z, &over, &under))) {
             continue;
         }
         const real_t room = slope > R(0) ? -over : -under;

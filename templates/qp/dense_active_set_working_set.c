@@ -3,7 +3,7 @@
 /* Values of side[]. */
 enum { AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1 };
 
-static int qp_is_member(const qp_t *q, int c)
+static inline int qp_is_member(const qp_t *q, int c)
 {
     return q->side[c] == AT_UPPER || q->side[c] == AT_LOWER;
 }
@@ -21,7 +21,7 @@ static real_t qp_bound(const qp_t *q, int c)
 
 #if NG
 /* a_c'z */
-static real_t qp_value(const qp_t *q, int c, const real_t *z)
+static inline real_t qp_value(const qp_t *q, int c, const real_t *z)
 {
     return c < NV ? z[c] : dot(q->A[c - NV], z, LDV);
 }
@@ -95,17 +95,18 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
 /* The normal of row c in y: m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
 {
-    clear(q->work.basis.m);
+    real_t *m = q->work.basis.m;
 #if NG
     if (c >= NV) {
-        copy(q->work.basis.m, q->A[c - NV]);
+        copy(m, q->A[c - NV]);
+        qp_forward(q, m, 0);
+        return dot(m, m, LDV);
     }
 #endif
-    if (c < NV) {
-        q->work.basis.m[c] = R(1);
-    }
-    qp_forward(q, q->work.basis.m, c < NV ? c : 0);
-    return dot(q->work.basis.m, q->work.basis.m, LDV);
+    clear(m);
+    m[c] = R(1);
+    qp_forward(q, m, c);
+    return dot(m, m, LDV);
 }
 
 /* m = Q'd + v with Q v = 0; a second pass where cancellation has cost orthogonality. Returns v'v. */
@@ -143,10 +144,10 @@ static void qp_append(qp_t *q, int c, int side, real_t vv, real_t lam)
         clear(w->R[i]);
     }
     for (int j = 0; j < LDV; ++j) {
-        w->Q[k][j] = q->work.basis.v[j] * scale;
+        w->Q[k][j] = w->v[j] * scale;
     }
     for (int j = 0; j < k; ++j) {
-        w->R[k][j] = q->work.basis.d[j];
+        w->R[k][j] = w->d[j];
     }
     w->R[k][k] = length;
     q->R_inverse[k] = scale;
@@ -225,7 +226,8 @@ static void qp_set_origin(qp_t *q)
 /* 1 if y is the small difference of large terms. */
 static int qp_cancelled(const qp_t *q)
 {
-    return norm(q->work.basis.y) < R(0.125) * q->scale;
+    const real_t size = R(0.125) * q->scale;
+    return dot(q->work.basis.y, q->work.basis.y, LDV) < size * size;
 }
 
 /* c = Q v - w, and v := v - Q'c fulfils Q v = w. */

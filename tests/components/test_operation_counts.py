@@ -97,7 +97,13 @@ def test_sections_of_the_table_of_contents() -> None:
     module = module_of(PROBLEMS["general"](), Options(qp=DenseActiveSet()))
     operations = module.description.report.operations
     expected = {
-        "condensing": ("condense_hessian", "condense_gradient", "condense_embed", "condense_expand"),
+        "condensing": (
+            "condense_hessian",
+            "condense_add_curvature",
+            "condense_gradient",
+            "condense_embed",
+            "condense_expand",
+        ),
         "hessian": ("hessian",),
         "algorithm": ("linearize",),
         "qp": ("qp_factorize_hessian", "qp_forward", "qp_backward"),

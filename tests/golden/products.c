@@ -5,7 +5,7 @@
 /* y = b + A dx + B du: 2 add, 2 mul */
 static inline void state_step(const node_t *node, const real_t *dx, const real_t *du, real_t *y)
 {
-    const real_t y_0 = node->b[0] + node->S[0][0] * dx[0] + node->S[0][1] * du[0];
+    const real_t y_0 = node->b[0] + node->S[0][1] * du[0] + node->S[0][0] * dx[0];
     y[0] = y_0;
 }
 

@@ -39,7 +39,10 @@ def entries(lower: Pattern, i: int) -> list[Entry]:
 
 
 class WrittenOut:
-    """The products over structural nonzeros, row by row."""
+    """The products over structural nonzeros, row by row.
+
+    Node follows node, so the terms in the result of the node before come last in every sum: the others do not wait.
+    """
 
     def __init__(self, nx: int, nu: int, S: Pattern, Q: Pattern, Q_N: Pattern) -> None:
         self.of = Interfaces(nx, nu)
@@ -52,9 +55,8 @@ class WrittenOut:
     def state_step(self) -> LoopedRoutine:
         v = _Operands(self.of.state_step)
         z = ca.vertcat(v["dx"], v["du"])
-        return v.vectors(
-            [_total([v["b"][i], *(v["S"][i, j] * z[j] for j in row)]) for i, row in enumerate(self.columns)]
-        )
+        ordered = [sorted(row, key=lambda j: j < self.nx) for row in self.columns]
+        return v.vectors([_total([v["b"][i], *(v["S"][i, j] * z[j] for j in row)]) for i, row in enumerate(ordered)])
 
     def adjoint_step(self) -> LoopedRoutine:
         v = _Operands(self.of.adjoint_step)
@@ -83,7 +85,7 @@ class WrittenOut:
         v = _Operands(self.of.backward_panel, panel=True)
         curved = [[v["Q"][r, c] * v["G"][j] for r, c, j in row if j < self.nx] for row in self.Q]
         later = [[v["S"][j, i] * v["W"][j] for j in rows] for i, rows in enumerate(self.rows)]
-        rows = [_total([*later[i], *curved[i]]) for i in range(len(self.rows))]
+        rows = [_total([*curved[i], *later[i]]) for i in range(len(self.rows))]
         return v.columns({"W": rows[: self.nx], "T": rows[self.nx :]})
 
 

@@ -118,11 +118,11 @@ class FullCondensing(Defaults):
         hessian = model.products.forward_panel * panels(nx, nu, N)
         hessian += model.products.terminal_panel * panels(nx + N * nu, 0, 1)
         hessian += model.products.backward_panel * panels(nx + nu, nu, N)
-        hessian += OpCount(add=nu * (nu + 1) // 2) * N
         gradient = (model.products.state_step + model.products.adjoint_step) * N + model.products.terminal_adjoint
         rows = N * nu + ng
         return {
             "condense_hessian": hessian,
+            "condense_add_curvature": OpCount(add=nu * (nu + 1) // 2) * N,
             "condense_gradient": gradient,
             "condense_embed": OpCount(add=nx + 2, mul=nx) * rows + OpCount(add=nx, mul=nx) * nf,
             "condense_expand": model.products.state_step * N,

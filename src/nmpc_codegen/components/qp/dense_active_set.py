@@ -116,7 +116,7 @@ class DenseActiveSet(Defaults):
         return {
             "qp_factorize_hessian": _factorization(dims),
             "qp_forward": substitution + scale,
-            "qp_backward": substitution + scale * 2,
+            "qp_backward": substitution + scale,
         }
 
 
