@@ -40,7 +40,7 @@ static void gather_block(
     }
 }
 
-/* Entry (i, j) of L D, stored in W below the diagonal; L is stored above it, where A - shift I = L D L'. */
+/* Entry (i, j) of A - shift I = L D L': W holds L D in its lower triangle and L above its diagonal. */
 static inline void test_entry(real_t (*A)[LANES], real_t (*W)[LANES], int n, int i, int j, const real_t *shift)
 {
     real_t sum[LANES];
