@@ -15,8 +15,8 @@ static real_t riccati_least_pivot(solver_t *s)
 }
 
 #if NG || INTERIOR_POINT
-/* Stage k under u = K x + G xi, where xi has unit covariance: G' in `gain` (columns of fixed controls 0, G G' =
- * M_uu^{-1}), (A + B K)' in `closed`, (B G)' in `push`. */
+/* Stage k under u = K x + G xi, where xi has unit covariance: G' in `gain` (columns of fixed controls 0,
+ * G G' = M_uu^{-1}), (A + B K)' in `closed`, (B G)' in `push`. */
 static void riccati_closed_loop(solver_t *s, int k)
 {
     const riccati_t *r = &s->riccati;
