@@ -2,7 +2,7 @@
  * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'. Arguments: runs steps dt period restart x0...
  * Every `period` steps the plant restarts at x0 (1 + restart * U(-1, 1)). Prints per run the medians, us, of shift,
  * linearisation with second derivatives, regularisation (with the terminal block), condensing, feedback, and the
- * sum. */
+ * total. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>
