@@ -31,7 +31,7 @@ CASES = {"terminal constraint": True, "terminal weight": False}
 
 
 def accuracy(report: Report) -> None:
-    """Solution of the NLP against IPOPT's, KKT residuals recomputed in NumPy; benchmarks.md says what equal means."""
+    """Solution of the NLP against IPOPT's, and KKT residuals recomputed in NumPy; benchmarks.md defines equality."""
     for case, constraint in CASES.items():
         problem = classify(build_ocp(constraint))
         controller = build(build_ocp(constraint), profile="fast")
@@ -55,7 +55,7 @@ def accuracy(report: Report) -> None:
 
 
 def single_precision(report: Report) -> None:
-    """The same closed loop in float: distance of the states from the double loop."""
+    """The same closed loop in single precision: distance of its states from those of the double-precision loop."""
     loops = []
     for precision in ("double", "single"):
         controller = build(build_ocp(), Options(precision=precision))
@@ -85,7 +85,7 @@ def times(report: Report) -> None:
 
 
 def quality(report: Report) -> None:
-    """Warnings, symbols, exact operation counts, sanitizers, two controllers in one program."""
+    """Warnings, symbols, exact operation counts, sanitizers, and two controllers in one program."""
     for precision in ("double", "single"):
         for case, constraint in CASES.items():
             options = Options(precision=precision)
@@ -93,7 +93,7 @@ def quality(report: Report) -> None:
             label = f"{precision}, {case}"
             report.add("compiler_warnings", compiler_warnings(sources), case=label, limit=0, profile="C99, C++17")
             report.add("foreign_external_symbols", foreign_external_symbols(sources), case=label, limit=0)
-            if precision == "double":  # single precision differs by the spelling of literals and functions only
+            if precision == "double":  # single precision differs only in the spelling of literals and functions
                 mismatches = count_mismatches(build_ocp(constraint), options)
                 report.add("count_mismatch", len(mismatches), case=label, limit=0, profile="counting")
             report.add("sanitizer_findings", sanitizer_findings(sources), case=label, limit=0, profile="asan, ubsan")
@@ -102,7 +102,7 @@ def quality(report: Report) -> None:
 
 
 def sensitivities(report: Report) -> None:
-    """Every tableau, straight-line and looped, against CasADi and the NumPy oracle; slopes of convergence."""
+    """Every tableau, straight-line and looped, against CasADi and the NumPy oracle; convergence orders."""
     for case, error, n in sensitivity_errors():
         report.add("sensitivity_error", error, case=case, limit=1e-12, n=n, profile="test")
     for case, error, n in order_slopes():
@@ -122,7 +122,7 @@ print(time.perf_counter() - start)
 
 
 def export_time(report: Report) -> None:
-    """From Python import to loaded controller, nothing cached."""
+    """Time from the import in Python to the loaded controller, with empty caches."""
     import os
     import tempfile
 

@@ -1,4 +1,4 @@
-"""What newcomers and careless machines meet: the command line, files, warnings, untrusted packages, the cache."""
+"""Robustness against newcomers and careless machines: command line, files, warnings, untrusted packages, the cache."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PARTS: dict[str, Callable[[Report], None]] = {
 
 
 def main() -> None:
-    """All parts, or some."""
+    """Run all parts, or some of them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", metavar="FILE", help="write one record per key")
     parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")

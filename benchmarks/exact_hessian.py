@@ -28,7 +28,7 @@ LONG = 1000
 
 
 def residuals(controller: Controller, x0: np.ndarray, iterations: int) -> list[float]:
-    """Largest KKT residual after 1, 2, ... iterations of solve() from the plain start; each run starts anew."""
+    """Largest KKT residual after 1, 2, ... iterations of solve() from the initial iterate; each run restarts there."""
     found = []
     for n in range(1, iterations + 1):
         solution = controller.copy().solve(x0, tol=TOLERANCE, max_iterations=n)
@@ -39,7 +39,7 @@ def residuals(controller: Controller, x0: np.ndarray, iterations: int) -> list[f
 
 
 def convergence(report: Report) -> None:
-    """SQP iterations to 1e-10 from the plain start: exact Hessians at reduced level, and Gauss-Newton beside."""
+    """SQP iterations to 1e-10 from the initial iterate: exact Hessians at the reduced level, and Gauss-Newton."""
     table = Table(title="largest KKT residual after every iteration")
     for name in ("", "CSTR, exact", "CSTR, Gauss-Newton", "quadrotor, exact", "quadrotor, Gauss-Newton"):
         table.add_column(name, justify="right")

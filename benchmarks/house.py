@@ -1,9 +1,9 @@
-"""The state of the house: sizes, types, rendering, style of the C, compilers against each other, times kept.
+"""Figures of the code base: sizes, types, rendering, style of the C, agreement of compilers, times against a commit.
 
     python -m benchmarks.house [--json FILE] [--only PART,...] [--before COMMIT]
 
-With --before, rendering_differences also counts samples whose package from that commit compiles to other object code
-than the one from this tree: the oracle of a change that concerns the text alone.
+With --before, rendering_differences also counts samples whose package from that commit compiles to different object
+code than the package from this tree: the oracle of a change that affects only the text.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from benchmarks.lib.report import Report
 
 
 def figures(module: str, report: Report) -> None:
-    """measure() of a module of benchmarks/lib; nothing if this tree does not have it."""
+    """measure() of a module of benchmarks/lib; an empty function if this tree does not contain the module."""
     name = f"benchmarks.lib.{module}"
     if importlib.util.find_spec(name) is None:
         print(f"{name}: not in this tree")
@@ -41,7 +41,7 @@ PARTS: dict[str, Callable[[Report], None]] = {
 
 
 def main() -> None:
-    """All parts, or some."""
+    """Run all parts, or some of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", metavar="FILE", help="write one record per key")
     parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")

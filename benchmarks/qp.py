@@ -1,4 +1,4 @@
-"""The QP solvers: random QPs, time against N and against CasADi's plugins, whole iterations, torture.
+"""The QP solvers: random QPs, time over N and against CasADi's plugins, complete iterations, torture tests.
 
     python -m benchmarks.qp [--json FILE] [--only random,plugins,...] [--picture FILE]
 
@@ -40,17 +40,17 @@ from nmpc_codegen import FullCondensing, Options, generate
 from nmpc_codegen.components.qp import DenseActiveSet
 from tests.stage_qp import solvers
 
-EXAMPLES = ("chain3", "quadrotor", "chain5", "chain7")  # in the order of size
+EXAMPLES = ("chain3", "quadrotor", "chain5", "chain7")  # in order of size
 N_PLUGINS = 40
 HORIZONS = (20, 40, 80, 160)
-PATIENT = 80  # repeats of our solvers over N: exponents see what a neighbour does to the caches
+PATIENT = 80  # repeats of our solvers over N, because exponents are sensitive to cache disturbances
 SCALED = ("chain5", "quadrotor")
-STEPS = 100_000  # of the torture, all trials together
+STEPS = 100_000  # of the torture tests, all trials together
 
-#: Curves of the picture, in the order of their colours.
+#: Curves of the figure, in the order of their colours.
 CURVES = (*solvers(), "hpipm", "osqp", "daqp", "qpoases (condensed)", "daqp (condensed)")
 
-#: Whole iterations and feedback phases: (example, N or None for its own, limits in us).
+#: Complete iterations and feedback phases: (example, N or None for its own, limits in us).
 LOOPS: dict[str, tuple[str, int | None, float | None, float | None]] = {
     "chain3": ("chain3", None, 80.0, None),
     "chain5": ("chain5", None, 200.0, 15.0),
@@ -64,7 +64,7 @@ LOOPS: dict[str, tuple[str, int | None, float | None, float | None]] = {
 
 
 def random(report: Report, tuples: int = 300) -> None:
-    """Drawn tuples of dimensions through all solvers."""
+    """Random tuples of dimensions for all solvers."""
     tally = stage_qps.run(tuples)
     n = tally.problems
     report.add("qp_disagreements", sum(tally.wrong.values()), limit=0, n=n, profile="test")
@@ -85,14 +85,14 @@ def random(report: Report, tuples: int = 300) -> None:
 
 
 def _variants(name: str) -> dict[str, Options]:
-    """Options of the example with every pair of condensing and QP solver, and with those that are chosen."""
+    """Options of the example with every pair of condensing and QP solver, and with the pair chosen by default."""
     base = BY_NAME[name].options
     pairs = {key: Options(base.integrator, condensing=o.condensing, qp=o.qp) for key, o in solvers().items()}
     return {"chosen": base, **pairs}
 
 
 def condensing_time(recorded: Recorded) -> float:
-    """Time (us) in which our C condenses a QP of the recording fully."""
+    """Time (us) in which our C code condenses a QP of the recording fully."""
     base = BY_NAME[recorded.name].options
     timed = Timed(recorded.name, recorded.N, Options(base.integrator, condensing=FullCondensing(), qp=DenseActiveSet()))
     with pinned():
@@ -100,10 +100,10 @@ def condensing_time(recorded: Recorded) -> float:
 
 
 def plugins(report: Report) -> None:
-    """Whole QP solves against the fastest plugin on the same QPs, N = 40, cold and with the active set unchanged.
+    """Complete QP solves against the fastest plugin on the same QPs, N = 40, cold and with an unchanged active set.
 
-    The plugins get the QP as it is, by stages. A dense solver behind our condensing, whose time is added, is another
-    peer: it is reported by keys of its own.
+    The plugins get the QP in stage form. A dense solver after our condensing, whose time is added, is another peer with
+    separate keys.
     """
     slow: set[str] = set()
     for name in EXAMPLES:
@@ -199,7 +199,7 @@ def scaling(report: Report, picture: str = "out/qp_scaling.png", horizons: tuple
 
 
 def _draw_curve(axis: Any, key: str, horizons: tuple[int, ...], values: list[float]) -> None:
-    """Measured points, with the fitted exponent at the last of them; ours solid, CasADi's plugins dotted."""
+    """Measured points, with the fitted exponent at the last one; our solvers solid, CasADi's plugins dotted."""
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < 2:
         return
@@ -210,7 +210,7 @@ def _draw_curve(axis: Any, key: str, horizons: tuple[int, ...], values: list[flo
 
 
 def _curves(name: str, horizons: tuple[int, ...]) -> dict[tuple[str, bool], list[float]]:
-    """(solver, cold) -> time for every horizon; NaN where it was not asked or failed."""
+    """(solver, cold) -> time for every horizon; NaN if it was not run or failed."""
     curves: dict[tuple[str, bool], list[float]] = {}
     peers = [c for c in contenders(0.0) if available(c.plugin)]
     for place, N in enumerate(horizons):
@@ -237,7 +237,7 @@ def _curves(name: str, horizons: tuple[int, ...]) -> dict[tuple[str, bool], list
 def _report_curve(
     report: Report, name: str, key: str, kind: str, horizons: tuple[int, ...], values: list[float]
 ) -> None:
-    """Times, their exponent, and how often a solver of ours did not find the solution."""
+    """Times, their exponent, and the number of failures of a solver of ours."""
     ours, label = "+" in key, f"{name}, {key}, {kind}"
     known = np.isfinite(values)
     profile = "fast" if ours else "casadi"
@@ -326,7 +326,7 @@ PARTS: dict[str, Callable[..., None]] = {
 
 
 def main() -> None:
-    """All parts, or some."""
+    """Run all parts, or some of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", metavar="FILE", help="write one record per key")
     parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")

@@ -3,8 +3,8 @@
     python -m benchmarks.tracking [--json FILE] [--without-clone] [--only accuracy,qps,...]
 
 The definition of "equal to IPOPT" (per component, relative to max(1, its largest value): controls and states 1e-6, cost
-1e-8) allows several optima: where the controls differ, IPOPT started at ours must return ours, and the case says so.
-Multipliers are compared where LICQ and strict complementarity hold at the solution, tested numerically.
+1e-8) allows several optima: if the controls differ, IPOPT started at our solution must return it; the case is marked.
+Multipliers are compared if LICQ and strict complementarity hold at the solution, which is tested numerically.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ from nmpc_codegen.runtime.build import PROFILES, find_compiler
 TOTAL_US = {"cstr": 8.0, "quadrotor": 50.0, "chain5": 600.0}
 PAPER_WORST_US = 404.0  # [H11] 4.2, a CPU of 2011
 SLOWEST_PEER = 1e6  # us
-ACTIVE = 1e-6  # distance from a bound, and multiplier, below which a row is taken as active or its multiplier as zero
+ACTIVE = 1e-6  # distance from a bound, and multiplier, below which a row counts as active or its multiplier as zero
 
 # Accuracy -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Ours and IPOPT's solution of a case. ``other``: from the plain start IPOPT finds another optimum."""
+    """Our solution and that of IPOPT. ``other``: from the initial iterate IPOPT finds another optimum."""
 
     problem: Problem
     data: Data
@@ -70,7 +70,7 @@ def relative(a: Array, b: Array) -> float:
 
 
 def apply(controller: Controller, data: Any) -> None:
-    """Give a controller at run time what node_data() gives the reference."""
+    """Set the data of a controller at run time that node_data() passes to the reference."""
     setters: dict[str, Callable[[Any], None]] = {
         "yref": controller.set_reference,
         "yref_N": controller.set_terminal_reference,
@@ -83,7 +83,7 @@ def apply(controller: Controller, data: Any) -> None:
 
 
 def compare(case: Case, tol: float = 1e-10) -> Comparison:
-    """Solve a case by the generated code and by IPOPT, both from the plain start."""
+    """Solve a case by the generated code and by IPOPT, both from the initial iterate."""
     ocp = case.make()
     problem = classify(ocp)
     controller = build(ocp, case.options, profile="fast")
@@ -144,7 +144,7 @@ def active_rows(c: Comparison, tableau: Tableau) -> tuple[Array, Array, list[str
 
 
 def is_regular(gradients: Array, multipliers: Array) -> bool:
-    """LICQ and strict complementarity, numerically: only then are multipliers unique and comparable."""
+    """LICQ and strict complementarity, numerically; only then are multipliers unique and comparable."""
     if not len(gradients):
         return True
     sizes = np.linalg.norm(gradients, axis=1, keepdims=True)
@@ -231,9 +231,9 @@ def times(report: Report, examples: Sequence[Example] = EXAMPLES, runs: int = 15
 
 
 def peers(report: Report, examples: Sequence[Example] = EXAMPLES, seconds: float = 2.0) -> None:
-    """CasADi's sqpmethod on the same closed loops, with every QP plugin that this CasADi ships; after times().
+    """CasADi's sqpmethod on the same closed loops, with every QP plugin that this CasADi ships; called after times().
 
-    A plugin that needs more than SLOWEST_PEER per step is not asked for the larger examples that follow.
+    A plugin that needs more than SLOWEST_PEER per step is not run on the larger examples that follow.
     """
     ours = {key: record.value for key, record in report.worst().items()}
     for plugin in QUIET:
@@ -305,7 +305,7 @@ def below_bounds(x: Array) -> float:
 # Sizes ----------------------------------------------------------------------------------------------------------------
 
 
-#: Functions whose operations are reported, those of condensing or of stages, as the package has them.
+#: Functions whose operations are reported, those of condensing or of stages, depending on the package.
 COUNTED = {
     "linearize", "condense_hessian", "condense_gradient", "condense_expand",
     "riccati_factorize", "riccati_backward", "riccati_forward",
@@ -313,7 +313,7 @@ COUNTED = {
 
 
 def sizes(report: Report, examples: Sequence[Example] = EXAMPLES) -> None:
-    """Exact figures: memory, text of the generated C, operations; and the code that the compiler makes of it."""
+    """Exact figures: memory, size of the generated C, operations; and the size of the compiled code."""
     for example in examples:
         name = example.name
         module = lower(linearize(classify(example.make()), example.options))
@@ -349,7 +349,7 @@ CLONE = (("newcomer_seconds", "demo", 300.0), ("test_suite_seconds", "test", 600
 def clone(report: Report, targets: Sequence[tuple[str, str, float]] = CLONE) -> None:
     """make demo and make test as a newcomer runs them: committed files, own virtual environment, empty cache.
 
-    The record of a target that fails is NaN, and the end of what it printed is shown.
+    The record of a target that fails is NaN, and the end of its output is shown.
     """
     root = Path(__file__).resolve().parents[1]
     with tempfile.TemporaryDirectory() as folder:

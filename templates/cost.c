@@ -1,6 +1,6 @@
-/* The cost of the present iterate: the nodes' terms, and penalties l1 v + l2/2 v^2 of violated soft rows. */
+/* Cost of the present iterate: the terms of the nodes and the penalties l1 v + l2/2 v^2 of violated soft rows. */
 
-/* sum_k l_k + l_N, and the cost of x_0 by itself */
+/* sum_k l_k + l_N plus the separate cost of x_0. */
 static real_t nodal_cost(const solver_t *s)
 {
     real_t total = R(0);
@@ -23,13 +23,13 @@ static real_t nodal_cost(const solver_t *s)
 }
 
 #if SOFT_ROWS
-/* Penalty of a violation v >= 0 of the soft row m. */
+/* Penalty l1 v + l2/2 v^2 of a violation v >= 0 of the soft row m. */
 static real_t soft_penalty(int m, real_t v)
 {
     return row_l1[row_id[m]] * v + R(0.5) * ROW_CURVATURE(m) * v * v;
 }
 
-/* Penalties of the soft rows of the iterate. */
+/* Sum of the penalties of all soft rows at the present iterate. */
 static real_t soft_penalties(const solver_t *s)
 {
     real_t value[NG], total = R(0);

@@ -1,8 +1,8 @@
-/* Dense linear algebra in panels of four. Vectors and rows have LDV entries, zero beyond their last one. A triangular
- * matrix has the inverses of its diagonal apart, and the other triangle is not read; rows that are missing in the last panel
- * of n rows are zero, and so are their inverses. */
+/* Dense linear algebra in panels of four rows. Vectors and rows have LDV entries, with zeros as padding. The inverses
+ * of the diagonal of a triangular matrix are stored separately, and its other triangle is not read; missing rows in the
+ * last panel of n rows are zero, and so are their inverses. */
 
-/* sum_j a_j b_j,  j < n, in four partial sums */
+/* sum_j a_j b_j, j < n, in four partial sums. */
 static inline real_t dot(const real_t *a, const real_t *b, int n)
 {
     real_t s0 = R(0), s1 = R(0), s2 = R(0), s3 = R(0);
@@ -21,7 +21,7 @@ static real_t norm(const real_t *a)
     return SQRT(dot(a, a, LDV));
 }
 
-/* y = 0; a loop, for a call of memset takes longer. */
+/* y = 0. A loop is faster than a call of memset. */
 static inline void clear(real_t *y)
 {
     for (int j = 0; j < LDV; ++j) {
@@ -29,7 +29,7 @@ static inline void clear(real_t *y)
     }
 }
 
-/* y = x; a loop, for memcpy is in halves of a vector register, which what is read next would wait for. */
+/* y = x. A loop is used because memcpy writes halves of a vector register, which would stall the next read. */
 static inline void copy(real_t *y, const real_t *x)
 {
     for (int j = 0; j < LDV; ++j) {
@@ -52,7 +52,7 @@ static inline void subtract_panel(real_t *y, const real_t (*A)[LDV], const real_
     }
 }
 
-/* c = L^{-1} y, four entries, in the panel at column b of L', unit upper triangular. */
+/* c = L^{-1} y, four entries, where L is the panel at column b of L' (unit upper triangular). */
 static inline void solve_block(const real_t (*L)[LDV], int b, const real_t *y, real_t *c)
 {
     const real_t *l0 = L[0] + b, *l1 = L[1] + b, *l2 = L[2] + b;
@@ -62,7 +62,7 @@ static inline void solve_block(const real_t (*L)[LDV], int b, const real_t *y, r
     c[3] = y[3] - l0[3] * c[0] - l1[3] * c[1] - l2[3] * c[2];
 }
 
-/* y := C^{-T} y, n entries; C lower triangular. */
+/* y := C^{-T} y, n entries, where C is lower triangular. */
 static void solve_upper(const real_t (*C)[LDV], const real_t *inverse, real_t *y, int n)
 {
     for (int b = (n + 3) / 4 * 4 - 4; b >= 0; b -= 4) {

@@ -1,6 +1,6 @@
 #if GENERAL_ROWS || NE
-/* Where the gradient of the general or coupled row m stands: NZ numbers at a path node, NX at the last one; that of a coupled
- * row is dr / dx_N. */
+/* Stored gradient of the general or coupled row m: NZ entries at a path node, NX at the terminal node. For a coupled
+ * row it is dr / dx_N. */
 static inline const real_t *nodal_row(const solver_t *s, int m)
 {
 #if NE && GENERAL_ROWS
@@ -21,7 +21,8 @@ static inline const real_t *nodal_row(const solver_t *s, int m)
 
 #endif
 #if NG
-/* Gradient J = (d row / dx, d row / du) and value of row m in the linearisation; of a coupled row J = d row / dx_N. */
+/* Gradient J = (d row / dx, d row / du) of row m at the linearisation point; J = d row / dx_N for a coupled row.
+ * Returns the value of the row. */
 static real_t row_gradient(const solver_t *s, int m, real_t *J)
 {
     memset(J, 0, NZ * sizeof *J);

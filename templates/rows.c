@@ -1,8 +1,8 @@
-/* Rows besides the control bounds, sorted by node: state bounds, general rows h and, at the end, coupled rows
- * r(x_0, x_N). */
+/* Rows (constraints other than the control bounds), sorted by node: state bounds, general rows h and, at the end,
+ * coupled rows r(x_0, x_N). */
 
 #if STATE_ROWS + GENERAL_ROWS + (NE > 0) > 1
-enum { ROW_STATE = 0, ROW_GENERAL = 1, ROW_COUPLED = 2 }; /* row_kind */
+enum { ROW_STATE = 0, ROW_GENERAL = 1, ROW_COUPLED = 2 }; /* values of row_kind */
 
 #endif
 static real_t clip(real_t value, real_t lower, real_t upper)
@@ -24,7 +24,7 @@ static int all_finite(const real_t *v, int n)
 }
 
 #if NG
-/* Values of all rows at the iterate. */
+/* Values of all rows at the present iterate. */
 static void evaluate_rows(const solver_t *s, real_t *value)
 {
 #if GENERAL_ROWS

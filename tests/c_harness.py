@@ -1,6 +1,6 @@
-"""Generated C in a shared library: printed routines one by one, and static functions of whole packages.
+"""Generated C in a shared library: single printed routines, and static functions of complete packages.
 
-Everything is compiled with the flags of the profile "test" and every warning that the project forbids as an error.
+All code is compiled with the flags of the profile "test"; every warning that the project forbids is an error.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def shared_library(files: Mapping[str, str], main: str, warnings: Sequence[str] 
 
 
 class Routines:
-    """Printed routines, called with NumPy vectors. Equal names are told apart by their key."""
+    """Printed routines, called with NumPy vectors. Routines with equal names are distinguished by their key."""
 
     def __init__(self, routines: Mapping[str, Routine], precision: str = "double") -> None:
         self.routines = dict(routines)
@@ -67,7 +67,7 @@ class Routines:
         self.library = shared_library({"routines.c": "\n".join(texts) + "\n"}, "routines.c")
 
     def __call__(self, key: str, *inputs: object) -> list[np.ndarray]:
-        """Outputs in their shapes; what the routine does not write is zero."""
+        """Outputs in their shapes; entries that the routine does not write are zero."""
         routine = self.routines[key]
         arguments = []
         for port, value in zip(routine.inputs, inputs, strict=True):
@@ -82,12 +82,12 @@ class Routines:
         ]
 
     def raw(self, key: str, *arrays: np.ndarray) -> None:
-        """Call on these very arrays, which may overlap."""
+        """Call with exactly these arrays, which may overlap."""
         getattr(self.library, f"call_{key}")(*(ctypes.c_void_p(a.ctypes.data) for a in arrays))
 
 
 def memory_layout(module: CModule) -> np.dtype:
-    """NumPy view of the solver struct, laid out by NumPy's rendering of the C rules."""
+    """NumPy view of the solver struct, with its layout by NumPy's rendering of the C rules."""
     types: dict[str, object] = {"real": SCALARS[module.precision], "int32": np.int32}
     for struct in module.structs:
         members = [(f.name, np.dtype(types[f.ctype]), f.padded) for f in struct.fields]
@@ -96,12 +96,12 @@ def memory_layout(module: CModule) -> np.dtype:
 
 
 def module_of(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
-    """The pipeline up to the C nouns."""
+    """The pipeline up to the CModule."""
     return lower(linearize(classify(ocp), options or Options()), name)
 
 
 class Package:
-    """A package with its static functions: ``call(f)`` runs f(s), ``self["node"]`` is the view on a member of s."""
+    """A package with its static functions: ``call(f)`` runs f(s), ``self["node"]`` is the view of a member of s."""
 
     def __init__(self, module: CModule, functions: Sequence[str] = (), sources: Sources | None = None) -> None:
         self.module = module

@@ -1,4 +1,4 @@
-"""Fixtures shared by all tests: the hand-written toy package, and tools that a machine may lack."""
+"""Fixtures shared by all tests: the hand-written toy package, and tools that may be missing on a machine."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.build import find_compiler, load
 from nmpc_codegen.runtime.controller import Controller
 
-# The same examples in every run: a suite that fails only now and then tells nobody anything. Others are drawn on
-# purpose, with --hypothesis-profile=random.
+# The same examples are used in every run, because a suite that fails only occasionally is not informative. Use
+# --hypothesis-profile=random to draw others.
 settings.register_profile("repeatable", derandomize=True)
 settings.register_profile("random", derandomize=False)
 settings.load_profile("repeatable")
@@ -26,7 +26,7 @@ DATA = Path(__file__).parent / "data"
 Files = dict[str, str]
 
 
-#: Word of NMPC_REQUIRE -> programs, any of which will do.
+#: Key of NMPC_REQUIRE -> programs, any of which is sufficient.
 TOOLS = {
     "cc": ("gcc", "cc", "clang"),
     "cxx": ("g++", "c++", "clang++"),
@@ -43,8 +43,8 @@ TOOLS = {
 def require_tool(name: str) -> str:
     """Path of a tool of TOOLS, or of a program; without it the test is skipped.
 
-    NMPC_REQUIRE, a list of names separated by commas, says what must be there (CI: what it installs): the test then
-    fails instead.
+    NMPC_REQUIRE, a list of names separated by commas, lists the tools that must exist (in CI those that it installs):
+    the test then fails instead.
     """
     for program in TOOLS.get(name, (name,)):
         path = shutil.which(program)
@@ -56,7 +56,7 @@ def require_tool(name: str) -> str:
 
 
 def missing(reason: str, tool: str) -> None:
-    """Skip for want of a tool (a word of TOOLS); fail if NMPC_REQUIRE lists it."""
+    """Skip if a tool (a key of TOOLS) is missing; fail if NMPC_REQUIRE lists it."""
     if tool in {word.strip() for word in os.environ.get("NMPC_REQUIRE", "").split(",")}:
         pytest.fail(f"NMPC_REQUIRE lists {tool!r}, but {reason}")
     pytest.skip(reason)
@@ -107,12 +107,12 @@ def toy(_toy: Controller) -> Controller:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """A file to a worker: what a test module builds and caches is built once, not once per worker."""
+    """Assign a file to one worker, so that the builds of a test module happen once, not once per worker."""
     from xdist.scheduler import LoadFileScheduling
 
     return LoadFileScheduling(config, log)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """--update-golden: write the golden files anew instead of comparing with them."""
+    """--update-golden: rewrite the golden files instead of comparing with them."""
     parser.addoption("--update-golden", action="store_true", help="write tests/golden anew")

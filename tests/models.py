@@ -1,4 +1,4 @@
-"""The models of oracles/runge_kutta.py as problems, stated with CasADi, a discrete map, a pendulum with everything."""
+"""The models of oracles/runge_kutta.py as problems stated with CasADi, a discrete map, a pendulum with all features."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 
 from nmpc_codegen import OCP
 
-#: N, interval length, and a non-uniform grid.
+#: N, interval length, and a nonuniform grid.
 LENGTH = 0.3
 GRID = [0.2, 0.3, 0.45]
 
 
 def pendulum_of_everything(name: str, intervals: list[float]) -> OCP:
-    """Least squares, general, integrated and terminal costs, path and terminal rows, a parameter: all curved."""
+    """Least-squares, general, integrated and terminal costs, path and terminal rows, a parameter; all nonlinear."""
     ocp = OCP(name, intervals=intervals)
     q, w, u = ocp.state("q", initial=0.7), ocp.state("w", initial=-0.2), ocp.control("u")
     m = ocp.parameter("m", value=1.3)
@@ -35,7 +35,7 @@ def couple(ocp: OCP) -> None:
 
 
 def problem_of(model: str, uniform: bool = True) -> OCP:
-    """An OCP with the dynamics of the model and a plain cost."""
+    """An OCP with the dynamics of the model and a simple cost."""
     grid: dict[str, Any] = {"T": 3 * LENGTH, "N": 3} if uniform else {"intervals": GRID}
     ocp = OCP(model, **grid)
     {"crane": _crane, "reactor": _reactor, "tanks": _tanks}[model](ocp)

@@ -1,4 +1,4 @@
-"""Small optimal control problems, one per structure that the generated code must master, with the data they run on."""
+"""Small optimal control problems, one per structure that the generated code must support, with their data."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Case:
     """A problem, its options, the measured state, and run-time data that differ from the declared ones.
 
     ``data``: arguments of node_data(); yref (N, ny), yref_N, W, W_N, p (N+1, np), bounds {row: (lower, upper)}.
-    ``active``: kinds of rows that are active at the solution, without which the case would show nothing.
+    ``active``: kinds of rows that are active at the solution, as required by the purpose of the case.
     """
 
     make: Callable[[], OCP]
@@ -89,7 +89,7 @@ def terminal_rows() -> OCP:
 
 
 def disc() -> OCP:
-    """A terminal disc with a small weight: full Gauss-Newton steps, blind to the row's curvature, cycle."""
+    """A terminal disc with a small weight: full Gauss-Newton steps, which ignore the row's curvature, cycle."""
     ocp, q, w, u = pendulum("disc")
     ocp.least_squares(ca.vertcat(q, w, u), weight=[1.0, 0.1, 1.0])
     ocp.subject_to(-np.inf, q * q + w * w, 0.04, at="end", name="disc")
@@ -129,7 +129,7 @@ def dense_weight() -> OCP:
 
 
 def scaled() -> OCP:
-    """Weights scaled by dt on a non-uniform grid, one of the two dense."""
+    """Weights scaled by dt on a nonuniform grid, one of the two dense."""
     ocp, q, w, u = pendulum("scaled", intervals=[0.1, 0.1, 0.2, 0.2, 0.4, 0.4])
     ocp.least_squares(ca.vertcat(q, w), weight=[[4.0, 1.0], [1.0, 2.0]], scale_with_dt=True)
     ocp.least_squares(u, weight=[0.3])
@@ -158,7 +158,7 @@ def discrete() -> OCP:
 
 
 def tiny() -> OCP:
-    """nx = nu = N = 1 and no constraint at all."""
+    """nx = nu = N = 1 and no constraints."""
     ocp = OCP("tiny", T=0.5, N=1)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -(x**3) + u})
@@ -259,7 +259,7 @@ def controller(name: str, profile: str = "test", precision: str = "double") -> C
 
 
 def apply(c: Controller, data: Mapping[str, Any]) -> None:
-    """Give a controller the data that node_data() would give the reference."""
+    """Set the data in a controller that node_data() passes to the reference."""
     if "yref" in data:
         c.set_reference(data["yref"])
     if "yref_N" in data:
@@ -281,7 +281,7 @@ def case_data(name: str) -> Data:
 
 @cache
 def reference(name: str) -> ReferenceSolution:
-    """IPOPT's solution from the plain start."""
+    """IPOPT's solution from the initial iterate."""
     return Reference(problem(name), CASES[name].tableau).solve(case_data(name))
 
 
@@ -291,7 +291,7 @@ def point(solution: Any) -> Point:
 
 
 def is_regular(name: str, solution: Any) -> bool:
-    """LICQ and strict complementarity, numerically: only then are multipliers unique and comparable.
+    """LICQ and strict complementarity, numerically; only then are multipliers unique and comparable.
 
     The gradients of all equalities and active rows have full rank; no active inequality has multiplier 0.
     """

@@ -1,4 +1,4 @@
-"""A QP component alone in a shared library: the template, its struct and nothing else.
+"""A QP component in a shared library of its own: only the template and its struct.
 
 The header text comes from the component's own Struct, so no optimal control problem is needed.
 """
@@ -31,7 +31,7 @@ FAST = ("-O1", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-c
 SCALARS = {"double": np.float64, "single": np.float32}
 
 
-#: A part that is tested alone has all kinds of rows, and the fall-back of the active set.
+#: A part that is tested separately has all kinds of rows, and the fallback of the active-set method.
 SWITCHES = {
     "SHIFT_RESAMPLE": 0,
     "REGULARIZE_REDUCED": 0,
@@ -45,7 +45,7 @@ SWITCHES = {
 
 
 def qp_dims(nv: int, ng: int) -> Dims:
-    """Dims of a QP with nv variables and ng general rows; the other sizes are not looked at."""
+    """Dims of a QP with nv variables and ng general rows; the other sizes are not used."""
     zero = Size("0", 0)
     named = dict.fromkeys((*Dims.__dataclass_fields__, *QpDims.__dataclass_fields__), zero)
     named |= {
@@ -72,7 +72,7 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
 
 
 def unit_head(sizes: Mapping[str, int], precision: str) -> str:
-    """What a part needs before it besides its structs: includes, sizes, types, statuses, arithmetic."""
+    """The text that a part needs before it besides its structs: includes, sizes, types, statuses, arithmetic."""
     name, arguments, text = REAL_CONSTANT
     lines = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
     lines += [f"#define {macro} {value}" for macro, value in (*sizes.items(), *arithmetic(precision))]
@@ -90,12 +90,12 @@ def struct_text(struct: Struct) -> str:
 
 
 def part_text(path: str, sizes: Mapping[str, int]) -> str:
-    """A part with what it includes, its conditions decided."""
+    """A part with its included parts and its conditions resolved."""
     return resolve(read_part(path, no_generated_part), {**SWITCHES, **sizes})
 
 
 def no_generated_part(path: str) -> str:
-    """Parts that are tested alone include nothing that is generated for a package."""
+    """Parts that are tested separately include no generated text of a package."""
     raise LookupError(path)
 
 
@@ -181,7 +181,7 @@ class QP:
         return self.memory[name]
 
     def load(self, H, A, lower, upper) -> None:
-        """Data of the preparation phase; nothing but the lower triangle of H is written."""
+        """Data of the preparation phase; only the lower triangle of H is written."""
         inside = np.tril(np.ones((self.nv, self.nv), bool))
         self["H"][: self.nv, : self.nv][inside] = np.asarray(H)[inside]
         if self.ng:
@@ -200,14 +200,14 @@ class QP:
         return STATUSES[self.library.test_solve(self._pointer)]
 
     def run(self, H, g, A, lower, upper, penalty=np.inf) -> str:
-        """Both phases; the status of the one that failed, else of qp_solve."""
+        """Run both phases; returns the status of the phase that failed, else that of qp_solve."""
         self.load(H, A, lower, upper)
         self["penalty"][self.nv : self.nv + self.ng] = penalty
         status = self.factorize()
         return status if status != "OK" else self.solve(g)
 
     def shift(self, n: int, source=None) -> None:
-        """``source``: per general row the row whose prediction it takes, default itself."""
+        """``source``: per general row the row whose prediction it takes; default: the row itself."""
         rows = np.arange(self.ng) if source is None else source
         self.library.test_shift(self._pointer, n, (ctypes.c_int * max(1, self.ng))(*rows))
 

@@ -1,4 +1,4 @@
-"""The Riccati recursion and the solvers on it alone in a shared library, behind hand-made accessors of the stage seam.
+"""The Riccati recursion and its solvers in a shared library, with hand-written accessors of the stages.
 
 Every array of the solver struct is a NumPy view, so no optimal control problem is needed.
 """
@@ -33,7 +33,7 @@ class Shape:
 
     @property
     def dims(self) -> Any:
-        """The members of Dims that the Riccati components look at."""
+        """The members of Dims that the Riccati components use."""
         named = {
             "ns": self.ns,
             "nx": self.nx,
@@ -54,7 +54,7 @@ class Shape:
 
 
 def _data(dims: Any) -> tuple[Struct, ...]:
-    """What condensing, Hessian and algorithm own in a real package."""
+    """The members that condensing, Hessian and algorithm own in a real package."""
     nodes = Size("NS + 1", dims.qp.ns.value + 1)
 
     def field(name: str, *shape: Size) -> Field:
@@ -99,7 +99,7 @@ void test_init(solver_t *s) { riccati_init(s); }
 
 
 def structs(shape: Shape, owned: tuple[Struct, ...] = ()) -> tuple[Struct, ...]:
-    """All structs without members of size 0, the solver last; ``owned``: of the component, or else of the recursion."""
+    """All structs without members of size 0, the solver last; ``owned``: by the component, or else by the recursion."""
     inner = tuple(_existing(s) for s in (*_data(shape.dims), *(owned or riccati_structs(shape.dims))))
     held = {f.ctype for s in inner for f in s.fields}
     members = tuple(Field(s.name, (), "", "data", s.name) for s in inner if s.name not in held)
@@ -118,7 +118,7 @@ def source(
     owned: tuple[Struct, ...] = (),
     precision: str = "double",
 ) -> str:
-    """Self-contained C text of a part on the stage seam."""
+    """Self-contained C text of a part that works on stages."""
     dims = vars(shape.dims)
     values = {size.text: size.value for size in dims.values() if isinstance(size, Size)}
     values |= {name: value for name, value, _ in (*riccati_sizes(shape.dims), *sizes)}
@@ -193,7 +193,7 @@ int test_qp_size(void) { return (int)sizeof(solver_t); }
 
 
 class RiccatiQP:
-    """A solver on the stage seam; ``self["z"]`` is the view on the member z of its struct qp."""
+    """A solver on stages; ``self["z"]`` is the view of the member z of its struct qp."""
 
     def __init__(self, shape: Shape, component: Any, precision: str = "double", flags: tuple[str, ...] = FAST) -> None:
         self.shape = shape
@@ -216,7 +216,7 @@ class RiccatiQP:
         return qp[name] if name in qp.dtype.names else np.zeros(0)
 
     def load(self, qp: Any) -> None:
-        """All data of a StageQP; strict upper triangles are NaN, nobody may read them."""
+        """All data of a StageQP; strict upper triangles are NaN, because they must not be read."""
         problem, stage, hessian = qp.problem, self.memory["stage"], self.memory["hessian"]
         nx = self.shape.nx
         upper = np.triu(np.full(problem.Q[0].shape, np.nan), 1)
@@ -240,14 +240,14 @@ class RiccatiQP:
         return STATUSES[self.library.test_qp_factorize(self.pointer)]
 
     def solve(self, x_0: np.ndarray) -> str:
-        """``x_0``: its free components are overwritten by NaN, nobody may read them."""
+        """``x_0``: its free components are overwritten by NaN, because they must not be read."""
         start = np.array(x_0, dtype=float)
         start[list(self.shape.free)] = np.nan
         self.memory["step"]["dx"][0] = start
         return STATUSES[self.library.test_qp_solve(self.pointer)]
 
     def run(self, qp: Any) -> str:
-        """Both phases; the status of the one that failed, else of qp_solve."""
+        """Run both phases; returns the status of the phase that failed, else that of qp_solve."""
         self.load(qp)
         status = self.factorize()
         return status if status != "OK" else self.solve(qp.problem.x_0)

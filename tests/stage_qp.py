@@ -1,6 +1,6 @@
-"""Stage QPs put into the C of whole packages: the problem data written into the solver struct, the QP solved there.
+"""Stage QPs in the C of complete packages: the problem data are written to the solver struct and solved there.
 
-A package is generated for the dimensions of a Shape only; its model is as short as dense patterns allow and is never
+A package is generated only for the dimensions of a Shape; its model is as short as dense patterns allow and is never
 evaluated. ``build_all`` compiles several packages side by side; a package is built once per session.
 """
 
@@ -42,7 +42,7 @@ from tests.oracles.stage_qp import (
 )
 from tests.oracles.stage_qp_random import SEMIDEFINITE, condensed_rows
 
-#: All that is not called from main.c is left out before it is compiled: most of a package.
+#: Functions that main.c does not call are removed before compilation: most of a package.
 FLAGS = (*PROFILES["test"].flags, "-fwhole-program", "-w")
 
 MAIN = """
@@ -60,14 +60,14 @@ int call_solve(stage_solver_t *s) { return (int)condense_solve(s); }
 
 
 def solvers() -> dict[str, Options]:
-    """Options of every registered pair of condensing and generated QP solver that fit, by "condensing+qp"."""
+    """Options of every registered combination of condensing and generated QP solver that fits, by "condensing+qp"."""
     ours = [q for q in qp.REGISTRY.values() if q is not qp.Osqp]
     pairs = itertools.product(condensing.REGISTRY.values(), ours)
     return {f"{c.name}+{q.name}": solver_options(c(), q()) for c, q in pairs if c.gives == q.takes}
 
 
 def solver_options(condense: Any, solver: Any) -> Options:
-    """Every node has bounds and a weight of its own."""
+    """Every node has its own bounds and weight."""
     return Options(condensing=condense, qp=solver, online=Online(weight="node", bounds="node"))
 
 
@@ -98,7 +98,7 @@ def stage_ocp(shape: Shape) -> OCP:
     return ocp
 
 
-#: Packages are generated one at a time, and compiled side by side.
+#: Packages are generated one at a time, and compiled in parallel.
 GENERATING = threading.Lock()
 
 GIVEN_UP = (Status.ITERATION_LIMIT, Status.STALLED, Status.NUMERICAL_FAILURE)
@@ -108,9 +108,9 @@ STATIONARITY, DYNAMICS, FEASIBILITY, ROWS, OBJECTIVE, MINIMISER = 1e-8, 1e-9, 1e
 
 
 def wrong_answer(qp: StageQP, p: Point) -> str:
-    """What is wrong with a point that should be the optimum, with its figure; empty if nothing is.
+    """Faults of a point that should be the optimum, with their figures; empty if there is none.
 
-    Residuals and objective always; the minimiser to 1e-7 max(1, 1e-8 condition) where it is unique.
+    Residuals and objective are always checked; the minimiser to 1e-7 max(1, 1e-8 condition) if it is unique.
     """
     r = residuals(qp, p)
     for name, limit in (("stationarity", STATIONARITY), ("dynamics", DYNAMICS), ("feasibility", FEASIBILITY)):
@@ -128,7 +128,7 @@ def wrong_answer(qp: StageQP, p: Point) -> str:
 
 
 def wrong_certificate(qp: StageQP, weights: Array) -> str:
-    """What is wrong with weights of (du, rows): the same combination of their bounds is negative, whatever du is.
+    """Faults of weights of (du, rows): the same combination of their bounds must be negative for all du.
 
     weights' (du, A du) <= weights' bounds < -|weights' (I, A)| reach;  reach: bound of |du|, 1000 where there is none.
     """
@@ -192,13 +192,13 @@ def built(shape: Shape, options: Options) -> Built:
 
 
 def build_all(wanted: Iterable[tuple[Shape, Options]], workers: int | None = None) -> None:
-    """Compile packages side by side, each once: texts one after the other, compilers in parallel."""
+    """Compile packages in parallel, each once: the texts one after the other."""
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         list(pool.map(lambda pair: built(*pair), dict.fromkeys(wanted)))
 
 
 def write_qp(memory: Any, qp: StageQP) -> None:
-    """All of a QP but its bounds and dx_0 into a solver struct whose rows are those of the QP."""
+    """Write all data of a QP but its bounds and dx_0 to a solver struct whose rows are those of the QP."""
     N, nx, rows = qp.shape.N, qp.shape.nx, qp.rows
     node, terminal, hessian = (memory[name] for name in ("node", "terminal", "hessian"))
     memory["x"], memory["u"] = qp.x, qp.u
@@ -236,12 +236,12 @@ class StageSolver:
         self.package.library.call_init(self.pointer)
 
     def load(self, qp: StageQP) -> None:
-        """Everything that the preparation phase reads, and the bounds."""
+        """All data that the preparation phase reads, and the bounds."""
         write_qp(self.memory, qp)
         self.load_bounds(qp)
 
     def load_bounds(self, qp: StageQP) -> None:
-        """Bounds of controls and rows at their nodes; those of coupled rows stand at node N; maybe none."""
+        """Bounds of controls and rows at their nodes (those of coupled rows at node N), or none."""
         n = self.shape.bounded
         if n + len(self.rows) == 0:
             return
@@ -250,13 +250,13 @@ class StageSolver:
             self.memory[name][self.rows.node, n + self.rows.user] = of_rows
 
     def solve(self, qp: StageQP) -> Status:
-        """Both phases; the status of the one that failed, else of the second."""
+        """Run both phases; returns the status of the phase that failed, else that of the second."""
         self.load(qp)
         prepared = Status(self.package.library.call_prepare(self.pointer))
         return prepared if prepared != Status.OK else self.feedback(qp)
 
     def feedback(self, qp: StageQP) -> Status:
-        """The second phase for dx_0 and the bounds of the QP; what is not given of dx_0 is no number."""
+        """Run the second phase for dx_0 and the bounds of the QP; free entries of dx_0 are NaN."""
         self.load_bounds(qp)
         dx0 = qp.dx0.copy()
         dx0[: self.shape.free] = np.nan
@@ -272,7 +272,7 @@ class StageSolver:
 
     @property
     def certificate(self) -> Array | None:
-        """Weights of the bounds of du, then of the rows, that contradict each other; None: not given for these du."""
+        """Weights of the bounds of du, then of the rows, that contradict one another; None: not given for these du."""
         weights = self.memory["qp"]["certificate"]
         n = self.shape.N * self.shape.nu
         if len(weights) != n + max(1, len(self.rows)):
@@ -280,7 +280,7 @@ class StageSolver:
         return np.array(weights[: n + len(self.rows)]) if np.any(weights) else None
 
     def verdict(self, qp: StageQP, status: Status) -> str:
-        """What is wrong with the last answer; empty if nothing is. Of a singular reduced Hessian it may give up."""
+        """Faults of the last answer; empty if there is none. With a singular reduced Hessian the solver may fail."""
         if status == Status.OK:
             return wrong_answer(qp, self.point) if qp.optimum is not None else "OK though infeasible"
         if qp.optimum is None and status == Status.INFEASIBLE:

@@ -1,12 +1,12 @@
-/* Times the closed loop of one package in C, the package's own model as plant.
+/* Times the closed loop of one package in C, with the package's own model as plant.
  * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'
  * -DQP_ITERATIONS=<member of the solver>. Arguments:
  *     runs steps dt period amplitude restart x0...  set_points [y... y_N...]...  pushes [u...]
- * Every `period` steps the plant starts anew at x0 (1 + restart * U(-1, 1)) if restart > 0, all states are disturbed by
- * amplitude * U(-1, 1), the next set point is taken (references of path and end, in turn), and the plant runs `pushes`
- * samples under u. Prints per run: median us of prepare + feedback, of
- * feedback, failed steps, QP iterations per step and at most; then the total of the worst step, where the time of a step
- * is its minimum over the runs, which are all alike. */
+ * Every `period` steps the plant restarts at x0 (1 + restart * U(-1, 1)) if restart > 0, amplitude * U(-1, 1) is added
+ * to all states, the next set point becomes the reference of path and end (cyclically), and the plant runs for `pushes`
+ * samples under u. Prints per run: median us of prepare + feedback and of feedback, failed steps, mean and maximum of
+ * the QP iterations per step; then the total of the worst step, where the time of a step is its minimum over the runs,
+ * which are all equal. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>
@@ -69,7 +69,7 @@ static void read_scenario(scenario_t *c, char **argument)
     take(argument, c->pushes > 0 ? SIZE(_NU) : 0, c->push);
 }
 
-/* What happens before step n: nothing, except every `period` steps. */
+/* Events before step n, every `period` steps. */
 static void event(const scenario_t *c, int n, API(_real) *x)
 {
     int i;
@@ -84,7 +84,7 @@ static void event(const scenario_t *c, int n, API(_real) *x)
     }
     if (c->n_points > 0) {
         const API(_real) *point = c->points + n / c->period % c->n_points * POINT;
-#if SIZE(_NY) > 0 /* setters of data that the problem lacks do not exist */
+#if SIZE(_NY) > 0 /* setters exist only for data of the problem */
         API(_set_reference)(&solver, SIZE(_ALL), point);
 #endif
 #if SIZE(_NY_N) > 0

@@ -1,4 +1,4 @@
-"""Closed loops timed in C: a Python call costs as much as the crane's feedback phase."""
+"""Closed loops timed in C, because a call from Python takes as long as the feedback phase of the crane."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ DRIVER = Path(__file__).with_name("closed_loop.c")
 class Scenario:
     """A closed loop from x0 with samples of dt (s), the controller's model as plant.
 
-    At every sample n with n % period == 0, in this order: all states get amplitude U(-1, 1); set point n / period (in
-    turn) becomes the reference (y, y_N) of all nodes and of the end; the plant runs ``pushes`` samples under ``push``.
+    At every sample n with n % period == 0, in this order: amplitude U(-1, 1) is added to all states; set point
+    n / period (cyclically) becomes the reference (y, y_N) of all nodes; the plant runs for ``pushes`` samples under
+    ``push``.
     With ``restart`` every state becomes x0 (1 + restart U(-1, 1)) first.
     """
 
@@ -37,7 +38,7 @@ class Scenario:
     pushes: int = 0
 
     def arguments(self) -> list[str]:
-        """Command line of closed_loop.c from dt on."""
+        """Command line of closed_loop.c, from dt onwards."""
         numbers = [self.dt, self.period, self.amplitude, self.restart, *self.x0, len(self.set_points)]
         numbers += [value for point in self.set_points for part in point for value in part]
         numbers += [self.pushes, *(self.push if self.pushes else ())]
@@ -46,7 +47,7 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Timing:
-    """Over runs of the median over steps, us: minimum and median; failures and QP iterations per step.
+    """Minimum and median over the runs of the median over the steps, us; failures and QP iterations per step.
 
     ``worst``: largest total of a step, where the total of a step is its minimum over the runs; the runs are all alike,
     so this leaves out what the operating system did in one of them.
@@ -66,7 +67,7 @@ class Timing:
 def compile_driver(
     sources: Sources, name: str, folder: Path, flags: Sequence[str] = PROFILES["fast"].flags, driver: Path = DRIVER
 ) -> Path:
-    """The driver with the package compiled into it."""
+    """Compile the driver together with the package."""
     for path in (f"{name}.h", f"{name}.c"):
         (folder / path).write_text(sources[path], encoding="utf-8")
     program = folder / "closed_loop"
@@ -77,9 +78,9 @@ def compile_driver(
 
 
 def member_path(header: str, member: str) -> str:
-    """Where a member that only one struct has stands in the solver: "stats.qp_iterations".
+    """Access path, in the solver struct, of a member that exactly one struct has: "stats.qp_iterations".
 
-    Packages of other commits keep it elsewhere.
+    Packages of other commits may store it in a different struct.
     """
     structs = {m[2]: m[1] for m in re.finditer(r"^typedef struct \{(.*?)^\} (\w+);$", header, re.M | re.S)}
     solver = next(name for name in structs if name.endswith("_solver_t"))
@@ -94,13 +95,13 @@ def member_path(header: str, member: str) -> str:
 
 
 def _owner(structs: Mapping[str, str], declaration: str) -> str:
-    """The struct that declares it; expected: exactly one."""
+    """The struct that declares the member; exactly one is expected."""
     (owner,) = (name for name, text in structs.items() if re.search(rf"^\s*{declaration};", text, re.M))
     return owner
 
 
 def pinned_core() -> set[int]:
-    """The core on which everything is timed."""
+    """The core to which all timed processes are pinned."""
     return {max(os.sched_getaffinity(0))}
 
 

@@ -1,4 +1,4 @@
-"""Examples times QP solvers with their condensing, precisions and shifts: every package that an example can become."""
+"""Examples times QP solvers with their condensing, precisions and shifts: every package of an example."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from nmpc_codegen.components.qp import Osqp
 from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.options import PRECISIONS
 
-#: Condensing and QP solver, by a label.
+#: Label -> condensing and QP solver.
 ROUTES: dict[str, tuple[Any, Any]] = {
     "full + dense_active_set": (FullCondensing(), DenseActiveSet()),
     "full + osqp": (FullCondensing(), Osqp()),
@@ -35,7 +35,7 @@ ROUTES: dict[str, tuple[Any, Any]] = {
     "partial + riccati_interior_point": (PartialCondensing(2), RiccatiInteriorPoint()),
 }
 
-#: Problem, Hessian and a sampling time (s) that is no multiple of the intervals.
+#: Problem, Hessian, and a sampling time (s) that is not a multiple of the intervals.
 EXAMPLES: dict[str, tuple[Any, Any, float]] = {
     "crane": (crane.build_ocp, GaussNewton(), 0.2),
     "cstr": (cstr.build_ocp, GaussNewton(), 10.0),
@@ -47,13 +47,13 @@ EXAMPLES: dict[str, tuple[Any, Any, float]] = {
 
 
 def shift(moves: str | None, sampling_time: float) -> RealTimeIteration:
-    """The algorithm with this shift; the sampling time is for "resample" alone."""
+    """The algorithm with this shift; the sampling time is used by "resample" only."""
     return RealTimeIteration(shift=moves, sampling_time=sampling_time if moves == "resample" else None)
 
 
 @dataclass(frozen=True)
 class Combination:
-    """Words of one combination."""
+    """Description of one combination."""
 
     example: str
     route: str
@@ -76,7 +76,7 @@ class Combination:
 
 
 def combinations() -> Iterator[Combination]:
-    """All of them, those that are refused too."""
+    """All combinations, including those that are refused."""
     for example in EXAMPLES:
         for route in ROUTES:
             for precision in PRECISIONS:

@@ -1,4 +1,4 @@
-// A real number that counts what is done to it: the generated .c is compiled as C++ with this in place of double or float.
+// A real number that counts its operations: the generated .c is compiled as C++ with it in place of double or float.
 // Classes as in nmpc_codegen.kernel.OpCount; conversions, stores and copies cost nothing.
 #ifndef COUNTING_HPP
 #define COUNTING_HPP

@@ -1,4 +1,4 @@
-"""Operation counts against reality: the generated .c compiled as C++ with a scalar type that counts (counting.hpp).
+"""Operation counts measured at run time: the generated .c compiled as C++ with a counting scalar type (counting.hpp).
 
 Every count that the compiler states (printed routines, stage products, functions of the components) is compared with
 one run of that function: additions, multiplications, divisions, square roots and calls of math.h.
@@ -21,10 +21,10 @@ from nmpc_codegen.lowering.render import Sources, render
 
 HEADER = Path(__file__).with_name("counting.hpp")
 
-#: Classes that are compared. The class "other" is what the C spells, comparisons in loops of a component included.
+#: Classes that are compared. The class "other" counts operations spelled in C, including comparisons in loops.
 CLASSES = ("add", "mul", "div", "sqrt", "call")
 
-#: Arguments of the functions that take more, or something else, than the solver struct. w has room for any vector.
+#: Arguments of functions that take other arguments than the solver struct. w has space for any vector.
 ARGUMENTS = {
     "state_step": "&s.node[0], w, w, w",
     "adjoint_step": "&s.node[0], s.hessian.Q[0], w, w, w",
@@ -40,13 +40,13 @@ ARGUMENTS = {
     "qp_backward": "&s.qp, w, w",
 }
 
-#: Functions that are called more than once for their count: the statement that does it.
+#: Functions that are called more than once for their count: the statement that calls them.
 STATEMENTS = {
     "condense_hessian": "for (int c = 0; c < PREFIX_LDG; c += PREFIX_COLUMNS) "
     "{ condense_propagate(&s, c); condense_hessian(&s, c); }",
 }
 
-#: What must run before, for functions that overwrite what they read; the count of a factorisation is that of a positive
+#: Calls that must precede functions that overwrite their input; the count of a factorisation is that for a positive
 #: definite matrix.
 BEFORE = {
     "qp_factorize_hessian": "condense_matrices(&s); for (int i = 0; i < PREFIX_LDV; i++) { s.qp.H[i][i] += 1.0; }",
@@ -60,7 +60,7 @@ Mismatch = tuple[str, dict[str, int], dict[str, int]]
 
 
 def count_mismatches(ocp: OCP, options: Options | None = None) -> list[Mismatch]:
-    """Functions of the package of ``ocp`` whose stated count differs from the counted one."""
+    """Functions of the package of ``ocp`` whose stated count differs from the measured one."""
     module = lower(linearize(classify(ocp), options or Options()))
     return mismatches(module, render(module))
 
@@ -78,7 +78,7 @@ def _compared(count: OpCount) -> dict[str, int]:
 
 
 def _call(module: CModule, name: str) -> str:
-    """A call of one C function on data that exist."""
+    """A call of one C function with valid data."""
     for routine in module.routines:
         if routine.name == name:
             return f"{name}({', '.join('w' for _ in (*routine.reads, *routine.writes))})"
@@ -102,7 +102,7 @@ def counting_header(header: str, name: str) -> str:
 
 
 def run_counting(sources: Sources, name: str, calls: Mapping[str, str], size: int) -> dict[str, dict[str, int]]:
-    """Compile the package as C++ with the counting scalar, run every call once, and return what it did.
+    """Compile the package as C++ with the counting scalar, run every call once, and return the counts.
 
     A call may use the prepared solver struct s and a vector w of the given size.
     """

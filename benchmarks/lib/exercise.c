@@ -1,5 +1,6 @@
-/* Calls every function of one package with good and bad arguments and looks at u0 after every return, for sanitizers.
- * The package defines API() and CONTROL_LOWER(); setters of data that the problem lacks do not exist. Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'; arguments: x0... Prints every finding. */
+/* Calls every function of one package with good and bad arguments and checks u0 after every return, for sanitizers.
+ * The package defines API() and CONTROL_LOWER(); setters exist only for data of the problem. Compile with
+ * -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'; arguments: x0... Prints every finding. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -44,7 +45,7 @@ static void fill(real value)
     }
 }
 
-/* Every function on a struct that init has not seen. */
+/* Every function on a struct that is not initialised. */
 static void uninitialised(void)
 {
     memset(&s, 0x5a, sizeof s);
@@ -106,7 +107,7 @@ static void refused_costs(void)
 }
 
 #if SIZE(_NR) > 0
-/* Rows and nodes that do not exist; bounds that are no interval. Nothing is written. */
+/* Rows and nodes that do not exist; bounds that are no interval. No data may change. */
 static void refused_bounds(void)
 {
     const int far[] = { -2, SIZE(_N) + 1, 1 << 30, -(1 << 30) };
@@ -128,7 +129,7 @@ static void refused_bounds(void)
 }
 #endif
 
-/* Everything set to what it is. */
+/* All data set to their present values. */
 static void accepted(void)
 {
     int k, i;
@@ -166,7 +167,7 @@ static void accepted(void)
 #endif
 }
 
-/* A closed loop with a bad sample now and then: it must go on, and a copy must go on alike. */
+/* A closed loop with occasional bad samples: it must continue, and a copy must give the same results. */
 static void loop(void)
 {
     API(kkt_t) kkt;
@@ -209,7 +210,7 @@ static void poison(void)
     }
 }
 
-/* The iterate overwritten with NaN: safe controls; the next sample, solve() and reset heal it. */
+/* The iterate overwritten with NaN: controls are safe; the next sample, solve() and reset restore the plan. */
 static void poisoned(void)
 {
     poison();

@@ -16,7 +16,7 @@ from benchmarks.lib.closed_loop import Scenario, pinned_core
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.oracle.reference import CLASSICAL, Tableau, interval_map
 
-#: Options of each plugin: silent, and a failed QP is not the end of the closed loop.
+#: Options of each plugin: no output, and a failed QP does not end the closed loop.
 QUIET: dict[str, dict[str, Any]] = {
     "qpoases": {"printLevel": "none", "error_on_fail": False, "print_time": False},
     "daqp": {"error_on_fail": False, "print_time": False},
@@ -32,8 +32,8 @@ def available(qpsol: str) -> bool:
 class SqpMethod:
     """Multiple-shooting NLP of a Gauss-Newton problem without general rows, one full SQP step per call.
 
-    The dynamics are expanded to SX and the Gauss-Newton Hessian is handed over, so that it solves what we solve;
-    variables are (x_0, u_0, x_1, ...) and the gaps follow stage by stage, the structure that HPIPM detects.
+    The dynamics are expanded to SX and the Gauss-Newton Hessian is passed, so that the problem is the same as ours;
+    variables are (x_0, u_0, x_1, ...) and the gaps are ordered stage by stage, the structure that HPIPM detects.
     """
 
     def __init__(self, problem: Problem, integrator: Tableau = CLASSICAL, qpsol: str = "qpoases") -> None:
@@ -89,7 +89,7 @@ class SqpMethod:
         return lower, upper
 
     def reset(self) -> None:
-        """Forget the plan and the set point: the next plan starts at the measured state and the control reference."""
+        """Discard the plan and the set point: the next plan starts at the measured state and the control reference."""
         self.guess: dict[str, Any] = {}
         self.set_point(self.problem.path.reference, self.problem.terminal.reference)
 
@@ -115,7 +115,7 @@ class SqpMethod:
 
 @dataclass(frozen=True)
 class PeerTiming:
-    """Median time of a step (us; minimum over runs), the number of steps behind it, and its controls (steps, nu)."""
+    """Median time of a step (us; minimum over runs), the number of steps behind it, and the controls (steps, nu)."""
 
     total: float
     steps: int
@@ -132,9 +132,9 @@ def time_sqpmethod(
     seconds: float = 2.0,
     runs: int = 3,
 ) -> PeerTiming:
-    """Closed loop called from Python on one core, up to 300 steps per run, about ``seconds`` in all, one step at least.
+    """Closed loop called from Python on one core, up to 300 steps per run, about ``seconds`` in all, at least one step.
 
-    Where few steps fit, they are those after a disturbance, the harder ones: look at the number of steps.
+    If only few steps fit, they are the harder ones after a disturbance; the number of steps is therefore reported.
     """
     with pinned(), silent():
         peer = SqpMethod(problem, integrator, qpsol)
@@ -162,7 +162,7 @@ def _run(peer: SqpMethod, plant: Any, scenario: Scenario, seconds: float) -> tup
 
 
 def _event(peer: SqpMethod, plant: Any, s: Scenario, n: int, x: Array, rng: np.random.Generator) -> Array:
-    """What closed_loop.c does every ``period`` steps, with other random numbers."""
+    """The events of closed_loop.c every ``period`` steps, with different random numbers."""
     x = x + s.amplitude * rng.uniform(-1, 1, x.size)
     if s.set_points:
         peer.set_point(*s.set_points[n // s.period % len(s.set_points)])
@@ -173,7 +173,7 @@ def _event(peer: SqpMethod, plant: Any, s: Scenario, n: int, x: Array, rng: np.r
 
 @contextlib.contextmanager
 def pinned() -> Iterator[None]:
-    """This process on the core on which everything is timed."""
+    """Pin this process to the core of all timings."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, pinned_core())
     try:
@@ -184,7 +184,7 @@ def pinned() -> Iterator[None]:
 
 @contextlib.contextmanager
 def silent() -> Iterator[None]:
-    """Banners that a solver's library writes to the file descriptor of stdout go nowhere."""
+    """Discard banners that the library of a solver writes to the file descriptor of stdout."""
     saved, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     os.dup2(sink, 1)
     try:

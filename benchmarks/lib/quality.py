@@ -1,6 +1,6 @@
-"""What can be checked on the emitted C itself: warnings, symbols, sanitizers, stack, controllers side by side.
+"""Checks of the emitted C: warnings, symbols, sanitizers, stack, and several controllers in one program.
 
-Every function takes the sources of a package (path -> text) and returns a count that ought to be 0, or what it found.
+Every function takes the sources of a package (path -> text) and returns its findings, or a count that should be 0.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.runtime.build import WARNINGS as STRICT
 from nmpc_codegen.runtime.build import find_compiler
 
-#: Of both languages, and counted instead of refused.
+#: For both languages; warnings are counted, not refused.
 WARNINGS = tuple(flag for flag in STRICT if flag not in ("-std=c99", "-Werror"))
 #: Front ends by compiler and language.
 COMPILERS = {"gcc": {"C99": "gcc", "C++17": "g++"}, "clang": {"C99": "clang", "C++17": "clang++"}}
@@ -28,7 +28,7 @@ LANGUAGES = {"C99": ("-x", "c", "-std=c99"), "C++17": ("-x", "c++", "-std=c++17"
 RELEASE = ("-std=c99", "-O2", "-fno-math-errno", "-fno-trapping-math")
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
 
-#: Functions of <math.h> that the printer may call, and what compilers make of them and of loops by themselves.
+#: Functions of <math.h> that the printer may call, and functions to which compilers convert them and loops.
 FUNCTIONS = (
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
     *("exp", "expm1", "log", "log1p", "pow", "sqrt", "hypot", "fabs", "floor", "ceil", "fmod", "fmin", "fmax"),
@@ -46,7 +46,7 @@ def package_name(sources: Sources) -> str:
 
 @contextmanager
 def written(*packages: Sources) -> Iterator[Path]:
-    """A temporary folder that holds the C files of the packages (main.c and the like: of the last)."""
+    """A temporary folder with the C files of the packages (main.c and similar files: those of the last package)."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for sources in packages:
@@ -71,7 +71,7 @@ def warnings_of(
 ) -> str:
     """Messages of the compiler on the package and its main.c, as C99 and as C++17, at every level; empty: none.
 
-    ``compiler``: a word of COMPILERS; None: the one that build() takes.
+    ``compiler``: a key of COMPILERS; None: the compiler of build().
     """
     name = package_name(sources)
     messages = []
@@ -97,7 +97,7 @@ def compiler_warnings(sources: Sources, levels: Sequence[str] = ("-O2",)) -> int
 
 
 def foreign_symbols(sources: Sources, *flags: str) -> list[str]:
-    """Symbols of the object that should not be there, by letter of nm and name.
+    """Unexpected symbols of the object, by letter of nm and name.
 
     Defined outside the prefix; undefined and not of ALLOWED; writable data of any kind. Without position-independent
     code: tables of addresses would be data of the loader, not of the package.
@@ -142,7 +142,7 @@ def sanitizer_findings(sources: Sources, x0: Sequence[float] = (0.1, 0.0, 0.1, 0
 
 @dataclass(frozen=True)
 class Stack:
-    """Bytes: the deepest chain of calls from an entry point, library functions apart; the largest single frame."""
+    """Bytes: the deepest chain of calls from an entry point, without library functions; the largest single frame."""
 
     total: int
     frame: int
@@ -228,13 +228,13 @@ def run_together(
 
 
 def crane_packages() -> tuple[Sources, ...]:
-    """The crane, the same under another name, and in single precision."""
+    """The crane, the crane under another name, and the crane in single precision."""
     ocp = build_ocp()
     return generate(ocp), generate(ocp, name="crane_b"), generate(ocp, Options(precision="single"), "crane_f32")
 
 
 def two_controllers_differ() -> int:
-    """Samples of three controllers in one program that differ from those of each alone, or between equal ones."""
+    """Samples of three controllers in one program that differ from those of single controllers, or among equal ones."""
     runs = run_together(crane_packages(), (2.0, 0.0, 0.0, 0.0))
     differ = sum(a != b for alone, together in runs.values() for a, b in zip(alone, together, strict=True))
     twins = zip(runs["crane"][1], runs["crane_b"][1], strict=True)

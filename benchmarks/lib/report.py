@@ -1,4 +1,4 @@
-"""Records of a benchmark: a table for people and one JSON record per key; a key over several cases is the worst."""
+"""Records of a benchmark: a table for readers and one JSON record per key; a key over several cases is the worst."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nmpc_codegen.runtime.build import PROFILES, find_compiler
 
 @dataclass(frozen=True)
 class Record:
-    """One measured value. ``limit`` is what the project asks for (None: watched only)."""
+    """One measured value. ``limit`` is the requirement of the project (None: watched only)."""
 
     key: str
     case: str
@@ -32,7 +32,7 @@ class Record:
 
 
 class Report:
-    """Collects records, prints them, writes them."""
+    """Collects records, prints them and writes them."""
 
     def __init__(self, title: str) -> None:
         self.title = title
@@ -50,11 +50,11 @@ class Report:
         at_least: bool = False,
         profile: str = "fast",
     ) -> None:
-        """Record a value of a case; ``n`` is the number of samples behind it."""
+        """Record a value of a case, based on ``n`` samples."""
         self.records.append(Record(key, case, float(value), unit, n, limit, at_least, profile, 1))
 
     def worst(self) -> dict[str, Record]:
-        """The worst case of every key; NaN is worse than anything."""
+        """The worst case of every key; NaN is the worst value."""
         found: dict[str, Record] = {}
         for record in self.records:
             known = found.get(record.key)
@@ -63,7 +63,7 @@ class Report:
         return found
 
     def print(self) -> None:
-        """Table of all cases, with the verdict where there is a limit."""
+        """Table of all cases, with the verdict if there is a limit."""
         table = Table(title=self.title)
         for column in ("key", "case", "value", "limit", "", "unit", "profile", "n"):
             table.add_column(column, justify="right" if column in ("value", "limit", "n") else "left")
@@ -86,7 +86,7 @@ class Report:
 
 
 def meets(record: Record) -> bool:
-    """True if the value keeps its limit."""
+    """True if the value satisfies its limit."""
     if record.limit is None:
         return True
     return record.value >= record.limit if record.at_least else record.value <= record.limit

@@ -1,4 +1,4 @@
-"""Rooms of the source tree: which module stands where, and who imports whom."""
+"""Rooms (packages) of the source tree: the place of every module, and the imports between them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "nmpc_codegen"
 
-#: A room imports only rooms before it; the ground floor (modules of the package itself) is looked at one by one.
+#: A room imports only the rooms before it; the modules of the package itself are checked one by one.
 ORDER = (
     *("errors", "runtime", "ir", "frontend", "components", "options", "lowering", "oracle"),
     *("compiler", "cli"),
@@ -50,7 +50,7 @@ def own_imports(path: Path) -> set[str]:
 
 
 def upward_imports(path: Path) -> set[str]:
-    """Those of a room that stands after the file's own; the package itself hands on names of all rooms."""
+    """Imported names of rooms after the room of the file; the package itself re-exports names of all rooms."""
     here = place(path)
     if here == "__init__":
         return set()
@@ -58,5 +58,5 @@ def upward_imports(path: Path) -> set[str]:
 
 
 def modules_per_room() -> Counter[Path]:
-    """Folder -> modules in it besides __init__.py."""
+    """Folder -> its modules without __init__.py."""
     return Counter(path.parent for path in MODULES if path.name != "__init__.py")

@@ -1,7 +1,7 @@
-"""What the tracking benchmark runs: six examples, variants of each for accuracy, and their closed loops for timing.
+"""Scenarios of the tracking benchmark: six examples, variants of each for accuracy, and their closed loops for timing.
 
-Variants wrap build_ocp() of the example: a nonlinear row that is active at the solution, a non-uniform grid, an online
-parameter in the dynamics; or keep its package and change references per node and weights at run time.
+Variants wrap build_ocp() of the example and add a nonlinear row that is active at the solution, a nonuniform grid or an
+online parameter in the dynamics; or they keep its package and change references per node and weights at run time.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Example:
     """An example and its variants.
 
     ``row`` adds general rows, ``grid`` holds the non-uniform intervals (s), ``parametrised`` has an online parameter in
-    its dynamics, and ``p`` (N+1, size) holds its values. ``move`` (ny,) and ``move_N`` (ny_N,) is how far references
-    move along the horizon, ``heavier`` and ``heavier_N`` multiply the weights. ``tableau`` says what ``options``
-    integrate by; ``curved_rows``: the rows need their curvature in the Hessian, and without it are watched only.
+    its dynamics, and ``p`` (N+1, size) holds its values. ``move`` (ny,) and ``move_N`` (ny_N,) are the changes of
+    the references over the horizon, ``heavier`` and ``heavier_N`` multiply the weights. ``tableau`` is the scheme of
+    ``options``; ``curved_rows``: the rows need their curvature in the Hessian, and are only watched without it.
     """
 
     name: str
@@ -51,14 +51,14 @@ class Example:
     others: Mapping[str, Make] = field(default_factory=dict)
     tableau: Tableau = CLASSICAL
     curved_rows: bool = False
-    coarse_grid: Array | None = None  # on which the scheme may be unstable: watched only
+    coarse_grid: Array | None = None  # the scheme may be unstable on it: watched only
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One problem with the data it runs on: arguments of node_data().
+    """One problem with its data: arguments of node_data().
 
-    ``rows``: general rows must be active. ``watched``: nothing is asked of it, and its keys have this suffix.
+    ``rows``: general rows must be active. ``watched``: there are no limits, and its keys have this suffix.
     """
 
     example: str
@@ -73,7 +73,7 @@ class Case:
 
 
 def wrapped(make: Make, change: Callable[[OCP], None]) -> Make:
-    """make(), then change() of what it made."""
+    """make(), then change() of its result."""
 
     def changed() -> OCP:
         ocp = make()
@@ -257,7 +257,7 @@ PUSH = (-1.0, 1.0, 1.0)
 
 
 def _chain_row(ocp: OCP) -> None:
-    """The speed of the tip is bounded in its norm, |u|^2 <= 1 m^2/s^2; up to 3 without the row."""
+    """The norm of the velocity of the tip is bounded, |u|^2 <= 1 m^2/s^2; up to 3 without the row."""
     ocp.subject_to(-np.inf, ca.dot(ocp.u, ocp.u), 1.0, name="tip_speed")
 
 

@@ -1,4 +1,4 @@
-"""Sensitivities of every tableau in the compiled C: against CasADi, against the NumPy twin, slopes of convergence."""
+"""Sensitivities of every tableau in the compiled C: against CasADi, against the NumPy twin, and convergence orders."""
 
 from __future__ import annotations
 

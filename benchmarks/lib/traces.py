@@ -1,7 +1,7 @@
-"""Traces that a feature which a problem lacks leaves in the .c of its package, counted by kind.
+"""Traces in the .c of a package of features that its problem does not use, counted by kind.
 
-Kinds: loops of no trip over a size, ``(void)`` statements, empty functions, functions that nothing calls (inline ones
-too), macros and tables that nothing uses, tables of size 0.
+Kinds: loops over a size of 0, ``(void)`` statements, empty functions, functions without a caller (also inline ones),
+unused macros and tables, tables of size 0.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from benchmarks.lib.house.timed import TIMED
 from benchmarks.lib.report import Report
 from nmpc_codegen import generate
 
-#: Every example with the options that it is shown with, and as it is timed.
+#: Every example with the options shown in it, and with those for which it is timed.
 EXAMPLES = (*SAMPLES[:6], *TIMED)
 
 WARNINGS = {
@@ -28,7 +28,7 @@ WARNINGS = {
 
 
 def measure(report: Report) -> None:
-    """traces: of all kinds together, in the package of every example; kinds that are found are printed."""
+    """traces: all kinds together, in the package of every example; the kinds found are printed."""
     for sample in EXAMPLES:
         found = {kind: n for kind, n in traces(generate(sample.make(), sample.options)).items() if n}
         if found:
@@ -37,7 +37,7 @@ def measure(report: Report) -> None:
 
 
 def traces(sources: Mapping[str, str]) -> dict[str, int]:
-    """Kind of trace -> how often it is found in a package (path -> text, as generate() returns it)."""
+    """Kind of trace -> its number of occurrences in a package (path -> text, as generate() returns it)."""
     unit = next(path for path in sources if path.endswith(".c") and path != "main.c" and "/" not in path)
     prefix = unit.removesuffix(".c").upper()
     text = re.sub(r"/\*.*?\*/", " ", sources[unit], flags=re.DOTALL)
@@ -57,7 +57,7 @@ def traces(sources: Mapping[str, str]) -> dict[str, int]:
 
 
 def _warned(sources: Mapping[str, str], unit: str, warning: str) -> int:
-    """How often gcc gives a warning about the unit; functions count as if none were inline."""
+    """Number of warnings of gcc about the unit of this kind; all functions are treated as not inline."""
     with tempfile.TemporaryDirectory() as folder:
         for path, text in sources.items():
             if path.endswith((".c", ".h")):

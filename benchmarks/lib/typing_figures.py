@@ -1,7 +1,7 @@
-"""How typed the seams are, and how tidy the rooms.
+"""Typing of the seams and order of the rooms.
 
-untyped_options: fields, and signatures of public methods, of options, components, Model and CModule in which Any,
-object or a dict with words for keys occurs.
+untyped_options: fields, and signatures of public methods, of options, components, Model and CModule that contain Any,
+object or a dict with string keys.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 UNTYPED = re.compile(r"\b(Any|object)\b|\bdict\[str\b")
 
-#: Modules whose public classes are looked at, besides all components. allowed.py is the gate through which whatever a
-#: user writes comes in: it has to take any value.
+#: Modules whose public classes are checked, besides all components. allowed.py checks the input of users, so that it
+#: has to accept any value.
 VALUES = ("ir.model", "ir.cmodule", "lowering.linearize")
 GATE = "components.allowed"
 OPTIONS = ("Options", "Online")
@@ -40,7 +40,7 @@ def measure(report: Report) -> None:
 
 
 def classes() -> list[type]:
-    """What users and components are typed by."""
+    """The classes that describe the data of users and components."""
     names = [place(path).replace("/", ".").removesuffix(".__init__") for path in MODULES]
     names = [name for name in names if (name.startswith("components.") and name != GATE) or name in VALUES]
     found = [cls for name in names for cls in _defined(name) if not cls.__name__.startswith("_")]
@@ -48,12 +48,12 @@ def classes() -> list[type]:
 
 
 def untyped_options() -> list[str]:
-    """Every place where a type is missing: ``Options.integrator: Any``."""
+    """Every place without a type: ``Options.integrator: Any``."""
     return [place for cls in classes() for place in untyped(cls)]
 
 
 def untyped(cls: type) -> list[str]:
-    """The same of one class."""
+    """The same for one class."""
     return [f"{cls.__name__}.{name}: {text}" for name, text in _annotations(cls) if _is_untyped(cls, text)]
 
 
@@ -64,7 +64,7 @@ def _defined(module: str) -> list[type]:
 
 
 def _annotations(cls: type) -> Iterator[tuple[str, str]]:
-    """(member, text of an annotation) of the fields and public methods that a class itself has."""
+    """(member, text of an annotation) of the fields and public methods that a class itself defines."""
     yield from vars(cls).get("__annotations__", {}).items() if dataclasses.is_dataclass(cls) else ()
     for name, member in vars(cls).items():
         if not name.startswith("_"):
@@ -73,7 +73,7 @@ def _annotations(cls: type) -> Iterator[tuple[str, str]]:
 
 
 def _function(member: Any) -> Any:
-    """What is behind a property, a class method, a static method."""
+    """The function of a property, a class method or a static method."""
     if isinstance(member, property):
         return member.fget
     if isinstance(member, cached_property):
@@ -82,7 +82,7 @@ def _function(member: Any) -> Any:
 
 
 def _is_untyped(cls: type, text: str) -> bool:
-    """Also if Any or object is spelled by another name."""
+    """True also if Any or object has another name."""
     names = vars(sys.modules[cls.__module__])
     words = re.findall(r"[A-Za-z_]\w*", text)
     return bool(UNTYPED.search(text)) or any(names.get(word) is Any or names.get(word) is object for word in words)

@@ -1,4 +1,4 @@
-/* What becomes of a QP that has no solution, and of a plan that has become useless. */
+/* Measures after a QP without a solution, and recovery from a plan that has become useless. */
 
 static void forget_violation(solver_t *s)
 {
@@ -7,7 +7,8 @@ static void forget_violation(solver_t *s)
 }
 
 #if HARD_ROWS || (SOLVE && NG)
-/* What the linearised row m exceeds its bounds by after the step; > 0 at the upper bound. */
+/* Amount by which the linearised row m violates its bounds after the step; positive at the upper bound,
+ * negative at the lower one. */
 static real_t row_excess(const solver_t *s, int m)
 {
     real_t J[NZ];
@@ -31,7 +32,8 @@ static real_t row_excess(const solver_t *s, int m)
 #endif
 
 #if HARD_ROWS
-/* The hard row that the step, the QP's last or relaxed one, violates most goes to the statistics. */
+/* Records in the statistics the hard row that the step violates most. After a relaxed QP this is the relaxed step,
+ * otherwise the last iterate of the QP. */
 static void name_violation(solver_t *s)
 {
     forget_violation(s);
@@ -51,7 +53,8 @@ static void name_violation(solver_t *s)
 }
 
 #if RELAX
-/* The QP is infeasible: its hard rows are relaxed at the weight that the options ask for. */
+/* Called if the QP is infeasible: solves it again with its hard rows relaxed at the penalty weight set in the
+ * options. */
 static status_t give_way(solver_t *s)
 {
     status_t status;
@@ -62,7 +65,7 @@ static status_t give_way(solver_t *s)
     return (status == OK) ? RELAXED : status;
 }
 #else
-/* The QP is infeasible, and stays so. */
+/* Called if the QP is infeasible: reports the violated row; there is no relaxation. */
 static status_t give_way(solver_t *s)
 {
     name_violation(s);
@@ -71,9 +74,9 @@ static status_t give_way(solver_t *s)
 #endif
 #endif
 
-/* After a failure that would come back: where numbers broke down, and where the QP fails for the second time in a row, the states
- * of the plan start anew at the measured one, for the plan may have nothing to do with it any more; its controls stay. Where the
- * QP did not end its working set is forgotten. */
+/* Prevents a failure from repeating itself. After a numerical failure, and after the second failure of the QP in a row,
+ * all states of the plan restart at the measured state, as the plan may be far from it; the controls are kept. If the
+ * QP solver did not converge, its working set is discarded. */
 static void recover(solver_t *s, status_t status)
 {
     const int solved = status == OK || status == RELAXED;

@@ -1,6 +1,6 @@
 /* KKT residuals of the present iterate. */
 
-/* max |a|, a NaN wins. */
+/* largest = max(largest, |value|), where NaN counts as the largest value. */
 static void enlarge(real_t *largest, real_t value)
 {
     const real_t a = FABS(value);
@@ -9,7 +9,8 @@ static void enlarge(real_t *largest, real_t value)
     }
 }
 
-/* One row lower <= value <= upper with multiplier mu: violation, and |mu| times the distance to the bound it pushes at. */
+/* Residuals of one row lower <= value <= upper with multiplier mu: its violation, and |mu| times the distance to the
+ * bound that the sign of mu selects. */
 static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t mu)
 {
     if (!(value >= lower)) {
@@ -27,8 +28,9 @@ static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t
 }
 
 #if SOFT_ROWS
-/* One side of a soft row, excess over its bound and multiplier m >= 0: conditions of min l1 v + l2/2 v^2, v >= excess, v >= 0
- * at v = max(0, excess); nu = l1 + l2 v - m >= 0 is the multiplier of v >= 0. */
+/* Residuals of one side of a soft row with excess over its bound and multiplier m >= 0: the optimality conditions of
+ * min l1 v + l2/2 v^2 s.t. v >= excess, v >= 0 at v = max(0, excess). The multiplier of v >= 0 is
+ * nu = l1 + l2 v - m >= 0. */
 static void kkt_soft_side(kkt_t *kkt, real_t excess, real_t m, real_t l1, real_t l2)
 {
     const real_t v = (excess > R(0)) ? excess : R(0);
@@ -116,7 +118,7 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
     }
 }
 
-/* The terminal node: gradient of the Lagrangian; and the initial condition. */
+/* The terminal node: gradient of the Lagrangian, and residual of the initial condition. */
 static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
 {
     real_t sum[NX];
@@ -142,7 +144,7 @@ static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *k
     }
 }
 
-/* First derivatives of node k alone: S = [A_k B_k], gradient, gap, general rows. */
+/* First derivatives at the single node k: S = [A_k B_k], gradient, gap and general rows. */
 static void linearize_node(const solver_t *s, int k, node_t *node)
 {
     real_t x_next[NX];
@@ -158,7 +160,7 @@ static void linearize_node(const solver_t *s, int k, node_t *node)
     complete_node(s, k, x_next, node);
 }
 
-/* KKT residuals of the present iterate, linearised afresh (on the stack: one node). */
+/* KKT residuals of the present iterate from a new linearisation, one node at a time on the stack. */
 void API(kkt)(const solver_t *s, kkt_t *out)
 {
     node_t node;

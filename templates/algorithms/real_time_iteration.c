@@ -1,15 +1,15 @@
-/* Seam "algorithm", contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt and, if SOLVE, _solve.
- * Here: real-time iteration, one QP per sample, full step. */
+/* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt and, if SOLVE, _solve.
+ * Here: real-time iteration, one QP and one full step per sample. */
 
-/* Control j at node k, or its reference if that is not finite, inside its bounds. */
+/* Control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
 static real_t safe_value(const solver_t *s, int k, int j)
 {
     const real_t u = s->u[k][j];
     return clip(isfinite(u) ? u : CONTROL_REFERENCE(s, k, j), CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
 }
 
-/* Every state of the plan at x, every control where it is or, if that is not finite, at its reference; multipliers 0, empty
- * working set. */
+/* Restarts the plan: sets every state to x, replaces controls that are not finite by their references, sets all
+ * multipliers to 0 and empties the working set. */
 static void start_at(solver_t *s, const real_t *x)
 {
     for (int k = 0; k <= N; k++) {
@@ -42,7 +42,7 @@ static void start_at_measured(solver_t *s)
     start_at(s, all_finite(s->xhat, NX) ? s->xhat : initial_state);
 }
 
-/* The plain start: every state at its declared initial value, controls at their reference, multipliers 0. */
+/* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
 static void algorithm_reset(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
@@ -97,7 +97,7 @@ static void add_start_gradient(const solver_t *s, real_t *q)
 }
 #endif
 
-/* All nodes, from the last to the first, with what the Hessian takes from the same evaluation. */
+/* Linearises all nodes, from the last to the first. The same evaluations provide the data that the Hessian needs. */
 static void linearize(solver_t *s)
 {
     real_t x_next[NX];
@@ -117,7 +117,7 @@ static void linearize(solver_t *s)
 }
 
 #if SET_REFERENCE
-/* References entered after prepare: gradients anew, everything else stands. */
+/* Recomputes the gradients after references have changed since prepare; the rest of the linearisation remains valid. */
 static void renew_gradients(solver_t *s)
 {
 #if HAS_PATH_GRADIENT
@@ -136,7 +136,8 @@ static void renew_gradients(solver_t *s)
 }
 #endif
 
-/* The control that is returned whenever no new one could be computed: the plan's, or its reference, inside the bounds. */
+/* The control returned if no new one could be computed: that of the plan or, if it is not finite, its reference,
+ * clipped to the bounds. */
 static void safe_control(const solver_t *s, real_t *u0)
 {
     for (int j = 0; j < NU; j++) {
@@ -150,7 +151,7 @@ static status_t finish(solver_t *s, status_t status)
     return status;
 }
 
-/* Linearise, Hessian, condense, factorise. */
+/* Preparation phase: linearises, evaluates the Hessian, condenses and factorises. */
 static status_t prepare_here(solver_t *s)
 {
     linearize(s);
@@ -172,8 +173,7 @@ status_t API(prepare)(solver_t *s)
 #if SHIFT
     if (s->samples > 0 && !s->prepared) {
         API(shift)(s);
-        if (s->failing ==
-            2) { /* states that a shift has integrated from the measured one would be as lost as the plan */
+        if (s->failing == 2) { /* states that the shift integrates may be as far off as the failed plan */
             start_at_measured(s);
         }
     }
@@ -220,7 +220,7 @@ static void recover_multipliers(solver_t *s)
 #endif
 }
 
-/* Multipliers of the QP to the places of their rows. */
+/* Copies the multipliers of the QP to the multipliers of the corresponding rows. */
 static void scatter_multipliers(solver_t *s)
 {
     memcpy(s->mu_u, s->step.mult_u, sizeof s->mu_u);
@@ -231,7 +231,7 @@ static void scatter_multipliers(solver_t *s)
 #endif
 }
 
-/* 1 if the QP's step is finite. */
+/* Returns 1 if the step of the QP is finite. */
 static int step_is_finite(const solver_t *s)
 {
     real_t probe = R(0);
@@ -248,7 +248,7 @@ static int step_is_finite(const solver_t *s)
     return isfinite(probe) != 0;
 }
 
-/* x += dx, u += du. The controls are clipped last: u + (upper - u) can exceed the bound by an ulp. */
+/* x += dx, u += du. The controls are clipped afterwards because u + (upper - u) can exceed the bound by one ulp. */
 static void take_step(solver_t *s)
 {
     for (int k = 0; k <= N; k++) {
@@ -265,7 +265,7 @@ static void take_step(solver_t *s)
 }
 
 #if ALL_MEASURED
-/* s->xhat = xhat; 0 is returned if an entry is not finite. */
+/* s->xhat = xhat. Returns 0 if an entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     if (!all_finite(xhat, NX)) {
@@ -275,8 +275,8 @@ static int take_state(solver_t *s, const real_t *xhat)
     return 1;
 }
 #else
-/* s->xhat = xhat where it is measured, 0 for accumulators, the plan's own value where x_0 is free; 0 is returned if a
- * measured entry is not finite. */
+/* s->xhat = xhat in measured components, 0 in accumulators, x_0 of the plan in free components. Returns 0 if a measured
+ * entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     for (int i = 0; i < NX; i++) {
@@ -291,7 +291,7 @@ static int take_state(solver_t *s, const real_t *xhat)
 }
 #endif
 
-/* The QP for dx_0 = xhat - x_0 and the present bounds, and its counters. */
+/* Solves the QP for dx_0 = xhat - x_0 and the present bounds, and copies its counters to the statistics. */
 static status_t run_qp(solver_t *s)
 {
     status_t status;
@@ -308,7 +308,8 @@ static status_t run_qp(solver_t *s)
 
 #include "algorithms/failure.c"
 
-/* Embed s->xhat, solve the QP, take the full step. The iterate changes only if all went well. */
+/* Feedback phase: embeds the measured state s->xhat, solves the QP and takes the full step. The iterate changes only on
+ * success. */
 static status_t feedback_here(solver_t *s)
 {
     status_t status;
@@ -361,7 +362,7 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     return finish(s, status);
 }
 
-/* What prepare fails with is what feedback returns. */
+/* If prepare fails, feedback returns its status. */
 status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
 {
     API(prepare)(s);

@@ -1,5 +1,5 @@
 #if NG
-/* The prediction of the row of node k is that of node k + 1, if it holds there too. */
+/* A row of node k takes the predicted side of the same row at node k + 1, if it is imposed there too. */
 static void shift_rows(solver_t *s)
 {
     int source[NG];
@@ -16,7 +16,7 @@ static void shift_rows(solver_t *s)
 
 #endif
 
-/* Node k takes what node k + 1 has; the last node and the last interval keep theirs. */
+/* Node k takes the data of node k + 1; the last node and the last interval keep their own. */
 static void shift_by_one(solver_t *s)
 {
     for (int k = 0; k < N; k++) {

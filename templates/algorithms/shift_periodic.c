@@ -1,4 +1,5 @@
-/* A periodic plan moves by one interval: its first control becomes its last one, and the states are integrated anew. */
+/* Moves a periodic plan by one interval: its first control becomes its last one, and the states are integrated
+ * again. */
 static void shift_plan(solver_t *s)
 {
     real_t first[NU];

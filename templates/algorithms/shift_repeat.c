@@ -1,5 +1,5 @@
-/* The plan moves by one interval: x_k <- x_{k+1}, u_k <- u_{k+1}, the last control is repeated and the tail integrated
- * (x_N stays if that overflows); multipliers and the working set move with it. */
+/* Moves the plan by one interval: x_k <- x_{k+1}, u_k <- u_{k+1}; the last control is repeated and the last interval
+ * integrated (x_N is kept if that overflows). Multipliers and working set are moved along. */
 static void shift_plan(solver_t *s)
 {
     real_t tail[NX];

@@ -1,9 +1,9 @@
-/* The old plan is read one sampling time later, on any grid: states by integration from the node before, controls as
- * their mean over the moved interval (the last one is held beyond the end), multipliers by linear interpolation. The
- * working set stays. A new node depends on old ones from its own number on, the last one on the node before: what is
- * read has not been overwritten, but for that node. */
+/* Evaluates the old plan one sampling time later, on any grid: states by integration from the preceding node, controls
+ * as their mean over the moved interval (the last control is held beyond the end), multipliers by linear interpolation.
+ * The working set is kept. In place: new node k depends only on old nodes with an index of at least k, which are not
+ * overwritten yet, except that the last one depends on node N - 1, which is therefore saved first. */
 
-/* Control j of the old plan, averaged over [from, to]. */
+/* Mean of control j of the old plan over [from, to]. */
 static real_t mean_control(const solver_t *s, int j, real_t from, real_t to)
 {
     real_t sum = R(0);

@@ -1,12 +1,12 @@
-/* SQP to convergence: the pieces of the real-time iteration, globalised by a line search on the l1 merit function
+/* SQP to convergence: the steps of the real-time iteration, globalised by a line search on the l1 merit function
  *
  *     phi = cost + gap_weight (sum |x_{k+1} - Phi_k| + |x_0 - xhat|) + row_weight (sum of row violations) + penalties,
  *
- * with one second-order correction where the full step is refused, and an elastic QP (rows relaxed at row_weight) where
- * a linearisation is infeasible. Soft rows enter with their penalties l1 v + l2/2 v^2. */
+ * with one second-order correction if the full step is rejected, and an elastic QP (rows relaxed with row_weight) if a
+ * linearisation is infeasible. Soft rows enter with their penalties l1 v + l2/2 v^2. */
 
-/* What the merit function adds up besides the cost: norms of the gaps and of the violation of hard rows, penalties of soft
- * ones. */
+/* Terms of the merit function besides the cost: l1 norms of the gaps and of the violations of hard rows, and penalties
+ * of soft rows. */
 typedef struct {
     real_t gaps;
 #if HARD_ROWS
@@ -18,7 +18,7 @@ typedef struct {
 } merit_terms_t;
 
 #if SOFT_ROWS
-/* A violation v >= 0 of row m. */
+/* Adds a violation v >= 0 of row m. */
 static void add_violation(int m, real_t v, merit_terms_t *terms)
 {
     if (IS_SOFT(m)) {
@@ -32,7 +32,8 @@ static void add_violation(int m, real_t v, merit_terms_t *terms)
 }
 #endif
 
-/* Constraints of the present iterate without derivatives: sqp.b = Phi(x_k, u_k) - x_{k+1}, and the terms of all. */
+/* Evaluates the constraints at the present iterate without derivatives: sqp.b = Phi(x_k, u_k) - x_{k+1}, and the terms
+ * of the merit function. */
 static void evaluate_constraints(solver_t *s, merit_terms_t *terms)
 {
     sqp_t *q = &s->sqp;
@@ -66,7 +67,7 @@ static void evaluate_constraints(solver_t *s, merit_terms_t *terms)
 #endif
 }
 
-/* phi from its terms. */
+/* Merit function phi from its terms. */
 static real_t merit_of(const solver_t *s, const merit_terms_t *terms)
 {
     real_t phi = nodal_cost(s);
@@ -87,7 +88,7 @@ static real_t merit(solver_t *s)
     return merit_of(s, &terms);
 }
 
-/* The step of the QP and the point it starts from are put aside. */
+/* Saves the step of the QP and the point from which it starts. */
 static void put_step_aside(solver_t *s)
 {
     sqp_t *q = &s->sqp;
@@ -114,7 +115,7 @@ static void move_to(solver_t *s, real_t alpha)
     }
 }
 
-/* Weights of the merit function stay above the multipliers of the QP. */
+/* Increases the weights of the merit function where needed to keep them above the multipliers of the QP. */
 static void update_weights(solver_t *s)
 {
     real_t lam = R(0);
@@ -160,8 +161,8 @@ static real_t cost_slope(const solver_t *s)
     return sum;
 }
 
-/* Second-order correction: the values of the constraints of the QP become those of base + step, of which s has the values,
- * b = Phi(x + dx, u + du) - x_{k+1} - A dx - B du, rows likewise. */
+/* Second-order correction: the constraints of the QP take the values at base + step, at which s has been evaluated:
+ * b = Phi(x + dx, u + du) - x_{k+1} - A dx - B du, and the same for the rows. */
 static void correct_constraints(solver_t *s)
 {
     const sqp_t *q = &s->sqp;
@@ -204,7 +205,8 @@ static void correct_constraints(solver_t *s)
 #endif
 }
 
-/* The same QP with corrected constraints. Leaves the corrected step in sqp.dx, du; 0 if it fails. */
+/* Solves the same QP with corrected constraints and stores the corrected step in sqp.dx and sqp.du. Returns 0 if it
+ * fails. */
 static int second_order_correction(solver_t *s)
 {
     sqp_t *q = &s->sqp;
@@ -223,8 +225,8 @@ static int second_order_correction(solver_t *s)
     return step_is_finite(s);
 }
 
-/* The largest of the last merit values: steps may rise above the last one, which spares the full steps of
- * Gauss-Newton that a monotone search would cut (Grippo, Lampariello and Lucidi 1986). */
+/* Largest of the last MEMORY merit values. A step may exceed the last value, which accepts full Gauss-Newton steps that
+ * a monotone line search would shorten (Grippo, Lampariello and Lucidi 1986). */
 static real_t merit_to_beat(solver_t *s, int iteration, real_t start)
 {
     real_t largest = start;
@@ -237,7 +239,8 @@ static real_t merit_to_beat(solver_t *s, int iteration, real_t start)
     return largest;
 }
 
-/* Backtracking on the merit function, Armijo constant 1e-4; the full step gets one second-order correction. */
+/* Backtracking on the merit function with Armijo constant 1e-4. If the full step is rejected, one second-order
+ * correction is tried. */
 static status_t line_search(solver_t *s, real_t start, real_t slope)
 {
     const real_t rounding = TOL_MERIT_ROUNDING * (R(1) + FABS(start));
@@ -267,7 +270,7 @@ static status_t line_search(solver_t *s, real_t start, real_t slope)
 }
 
 #if HARD_ROWS
-/* QP of the present linearisation; an infeasible one is solved with relaxed rows, penalty row_weight. */
+/* Solves the QP of the present linearisation. If it is infeasible, its rows are relaxed with the penalty row_weight. */
 static status_t solve_qp(solver_t *s)
 {
     status_t status = run_qp(s);
@@ -286,8 +289,8 @@ static status_t solve_qp(solver_t *s)
 }
 #endif
 
-/* Directional derivative of the merit function along the step of the QP; the linearised rows after the full step have no
- * violation unless the QP was elastic. */
+/* Directional derivative of the merit function along the step of the QP. After the full step the linearised rows are
+ * violated only if the QP was elastic. */
 static real_t merit_slope(const solver_t *s, const merit_terms_t *terms)
 {
     real_t slope = cost_slope(s);
@@ -336,7 +339,7 @@ static status_t sqp_iteration(solver_t *s, int iteration)
     return line_search(s, merit_to_beat(s, iteration, start), (slope < R(0)) ? slope : R(0));
 }
 
-/* KKT residuals from the linearisation that prepare has just left; 1 if all are at most tol. */
+/* KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol. */
 static int kkt_converged(solver_t *s, real_t tol)
 {
     kkt_t *kkt = &s->kkt;
@@ -350,7 +353,7 @@ static int kkt_converged(solver_t *s, real_t tol)
 }
 
 #if HARD_ROWS
-/* 1 if the last step was elastic and moved nothing: the rows cannot be met near this point. */
+/* Returns 1 if the last QP was elastic and its step is at most tol: the rows cannot be satisfied near this point. */
 static int stuck_infeasible(const solver_t *s, real_t tol)
 {
     real_t step = R(0);

@@ -1,6 +1,6 @@
 #if NG
-/* Bounds of the rows relative to the present iterate, and what their violation costs; of J_0 dx_0 of a coupled row what is
- * known. */
+/* Bounds of the rows relative to the present iterate, and the costs of their violation. The known part of J_0 dx_0 of a
+ * coupled row is included. */
 static void condense_embed_rows(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
@@ -18,7 +18,7 @@ static void condense_embed_rows(solver_t *s)
 }
 
 #endif
-/* Bounds of the controls and rows relative to the present iterate, penalties. */
+/* Bounds of the controls and rows relative to the present iterate, and penalties. */
 static void condense_embed(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {

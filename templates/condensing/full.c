@@ -1,15 +1,16 @@
-/* Seam "condensing", contract:
+/* Component "condensing". Contract:
  *   condense_init      once: constant parts
- *   condense_prepare   preparation: everything that needs neither xhat nor the final bounds, the QP's factorisation included
- *   condense_gradient  gradients of the nodes have changed, nothing else
- *   condense_rows      gaps b and values of the rows have changed, no matrix
+ *   condense_prepare   preparation: all computations that depend neither on xhat nor on the final bounds, including the
+ *                      factorisation of the QP
+ *   condense_gradient  called if only gradients of the nodes have changed
+ *   condense_rows      called if gaps b and values of the rows have changed, but no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set of the controls moves by one interval
- *   condense_shift_rows  that of row m takes what row source[m] had
- * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k, all states but dx_0 eliminated in O(N^2), COLUMNS columns at a time in
- * memory that the QP solver lends: qp.work.columns, which qp_factorize overwrites. Variables of the QP are
+ *   condense_shift     shifts the predicted working set of the controls by one interval
+ *   condense_shift_rows  row m takes the predicted side of row source[m]
+ * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k. All states but dx_0 are eliminated in O(N^2), COLUMNS columns at
+ * a time, in memory of the QP solver: qp.work.columns, which qp_factorize overwrites. The variables of the QP are
  * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
- * lower <= row - sigma <= upper, cost l2/2 sigma^2, sigma = 0 elastic with penalty l1. */
+ * lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. */
 
 #include "generated/product_columns.c"
 
@@ -22,7 +23,7 @@ static void condense_init(solver_t *s)
     qp_init(&s->qp);
 }
 
-/* sum + a'x */
+/* sum + a'x. */
 static inline real_t condense_sum(real_t sum, const real_t *a, const real_t *x)
 {
     for (int i = 0; i < NX; ++i) {
@@ -31,13 +32,13 @@ static inline real_t condense_sum(real_t sum, const real_t *a, const real_t *x)
     return sum;
 }
 
-/* Node at whose start the first of the columns of a panel is not zero any more: 0 for dx_0, k + 1 for du_k. */
+/* First node k at which a column in a panel of G_k is nonzero: 0 for dx_0, k + 1 for du_k. */
 static inline int condense_first_node(int column)
 {
     return (column < NX) ? 0 : (column - NX) / NU + 1;
 }
 
-/* Columns of G_k or W that are zero. */
+/* Sets a panel of G_k or W to zero. */
 static inline void condense_clear(real_t (*columns)[COLUMNS])
 {
     for (int i = 0; i < NX; ++i) {
@@ -47,7 +48,7 @@ static inline void condense_clear(real_t (*columns)[COLUMNS])
     }
 }
 
-/* B_k comes into the columns of du_k of G_{k+1}. */
+/* Copies B_k to the columns of du_k in G_{k+1}. */
 static inline void condense_enter(columns_t *p, const node_t *node, int k, int column)
 {
     const int entering = NX + k * NU - column;
@@ -58,7 +59,8 @@ static inline void condense_enter(columns_t *p, const node_t *node, int k, int c
     }
 }
 
-/* G_k of a panel from its first node on: G_0 = [I 0], G_{k+1} = [A_k G_k, B_k at du_k]; zero at the node before. */
+/* Panel of G_k from its first node on: G_0 = [I 0], G_{k+1} = [A_k G_k, B_k at du_k]. It is set to zero at the
+ * preceding node. */
 static void condense_propagate(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
@@ -79,7 +81,7 @@ static void condense_propagate(solver_t *s, int column)
     }
 }
 
-/* A panel of a row of (Hx, H) or (Ax, A). Entries of H beyond its diagonal are not read. */
+/* Stores a panel of a row of (Hx, H) or (Ax, A). Entries of H beyond its diagonal are not read. */
 static inline void condense_store(const real_t *panel, int column, real_t *dx0, real_t *du)
 {
     enum {
@@ -98,7 +100,7 @@ static inline void condense_store(const real_t *panel, int column, real_t *dx0, 
     }
 }
 
-/* A panel of the block row k, T, goes to the condensed Hessian and to its coupling to dx_0. */
+/* Stores a panel T of block row k in the condensed Hessian and in its coupling to dx_0. */
 static void condense_store_rows(solver_t *s, int k, int column)
 {
     columns_t *p = &s->qp.work.columns;
@@ -108,7 +110,7 @@ static void condense_store_rows(solver_t *s, int k, int column)
     }
 }
 
-/* The condensed Hessian += R_k at (du_k, du_k), lower triangle. */
+/* Adds R_k, lower triangle, to the condensed Hessian at (du_k, du_k). */
 static void condense_add_curvature(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {
@@ -121,7 +123,7 @@ static void condense_add_curvature(solver_t *s)
     }
 }
 
-/* A panel of the condensed Hessian without R_k: W_N = Q_N G_N, then its block rows T from the last to the first. */
+/* Panel of the condensed Hessian without R_k: W_N = Q_N G_N, then its block rows T from the last to the first. */
 static void condense_hessian(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
@@ -146,7 +148,7 @@ static void condense_hessian(solver_t *s, int column)
 }
 
 #if NF
-/* Rows of the free components of dx_0, whose entries are those of the coupling to dx_0. */
+/* Hessian rows of the free components of dx_0, taken from the coupling to dx_0. */
 static void condense_store_free(solver_t *s)
 {
     for (int f = 0; f < NF; ++f) {
@@ -175,7 +177,7 @@ static void condense_store_slacks(solver_t *s)
 
 #endif
 #if GENERAL_ROWS || NE
-/* Adds a panel of J_x G_k + J_u at du_k of the general or coupled row m; of a coupled one J_0 dx_0 besides. */
+/* Panel of J_x G_k + J_u at du_k for the general or coupled row m; a coupled row also contains J_0 dx_0. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 {
     const int k = row_node[m], entering = NX + k * NU - column;
@@ -187,7 +189,7 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
     }
 #endif
     for (int i = 0; i < last; ++i) {
-        if (J[i] != R(0)) { /* a row depends on few states: the others are exactly 0 */
+        if (J[i] != R(0)) { /* a row depends on few states: its other entries are exactly 0 */
             for (int l = 0; l < COLUMNS; ++l) {
                 sum[l] += J[i] * s->qp.work.columns.G[k][i][l];
             }
@@ -200,7 +202,7 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 
 #endif
 #if STATE_ROWS
-/* A panel of the state row m, a row of G_k. */
+/* Panel of the state row m, which is a row of G_k; zero before its first node. */
 static inline const real_t *condense_state_row(const solver_t *s, int m, int column)
 {
     static const real_t zero[COLUMNS] = {R(0)};
@@ -210,7 +212,8 @@ static inline const real_t *condense_state_row(const solver_t *s, int m, int col
 
 #endif
 #if NG
-/* A panel of row m of the QP: A = J_x G_k + J_u at du_k; a state row is J_x = e_i, a coupled row has J_0 dx_0 besides. */
+/* Panel of row m of the QP: A = J_x G_k + J_u at du_k. A state row has J_x = e_i; a coupled row also contains J_0
+ * dx_0. */
 static void condense_row(solver_t *s, int m, int column)
 {
 #if STATE_ROWS && (GENERAL_ROWS || NE)
@@ -251,7 +254,7 @@ static void condense_store_others(solver_t *s)
 
 #endif
 #endif
-/* Hessian and rows of the QP, a panel of columns after the other. */
+/* Hessian and rows of the QP, one panel of columns after the other. */
 static void condense_matrices(solver_t *s)
 {
     for (int column = 0; column < LDG; column += COLUMNS) {
@@ -275,7 +278,7 @@ static void condense_matrices(solver_t *s)
 #endif
 }
 
-/* c_0 = 0, c_{k+1} = A_k c_k + b_k;  w_N = q_N + Q_N c_N;  g_k = r_k + S_k c_k + B_k' w_{k+1};
+/* c_0 = 0,  c_{k+1} = A_k c_k + b_k;   w_N = q_N + Q_N c_N,  g_k = r_k + S_k c_k + B_k' w_{k+1},
  * w_k = q_k + Q_k c_k + A_k' w_{k+1}. */
 static void condense_gradient(solver_t *s)
 {
@@ -300,7 +303,7 @@ static void condense_gradient(solver_t *s)
 }
 
 #if NF
-/* Gradient and bounds of the free components of dx_0; dx0 has zeros there. */
+/* Gradient and bounds of the free components of dx_0, which are zero in dx0. */
 static void condense_embed_free(solver_t *s, const real_t *dx0)
 {
     for (int row = N * NU; row < N * NU + NF; ++row) {
@@ -312,7 +315,7 @@ static void condense_embed_free(solver_t *s, const real_t *dx0)
 
 #endif
 #if NSL
-/* Gradient, bounds and penalties of the slacks; their rows are hard. */
+/* Gradient, bounds and penalties of the slacks; the rows with a slack are hard. */
 static void condense_embed_slacks(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
@@ -327,7 +330,7 @@ static void condense_embed_slacks(solver_t *s)
 
 #endif
 #if NG
-/* Bounds of the rows relative to their values at du = 0, and what their violation costs. */
+/* Bounds of the rows relative to their values at du = 0, and their penalties. */
 static void condense_embed_rows(solver_t *s, const real_t *dx0)
 {
     for (int m = 0; m < NG; ++m) {
@@ -341,7 +344,8 @@ static void condense_embed_rows(solver_t *s, const real_t *dx0)
 }
 
 #endif
-/* g = g(0) + Hx dx_0, free components of dx_0 apart;  bounds of du and of the rows relative to the present iterate. */
+/* g = g(0) + Hx dx_0 without the free components of dx_0; bounds of du and of the rows relative to the present
+ * iterate. */
 static void condense_embed(solver_t *s)
 {
     real_t dx0[NX];
@@ -409,7 +413,7 @@ static status_t condense_prepare(solver_t *s)
     return condense_factorize(s);
 }
 
-/* du and multipliers from the QP;  dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
+/* du and the multipliers from the QP; dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
 static void condense_expand(solver_t *s)
 {
     step_t *d = &s->step;

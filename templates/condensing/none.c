@@ -1,14 +1,15 @@
-/* Seam "condensing", contract: see the functions condense_init, _prepare, _gradient, _rows, _solve, _shift:
+/* Component "condensing". Contract:
  *   condense_init      once: constant parts
- *   condense_prepare   preparation: everything that needs neither xhat nor the final bounds, the QP's factorisation included
- *   condense_gradient  gradients of the nodes have changed, nothing else
- *   condense_rows      gaps b and values of the rows have changed, no matrix
+ *   condense_prepare   preparation: all computations that depend neither on xhat nor on the final bounds, including the
+ *                      factorisation of the QP
+ *   condense_gradient  called if only gradients of the nodes have changed
+ *   condense_rows      called if gaps b and values of the rows have changed, but no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set of the controls moves by one interval
- *   condense_shift_rows  that of row m takes what row source[m] had
- * Here: nothing is eliminated, the QP has the stages of the problem.
- * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient
- * of a general row), tables stage_first, stage_of_row, stage_state. */
+ *   condense_shift     shifts the predicted working set of the controls by one interval
+ *   condense_shift_rows  row m takes the predicted side of row source[m]
+ * Here: nothing is eliminated; the stages of the QP are those of the problem.
+ * Data that a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles),
+ * stage_row (gradient of a general row), and the tables stage_first, stage_of_row, stage_state. */
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);

@@ -1,19 +1,21 @@
-/* Seam "condensing", contract: see the functions condense_init, _prepare, _gradient, _rows, _solve, _shift:
+/* Component "condensing". Contract:
  *   condense_init      once: constant parts
- *   condense_prepare   preparation: everything that needs neither xhat nor the final bounds, the QP's factorisation included
- *   condense_gradient  gradients of the nodes have changed, nothing else
- *   condense_rows      gaps b and values of the rows have changed, no matrix
+ *   condense_prepare   preparation: all computations that depend neither on xhat nor on the final bounds, including the
+ *                      factorisation of the QP
+ *   condense_gradient  called if only gradients of the nodes have changed
+ *   condense_rows      called if gaps b and values of the rows have changed, but no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
- *   condense_shift     the predicted working set of the controls moves by one interval
- *   condense_shift_rows  that of row m takes what row source[m] had
- * Here: blocks of BLOCK intervals become one stage: all states but the first of a block are eliminated,
+ *   condense_shift     shifts the predicted working set of the controls by one interval
+ *   condense_shift_rows  row m takes the predicted side of row source[m]
+ * Here: blocks of BLOCK intervals become one stage. All states of a block but the first are eliminated,
  *     dx_{kB+j} = G_j (dx_kB, du_kB .. du_{kB+B-1}) + c_j,   [A B] = G_B,  b = c_B,
- *     Q = sum_j Z_j' Q_{kB+j} Z_j,   g = sum_j Z_j' (g_{kB+j} + Q_{kB+j} (c_j, 0)),   Z_j = [G_j; selection of du_{kB+j}].
- * Where there are coupled rows, the free components of x_0 are states of the stages besides dx, as copies that do not move:
- * z = (dx, copies, du).
- * Controls beyond the horizon are padded: Hessian 1, no gradient, no bounds, so they stay 0.
- * What a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), stage_row (gradient
- * of a general row), tables stage_first, stage_of_row, stage_state. */
+ *     Q = sum_j Z_j' Q_{kB+j} Z_j,   g = sum_j Z_j' (g_{kB+j} + Q_{kB+j} (c_j, 0)),
+ *     Z_j = [G_j; selection of du_{kB+j}].
+ * If there are coupled rows, the states of the stages also contain copies of the free components of x_0, which remain
+ * constant: z = (dx, copies, du).
+ * Controls beyond the horizon are padding with Hessian 1, no gradient and no bounds, so that they remain 0.
+ * Data that a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles),
+ * stage_row (gradient of a general row), and the tables stage_first, stage_of_row, stage_state. */
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
@@ -92,7 +94,7 @@ static void condense_init(solver_t *s)
 
 #include "condensing/embed_stages.c"
 
-/* G_{j+1} = A G_j, B at du_j; the columns of later controls stay 0. */
+/* G_{j+1} = [A G_j, B at du_j]; the columns of later controls remain 0. */
 static void condense_forward(const node_t *node, real_t (*G)[NZS], real_t (*next)[NZS], int j)
 {
     const int width = NXS + j * NU;
@@ -116,7 +118,7 @@ static void condense_forward(const node_t *node, real_t (*G)[NZS], real_t (*next
     }
 }
 
-/* Q += Z_j' Q_k Z_j, lower triangle; T = Q_k Z_j on the columns that are not 0. */
+/* Q += Z_j' Q_k Z_j, lower triangle, with T = Q_k Z_j on the nonzero columns. */
 static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int node, int j)
 {
     const int width = NXS + (j + 1) * NU;
@@ -146,11 +148,11 @@ static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int n
 }
 
 #if NG
-/* Gradients of the rows of a node in the variables of its block: J_x G_j, and J_u at du_j; a bound of the first state of a
- * block, or of the last one of the horizon, needs none. */
+/* Gradients of the rows of a node in the variables of its block: J_x G_j, and J_u at du_j. At the terminal node the
+ * gradient is J_x, with J_0 at the copies for a coupled row. */
 static void condense_block_rows(solver_t *s, int node)
 {
-    const int j = node - node / BLOCK * BLOCK; /* place of the node in its block */
+    const int j = node - node / BLOCK * BLOCK; /* index of the node in its block */
     int m, i, c;
     for (m = row_first[node]; m < row_first[node + 1]; m++) {
         real_t J[NZ];
@@ -179,7 +181,7 @@ static void condense_block_rows(solver_t *s, int node)
 
 #endif
 #if NG
-/* Values of the rows: those of their nodes plus J_x c_j. */
+/* Values of the rows: their values at the nodes plus J_x c_j. */
 static void condense_row_values(solver_t *s)
 {
     int m, i;
@@ -197,7 +199,7 @@ static void condense_row_values(solver_t *s)
 }
 
 #endif
-/* All blocks: [A B], Hessian. */
+/* All blocks: [A B] and Hessian. */
 static void condense_matrices(solver_t *s)
 {
     int k, j, r;
@@ -218,7 +220,8 @@ static void condense_matrices(solver_t *s)
     }
 }
 
-/* Gaps and gradients: c_0 = 0, c_{j+1} = A c_j + b;  w = q of the end;  g of du_j = r + B' w, w <- q + Q (c_j, 0) + A' w. */
+/* Gaps and gradients: c_0 = 0, c_{j+1} = A c_j + b;  w = 0 at the end of a block;
+ * g of du_j = r + B' w, w <- q + Q (c_j, 0) + A' w. */
 static void condense_vectors(solver_t *s)
 {
     const real_t none[NU] = {0};

@@ -4,7 +4,7 @@ static void condense_shift(solver_t *s)
 }
 
 #if NG
-/* Slacks follow their rows. */
+/* The predicted sides of the slacks move with those of their rows. */
 static void condense_shift_rows(solver_t *s, const int *source)
 {
 #if NSL

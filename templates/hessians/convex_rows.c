@@ -1,5 +1,5 @@
-/* 1 if the lower triangle M (n x n) is positive semidefinite: all pivots of L D L' are
- * nonnegative, and columns of vanishing pivots vanish, up to rounding. Overwrites M. */
+/* Returns 1 if the lower triangle M (n x n) is positive semidefinite: up to rounding, all pivots of L D L' are
+ * nonnegative, and the columns of zero pivots are zero. Overwrites M. */
 static int is_semidefinite(real_t *M, int n)
 {
     real_t scale = R(0);
@@ -38,7 +38,8 @@ static void add_lower(real_t *Q, const real_t *M, int n)
     }
 }
 
-/* Q_k += sum_i mu_i d2 h_i where that sum is positive semidefinite, multipliers of the last QP; likewise at N. */
+/* Q_k += sum_i mu_i d2 h_i if that sum is positive semidefinite, with the multipliers of the last QP; likewise at node
+ * N. */
 static void add_rows(solver_t *s)
 {
     real_t M[NZ * NZ] = {0};

@@ -1,9 +1,10 @@
-/* Eigenvalues of one symmetric matrix by Householder reflections to tridiagonal form and implicit QL (Bowdler, Martin, Reinsch
- * and Wilkinson 1968; procedures tred2 and tql2), at most MAX_QL iterations per eigenvalue.
+/* Eigenvalues of one symmetric matrix by Householder reflections to tridiagonal form and implicit QL (Bowdler, Martin,
+ * Reinsch and Wilkinson 1968; procedures tred2 and tql2), at most MAX_QL iterations per eigenvalue.
  *
- * On entry W holds the matrix of n rows, entries at most 1; on return row k of W is an eigenvector of d[k]. */
+ * On entry W holds the matrix of n rows, with entries of at most 1 in magnitude; on return row k of W is an eigenvector
+ * for the eigenvalue d[k]. */
 
-/* Row i is reflected to a multiple of e_{i-1}: the reflector goes to d, its product with the matrix to e. */
+/* Reflects row i to a multiple of e_{i-1}; stores the reflector in d and its product with the matrix in e. */
 static real_t reflect_row(real_t (*W)[LDV], real_t *d, real_t *e, int i, real_t scale)
 {
     real_t h = R(0), f, g;
@@ -30,7 +31,7 @@ static real_t reflect_row(real_t (*W)[LDV], real_t *d, real_t *e, int i, real_t 
     return h;
 }
 
-/* The trailing update W -= d e' + e d' of the leading i rows. */
+/* Updates the leading i rows: W -= d e' + e d'. */
 static void reflect_rest(real_t (*W)[LDV], real_t *d, real_t *e, int i, real_t h)
 {
     real_t f = R(0);
@@ -52,7 +53,7 @@ static void reflect_rest(real_t (*W)[LDV], real_t *d, real_t *e, int i, real_t h
     }
 }
 
-/* W = Q T Q': diagonal of T to d, the rest of it to e[1 ..], rows of Q' to W. */
+/* W = Q T Q'. Stores the diagonal of T in d, its subdiagonal in e[1 ..] and the reflectors in W. */
 static void tridiagonalize(real_t (*W)[LDV], real_t *d, real_t *e, int n)
 {
     for (int j = 0; j < n; ++j) {
@@ -77,7 +78,7 @@ static void tridiagonalize(real_t (*W)[LDV], real_t *d, real_t *e, int n)
     }
 }
 
-/* The reflections are multiplied out. */
+/* Multiplies the reflections; stores the rows of Q' in W. */
 static void collect_reflections(real_t (*W)[LDV], real_t *d, real_t *e, int n)
 {
     for (int i = 0; i < n - 1; ++i) {
@@ -85,7 +86,7 @@ static void collect_reflections(real_t (*W)[LDV], real_t *d, real_t *e, int n)
         real_t *w = W[i + 1];
         W[i][n - 1] = W[i][i];
         W[i][i] = R(1);
-        for (int k = 0; k <= i && h != R(0); ++k) { /* exactly 0: row i was not reflected */
+        for (int k = 0; k <= i && h != R(0); ++k) { /* exactly 0 if row i was not reflected */
             d[k] = w[k] / h;
         }
         for (int j = 0; j <= i && h != R(0); ++j) { /* as above */
@@ -112,7 +113,7 @@ static void collect_reflections(real_t (*W)[LDV], real_t *d, real_t *e, int n)
     e[n - 1] = R(0);
 }
 
-/* One implicit QL step on rows l .. m of T. Returns the shift, by which all later eigenvalues were moved. */
+/* One implicit QL step on rows l .. m of T. Returns the shift that was subtracted from all later eigenvalues. */
 static real_t ql_step(real_t (*W)[LDV], real_t *d, real_t *e, int l, int m, int n)
 {
     const real_t first = d[l], ratio = (d[l + 1] - d[l]) / (R(2) * e[l]);

@@ -1,14 +1,15 @@
-/* Seam "hessian", contract: expand_node(), hessian() and condense_factorize() as in gauss_newton.c.
- * Here: the exact Hessian of the Lagrangian, Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k), multipliers of the last QP.
- * While all lam are zero, as after reset, an adjoint pass over the nodes gives them: lam_k = q_k + A_k' lam_{k+1}. */
+/* Component "hessian". Contract: expand_node(), hessian() and condense_factorize() as in gauss_newton.c.
+ * Here: the exact Hessian of the Lagrangian, Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k), with the multipliers of the
+ * last QP. If all lam are zero, as after reset, an adjoint sweep over the nodes provides them:
+ * lam_k = q_k + A_k' lam_{k+1}. */
 
-/* 1 if there are multipliers of the dynamics. */
+/* Returns 1 if a multiplier of the dynamics is nonzero. */
 static int has_multipliers(const solver_t *s)
 {
     int k, i;
     for (k = 1; k <= N; k++) {
         for (i = 0; i < NX; i++) {
-            if (s->lam[k][i] != R(0)) { /* exactly 0 after reset only */
+            if (s->lam[k][i] != R(0)) { /* exactly 0 only after reset */
                 return 1;
             }
         }
@@ -16,7 +17,7 @@ static int has_multipliers(const solver_t *s)
     return 0;
 }
 
-/* lam_k = q_k + A_k' lam_{k+1}; that of a free component of x_0 is 0. */
+/* lam_k = q_k + A_k' lam_{k+1}; the multiplier of a free component of x_0 is 0. */
 static void adjoint_node(solver_t *s, int k)
 {
     const node_t *node = &s->node[k];
@@ -35,7 +36,7 @@ static void adjoint_node(solver_t *s, int k)
 #endif
 }
 
-/* Node k into s->node[k] and its block Q_k: x_next, S, g and second derivatives from one sweep. */
+/* Evaluates node k in one sweep: x_next, S and g in s->node[k], and the second derivatives in Q_k. */
 static void expand_node(solver_t *s, int k, real_t *x_next)
 {
     node_t *node = &s->node[k];
@@ -66,7 +67,7 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
 #endif
 
 #if HAS_START_HESSIAN || HAS_INITIAL_HESSIAN || HAS_TERMINAL_HESSIAN || REGULARIZE_STAGES
-/* What expand_node() has left: the ends, and the regularisation. */
+/* Completes the Hessian after expand_node(): initial and terminal terms, and the regularisation. */
 static void hessian(solver_t *s)
 {
 #if HAS_START_HESSIAN

@@ -1,4 +1,4 @@
-/* Node k into s->node[k]: x_next = Phi(x_k, u_k), S = [A_k B_k], gradient g. */
+/* Evaluates node k: x_next = Phi(x_k, u_k), S = [A_k B_k] and the gradient g. */
 static void expand_node(solver_t *s, int k, real_t *x_next)
 {
     node_t *node = &s->node[k];

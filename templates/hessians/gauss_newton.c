@@ -1,9 +1,10 @@
-/* Seam "hessian", contract:
- *   expand_node(s, k, x_next)   nodes from the last to the first, terminal gradient known: s->node[k].S and g, x_next = Phi
- *   hessian(s)                  then: s->hessian.Q (NQ blocks) and Q_N, lower triangles, z = (x, u)
+/* Component "hessian". Contract:
+ *   expand_node(s, k, x_next)   s->node[k].S and g, and x_next = Phi; called from the last node to the first, after the
+ *                               terminal gradient has been evaluated
+ *   hessian(s)                  called next: s->hessian.Q (NQ blocks) and Q_N, lower triangles, z = (x, u)
  * and, for full condensing,
- *   condense_factorize(s)       qp_factorize(), and what becomes of a condensed Hessian that is not positive definite */
-/* Here: Gauss-Newton, Q = J' W J; one block for all nodes where it depends on the weight alone (NQ = 1). */
+ *   condense_factorize(s)       qp_factorize(), and treatment of a condensed Hessian that is not positive definite */
+/* Here: Gauss-Newton, Q = J' W J; one block for all nodes if it depends only on the weight (NQ = 1). */
 
 #include "hessians/first_order.c"
 

@@ -1,4 +1,4 @@
-/* Seam "hessian", contract: expand_node() and hessian() as in gauss_newton.c.
+/* Component "hessian". Contract: expand_node() and hessian() as in gauss_newton.c.
  * Here: Q = I at every node. */
 
 #include "hessians/first_order.c"

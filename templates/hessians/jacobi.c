@@ -1,8 +1,9 @@
-/* Eigenvalues of LANES symmetric matrices of n rows at once, by Jacobi rotations: element (i, j) of all of them stands at
- * [i * n + j][lane], so that every loop over lanes vectorises. */
+/* Eigenvalues of LANES symmetric matrices of n rows at once, by Jacobi rotations. Element (i, j) of all matrices is
+ * stored at [i * n + j][lane], so that every loop over lanes vectorises. */
 
-/* cos and sin of the rotations that annihilate the elements pq; 1 if one of these is worth it. The smaller angle:
- * t = tan = 2 a_pq / (d + sign(d) sqrt(d^2 + 4 a_pq^2)), d = a_qq - a_pp. Entries are at most 1. */
+/* cos and sin of the rotations that annihilate the elements a_pq, with the smaller of the two angles: t = tan = 2 a_pq
+ * / (d + sign(d) sqrt(d^2 + 4 a_pq^2)), d = a_qq - a_pp. Returns 0 if all elements a_pq are negligible. Entries are at
+ * most 1 in magnitude. */
 static int jacobi_angle(const real_t *app, const real_t *aqq, const real_t *apq, real_t *t, real_t *c, real_t *s)
 {
     real_t tangent[LANES], cosine[LANES];
@@ -40,7 +41,8 @@ static inline void jacobi_apply(real_t *x, real_t *y, const real_t *c, const rea
     }
 }
 
-/* A <- J' A J and V <- J' V in the plane (p, q), p < q; only the lower triangle of A is kept. Returns 0 where nothing was done. */
+/* A <- J' A J and V <- J' V in the plane (p, q), p < q; only the lower triangle of A is stored. Returns 0 if no
+ * rotation was needed. */
 static int jacobi_rotate(real_t (*A)[LANES], real_t (*V)[LANES], int n, int p, int q)
 {
     real_t t[LANES], c[LANES], s[LANES];
@@ -83,8 +85,8 @@ static void jacobi_identity(real_t (*V)[LANES], int n)
     }
 }
 
-/* Every plane once, in rounds of disjoint ones, so that their angles do not wait for one another; m is n rounded up to an even
- * number, a plane with the row n is left out. Returns 0 where nothing was done. */
+/* Rotates in every plane once, in rounds of disjoint planes, whose angles are independent of one another. m is n
+ * rounded up to an even number; a plane with the row n is skipped. Returns 0 if no rotation was needed. */
 static int jacobi_sweep(real_t (*A)[LANES], real_t (*V)[LANES], int n)
 {
     const int m = n + (n & 1);
@@ -101,7 +103,7 @@ static int jacobi_sweep(real_t (*A)[LANES], real_t (*V)[LANES], int n)
     return rotated;
 }
 
-/* A = V' Lambda V: eigenvalues to the diagonal of A, eigenvectors to the rows of V. */
+/* A = V' Lambda V: eigenvalues on the diagonal of A, eigenvectors in the rows of V. */
 static void jacobi(real_t (*A)[LANES], real_t (*V)[LANES], int n)
 {
     int sweep, rotated = 1;

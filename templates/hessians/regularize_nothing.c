@@ -1,4 +1,4 @@
-/* A condensed Hessian that is not positive definite stays as it is. */
+/* Leaves a condensed Hessian that is not positive definite unchanged. */
 static status_t condense_factorize(solver_t *s)
 {
     return qp_factorize(&s->qp);

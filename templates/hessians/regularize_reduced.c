@@ -1,7 +1,8 @@
 #include "hessians/eigen.c"
 
-/* H, lower triangle of n rows, becomes V f(Lambda) V', f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor); floor
- * relative to the largest |Lambda|. 0 is returned, and H stays as it is, if it is zero or not finite. work has the size of H. */
+/* Replaces H (lower triangle of n rows) by V f(Lambda) V', f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor);
+ * the floor is relative to the largest |Lambda|. Returns 0, with H unchanged, if H is zero or not finite. `work` has
+ * the size of H. */
 static int regularize_reduced(real_t (*H)[LDV], int n, real_t (*work)[LDV])
 {
     real_t d[LDV], e[LDV], scale = R(0), smallest = R(0);
@@ -39,7 +40,7 @@ static int regularize_reduced(real_t (*H)[LDV], int n, real_t (*work)[LDV])
     return 1;
 }
 
-/* A condensed Hessian that is not positive definite is formed again and regularised. */
+/* If the condensed Hessian is not positive definite, it is formed again and regularised. */
 static status_t condense_factorize(solver_t *s)
 {
     const status_t status = qp_factorize(&s->qp);

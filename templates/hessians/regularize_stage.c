@@ -1,10 +1,11 @@
-/* Every block becomes V f(Lambda) V' + lm I, f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor); floor relative
- * to the largest |Lambda| of the node. Nodes whose blocks are safely positive definite keep them (plus lm I). Irreducible
- * diagonal blocks are decomposed one by one, those of LANES nodes at once. */
+/* Replaces every block by V f(Lambda) V' + lm I, f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor); the floor
+ * is relative to the largest |Lambda| of the node. Nodes whose blocks are safely positive definite keep them (plus lm
+ * I). Irreducible diagonal blocks are decomposed one after the other, each for LANES nodes at once. */
 
 #include "generated/hessian_blocks.c"
 
-/* norm[l] = largest |entry| of the lower triangle of matrix l, n x n; its inverse, 0 for a zero matrix. */
+/* norm[l] = largest |entry| in the lower triangle of matrix l, n x n; inverse[l] = 1 / norm[l], or 0 for a zero
+ * matrix. */
 static void block_norms(const real_t *Q, int stride, int n, int nodes, real_t *norm, real_t *inverse)
 {
     int l, i, j;
@@ -23,7 +24,7 @@ static void block_norms(const real_t *Q, int stride, int n, int nodes, real_t *n
     }
 }
 
-/* A = lower triangle of one block of every lane, entries at most 1. */
+/* A = lower triangle of one block of every lane, scaled to entries of at most 1 in magnitude. */
 static void gather_block(
     real_t (*A)[LANES], const real_t *Q, int stride, int ld, int nodes, const int *row, int n, const real_t *inverse)
 {
@@ -39,7 +40,7 @@ static void gather_block(
     }
 }
 
-/* Entry (i, j) of L D in W below the diagonal, that of L above it; A - shift I = L D L'. */
+/* Entry (i, j) of A - shift I = L D L': W holds L D in its lower triangle and L above its diagonal. */
 static inline void test_entry(real_t (*A)[LANES], real_t (*W)[LANES], int n, int i, int j, const real_t *shift)
 {
     real_t sum[LANES];
@@ -57,7 +58,7 @@ static inline void test_entry(real_t (*A)[LANES], real_t (*W)[LANES], int n, int
     }
 }
 
-/* keep[l] = 0 where A - shift I (lower triangle) has a pivot that is not positive; L D L' in W. */
+/* keep[l] = 0 if a pivot of A - shift I (lower triangle) is not positive; L D L' is stored in W. */
 static void test_block(real_t (*A)[LANES], real_t (*W)[LANES], int n, const real_t *shift, int *keep)
 {
     int i, j, l;
@@ -76,7 +77,7 @@ static void test_block(real_t (*A)[LANES], real_t (*W)[LANES], int n, const real
     }
 }
 
-/* A = V' f(Lambda) V, lower triangle, Lambda on the diagonal of A. */
+/* A = V' f(Lambda) V, lower triangle; on entry the diagonal of A holds Lambda. */
 static void rebuild_block(real_t (*A)[LANES], real_t (*V)[LANES], int n, const real_t *floor_value)
 {
     real_t value[NZ][LANES];
@@ -103,7 +104,7 @@ static void rebuild_block(real_t (*A)[LANES], real_t (*V)[LANES], int n, const r
     }
 }
 
-/* The blocks of the nodes that are not kept go back, all with lm on their diagonal. */
+/* Writes the regularised blocks back to the nodes that do not keep theirs, and adds lm to the diagonal of all. */
 static void scatter_block(real_t (*A)[LANES], real_t *Q, int stride, int ld, int nodes, const int *row, int n,
     const real_t *norm, const int *keep)
 {
@@ -120,7 +121,7 @@ static void scatter_block(real_t (*A)[LANES], real_t *Q, int stride, int ld, int
     }
 }
 
-/* floor_value of every lane from the eigenvalues of all blocks. */
+/* floor_value of every lane from the eigenvalues of all its blocks. */
 static void block_floors(real_t (*A)[LANES], const int *first, int blocks, real_t *floor_value)
 {
     real_t largest[LANES] = {0};
@@ -140,7 +141,7 @@ static void block_floors(real_t (*A)[LANES], const int *first, int blocks, real_
     }
 }
 
-/* Up to LANES matrices of ld rows, stride apart; scale[l]: largest absolute entry. */
+/* Regularises up to LANES matrices of ld rows, `stride` numbers apart; scale[l] is the largest |entry| of matrix l. */
 static void regularize_batch(
     hessian_t *h, real_t *Q, int stride, int ld, int nodes, const int *row, const int *first, int blocks, real_t *scale)
 {
@@ -182,7 +183,7 @@ static void regularize_batch(
     }
 }
 
-/* A zero matrix takes the scale of the one with the largest entry. */
+/* Regularises a zero matrix with the scale of the matrix that has the largest entry. */
 static void regularize_zero(real_t *Q, int ld, real_t scale, real_t largest)
 {
     int i;

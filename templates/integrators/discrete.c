@@ -1,10 +1,10 @@
-/* Seam "integrator", contract: INTEGRATOR_INTERVAL (above); interval_value(): x_next of interval k alone;
- * API(integrate): x_next = x(dt), NaN for a solver or an argument that is not fit.
- * Here: a discrete map; dt is its own, whatever is asked for. */
+/* Component "integrator". Contract: INTEGRATOR_INTERVAL (above); interval_value(): only x_next of interval k;
+ * API(integrate): x_next = x(dt), NaN if the solver is not initialised or an argument is not finite.
+ * Here: a discrete map, whose sampling time is fixed; the argument dt has no effect. */
 
 static void interval_value(const solver_t *s, int k, real_t *x_next)
 {
-    INTEGRATOR_STEP(s, k, s->x[k], s->u[k], 0, x_next); /* a map does not read the length of a step */
+    INTEGRATOR_STEP(s, k, s->x[k], s->u[k], 0, x_next); /* a discrete map does not read the step length */
 }
 
 void API(integrate)(const solver_t *s, const real_t x[NX], const real_t u[NU], real_t dt, real_t x_next[NX])

@@ -1,7 +1,7 @@
-/* Seam "integrator", contract: INTEGRATOR_INTERVAL (above); interval_value(): x_next of interval k alone;
- * integrate_plan(): x_next = x(dt) from x under control u_k, any dt >= 0; API(integrate): likewise for any control, NaN for a
- * solver that init has not seen.
- * Here: explicit Runge-Kutta; steps are equal and no longer than the controller's longest one. */
+/* Component "integrator". Contract: INTEGRATOR_INTERVAL (above); interval_value(): only x_next of interval k;
+ * integrate_plan(): x_next = x(dt) from x under the control u_k, any dt >= 0; API(integrate): the same for any control,
+ * NaN if the solver is not initialised.
+ * Here: explicit Runge-Kutta with equal steps, none longer than the longest step of the controller. */
 
 static void interval_value(const solver_t *s, int k, real_t *x_next)
 {
@@ -14,7 +14,7 @@ static void interval_value(const solver_t *s, int k, real_t *x_next)
 #endif
 }
 
-/* How many steps dt takes. */
+/* Number of integration steps for the time dt. */
 static int steps_for(real_t dt)
 {
     const real_t count = CEIL(dt / step_length[0] - TOL_STEP_COUNT);

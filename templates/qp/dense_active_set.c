@@ -1,45 +1,50 @@
 /* ---------------------------------------------------------------------------------------------------------------------
  * qp: dense dual active-set method
  *
- *     min  1/2 z'H z + g'z   s.t.   lower[i] <= z_i <= upper[i],  i < NV;   lower[NV+j] <= A[j] z <= upper[NV+j],  j < NG
+ *     min  1/2 z'H z + g'z   s.t.   lower[i] <= z_i <= upper[i],  i < NV;
+ *                                   lower[NV+j] <= A[j] z <= upper[NV+j],  j < NG
  *
  *     H z + g + mult[0..NV) + A' mult[NV..NV+NG) = 0,   mult > 0 at an upper bound, < 0 at a lower one, 0 in between
  *
- * A row c with a finite penalty[c] >= 0 is elastic: the cost has the term penalty[c] * (violation of the row) in place of the
- * row, so |mult| <= penalty. Where the multiplier stands at that limit the row is saturated and may be violated.
+ * A row c with a finite penalty[c] >= 0 is elastic: the cost has the term penalty[c] * (violation of the row) in place
+ * of the row, so that |mult| <= penalty. If the multiplier is at that limit, the row is saturated and may be violated.
  *
- * Contract of the seam
- *   qp_init       once: everything zero, all bounds and penalties infinite, empty working set.
+ * Contract
+ *   qp_init       once: all data zero, all bounds and penalties infinite, empty working set.
  *   qp_factorize  preparation: H (lower triangle) and A are known, lower and upper hold a prediction. Overwrites H.
- *                 OK, or NUMERICAL_FAILURE: H not positive semidefinite, data not finite.
- *   qp_solve      feedback: g, lower, upper and penalty are known. Writes z, mult, iterations, changes, dropped, relaxed.
- *                 OK; ITERATION_LIMIT, STALLED (a working set came back), INFEASIBLE: z is the last iterate, 0 if bounds cross;
- *                 NUMERICAL_FAILURE (data not finite, cost unbounded below): z = mult = 0.
- *   qp_shift_controls, qp_shift_rows  before qp_factorize: the prediction moves n controls towards the front, and rows as told.
- * Bounds may be infinite; equality = equal bounds. Redundant consistent equalities get multiplier 0 and are counted in
- * dropped; elastic rows that are violated, in relaxed. Bounds that cross are INFEASIBLE, of elastic rows too; without
- * crossed bounds and hard rows the answer is never INFEASIBLE. After INFEASIBLE certificate[] (if SOLVE) holds weights f, |f| <= 1, with
+ *                 Returns OK, or NUMERICAL_FAILURE if H is not positive semidefinite or data are not finite.
+ *   qp_solve      feedback: g, lower, upper and penalty are known. Writes z, mult, iterations, changes, dropped,
+ *                 relaxed. Returns OK; ITERATION_LIMIT, STALLED (a working set repeats itself) or INFEASIBLE with z
+ *                 the last iterate, or 0 if bounds cross; NUMERICAL_FAILURE (data not finite, cost unbounded below)
+ *                 with z = mult = 0.
+ *   qp_shift_controls, qp_shift_rows  called before qp_factorize: shift the predicted working set by n controls, and
+ *                 its rows as given by source[].
+ * Bounds may be infinite; equal bounds are an equality. Redundant consistent equalities get the multiplier 0; `dropped`
+ * is their number, and `relaxed` is the number of violated elastic rows. Crossed bounds are INFEASIBLE, also those of
+ * elastic rows; without crossed bounds and hard rows the result is never INFEASIBLE. After INFEASIBLE certificate[] (if
+ * SOLVE) holds weights f, |f| <= 1, with
  *     sum_c f_c a_c = 0   and   sum_c f_c (upper_c if f_c > 0, lower_c if f_c < 0) < 0       (0 if bounds cross).
- * side[] is the working set and stays for the warm start (+-1: member at its upper or lower bound, +-2: saturated there); a
- * caller may edit it before qp_factorize.
- * Between qp_solve and qp_factorize the caller may use work, all of it.
+ * side[] is the working set and is kept for the warm start (+-1: member at its upper or lower bound, +-2: saturated
+ * there); the caller may change it before qp_factorize.
+ * Between qp_solve and qp_factorize the caller may use all of `work`.
  * Columns NV to LDV of A are zero; those of H, its rows NV to LDV and its upper triangle are not read.
  *
- * Method (Goldfarb and Idnani 1983) in the coordinates y = C'z of H = C C', C lower triangular. There the cost is
- * 1/2 |y - y0|^2 with y0 = -C^{-1} g, and row a is m'y with m = C^{-1} a. The rows of the working set W (nw of them) are kept
- * as M_W' = Q'R: R upper triangular, the rows of Q orthonormal (Daniel, Gragg, Kaufman and Stewart 1976). With t the active
- * bounds, the minimiser on W is
+ * Method (Goldfarb and Idnani 1983) in the coordinates y = C'z, where H = C C' and C is lower triangular. In them the
+ * cost is 1/2 |y - y0|^2 with y0 = -C^{-1} g, and row a is m'y with m = C^{-1} a. The nw rows of the working set W are
+ * stored as M_W' = Q'R: R is upper triangular, the rows of Q are orthonormal (Daniel, Gragg, Kaufman and Stewart 1976).
+ * With t the active bounds, the minimiser on W is
  *
  *     R'w = t,   c = Q y0 - w,   y = y0 - Q'c,   lam = R^{-1} c,   z = C^{-T} y
  *
- * A saturated row belongs to the cost: y0 = -C^{-1} (g + sum_saturated mult_c a_c). The dual problem is then one with
- * multipliers in [0, penalty], and every step increases its objective as before.
+ * A saturated row belongs to the cost: y0 = -C^{-1} (g + sum_saturated mult_c a_c). The multipliers of the dual problem
+ * are then in [0, penalty], and every step increases its objective as before.
  *
- * Where a pivot of H may be zero, H + E with a diagonal E is factorised, E_ii > 0 at these pivots only, and the proximal point
- * method iterates to the minimiser for H itself.
+ * If a pivot of H may be zero, H + E is factorised, where E is diagonal with E_ii > 0 at such pivots only, and the
+ * proximal point method iterates to the minimiser for H itself.
  *
- * Storage: H holds D on its diagonal, L below and L' above, C = L D^{1/2}, L unit lower triangular; R is stored transposed (row j: coefficients of member j).
- * Loops run over panels of four, for which every vector and matrix is padded with zeros.
+ * Storage: H holds D on its diagonal, L below and L' above it, C = L D^{1/2}, L unit lower triangular. R is stored
+ * transposed (row j: coefficients of member j). Loops run over panels of four, for which every vector and matrix is
+ * padded with zeros.
  * ------------------------------------------------------------------------------------------------------------------ */
 
 #include "linear_algebra.c"
@@ -64,7 +69,7 @@ static void qp_init(qp_t *q)
     }
 }
 
-/* The predicted working set: equalities first, then the inequalities that are members. */
+/* Factorises H and the predicted working set: equalities first, then the inequalities that are members. */
 static status_t qp_factorize(qp_t *q)
 {
     status_t status = qp_factorize_hessian(q);

@@ -1,5 +1,5 @@
-/* Contract of this part: rows with a finite penalty, whose multipliers stay within it; where one stands at the limit its row
- * is saturated and may be violated. */
+/* Contract of this part: rows with a finite penalty, which limits their multipliers. A row whose multiplier is at the
+ * limit is saturated and may be violated. */
 
 enum { SATURATED_LOWER = -2, SATURATED_UPPER = 2 };
 
@@ -8,7 +8,7 @@ static int qp_is_saturated(const qp_t *q, int c)
     return q->side[c] == SATURATED_UPPER || q->side[c] == SATURATED_LOWER;
 }
 
-/* y += t a_c */
+/* y += t a_c. */
 static void qp_add_row(const qp_t *q, int c, real_t t, real_t *y)
 {
     if (c < NV) {
@@ -20,13 +20,14 @@ static void qp_add_row(const qp_t *q, int c, real_t t, real_t *y)
     }
 }
 
-/* Multiplier of row c, not a member. */
+/* Multiplier of row c, which is not a member. */
 static real_t qp_outside_multiplier(const qp_t *q, int c)
 {
     return q->side[c] == INACTIVE ? R(0) : q->side[c] > 0 ? q->penalty[c] : -q->penalty[c];
 }
 
-/* y0 -= mult m for the row with normal m that joins the cost, or leaves it (mult with the other sign). */
+/* y0 -= mult m for a row with normal m that joins the cost, or with the opposite sign of mult for a row that leaves
+ * it. */
 static void qp_shift_origin(qp_t *q, real_t mult)
 {
     for (int j = 0; j < LDV; ++j) {
@@ -35,7 +36,7 @@ static void qp_shift_origin(qp_t *q, real_t mult)
     q->scale += FABS(mult) * norm(q->work.basis.m);
 }
 
-/* Member k leaves the working set with its multiplier at the limit of the given side; m = Q'R. */
+/* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. */
 static void qp_saturate(qp_t *q, int k, int side)
 {
     const int c = q->row[k];
@@ -50,7 +51,8 @@ static void qp_saturate(qp_t *q, int k, int side)
     q->side[c] = 2 * side;
 }
 
-/* Member k leaves with its multiplier at the end of its range, towards 0 if it falls: inactive, or saturated. */
+/* Removes member k, whose multiplier is at an end of its range: it becomes inactive if the multiplier falls to 0,
+ * otherwise saturated. */
 static void qp_release(qp_t *q, int k, int falls)
 {
     const int c = q->row[k], side = q->side[c];
@@ -61,7 +63,7 @@ static void qp_release(qp_t *q, int k, int falls)
     }
 }
 
-/* y0 -= sum_saturated mult_c a_c;  scale: the sum of |mult_c| |D^{-1/2} a_c|, an estimate of |m|. */
+/* y0 -= sum_saturated mult_c a_c; scale += sum of |mult_c| |D^{-1/2} a_c|, an estimate of |mult_c m|. */
 static void qp_add_saturated(qp_t *q)
 {
     for (int c = 0; q->elastic && c < NV + NG; ++c) {
@@ -72,7 +74,8 @@ static void qp_add_saturated(qp_t *q)
     }
 }
 
-/* How far the value of the saturated row c lies inside the bound at which it is saturated: there its multiplier goes back. */
+/* Violation of a saturated row c: the distance of its value from the bound towards the inside, where its multiplier has
+ * to move back. */
 static void qp_turn_inside(const qp_t *q, int c, real_t *over, real_t *under)
 {
     if (q->side[c] > 0) {
@@ -84,7 +87,8 @@ static void qp_turn_inside(const qp_t *q, int c, real_t *over, real_t *under)
     }
 }
 
-/* Row c, not a member, comes to rest: its multiplier has moved by `moved`. It becomes a member, or saturated or inactive. */
+/* Ends the dual step of row c, which is not a member, after its multiplier has changed by `moved`: the row becomes a
+ * member, saturated or inactive. */
 static void qp_settle(qp_t *q, int c, int side, int member, real_t moved, real_t vv)
 {
     const int state = q->side[c];
@@ -100,13 +104,14 @@ static void qp_settle(qp_t *q, int c, int side, int member, real_t moved, real_t
     }
 }
 
-/* How far the multiplier of the entering row c may move: from 0 to its limit, from there to 0 (equality: to -limit). */
+/* Distance that the multiplier of the entering row c may move: from 0 to its limit, or from the limit to 0 (equality:
+ * to -limit). */
 static real_t qp_reach(const qp_t *q, int c)
 {
     return q->side[c] != INACTIVE && qp_is_equality(q, c) ? q->penalty[c] + q->penalty[c] : q->penalty[c];
 }
 
-/* Saturation ends where the row has become hard, or the bound infinite. */
+/* Ends the saturation of rows that have become hard or whose bound has become infinite. */
 static void qp_release_saturated(qp_t *q)
 {
     for (int c = NV; c < NV + NG; ++c) {
@@ -116,7 +121,7 @@ static void qp_release_saturated(qp_t *q)
     }
 }
 
-/* Sets elastic; returns 0 if a penalty is invalid. */
+/* Sets `elastic`; returns 0 if a penalty is invalid. */
 static int qp_take_penalties(qp_t *q)
 {
     int valid = 1, elastic = 0;
@@ -131,7 +136,7 @@ static int qp_take_penalties(qp_t *q)
     return valid;
 }
 
-/* Multipliers of the saturated rows; counts those that are violated by more than rounding. */
+/* Writes the multipliers of the saturated rows and counts the rows that are violated by more than rounding. */
 static void qp_write_saturated(qp_t *q)
 {
     for (int c = NV; q->elastic && c < NV + NG; ++c) {
@@ -143,7 +148,7 @@ static void qp_write_saturated(qp_t *q)
     }
 }
 
-/* A multiplier that exceeds its limit by rounding. */
+/* Clips a multiplier that exceeds its limit by rounding. */
 static real_t qp_clip_multiplier(const qp_t *q, int c, real_t lam)
 {
     const real_t limit = q->penalty[c];

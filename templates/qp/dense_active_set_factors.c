@@ -1,18 +1,18 @@
-/* Contract of this part: H = L D L' = C C' and its substitutions. */
+/* Contract of this part: H = L D L' = C C' and the substitutions with its factors. */
 
-/* A pivot below this share of the diagonal entry may be zero. */
+/* A pivot may be zero if it is below this fraction of the diagonal entry. */
 static inline real_t qp_zero_pivot(void)
 {
     return SQRT(TOL_UNIT / 256);
 }
 
-/* Weight of the proximal term as a share of the diagonal entry. */
+/* Weight of the proximal term as a fraction of the diagonal entry. */
 static inline real_t qp_proximal_share(void)
 {
     return SQRT(TOL_UNIT * 262144);
 }
 
-/* y := C^{-1} y = D^{-1/2} L^{-1} y, where y_i = 0 for i < first */
+/* y := C^{-1} y = D^{-1/2} L^{-1} y, where y_i = 0 for i < first. */
 static void qp_forward(const qp_t *q, real_t *y, int first)
 {
     for (int b = first - first % 4; b < LDV; b += 4) {
@@ -26,7 +26,7 @@ static void qp_forward(const qp_t *q, real_t *y, int first)
     }
 }
 
-/* z = C^{-T} y = L^{-T} D^{-1/2} y */
+/* z = C^{-T} y = L^{-T} D^{-1/2} y. */
 static void qp_backward(const qp_t *q, const real_t *y, real_t *z)
 {
     for (int j = 0; j < LDV; ++j) {
@@ -35,7 +35,7 @@ static void qp_backward(const qp_t *q, const real_t *y, real_t *z)
     solve_unit_upper(q->H, z);
 }
 
-/* The middle one of the positive numbers in v; 1 if there is none. */
+/* Median of the positive numbers in v; 1 if there is none. */
 static real_t qp_median(const real_t *v)
 {
     real_t middle = R(0);
@@ -53,7 +53,7 @@ static real_t qp_median(const real_t *v)
     return middle > R(0) && isfinite(middle) ? middle : R(1);
 }
 
-/* The smallest positive width of the bounds of variable i and of the rows it appears in; 1 if there is none. */
+/* Smallest positive distance between the bounds of variable i and of the rows that contain it; 1 if there is none. */
 static real_t qp_length(const qp_t *q, int i)
 {
     const real_t width = q->upper[i] - q->lower[i];
@@ -69,8 +69,9 @@ static real_t qp_length(const qp_t *q, int i)
     return least < (real_t)INFINITY ? least : R(1);
 }
 
-/* Weights of the proximal term: a share of the diagonal of H, and where that is (nearly) zero, of the cost over the square
- * of a length. The cost is the median over the variables, for some bounds are out of all reach. */
+/* Weights of the proximal term: a fraction of the diagonal of H or, where that is (nearly) zero, of the cost divided by
+ * the square of a length. The cost is the median over the variables, because some bounds are too wide to be
+ * relevant. */
 static void qp_set_proximal_weights(qp_t *q, const real_t *reference)
 {
     real_t length[NV], cost[NV];
@@ -88,8 +89,8 @@ static void qp_set_proximal_weights(qp_t *q, const real_t *reference)
     q->semidefinite = 1;
 }
 
-/* Pivot k of L D L' and its inverse, which is returned. One that may be zero gets the weight of the proximal term; one that is
- * negative beyond rounding, or not finite, becomes NaN, and with it all that follow. */
+/* Sets pivot k of L D L' and returns its inverse. A pivot that may be zero is increased by the weight of the proximal
+ * term. A pivot that is negative beyond rounding or not finite becomes NaN, as do all later ones. */
 static inline real_t qp_pivot(qp_t *q, int k, real_t pivot, const real_t *reference)
 {
     const real_t zero = qp_zero_pivot() * reference[k];
@@ -104,7 +105,7 @@ static inline real_t qp_pivot(qp_t *q, int k, real_t pivot, const real_t *refere
     return q->inverse[k] = R(1) / pivot;
 }
 
-/* L D L' of the diagonal panel b, with X = L D; L goes below the diagonal and above it. */
+/* L D L' of the diagonal panel b, with X = L D; L is stored below and above the diagonal. */
 static void qp_factorize_diagonal(qp_t *q, int b, const real_t *reference)
 {
     real_t *h0 = q->H[b] + b, *h1 = q->H[b + 1] + b, *h2 = q->H[b + 2] + b, *h3 = q->H[b + 3] + b;
@@ -123,7 +124,7 @@ static void qp_factorize_diagonal(qp_t *q, int b, const real_t *reference)
     h3[2] = h2[3] = l32;
 }
 
-/* The columns of panel b of X = L D and of L, then the trailing lower triangle: H_ij -= sum_k X_ik L_jk. */
+/* Columns of panel b of X = L D and of L, then the trailing lower triangle: H_ij -= sum_k X_ik L_jk. */
 static void qp_factorize_panel(qp_t *q, int b)
 {
     const qp_t *known = q;
@@ -144,7 +145,8 @@ static void qp_factorize_panel(qp_t *q, int b)
     }
 }
 
-/* A zero pivot of a semidefinite matrix has zeros below it: x_ik^2 <= (pivot k) H_ii, where x_ik = L_ik d_k. */
+/* Returns 1 if the entries below every zero pivot vanish, as in a semidefinite matrix: x_ik^2 <= (pivot k) H_ii, where
+ * x_ik = L_ik d_k. */
 static int qp_zero_below(const qp_t *q, const real_t *reference)
 {
     int valid = 1;
@@ -157,7 +159,8 @@ static int qp_zero_below(const qp_t *q, const real_t *reference)
     return valid;
 }
 
-/* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}; rows NV to LDV of the identity make the last panel whole. */
+/* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}. Rows NV to LDV are those of the identity, which completes
+ * the last panel. */
 static status_t qp_factorize_hessian(qp_t *q)
 {
     real_t reference[LDV];

@@ -1,7 +1,7 @@
 /* Contract of this part: dual iterations from a predicted working set to the solution or a certificate. */
 
-/* Member with the most wrong multiplier, -1 if none: outside [0, limit] (equality: [-limit, limit]) by more than rounding,
- * excess |m| > tolerance (|y0| + |y|). */
+/* Member with the largest violation of the sign condition, lam outside [0, limit] (equality: [-limit, limit]) by more
+ * than rounding, excess |m| > tolerance (|y0| + |y|). Returns -1 if there is none. */
 static int qp_wrong_multiplier(const qp_t *q)
 {
     int worst = -1;
@@ -24,7 +24,8 @@ static int qp_wrong_multiplier(const qp_t *q)
     return worst;
 }
 
-/* Minimises on the working set; wrong multipliers are dropped or saturated, the worst first, until there is none. */
+/* Minimises on the working set and removes or saturates members with wrong multipliers, the worst first, until there is
+ * none. */
 static status_t qp_restore_dual_feasibility(qp_t *q)
 {
     for (;;) {
@@ -45,8 +46,8 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
     }
 }
 
-/* How far the value of row c, not a member, exceeds its upper bound, and how far it stays below its lower one. Returns the
- * value. */
+/* Amounts by which the value of row c, which is not a member, exceeds its upper bound and falls below its lower bound.
+ * Returns the value. */
 static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
 {
 #if NG
@@ -64,8 +65,9 @@ static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t
     return value;
 }
 
-/* The row that is violated most, measured in y by 1/|D^{-1/2} a_c|, and by how much; -1 if none, -2 if a value is not finite.
- * Tolerated: the rounding error of a_c'z, and what qp_enforce accepted. */
+/* Row with the largest violation, scaled by 1 / |D^{-1/2} a_c|, its side and its violation. Returns -1 if there is
+ * none, -2 if a value is not finite. Tolerated are the rounding error of a_c'z and violations that qp_enforce has
+ * accepted. */
 static int qp_most_violated(const qp_t *q, int *side, real_t *violation)
 {
     int worst = -1;
@@ -92,13 +94,13 @@ static int qp_most_violated(const qp_t *q, int *side, real_t *violation)
     return worst;
 }
 
-/* 1 if the multiplier of member k moves towards 0 when the one of the entering row grows on the given side. */
+/* Returns 1 if the multiplier of member k moves towards 0 when that of the entering row increases on the given side. */
 static int qp_falls(const qp_t *q, const real_t *r, int k, int side)
 {
     return ((q->side[q->row[k]] > 0) == (side > 0)) == (r[k] > R(0));
 }
 
-/* How far the multiplier of member k may move: down to 0 (equality: -limit), or up to its limit. */
+/* Distance that the multiplier of member k may move: down to 0 (equality: -limit), or up to its limit. */
 static real_t qp_room(const qp_t *q, int k, int falls)
 {
     const int c = q->row[k];
@@ -113,14 +115,14 @@ static real_t qp_room(const qp_t *q, int k, int falls)
 #endif
 }
 
-/* 1 if member k has a part in the normal of the entering row, whose squared norm is mm. */
+/* Returns 1 if member k contributes to the normal of the entering row, whose squared norm is mm. */
 static int qp_takes_part(const qp_t *q, const real_t *r, int k, real_t mm)
 {
     return r[k] * r[k] * qp_square(q, k) > TOL_QP_DEPENDENT * TOL_QP_DEPENDENT * mm;
 }
 
-/* The first member whose multiplier reaches an end of its range when the one of the entering row grows by `step` on the given
- * side: lam - side step r, r = R^{-1} d. Returns -1 if none, with an infinite step. */
+/* First member whose multiplier lam - side step r, r = R^{-1} d, reaches an end of its range when that of the entering
+ * row increases by `step` on the given side. Returns -1, with an infinite step, if there is none. */
 static int qp_blocking(const qp_t *q, const real_t *r, int side, real_t mm, real_t *step)
 {
     int first = -1;
@@ -135,7 +137,7 @@ static int qp_blocking(const qp_t *q, const real_t *r, int side, real_t mm, real
     return first;
 }
 
-/* lam -= step r, and y -= step v if the normal has a part v outside the span of the working set. */
+/* lam -= step r, and y -= step v if the normal has a component v outside the span of the working set. */
 static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
 {
     for (int k = 0; k < q->nw; ++k) {
@@ -146,9 +148,10 @@ static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
     }
 }
 
-/* Violation of the row with normal m = Q'R r + v that is taken as rounding. The members' part is a multiple of
- * size = |bound| + |t|'|r| + |m| (|y| / 4 + a little |y0|); entering would move y by violation / |v|, so it grows with
- * |m| / |v|, up to that of a row that cannot enter. The other part is that of v'y, which y0 dominates: a multiple of |v| |y0|. */
+/* Violation of the row with normal m = Q'R r + v that is regarded as rounding error. The part of the members is a
+ * multiple of size = |bound| + |t|'|r| + |m| (|y| / 4 + a small fraction of |y0|). As entering would move y by
+ * violation / |v|, the multiple grows with |m| / |v| up to that of a row that cannot enter. The part of v'y, which y0
+ * dominates, is a multiple of |v| |y0|. */
 static real_t qp_rounding(const qp_t *q, const real_t *r, real_t bound, real_t mm, real_t vv)
 {
     const real_t most = TOL_QP_REDUNDANT, least = TOL_QP_FEASIBILITY;
@@ -161,7 +164,8 @@ static real_t qp_rounding(const qp_t *q, const real_t *r, real_t bound, real_t m
 }
 
 #if SOLVE
-/* The rows c and row[k] contradict each other: certificate = side (e_c - sum_k r_k e_k), normalised, rounding left out. */
+/* Certificate of the contradiction between row c and the rows of the working set: side (e_c - sum_k r_k e_k),
+ * normalised, without entries that are rounding errors. */
 static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 {
     real_t most = R(1);
@@ -177,7 +181,7 @@ static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 }
 #endif
 
-/* The step after which the entering row is met, its violation over v'v; infinite where its normal has no part v. */
+/* Length of the full step, violation / v'v; infinite if the normal lies in the span of the working set. */
 static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
 {
     if (!(vv > TOL_QP_DEPENDENT * TOL_QP_DEPENDENT * mm)) {
@@ -186,8 +190,8 @@ static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
     return violation > R(0) ? violation / vv : R(0);
 }
 
-/* Dual steps until the violated row c is satisfied and in the working set, or its multiplier at the end of its range. A
- * violation that may be rounding is accepted instead, and remembered in slack[c]. */
+/* Takes dual steps until the violated row c is satisfied and in the working set, or its multiplier is at the end of its
+ * range. A violation that may be a rounding error is accepted instead and stored in slack[c]. */
 static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
 {
 #if ELASTIC
@@ -241,7 +245,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
     return isfinite(mm) ? ITERATION_LIMIT : NUMERICAL_FAILURE;
 }
 
-/* Row c enters the predicted working set unless it depends on the rows already there. */
+/* Adds row c to the predicted working set unless it depends on the rows already in it. */
 static status_t qp_predict_active(qp_t *q, int c)
 {
     const real_t mm = qp_normal(q, c);
@@ -256,7 +260,8 @@ static status_t qp_predict_active(qp_t *q, int c)
     return isfinite(mm) ? OK : NUMERICAL_FAILURE;
 }
 
-/* Checks the present bounds (crossed: infeasible); a member whose active side became infinite leaves. */
+/* Checks the present bounds (crossed bounds: infeasible). A member whose active bound has become infinite is
+ * removed. */
 static status_t qp_take_bounds(qp_t *q)
 {
     int valid = 1, ordered = 1;
@@ -279,8 +284,8 @@ static status_t qp_take_bounds(qp_t *q)
     return OK;
 }
 
-/* Results from y, lam and the working set; active bounds hold exactly, wrong signs within rounding become zero. Returns 0 if
- * they are not finite. */
+/* Writes the results from y, lam and the working set. Active bounds hold exactly, and multipliers of the wrong sign
+ * within rounding become 0. Returns 0 if the results are not finite. */
 static int qp_write_result(qp_t *q)
 {
     real_t total = dot(q->x, q->x, LDV);
@@ -318,7 +323,7 @@ static int qp_write_result(qp_t *q)
     return isfinite(total);
 }
 
-/* Nothing of the present data is kept: z = 0, mult = 0, empty working set. */
+/* Clears the results and the working set after a failure. */
 static status_t qp_fail(qp_t *q, status_t status)
 {
     q->nw = q->relaxed = q->dropped = 0;
@@ -331,7 +336,7 @@ static status_t qp_fail(qp_t *q, status_t status)
     return status;
 }
 
-/* 1 if the working set is one that was there before (Brent's cycle search: a snapshot after 1, 2, 4, ... changes). */
+/* Returns 1 if the working set has occurred before (Brent's cycle detection: a snapshot after 1, 2, 4, ... changes). */
 static int qp_repeats(qp_t *q, int count)
 {
     const int same = count > 1 && memcmp(q->side, q->snapshot, sizeof q->side) == 0;
@@ -341,7 +346,8 @@ static int qp_repeats(qp_t *q, int count)
     return same;
 }
 
-/* Alternates most violated rows and dual steps; at the end y and lam come from the factors, not from the updates. */
+/* Alternates between the search for the most violated row and dual steps. At the end y and lam are computed from the
+ * factors, not from the updates. */
 static status_t qp_iterate(qp_t *q)
 {
     int direct = 1, count = 0, side = INACTIVE;

@@ -1,6 +1,7 @@
-/* Contract of this part: proximal-point iterations around them where H is only semidefinite. */
+/* Contract of this part: proximal point iterations around the dual iterations, for a Hessian that is only
+ * semidefinite. */
 
-/* u = C's */
+/* u = C's. */
 static void qp_to_working_coordinates(const qp_t *q, const real_t *s, real_t *u)
 {
     for (int i = 0; i < LDV; ++i) {
@@ -12,7 +13,7 @@ static void qp_to_working_coordinates(const qp_t *q, const real_t *s, real_t *u)
     }
 }
 
-/* s'E s */
+/* s'E s. */
 static real_t qp_weighted_square(const qp_t *q, const real_t *s)
 {
     real_t sum = R(0);
@@ -22,7 +23,7 @@ static real_t qp_weighted_square(const qp_t *q, const real_t *s)
     return sum;
 }
 
-/* The largest t for which z + t p crosses no bound of a row that is not a member. */
+/* Largest t for which z + t p crosses no bound of a row that is not a member. */
 static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
 {
     real_t over, under, most = (real_t)INFINITY;
@@ -44,10 +45,10 @@ static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
     return most;
 }
 
-/* center += t p to the minimum along p = s + beta p, or to the next bound. On one face this is the conjugate gradient method
- * with the proximal step as the preconditioned residual, so it ends after as many steps as E has directions:
- *     beta = s'(H + E)s / (the one before),   t = s'(H + E)s / p'Hp,   p'Hp = |C'p|^2 - p'Ep
- * Returns t; infinite: the cost decreases without end. total: s'(H + E)s. */
+/* center += t p, up to the minimum along p = s + beta p or to the next bound. On one face this is the conjugate
+ * gradient method with the proximal step as the preconditioned residual. It terminates after rank(E) steps:
+ *     beta = s'(H + E)s / (its previous value),   t = s'(H + E)s / p'Hp,   p'Hp = |C'p|^2 - p'Ep
+ * Returns t, which is infinite if the cost is unbounded below. total: s'(H + E)s. */
 static real_t qp_conjugate_step(qp_t *q, const real_t *s, real_t total)
 {
     const real_t beta = q->total > R(0) && q->face == q->changes ? total / q->total : R(0);
@@ -70,8 +71,8 @@ static real_t qp_conjugate_step(qp_t *q, const real_t *s, real_t total)
     return t;
 }
 
-/* A proximal step s = x - center is known. OK: it is rounding, and x the minimiser. ITERATION_LIMIT: the centre has moved.
- * NUMERICAL_FAILURE: the cost is unbounded below. */
+/* Moves the centre after the proximal step s = x - center. Returns OK if s is at rounding level, so that x is the
+ * minimiser; ITERATION_LIMIT if the centre has moved; NUMERICAL_FAILURE if the cost is unbounded below. */
 static status_t qp_move_center(qp_t *q)
 {
     real_t s[LDV], u[LDV], e[LDV];
@@ -95,8 +96,8 @@ static status_t qp_move_center(qp_t *q)
     return ITERATION_LIMIT;
 }
 
-/* The minimiser for a Hessian that is only semidefinite, by the proximal point method: z_{j+1} minimises the cost plus
- * 1/2 (z - z_j)'E(z - z_j), started at the working set of z_j. */
+/* Minimiser for a Hessian that is only semidefinite, by the proximal point method: z_{j+1} minimises the cost plus 1/2
+ * (z - z_j)'E(z - z_j), starting from the working set of z_j. */
 static status_t qp_iterate_proximal(qp_t *q)
 {
     status_t status = ITERATION_LIMIT;

@@ -1,4 +1,5 @@
-/* Warm start of a shifted problem: the side of control i + n becomes the prediction for control i, the last n keep theirs. */
+/* Warm start of a shifted problem: control i takes the predicted side of control i + n; the last n controls keep
+ * theirs. */
 static void qp_shift_controls(qp_t *q, int n)
 {
     for (int i = 0; i + n < NS * NUS; ++i) {
@@ -7,7 +8,7 @@ static void qp_shift_controls(qp_t *q, int n)
 }
 
 #if NG
-/* General row j takes the prediction of row source[j] >= j, or none if source[j] < 0. */
+/* General row j takes the predicted side of row source[j] >= j, or none if source[j] < 0. */
 static void qp_shift_rows(qp_t *q, const int *source)
 {
     for (int j = 0; j < NG; ++j) {

@@ -1,4 +1,4 @@
-/* Contract of this part: the factorised working set, rows that enter and leave it, the minimiser on it. */
+/* Contract of this part: the factorised working set, its updates when rows enter and leave, and the minimiser on it. */
 
 /* Values of side[]. */
 enum { AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1 };
@@ -13,7 +13,7 @@ static int qp_is_equality(const qp_t *q, int c)
     return q->lower[c] >= q->upper[c];
 }
 
-/* The bound on the side at which row c is. */
+/* Bound of row c on its side. */
 static real_t qp_bound(const qp_t *q, int c)
 {
     return q->side[c] > 0 ? q->upper[c] : q->lower[c];
@@ -27,7 +27,7 @@ static inline real_t qp_value(const qp_t *q, int c, const real_t *z)
 }
 #endif
 
-/* |D^{-1/2} a_c|, D the diagonal of C squared: an estimate of |m|. */
+/* |D^{-1/2} a_c|, an estimate of |m|, where D^{1/2} is the diagonal of C. */
 static real_t qp_row_norm(const qp_t *q, int c)
 {
 #if NG
@@ -42,7 +42,7 @@ static real_t qp_row_norm(const qp_t *q, int c)
     return q->inverse[c];
 }
 
-/* Size of the terms whose sum is a_c'x, a lower bound. */
+/* Magnitude of the terms of a_c'x, a lower bound. */
 static real_t qp_row_size(const qp_t *q, int c)
 {
 #if NG
@@ -57,7 +57,7 @@ static real_t qp_row_size(const qp_t *q, int c)
     return FABS(q->x[c]) + q->inverse[c] * FABS(q->work.basis.y[c]);
 }
 
-/* Members of the working set, in whole panels. */
+/* Number of members of the working set, rounded up to whole panels. */
 static int qp_padded(const qp_t *q)
 {
     return (q->nw + 3) / 4 * 4;
@@ -92,7 +92,7 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
     solve_upper(q->work.basis.R, q->R_inverse, r, q->nw);
 }
 
-/* The normal of row c in y: m = C^{-1} a_c. Returns m'm. */
+/* Normal of row c in the coordinates y: m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
 {
     real_t *m = q->work.basis.m;
@@ -109,7 +109,7 @@ static real_t qp_normal(qp_t *q, int c)
     return dot(m, m, LDV);
 }
 
-/* m = Q'd + v with Q v = 0; a second pass where cancellation has cost orthogonality. Returns v'v. */
+/* m = Q'd + v with Q v = 0; a second pass restores orthogonality after cancellation. Returns v'v. */
 static real_t qp_project(qp_t *q, real_t mm)
 {
     real_t vv = mm;
@@ -133,7 +133,7 @@ static real_t qp_project(qp_t *q, real_t mm)
     return vv;
 }
 
-/* Row c enters the working set on the given side with multiplier lam; m = Q'd + v is its projection. */
+/* Adds row c to the working set on the given side with multiplier lam; m = Q'd + v is its projection. */
 static void qp_append(qp_t *q, int c, int side, real_t vv, real_t lam)
 {
     basis_t *w = &q->work.basis;
@@ -158,7 +158,7 @@ static void qp_append(qp_t *q, int c, int side, real_t vv, real_t lam)
     ++q->changes;
 }
 
-/* (u, v) := (c u + s v, c v - s u) */
+/* (u, v) := (c u + s v, c v - s u). */
 static inline void rotate(real_t c, real_t s, real_t *u, real_t *v)
 {
     const real_t old = *u;
@@ -183,7 +183,7 @@ static void qp_rotate(qp_t *q, int k)
     }
 }
 
-/* Member k leaves the working set. */
+/* Removes member k from the working set. */
 static void qp_remove(qp_t *q, int k)
 {
     basis_t *w = &q->work.basis;
@@ -208,7 +208,8 @@ static void qp_remove(qp_t *q, int k)
 #include "qp/dense_active_set_elastic.c"
 #endif
 
-/* y0 = -C^{-1} (g - proximal center + sum_saturated mult_c a_c);  scale = |y0|, or the size of its terms. */
+/* y0 = -C^{-1} (g - proximal center + sum_saturated mult_c a_c); scale = |y0| plus the magnitude of the saturated
+ * terms. */
 static void qp_set_origin(qp_t *q)
 {
     clear(q->y0);
@@ -223,14 +224,14 @@ static void qp_set_origin(qp_t *q)
     q->scale += norm(q->y0);
 }
 
-/* 1 if y is the small difference of large terms. */
+/* Returns 1 if y is a small difference of large terms. */
 static int qp_cancelled(const qp_t *q)
 {
     const real_t size = R(0.125) * q->scale;
     return dot(q->work.basis.y, q->work.basis.y, LDV) < size * size;
 }
 
-/* c = Q v - w, and v := v - Q'c fulfils Q v = w. */
+/* c = Q v - w, then v := v - Q'c, which satisfies Q v = w. */
 static void qp_move_to_bounds(const qp_t *q, const real_t *w, real_t *c, real_t *v)
 {
     qp_coefficients(q, v, c);
@@ -240,8 +241,8 @@ static void qp_move_to_bounds(const qp_t *q, const real_t *w, real_t *c, real_t 
     qp_subtract_span(q, c, v);
 }
 
-/* y and lam of the working set; t the active bounds: R'w = t, c = Q y0 - w, y = y0 - Q'c, lam = R^{-1} c. After cancellation
- * a second pass, with y in place of y0, makes Q y = w again. */
+/* y and lam on the working set, where t are the active bounds: R'w = t, c = Q y0 - w, y = y0 - Q'c, lam = R^{-1} c.
+ * After cancellation a second pass, with y in place of y0, restores Q y = w. */
 static void qp_minimize_on_working_set(qp_t *q)
 {
     real_t w[LDV];

@@ -1,9 +1,11 @@
-/* Seam "qp", contract: qp_init, qp_factorize, qp_solve, qp_shift_controls, qp_shift_rows on the condensed QP
- *     min  1/2 z'H z + g'z   s.t.   lower[i] <= z_i <= upper[i],  i < NV;   lower[NV+j] <= A[j] z <= upper[NV+j],  j < NG
- * Here: OSQP, foreign code in the folder osqp/ with one static workspace: copies of this struct share it, and solves must not
- * overlap. All data are loaded anew for every solve. */
+/* Component "qp". Contract: qp_init, qp_factorize, qp_solve, qp_shift_controls, qp_shift_rows on the condensed QP
+ *     min  1/2 z'H z + g'z   s.t.   lower[i] <= z_i <= upper[i],  i < NV;
+ *                                   lower[NV+j] <= A[j] z <= upper[NV+j],  j < NG
+ * Here: OSQP, third-party code in the folder osqp/ with one static workspace. Copies of the solver struct share this
+ * workspace, so that solves must not overlap. All data are loaded again for every solve. */
 
-/* In osqp/API(osqp).c: OSQP's status of the run, 0 if it refused the data. infinity: that of OSQP. */
+/* Defined in osqp/API(osqp).c. Returns the status of OSQP, or 0 if OSQP rejects the data. Infinite bounds become
+ * OSQP_INFTY. */
 int API(osqp_solve)(const double *P, const double *A, const double *g, const double *lower, const double *upper,
     double *z, double *mult, double *certificate, int *iterations);
 
@@ -19,7 +21,7 @@ static void qp_init(qp_t *q)
     }
 }
 
-/* The matrices by columns. */
+/* Stores the matrices H and A by columns. */
 static status_t qp_factorize(qp_t *q)
 {
     int n = 0;
@@ -47,7 +49,7 @@ static status_t qp_fail(qp_t *q, status_t status)
     return status;
 }
 
-/* The dual ray of an infeasible QP, scaled to |f| <= 1. */
+/* Scales the dual ray of an infeasible QP to max |f| = 1. */
 static void qp_scale_certificate(qp_t *q)
 {
     real_t largest = R(0);

@@ -1,24 +1,27 @@
 /* ---------------------------------------------------------------------------------------------------------------------
- * qp: active set on the Riccati recursion
+ * qp: active-set method on the Riccati recursion
  *
- *     min  sum_{k<NS} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_NS'Q_NS x_NS + g_NS'x_NS,   x_{k+1} = S_k z_k + b_k,   dx_0 given
- *     s.t. lower <= (u, rows) <= upper
+ *     min  sum_{k<NS} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_NS'Q_NS x_NS + g_NS'x_NS,   z = (x, u)
+ *     s.t. x_{k+1} = S_k z_k + b_k,   dx_0 given,   lower <= (u, rows) <= upper
  *
- * Contract of the seam
- *   qp_init       once: everything zero, all bounds and penalties infinite, empty working set.
- *   qp_factorize  preparation: all but x_0 is known, lower and upper hold a prediction. Recursion at the predicted working set.
- *   qp_gradient   gradients of the stages changed, matrices did not.
- *   qp_solve      feedback: dx_0 in step.dx[0], lower, upper, penalty are known. Writes x, z, mult, iterations, changes, relaxed.
- *                 OK; ITERATION_LIMIT, STALLED (a working set came back), INFEASIBLE; NUMERICAL_FAILURE: x = z = mult = 0.
- *   qp_shift_controls, qp_shift_rows  before qp_factorize: the prediction moves n controls towards the front, and rows as told.
- * Bounds may be infinite; equality = equal bounds. Soft rows (penalty finite) cost penalty v + curvature / 2 v^2 for a
- * violation v; how many are violated is counted in relaxed.
- * side[] is the working set and stays for the warm start; a caller may edit it before qp_factorize.
+ * Contract
+ *   qp_init       once: all data zero, all bounds and penalties infinite, empty working set.
+ *   qp_factorize  preparation: all data but x_0 are known; lower and upper hold a prediction. Runs the recursion
+ *                 for the predicted working set.
+ *   qp_gradient   called if gradients of the stages have changed, but no matrix.
+ *   qp_solve      feedback: dx_0 in step.dx[0], lower, upper and penalty are known. Writes x, z, mult, iterations,
+ *                 changes, relaxed. Returns OK; ITERATION_LIMIT; STALLED if a working set repeats itself; INFEASIBLE;
+ *                 NUMERICAL_FAILURE with x = z = mult = 0.
+ *   qp_shift_controls, qp_shift_rows  called before qp_factorize: shift the predicted working set by n controls, and
+ *                 its rows as given by source[].
+ * Bounds may be infinite; equal bounds are an equation. A soft row (finite penalty) costs penalty v + curvature / 2 v^2
+ * for a violation v; `relaxed` is the number of violated soft rows.
+ * side[] is the working set and is kept for the warm start; the caller may change it before qp_factorize.
  *
- * Method: the minimiser on the working set by one Riccati recursion: given controls are eliminated, members that are rows enter
- * by the method of multipliers, which needs no decision about their rank. Then every side anew from values and signs of
- * multipliers (primal-dual active set; Hintermueller, Ito, Kunisch 2003); the recursion is repeated from the last stage that
- * changed down to 0.
+ * Method: one Riccati recursion gives the minimiser on the working set. Controls in the working set are eliminated;
+ * rows in the working set are treated by the method of multipliers, which requires no decision on their rank. Then
+ * every side is updated from the values and the signs of the multipliers (primal-dual active set; Hintermueller, Ito,
+ * Kunisch 2003). The recursion is repeated from the last stage with a change down to stage 0.
  * ------------------------------------------------------------------------------------------------------------------ */
 
 #include "riccati/kernel.c"
@@ -35,7 +38,7 @@
 
 #include "qp/riccati_active_set_start.c"
 
-/* What stands of the recursion: nothing; all of it; the matrices that it is made of. */
+/* State of the factors: none; up to date; valid matrices, but factors of another working set. */
 enum { FACTORS_NONE = 0, FACTORS_READY = 1, FACTORS_OTHER = 2 };
 
 #if INTERIOR_POINT
@@ -66,7 +69,7 @@ static void qp_init(solver_t *s)
 }
 
 #if REGULARIZE_REDUCED
-/* The last stage with a member, or -1: later factors are those without members. */
+/* The last stage with a member of the working set, or -1. The factors of later stages are those without members. */
 static int qp_last_member(const qp_t *q)
 {
     int last = -1;
@@ -100,7 +103,7 @@ static status_t qp_factorize(solver_t *s)
 #if REGULARIZE_REDUCED
     q->stale = plain ? qp_last_member(q) : NS;
 #endif
-    if (!qp_renew(s)) { /* weights and members may be those of a QP in other units */
+    if (!qp_renew(s)) { /* weights and working set may belong to a QP with other scales */
         qp_start_empty(s);
         if (!qp_renew(s)) {
             q->factorized = FACTORS_NONE;
@@ -118,7 +121,7 @@ static void qp_gradient(solver_t *s)
 }
 
 #endif
-/* 1 if all multipliers are finite: data of a control that is given enter nothing else. */
+/* Returns 1 if all multipliers are finite. Invalid data of a fixed control appear only in its multiplier. */
 static int qp_has_multipliers(const qp_t *q)
 {
     real_t sum = R(0);
@@ -128,13 +131,13 @@ static int qp_has_multipliers(const qp_t *q)
     return isfinite(sum);
 }
 
-/* Working sets from the predicted one, then what else there is to try. */
+/* Active-set iterations from the predicted working set, then the fallback. */
 static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
     q->exact = 1;
     status_t status = qp_iterate(s, QP_MAX_ITERATIONS);
-    if (status != OK) { /* a breakdown that another attempt does not cure: no minimum, or bad numbers */
+    if (status != OK) { /* a numerical failure that persists: unbounded QP or invalid data */
         const status_t next = qp_fall_back(s);
         status = (status == NUMERICAL_FAILURE && next == ITERATION_LIMIT) ? status : next;
         status = qp_has_multipliers(q) ? status : NUMERICAL_FAILURE;

@@ -1,7 +1,7 @@
-/* Contract of this part: what is done when no working set is found: the interior point method, then the working set that its
- * complementarity names. */
+/* Contract of this part: the fallback if no working set is found: the interior point method, followed by an attempt
+ * from the working set that its complementarity indicates. */
 
-/* The solution of the interior point method goes to its own scratch. */
+/* Saves the solution of the interior point method in work arrays of that method. */
 static void qp_put_aside(solver_t *s)
 {
     const qp_t *q = &s->qp;
@@ -12,7 +12,7 @@ static void qp_put_aside(solver_t *s)
     memcpy(s->ipm.force, q->mult, sizeof q->mult);
 }
 
-/* It comes back, and the sides that belong to it. */
+/* Restores this solution and sets the sides that belong to it. */
 static void qp_take_back(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -25,7 +25,8 @@ static void qp_take_back(solver_t *s)
     q->exact = 0;
 }
 
-/* From the empty working set; where this fails, the interior point method and then the set that it names. */
+/* Restarts from the empty working set. If this fails, runs the interior point method and restarts from the working set
+ * that it indicates. */
 static status_t qp_fall_back(solver_t *s)
 {
     qp_t *q = &s->qp;

@@ -1,12 +1,13 @@
-/* Contract of this part: from a working set to the next, all changes at once (primal-dual active set). */
+/* Contract of this part: the step from one working set to the next, with all changes at once (primal-dual active
+ * set). */
 
-/* What is taken as rounding: as long as the minimiser is not refined, errors of the root of the precision too. */
+/* Tolerance for rounding errors: `exact`, or a multiple of sqrt(machine epsilon) while the minimiser is not refined. */
 static inline real_t qp_tolerance(const qp_t *q, real_t exact)
 {
     return q->rough ? R(16) * SQRT(TOL_UNIT) : exact;
 }
 
-/* The side that bounds say: v is the value of what is no member. */
+/* Side of c, which is not a member, from its value v and its bounds; `size` is the magnitude of the terms of v. */
 static inline int qp_side_of_value(const qp_t *q, int c, real_t v, real_t size)
 {
     const real_t tolerance = qp_tolerance(q, TOL_RICCATI_FEASIBILITY);
@@ -16,7 +17,7 @@ static inline int qp_side_of_value(const qp_t *q, int c, real_t v, real_t size)
     return (q->lower[c] - v > tolerance * (size + FABS(q->lower[c]))) ? AT_LOWER : INACTIVE;
 }
 
-/* The side of control j of stage k. A member leaves if its multiplier has the wrong sign by more than rounding. */
+/* New side of control j of stage k. A member leaves if its multiplier has the wrong sign by more than rounding. */
 static int qp_side_of_control(const solver_t *s, int k, int j)
 {
     const qp_t *q = &s->qp;
@@ -38,7 +39,7 @@ static int qp_side_of_control(const solver_t *s, int k, int j)
 }
 
 #if NG
-/* The largest multiplier of a row, and the largest one over the root of its row. */
+/* Largest multiplier of a row, and largest multiplier / root of a row. */
 typedef struct {
     real_t mult;
     real_t scaled;
@@ -55,7 +56,8 @@ static largest_t qp_largest_multipliers(const qp_t *q)
     return largest;
 }
 
-/* The side of a member that is row m, by its multiplier: it leaves at the wrong sign, a soft one becomes violated at the limit. */
+/* New side of the member row m from its multiplier: it leaves if the sign is wrong, and a soft row becomes violated if
+ * its multiplier exceeds the penalty. */
 static int qp_side_of_member(const qp_t *q, int m, real_t rounding)
 {
     const int c = NV + m, side = q->side[c];
@@ -75,7 +77,7 @@ static int qp_side_of_member(const qp_t *q, int m, real_t rounding)
     return side;
 }
 
-/* The side of row m; a violated one becomes a member when it is not violated. */
+/* New side of row m; a violated row becomes a member once its violation vanishes. */
 static int qp_side_of_row(const solver_t *s, int m, const largest_t *largest)
 {
     const qp_t *q = &s->qp;
@@ -95,7 +97,7 @@ static int qp_side_of_row(const solver_t *s, int m, const largest_t *largest)
     return qp_side_of_member(q, m, qp_tolerance(q, TOL_RICCATI_SIGN) * (terms + stiff));
 }
 
-/* Violation of row m, which is no member, relative to what its value sums and its bound. */
+/* Violation of row m, which is not a member, relative to the terms of its value and its bound. */
 static real_t qp_violation(const solver_t *s, int m)
 {
     const qp_t *q = &s->qp;
@@ -105,8 +107,8 @@ static real_t qp_violation(const solver_t *s, int m)
     return (over > under ? over : under) / (qp_row_size(s, m) + bound);
 }
 
-/* The side of every row anew. Of the inactive ones only the most violated enter: when one of them is met its neighbours in time
- * are too, as a rule, and more members than controls contradict each other. */
+/* Updates the side of every row. Of the inactive rows only the most violated ones enter: satisfying one of them usually
+ * satisfies its neighbours in time as well, and more members than controls contradict one another. */
 static void qp_revise_rows(solver_t *s)
 {
     const qp_t *q = &s->qp;
@@ -126,7 +128,7 @@ static void qp_revise_rows(solver_t *s)
 }
 
 #endif
-/* Every side anew; returns the number of changes. */
+/* Updates all sides; returns the number of changes. */
 static int qp_revise(solver_t *s)
 {
     const int before = s->qp.changes;
@@ -141,7 +143,8 @@ static int qp_revise(solver_t *s)
     return s->qp.changes - before;
 }
 
-/* 1 if the working set is among the first `tried` of this solve; remembers it. */
+/* Returns 1 if the working set equals one of the first `tried` sets of this solve, compared by their hashes; records
+ * it. */
 static int qp_seen(qp_t *q, int tried)
 {
     uint32_t hash = 2166136261U;
@@ -157,7 +160,7 @@ static int qp_seen(qp_t *q, int tried)
     return 0;
 }
 
-/* Recursion and vectors, as far as they are out of date. */
+/* Updates the stale part of the recursion and of its vectors. Returns 0 if the factorisation fails. */
 static int qp_renew(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -173,7 +176,7 @@ static int qp_renew(solver_t *s)
 }
 
 #if NG
-/* Members that are still off their bounds get a larger weight; 0 if none can. */
+/* Increases the weights of members that are still off their bounds; returns 0 if none can be increased. */
 static int qp_raise_weights(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -193,7 +196,8 @@ static int qp_raise_weights(solver_t *s)
 }
 
 #endif
-/* The minimiser on the working set, refined if nothing but rounding is to be gained otherwise. changed: sides that it changes. */
+/* The minimiser on the working set, refined if the working set would otherwise remain unchanged. `changed` is the
+ * number of sides that the minimiser changes. */
 static status_t qp_minimize(solver_t *s, int *changed)
 {
     qp_t *q = &s->qp;
@@ -220,8 +224,8 @@ static status_t qp_minimize(solver_t *s, int *changed)
     return status;
 }
 
-/* The active-set loop: working sets until one repeats itself. OK; STALLED: a set came back, or the members of one contradict each
- * other; ITERATION_LIMIT; NUMERICAL_FAILURE. */
+/* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself or
+ * its members contradict one another; ITERATION_LIMIT; NUMERICAL_FAILURE. */
 static status_t qp_iterate(solver_t *s, int most)
 {
     qp_t *q = &s->qp;
@@ -249,7 +253,7 @@ static status_t qp_iterate(solver_t *s, int most)
     return ITERATION_LIMIT;
 }
 
-/* 1 if a bound can give c no multiplier of this sign. */
+/* Returns 1 if the multiplier of c has a sign that its side does not allow. */
 static inline int qp_wrong_sign(const qp_t *q, int c)
 {
     if (q->side[c] == INACTIVE) {
@@ -258,7 +262,7 @@ static inline int qp_wrong_sign(const qp_t *q, int c)
     return q->side[c] > 0 ? q->mult[c] < R(0) : q->mult[c] > R(0);
 }
 
-/* Controls inside of their bounds exactly, multipliers of the right sign, soft rows that are violated. */
+/* Clips the controls to their bounds, sets multipliers of the wrong sign to 0 and counts the violated soft rows. */
 static void qp_finish(qp_t *q)
 {
     for (int c = 0; c < NV; c++) {

@@ -1,8 +1,9 @@
-/* Contract of this part: the minimiser on the working set to rounding. Corrections solve for the residuals of the original
- * optimality conditions with the factors at hand, so what these hold beyond the original data (weights of members, shares on
- * pivots) costs steps, not accuracy. Members: the method of multipliers; pivots: the proximal point method. */
+/* Contract of this part: refinement of the minimiser on the working set to rounding accuracy. Corrections are computed
+ * with the present factors from the residuals of the original optimality conditions, so that perturbations in the
+ * factors (weights of members, additions to pivots) cost iterations, not accuracy. For members this is the method of
+ * multipliers, for pivots the proximal point method. */
 
-/* 1 if the factors are not those of the original problem on the working set. */
+/* Returns 1 if the factors differ from those of the original problem on the working set. */
 static int qp_is_approximate(const solver_t *s)
 {
     int approximate = 0;
@@ -17,7 +18,7 @@ static int qp_is_approximate(const solver_t *s)
     return approximate;
 }
 
-/* Gradient of the Lagrangian at stage k and gap of the dynamics into the right-hand sides. */
+/* Stores the gradient of the Lagrangian at stage k and the gap of the dynamics in the right-hand sides. */
 static void qp_residual(solver_t *s, int k)
 {
     const qp_t *q = &s->qp;
@@ -44,7 +45,8 @@ static void qp_residual(solver_t *s, int k)
 #endif
 }
 
-/* size[]: at least the terms of the gradient at stage k < NS, multipliers of the dynamics or what they exert on the controls. */
+/* Increases size[] to at least the terms of the gradient at stage k < NS: for states the multipliers of the dynamics,
+ * for controls their products with B. */
 static void qp_take_sizes(solver_t *s, int k, real_t *size)
 {
     const real_t *g = stage_g(s, k), *lam = s->riccati.work.vectors.lam[k + 1];
@@ -62,7 +64,7 @@ static void qp_take_sizes(solver_t *s, int k, real_t *size)
     }
 }
 
-/* The largest entry of the gradient relative to its terms. */
+/* Largest entry of the gradient relative to the magnitude of its terms. */
 static real_t qp_gradient_size(solver_t *s)
 {
     real_t *size = s->qp.size, worst = R(0);
@@ -81,14 +83,15 @@ static real_t qp_gradient_size(solver_t *s)
 }
 
 #if NG
-/* How far the value of member m is from its bound. */
+/* Distance of the value of member m from its bound. */
 static inline real_t qp_offset(const qp_t *q, int m)
 {
     return q->value[m] - q->target[m];
 }
 
-/* By how much to stretch the correction (dx, du), d = distances of members: to the least (d + times change)'W(d + times change).
- * Where members nearly depend on each other the method of multipliers takes short steps in one direction. */
+/* Step length for the correction (dx, du) that minimises (d + times change)'W(d + times change), where d are the
+ * distances of the members from their bounds. If members are nearly dependent, the method of multipliers takes short
+ * steps in one direction. */
 static real_t qp_stretch(const solver_t *s)
 {
     const qp_t *q = &s->qp;
@@ -106,8 +109,8 @@ static real_t qp_stretch(const solver_t *s)
     return gain < R(65536) * size ? gain / size : R(65536);
 }
 
-/* What a correction does to the multipliers of rows: those of members from its value, small as it is, for the rounding of a'z - t
- * would be multiplied by the weight. */
+/* Adds the correction to the multipliers of the rows. For members the small value of the correction is used, because
+ * the weight would amplify the rounding error of a'z - t. */
 static void qp_correct_rows(solver_t *s, real_t times)
 {
     qp_t *q = &s->qp;
@@ -121,7 +124,7 @@ static void qp_correct_rows(solver_t *s, real_t times)
     }
 }
 
-/* The largest distance of a member from its bound, relative. */
+/* Largest relative distance of a member from its bound. */
 static real_t qp_distance(const solver_t *s)
 {
     const qp_t *q = &s->qp;
@@ -137,7 +140,7 @@ static real_t qp_distance(const solver_t *s)
 }
 
 #endif
-/* Adds `times` the correction (dx, du) and what it does to the multipliers. */
+/* Adds `times` the correction (dx, du) and the corresponding change of the multipliers. */
 static void qp_add_correction(solver_t *s, real_t times)
 {
     qp_t *q = &s->qp;
@@ -166,7 +169,8 @@ static void qp_add_correction(solver_t *s, real_t times)
 #endif
 }
 
-/* The correction of (x, z, lam, mult) for the residuals in the right-hand sides; weight (a'z - t) a of members joins them. */
+/* Correction of (x, z, lam, mult) for the residuals in the right-hand sides, to which weight (a'z - t) a of the members
+ * is added. */
 static void qp_direction(solver_t *s)
 {
     direction_t *d = &s->riccati.work.vectors.rhs.direction;
@@ -182,8 +186,8 @@ static void qp_direction(solver_t *s)
     riccati_forward(s, d->dx, d->du);
 }
 
-/* Residuals into the right-hand sides, what is left into q->residual; at_members: it is their distance from their bounds. 0 if it
- * is not finite. */
+/* Stores the residuals in the right-hand sides and the largest relative residual in q->residual; at_members is set if
+ * the latter is a distance of a member from its bound. Returns 0 if it is not finite. */
 static int qp_take_residuals(solver_t *s, int *at_members)
 {
     qp_t *q = &s->qp;
@@ -200,8 +204,9 @@ static int qp_take_residuals(solver_t *s, int *at_members)
     return isfinite(q->residual) && qp_measure(q);
 }
 
-/* Corrections until the residuals are rounding; slow ones near to it are stretched, every other one. OK; STALLED: they fall no
- * more, the members may contradict each other; NUMERICAL_FAILURE. */
+/* Corrects until the residuals are at rounding level. If convergence is slow near that level, every other correction is
+ * stretched. Returns OK; STALLED if the residuals stop decreasing, as when members contradict one another;
+ * NUMERICAL_FAILURE. */
 static status_t qp_refine(solver_t *s)
 {
     qp_t *q = &s->qp;

@@ -1,6 +1,7 @@
-/* Contract of this part: the recursion at a working set that comes from elsewhere, and units of the rows. */
+/* Contract of this part: the recursion for a working set from outside the iterations, and the scales of the rows. */
 
-/* The recursion gets the working set, bounds as they are now; everything is out of date. */
+/* Passes the working set, corrected for the present bounds, to the recursion and marks all factors and vectors as
+ * stale. */
 static void qp_enter(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -25,8 +26,9 @@ static void qp_enter(solver_t *s)
 }
 
 #if NG
-/* The cost of moving a row by one is root^2 / 2 or more; as a member it gets a weight that is larger by the root of the precision:
- * one correction makes up for its share in the Hessian, and the rounding that it causes is no larger. */
+/* Moving a row by one costs at least root^2 / 2. The weight of a member is root^2 / sqrt(machine epsilon): one
+ * correction then removes the error of the weighting, and the rounding error due to the weight is no larger than
+ * that. */
 static void qp_set_units(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -39,7 +41,7 @@ static void qp_set_units(solver_t *s)
     q->scaled = 1;
 }
 
-/* Units of the rows, from the recursion without members. */
+/* Scales of the rows, from the recursion without members. */
 static void qp_scale_rows(solver_t *s)
 {
     riccati_t *r = &s->riccati;
@@ -53,7 +55,7 @@ static void qp_scale_rows(solver_t *s)
 }
 
 #endif
-/* The empty working set, with units of this QP. */
+/* Starts from the empty working set with the scales of this QP. */
 static void qp_start_empty(solver_t *s)
 {
     memset(s->qp.side, 0, sizeof s->qp.side);

@@ -1,6 +1,7 @@
-/* Contract of this part: what is done when no working set is found: a second attempt. */
+/* Contract of this part: the fallback if no working set is found, which is a second attempt. */
 
-/* From the empty working set. OK; ITERATION_LIMIT: no working set is found, be it that there is none; NUMERICAL_FAILURE. */
+/* Restarts from the empty working set. Returns OK; ITERATION_LIMIT if no working set is found, whether or not one
+ * exists; NUMERICAL_FAILURE. */
 static status_t qp_fall_back(solver_t *s)
 {
     qp_start_empty(s);

@@ -1,8 +1,8 @@
-/* Contract of this part: the working set side[], what it does to the recursion, and what its minimiser says about it.
+/* Contract of this part: the working set side[], its effect on the recursion, and the multipliers at its minimiser.
  *
- * A member is an equation at its bound: a control is given, a row has the augmented Lagrangian
+ * A member is an equation at its bound: a control is fixed, a row has the augmented Lagrangian
  *     center (a'z - t) + weight/2 (a'z - t)^2,   mult = center + weight (a'z - t)
- * A soft row that is violated has the cost +-l1 (a'z - t) + l2/2 (a'z - t)^2. */
+ * A violated soft row has the cost +-l1 (a'z - t) + l2/2 (a'z - t)^2. */
 
 static inline real_t qp_target(const qp_t *q, int c)
 {
@@ -15,7 +15,7 @@ static inline int qp_is_member(int side)
     return side == AT_LOWER || side == AT_UPPER;
 }
 
-/* |a|'|z| of row m with the largest entry of every component. */
+/* Bound |a|'|z| of the terms of row m, with the largest magnitude of every component of z over all stages. */
 static real_t qp_row_size(const solver_t *s, int m)
 {
     const real_t *scale = s->qp.scale;
@@ -34,17 +34,17 @@ static real_t qp_row_size(const solver_t *s, int m)
 }
 
 #endif
-/* The factors of the stages up to k do not fit the working set any more. */
+/* Marks the factors and vectors of the stages 0 .. k as stale after a change of the working set. */
 static inline void qp_outdate(qp_t *q, int k)
 {
     q->stale = k > q->stale ? k : q->stale;
     q->stale_vectors = k > q->stale_vectors ? k : q->stale_vectors;
 }
 
-/* Nor do the vectors, if a member's bound is not the one that they were made with. */
+/* Marks the vectors of the stages 0 .. k as stale if the bound of a member has changed. */
 static inline void qp_outdate_vectors(qp_t *q, int c, int k, real_t target)
 {
-    /* A bound that is the same is the same number. */
+    /* Exact comparison: an unchanged bound is the same number. */
     if (q->side[c] != INACTIVE && qp_target(q, c) != target) {
         q->stale_vectors = k > q->stale_vectors ? k : q->stale_vectors;
     }
@@ -63,7 +63,7 @@ static void qp_set_control(solver_t *s, int k, int j, int side)
 }
 
 #if NG
-/* What row m adds to the Hessian along a a'. */
+/* Weight of a a' in the Hessian that row m adds. */
 static inline real_t qp_weight(const qp_t *q, int m, int side)
 {
     if (side == INACTIVE) {
@@ -72,7 +72,7 @@ static inline real_t qp_weight(const qp_t *q, int m, int side)
     return qp_is_member(side) ? q->weight[m] : q->curvature[m];
 }
 
-/* What enters has no multiplier yet. */
+/* Sets the side of row m; a new member starts with multiplier 0. */
 static void qp_set_row(solver_t *s, int m, int side)
 {
     qp_t *q = &s->qp;
@@ -87,7 +87,8 @@ static void qp_set_row(solver_t *s, int m, int side)
 }
 
 #endif
-/* A side that the bounds of c allow: equations stay members, there is no side at an infinite bound. */
+/* Returns `side`, corrected to a side that the bounds of c allow: an equation is always a member, and an infinite bound
+ * has no side. */
 static inline int qp_allowed(const qp_t *q, int c, int side)
 {
     const int no_upper = side > 0 && !(q->upper[c] < (real_t)INFINITY);
@@ -100,7 +101,7 @@ static inline int qp_allowed(const qp_t *q, int c, int side)
 }
 
 #if NG
-/* The same for row m: hard rows have no violated side. */
+/* The same for row m: a hard row has no violated side. */
 static inline int qp_allowed_row(const qp_t *q, int m, int side)
 {
     const int allowed = qp_allowed(q, NV + m, side);
@@ -111,7 +112,7 @@ static inline int qp_allowed_row(const qp_t *q, int m, int side)
 }
 
 #endif
-/* Bounds as they are now: sides that they do not allow, targets that moved. */
+/* Applies the present bounds: corrects sides that they do not allow, and marks vectors with changed bounds as stale. */
 static void qp_take_bounds(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -131,7 +132,7 @@ static void qp_take_bounds(solver_t *s)
 }
 
 #if NG
-/* Members and violated rows of stage k enter its gradient. */
+/* Adds the members and the violated rows of stage k to the gradient of the stage. */
 static void qp_load_rows(solver_t *s, int k)
 {
     qp_t *q = &s->qp;
@@ -147,7 +148,7 @@ static void qp_load_rows(solver_t *s, int k)
 }
 
 #endif
-/* Right-hand sides of the stages whose vectors are stale. */
+/* Right-hand sides of the stages with stale vectors. */
 static void qp_load(solver_t *s)
 {
     const qp_t *q = &s->qp;
@@ -166,7 +167,7 @@ static void qp_load(solver_t *s)
     }
 }
 
-/* The largest entry of every component of x and z. 0 if a number is not finite. */
+/* Largest magnitude of every component of x and z over the stages. Returns 0 if a number is not finite. */
 static int qp_measure(qp_t *q)
 {
     real_t sum = R(0);
@@ -188,7 +189,7 @@ static int qp_measure(qp_t *q)
     return isfinite(sum);
 }
 
-/* Multipliers at the minimiser on the working set. 0 if one, or the value of a row, is not finite. */
+/* Multipliers at the minimiser on the working set. Returns 0 if a multiplier or the value of a row is not finite. */
 static int qp_take_multipliers(solver_t *s)
 {
     qp_t *q = &s->qp;

@@ -1,13 +1,13 @@
 /* ---------------------------------------------------------------------------------------------------------------------
  * qp: Riccati interior point method
  *
- * Contract of the seam
- *   qp_init       once: no bounds, nothing known.
- *   qp_factorize  preparation: matrices are known, lower and upper hold a prediction. OK or NUMERICAL_FAILURE.
- *   qp_gradient   gradients or gaps have changed, no matrix.
- *   qp_solve      feedback: dx_0 in step.dx[0], bounds and penalties as they are now. Writes x, z, mult, side, iterations,
- *                 relaxed. OK; ITERATION_LIMIT; INFEASIBLE: certificate[] holds a contradiction; NUMERICAL_FAILURE.
- *   qp_shift_controls, qp_shift_rows  the warm start moves n controls towards the front, and rows as told.
+ * Contract
+ *   qp_init       once: no bounds, no prediction.
+ *   qp_factorize  preparation: matrices are known, lower and upper hold a prediction. Returns OK or NUMERICAL_FAILURE.
+ *   qp_gradient   called if gradients or gaps have changed, but no matrix.
+ *   qp_solve      feedback: dx_0 in step.dx[0], present bounds and penalties. Writes x, z, mult, side, iterations,
+ *                 relaxed. Returns OK; ITERATION_LIMIT; INFEASIBLE with a proof in certificate[]; NUMERICAL_FAILURE.
+ *   qp_shift_controls, qp_shift_rows  shift the warm start by n controls, and its rows as given by source[].
  * ------------------------------------------------------------------------------------------------------------------ */
 
 #include "riccati/recursion.c"

@@ -1,7 +1,8 @@
-/* Contract of this part: the multipliers against the dynamics, as stationarity or as a proof that there is no feasible point. */
+/* Contract of this part: tests of the multipliers by the adjoint equation, for stationarity or as a proof of
+ * infeasibility. */
 
 #if NXS > NX
-/* Entries of vectors of the states that belong to copies of components of x_0 join those of the originals. */
+/* Adds the entries of a state vector that belong to copies of components of x_0 to those of the original components. */
 static inline void ipm_fold(real_t *w)
 {
     for (int c = 0; c < NXS - NX; c++) {
@@ -11,22 +12,24 @@ static inline void ipm_fold(real_t *w)
 }
 
 #endif
-/* w = S_k'lam + g_k, lam the adjoint of x_{k+1}. */
+/* w = S_k'lam + g_k, where lam is the adjoint of x_{k+1}. */
 static inline void ipm_adjoint_step(solver_t *s, int k, const real_t *lam, real_t *w)
 {
     memcpy(w, s->riccati.work.vectors.rhs.g[k], sizeof s->riccati.work.vectors.rhs.g[k]);
     riccati_combine(w, lam, stage_S(s, k)[0], NZS, NXS, NZS);
 }
 
-/* The sum of the absolute terms of entry i of the gradient at stage k without the dynamics: cost and rows. */
+/* Sum of the absolute values of the terms of entry i of the gradient at stage k, from cost and rows but without the
+ * dynamics. */
 static inline real_t ipm_gradient_terms(solver_t *s, int k, int i)
 {
     const real_t g = stage_g(s, k)[i], cost = s->ipm.gradient[k][i];
     return FABS(g) + FABS(cost - g) + FABS(s->riccati.work.vectors.rhs.g[k][i] - cost);
 }
 
-/* size[j]: the sum of the absolute terms of the gradient of control j at stage k, next[] those of the entries of lam. What lam is
- * a sum of may cancel in it, as where a row holds a state, so its rounding is not seen from lam. */
+/* size[j]: sum of the absolute values of the terms of the gradient of control j at stage k; next[]: the same for the
+ * entries of lam. The terms of lam may cancel, for instance if a row holds a state, so that lam itself does not show
+ * its rounding error. */
 static void ipm_term_sizes(solver_t *s, int k, const real_t *next, real_t *size)
 {
     for (int j = 0; j < NUS; j++) {
@@ -37,7 +40,7 @@ static void ipm_term_sizes(solver_t *s, int k, const real_t *next, real_t *size)
     }
 }
 
-/* The largest |gradient| and the largest sum of its terms, both times the way that one unit of cost allows. */
+/* Largest |gradient| and largest sum of its terms, both scaled by the reach. */
 typedef struct {
     real_t rest;
     real_t terms;
@@ -49,7 +52,8 @@ static inline void ipm_take_gradient(real_t rest, real_t terms, real_t unit, slo
     largest->terms = (terms * unit > largest->terms) ? terms * unit : largest->terms;
 }
 
-/* Gradient w of the controls of stage k, sum of its terms in size: given controls get their multipliers. */
+/* Takes the gradient w of the controls of stage k and the sums of its terms in `size`; fixed controls get their
+ * multipliers. */
 static void ipm_take_controls(solver_t *s, int k, const real_t *w, const real_t *size, slope_t *largest)
 {
     for (int j = 0; j < NUS; j++) {
@@ -62,9 +66,9 @@ static void ipm_take_controls(solver_t *s, int k, const real_t *w, const real_t 
     }
 }
 
-/* Gradient of the Lagrangian with respect to the free controls and components of x_0 relative to the largest of the terms it is
- * a sum of, each times the way that one unit of cost allows, under the feedback u = K x + v: so rounding does not grow along an
- * unstable horizon. Given controls get their multipliers. */
+/* Gradient of the Lagrangian with respect to the free controls and components of x_0, relative to the largest sum of
+ * its terms, both scaled by the reach. It is evaluated under the feedback u = K x + v, so that rounding errors do not
+ * grow along an unstable horizon. Fixed controls get their multipliers. */
 static real_t ipm_stationarity(solver_t *s)
 {
     real_t(*g)[NZS] = s->riccati.work.vectors.rhs.g;
@@ -100,7 +104,7 @@ static real_t ipm_stationarity(solver_t *s)
 }
 
 #if NG
-/* f B of a row with weight f: B its upper bound for f > 0, its lower one for f < 0. */
+/* f B for a row with weight f, where B is its upper bound for f > 0 and its lower bound for f < 0. */
 static inline real_t ipm_support(const qp_t *q, int c, real_t f)
 {
     if (f > R(0)) {
@@ -109,7 +113,7 @@ static inline real_t ipm_support(const qp_t *q, int c, real_t f)
     return (f < R(0)) ? f * q->lower[c] : R(0);
 }
 
-/* The largest weight. */
+/* Largest |weight| of the certificate. */
 static real_t ipm_largest_weight(const qp_t *q)
 {
     real_t most = R(0);
@@ -119,7 +123,7 @@ static real_t ipm_largest_weight(const qp_t *q)
     return most;
 }
 
-/* The absolute terms of component j of w = S_k'nu + g_k, at stage k. */
+/* Sum of the absolute values of the terms of component j of w = S_k'nu + g_k at stage k. */
 static real_t ipm_ray_terms(solver_t *s, int k, int j, const real_t *nu)
 {
     real_t size = FABS(s->riccati.work.vectors.rhs.g[k][j]);
@@ -129,7 +133,7 @@ static real_t ipm_ray_terms(solver_t *s, int k, int j, const real_t *nu)
     return size;
 }
 
-/* 1 if component j of w is the rounding of the terms it is a sum of. */
+/* Returns 1 if component j of w is zero up to the rounding of its terms. */
 static inline int ipm_vanishes(solver_t *s, int k, int j, const real_t *nu, real_t w)
 {
     return FABS(w) <= TOL_IPM_RAY * ipm_ray_terms(s, k, j, nu);
@@ -152,8 +156,9 @@ static int ipm_free_vanishes(solver_t *s, int j, const real_t *nu, const real_t 
 }
 
 #endif
-/* The weights f of the rows leave sum_c f_c a_c = w for the controls and free states of stage k. The bound of a control takes
- * -w_j if there is one on that side; else w_j must be rounding. Returns 0 if it is not. */
+/* The weights f of the rows leave sum_c f_c a_c = w for the controls and free states of stage k. The bound of control j
+ * takes the weight -w_j if it is finite on that side; otherwise w_j must be zero up to rounding. Returns 0 if it is
+ * not. */
 static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w)
 {
     for (int j = 0; j < NUS; j++) {
@@ -174,8 +179,9 @@ static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w)
     return 1;
 }
 
-/* 1 if the rows contradict each other: with the adjoint nu of the weights f, sum_c f_c v_c = nu_0'dx_0 + sum_k nu_{k+1}'b_k for
- * all points of the dynamics, and f_c v_c <= f_c B_c. */
+/* Returns 1 if the rows contradict one another: with the adjoint nu of the weights f,
+ *     sum_c f_c v_c = nu_0'dx_0 + sum_k nu_{k+1}'b_k
+ * at all points that satisfy the dynamics, while f_c v_c <= f_c B_c implies a smaller sum. */
 static int ipm_contradiction(solver_t *s)
 {
     real_t nu[NXS], w[NZS], gap = R(0), size = R(0);
@@ -206,7 +212,7 @@ static int ipm_contradiction(solver_t *s)
     return gap < -TOL_IPM_CONTRADICTION * size;
 }
 
-/* 1 if the weights prove that there is no feasible point: the largest becomes 1. Else there is no certificate. */
+/* Returns 1 if the weights prove infeasibility, and scales the largest to 1. Otherwise clears the certificate. */
 static int ipm_certify(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -221,8 +227,8 @@ static int ipm_certify(solver_t *s)
     return 0;
 }
 
-/* 1, with the certificate, if the present multipliers of the hard rows, each with the sign of a finite bound, prove that there is
- * no feasible point. */
+/* Returns 1, with the certificate, if the present multipliers of the hard rows prove infeasibility. Only multipliers
+ * with the sign of a finite bound are used. */
 static int ipm_infeasible(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -240,7 +246,7 @@ static int ipm_infeasible(solver_t *s)
     return 0;
 }
 
-/* Rows that no control moves are met or not, whatever is done. 1, with the certificate, if one is not. */
+/* Checks the hard rows that no control moves. Returns 1, with the certificate, if one is violated. */
 static int ipm_constant_rows(solver_t *s)
 {
     qp_t *q = &s->qp;

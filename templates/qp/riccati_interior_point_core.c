@@ -1,10 +1,11 @@
-/* Primal-dual interior point method of Mehrotra (1992) on the stages of the QP, with the Riccati recursion as its linear algebra.
+/* Primal-dual interior point method of Mehrotra (1992) on the stages of the QP; the Riccati recursion solves the linear
+ * systems.
  *
  *     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + sum_soft (l1_c e_c + l2_c/2 e_c^2)   s.t.   x_{k+1} = S_k z_k + b_k,
  *          bound_i - sign_i v_i + e_i = t_i >= 0  for every finite side i of a row,   v_c = B_c  for an equation
  *
- * A step solves for the directions of t, lam (and of e, kappa of a soft side) row by row, so that only the weights of the rows
- * enter the recursion; equations have the weight of a small compliance and are met by corrections of their multipliers.
+ * The directions of t, lam (and of e, kappa of a soft side) are eliminated row by row, so that only the weights of the
+ * rows enter the recursion. An equation is a row with a small compliance; corrections of its multiplier make it exact.
  */
 
 #include "qp/riccati_interior_point_rows.c"
@@ -15,7 +16,8 @@
 
 #include "qp/riccati_interior_point_iterate.c"
 
-/* The side of every row that is an active side of an inequality, by what its distance to the bound would cost. */
+/* Sets the side of every row that is active: its multiplier exceeds the one that corresponds to its distance from the
+ * bound, lam reach^2 > t. */
 static void ipm_write_active(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
@@ -35,7 +37,7 @@ static void ipm_write_active(solver_t *s)
 }
 
 #if NG
-/* Soft rows that no control moves are violated if they have a multiplier. */
+/* Marks a soft row that no control moves as violated if it has a multiplier. */
 static void ipm_write_constant(solver_t *s)
 {
     for (int c = NV; c < NV + NG; c++) {
@@ -47,8 +49,8 @@ static void ipm_write_constant(solver_t *s)
 }
 
 #endif
-/* side: rows whose multiplier is larger than what their distance to the bound would cost, and soft ones that are violated.
- * Multipliers of the others that are only rounding become 0. */
+/* Sets side[]: the active rows and the violated soft rows. Multipliers of the other rows that are only rounding errors
+ * become 0. */
 static void ipm_write_sides(solver_t *s)
 {
     qp_t *qp = &s->qp;
@@ -75,7 +77,8 @@ static void ipm_write_sides(solver_t *s)
 #endif
 }
 
-/* Everything that does not depend on dx_0. plain: the factors at hand are those without given controls and without rows. */
+/* Performs all computations that do not depend on dx_0. plain: the present factors are those without fixed controls and
+ * without rows. */
 static status_t ipm_prepare(solver_t *s, int plain)
 {
     s->ipm.ready = 0;
@@ -89,8 +92,8 @@ static status_t ipm_prepare(solver_t *s, int plain)
     return OK;
 }
 
-/* The first point is the solution if it meets all rows, once equations are exact and given controls have their multipliers.
- * Returns 1 if it is, or if something is wrong with the equations. */
+/* The first point is the solution if it satisfies all rows, once equations are exact and fixed controls have their
+ * multipliers. Returns 1 if it is the solution or if the iterations for the equations fail. */
 static int ipm_run_without_sides(solver_t *s, status_t *status)
 {
     ipm_t *q = &s->ipm;
@@ -111,8 +114,8 @@ static int ipm_run_without_sides(solver_t *s, status_t *status)
     return *status != OK || !ipm_any_violation(s);
 }
 
-/* The first point is known. Products t lam start at twice the mean cost of the violations, with the multipliers of the QP before
- * at a tenth of it. */
+/* Solves from the first point. The products t lam start at twice the mean cost of the violations, or at a tenth of it
+ * with the multipliers of the previous QP. */
 static status_t ipm_run(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
@@ -133,7 +136,7 @@ static status_t ipm_run(solver_t *s)
     return ipm_iterate(s);
 }
 
-/* From the first factorisation and its backward substitution to the solution. */
+/* Solves from the first factorisation and its backward substitution. */
 static status_t ipm_attempt(solver_t *s)
 {
     s->ipm.ready = 0;
@@ -149,7 +152,8 @@ static status_t ipm_attempt(solver_t *s)
 }
 
 #if IPM_WARM_START
-/* An attempt from the multipliers of the QP before; one that does not get there by half the cap is given up for a cold one. */
+/* An attempt from the multipliers of the previous QP. If it has not converged after half of the iterations, a cold
+ * start replaces it. */
 static status_t ipm_attempts(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -170,7 +174,7 @@ static status_t ipm_attempts(solver_t *s)
 }
 
 #endif
-/* The first factorisation and its backward substitution fit the present bounds. */
+/* Adapts the first factorisation and its backward substitution to the present bounds. */
 static status_t ipm_update(solver_t *s)
 {
     if (ipm_take_kinds(s) || !s->ipm.ready) {
@@ -182,7 +186,7 @@ static status_t ipm_update(solver_t *s)
     return OK;
 }
 
-/* The solution for dx_0 and the present bounds. */
+/* Solves the QP for dx_0 and the present bounds. */
 static status_t ipm_solve(solver_t *s)
 {
     ipm_t *q = &s->ipm;

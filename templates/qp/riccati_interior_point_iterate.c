@@ -1,7 +1,7 @@
-/* Contract of this part: predictor-corrector iterations from started sides to the solution. */
+/* Contract of this part: predictor-corrector iterations from the initial sides to the solution. */
 
 #if NG
-/* Multiplier of a soft row that no control moves, 0 of any other row. */
+/* Multiplier of a soft row that no control moves; 0 for any other row. */
 static real_t ipm_constant_multiplier(const solver_t *s, int c)
 {
     const qp_t *q = &s->qp;
@@ -17,7 +17,7 @@ static real_t ipm_constant_multiplier(const solver_t *s, int c)
 }
 
 #endif
-/* Multipliers of the rows, without those of given controls. */
+/* Multipliers of the rows, except those of fixed controls. */
 static void ipm_net_multipliers(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
@@ -33,9 +33,9 @@ static void ipm_net_multipliers(solver_t *s)
     }
 }
 
-/* The unit of the complementarity: what the inequalities cost, 1/2 sum_c mult_c (v_c at the first point - v_c), but no more than
- * the largest (mult reach)^2 of a row; no less than a small share of the largest (value / reach)^2 of a control, for inequalities
- * that only touch cost nothing. */
+/* Unit of the complementarity: the cost of the inequalities, 1/2 sum_c mult_c (v_c at the first point - v_c), at most
+ * the largest (mult reach)^2 of a row. As active inequalities may have no cost, it is at least a small fraction of the
+ * largest (value / reach)^2 of a control. */
 static real_t ipm_cost_unit(const solver_t *s)
 {
     const ipm_t *q = &s->ipm;
@@ -55,7 +55,7 @@ static real_t ipm_cost_unit(const solver_t *s)
     return (most > way * way) ? most : way * way;
 }
 
-/* sum |a_i| |z_i| of row c: what the rounding of its value is relative to. */
+/* sum |a_i| |z_i| of row c, the scale of the rounding error of its value. */
 static real_t ipm_terms(const solver_t *s, int c)
 {
 #if NG && (GENERAL_ROWS || NE || BLOCK_ROWS)
@@ -75,8 +75,8 @@ static real_t ipm_terms(const solver_t *s, int c)
     return FABS(s->ipm.v[c]);
 }
 
-/* |residual| of row c relative to |bound|, the terms of its value and the way that the unit of cost allows, if larger than the one
- * before. */
+/* Updates the largest |residual| of a row relative to |bound|, the terms of the value, and the distance that the unit
+ * of cost allows. */
 static void ipm_take_residual(solver_t *s, int c, real_t bound, real_t residual, real_t root)
 {
     ipm_t *q = &s->ipm;
@@ -88,7 +88,7 @@ static void ipm_take_residual(solver_t *s, int c, real_t bound, real_t residual,
     }
 }
 
-/* Residuals at the iterate. */
+/* Multipliers, residuals and unit of cost at the iterate. */
 static void ipm_measure(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -113,8 +113,8 @@ static void ipm_measure(solver_t *s)
 #endif
 }
 
-/* Regularisation keeps a full step from meeting the rows exactly. What it leaves to rows to which others leave little room may not
- * fall fast enough: then there is less of it. Returns 1 if so. */
+/* Due to the regularisation a full step does not satisfy the rows exactly. If the remaining residual decreases too
+ * slowly, as when rows leave little room to one another, the regularisation is reduced. Returns 1 if it is. */
 static int ipm_stiffen(ipm_t *q, real_t before)
 {
     if (q->step > R(0.9) && q->primal > R(2) * TOL_IPM_PRIMAL && q->primal > R(0.125) * before &&
@@ -125,14 +125,14 @@ static int ipm_stiffen(ipm_t *q, real_t before)
     return 0;
 }
 
-/* The largest of -direction[i] / value[i], if larger than `most`. */
+/* max(most, -direction / value). */
 static inline real_t ipm_largest_ratio(real_t most, real_t value, real_t direction)
 {
     const real_t ratio = -direction / value;
     return (ratio > most) ? ratio : most;
 }
 
-/* 1 / (the longest step that keeps t, lam, e and kappa positive). */
+/* 1 / (longest step that keeps t, lam, e and kappa nonnegative). */
 static real_t ipm_inverse_step(const ipm_t *q)
 {
     real_t most = R(0);
@@ -151,7 +151,7 @@ static real_t ipm_inverse_step(const ipm_t *q)
     return most;
 }
 
-/* Mean of t lam and e kappa after a step of the given length, relative to the present one. */
+/* Mean of t lam and e kappa after a step of the given length, relative to the present mean. */
 static real_t ipm_reduction(const ipm_t *q, real_t step)
 {
     real_t now = R(0), then = R(0);
@@ -168,7 +168,7 @@ static real_t ipm_reduction(const ipm_t *q, real_t step)
     return then / now;
 }
 
-/* The affine direction is asked for: no correction. */
+/* Clears the correction terms, for the affine direction. */
 static void ipm_correct_nothing(ipm_t *q)
 {
     memset(q->dt, 0, sizeof q->dt);
@@ -177,8 +177,9 @@ static void ipm_correct_nothing(ipm_t *q)
 #endif
 }
 
-/* Second-order correction and centring for the products t lam and e kappa: extra = (target - share dt dlam) / lam takes the place
- * of dt, and alike for e. The correction of a direction of which only a short step is possible would do harm: share < 1. */
+/* Second-order correction and centring of the products t lam and e kappa: extra = (target - share dt dlam) / lam
+ * replaces dt, and likewise for e. If only a short step along the affine direction is possible, its full correction
+ * would be harmful: share < 1. */
 static void ipm_correct(ipm_t *q, real_t target, real_t share)
 {
     for (int i = 0; i < q->sides; i++) {
@@ -191,7 +192,7 @@ static void ipm_correct(ipm_t *q, real_t target, real_t share)
 #endif
 }
 
-/* States and controls move, and close their share of the gaps. */
+/* Moves states and controls by `step` times the direction, which multiplies the gaps by 1 - step. */
 static void ipm_move_point(solver_t *s, real_t step)
 {
     riccati_t *r = &s->riccati;
@@ -209,7 +210,7 @@ static void ipm_move_point(solver_t *s, real_t step)
     }
 }
 
-/* All unknowns move. */
+/* Moves all unknowns by `step` times the direction. */
 static void ipm_move(solver_t *s, real_t step)
 {
     ipm_t *q = &s->ipm;
@@ -234,8 +235,8 @@ static void ipm_move(solver_t *s, real_t step)
 #endif
 }
 
-/* The share of the way to the boundary that is not gone: little, and less near the solution. An iteration that takes long without
- * being near it is going round in circles, close to the boundary; a larger distance from there breaks them. */
+/* Fraction of the distance to the boundary that is kept: small, and smaller near the solution. An iteration that is
+ * still far from the solution after many steps cycles close to the boundary; a larger fraction ends the cycle. */
 static real_t ipm_setback(const solver_t *s)
 {
     const real_t gap = s->ipm.mu / s->ipm.unit;
@@ -246,8 +247,9 @@ static real_t ipm_setback(const solver_t *s)
 }
 
 #if NG
-/* By how much to stretch a direction, d = residual of the equations: d'W d / -d'W dv, the step of steepest ascent of the dual
- * function. Where equations nearly depend on each other the method of multipliers takes short steps in one direction. */
+/* Step length d'W d / -d'W dv for a direction, where d is the residual of the equations: the step of steepest ascent of
+ * the dual function. If equations are nearly dependent, the method of multipliers takes short steps in one
+ * direction. */
 static real_t ipm_stretch(const solver_t *s)
 {
     const ipm_t *q = &s->ipm;
@@ -266,7 +268,7 @@ static real_t ipm_stretch(const solver_t *s)
 }
 
 #endif
-/* Mehrotra (1992): affine direction, centring as its success allows, corrected direction. */
+/* Mehrotra (1992): affine direction, centring according to its success, corrected direction. */
 static void ipm_step(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -297,8 +299,8 @@ static void ipm_step(solver_t *s)
     ipm_move(s, q->step);
 }
 
-/* b = S z + b - x of the next stage at the iterate, whose rounding adds up over the iterations; the largest relative to the
- * largest value of that state. */
+/* Gaps b = S_k z_k + b_k - x_{k+1} at the iterate, where rounding errors accumulate over the iterations. Returns the
+ * largest gap relative to the largest value of that state. */
 static real_t ipm_gaps(solver_t *s)
 {
     real_t most = R(0), size[NXS] = {0};
@@ -318,14 +320,14 @@ static real_t ipm_gaps(solver_t *s)
     return most;
 }
 
-/* Residuals that are good enough where they fall no more. */
+/* Returns 1 if the residuals are small enough to be accepted when they stop decreasing. */
 static inline int ipm_small_residuals(const ipm_t *q)
 {
     return q->merit <= R(16384) && q->slope <= R(1024);
 }
 
-/* 1 if all residuals are at their tolerance, or small and no longer falling: the gradient may be noisy where weights are large.
- * Gaps of the dynamics are closed then. */
+/* Returns 1 if all residuals are within their tolerance, or small and not decreasing: large weights may cause rounding
+ * errors in the gradient. In that case the gaps of the dynamics are closed first. */
 static int ipm_converged(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -350,7 +352,8 @@ static int ipm_converged(solver_t *s)
     return 1;
 }
 
-/* Stiff rows drown the gradient in their rounding: once that does not pass, there is less stiffening for good. Returns 1 if so. */
+/* Stiff rows may cover the gradient with rounding errors. If that persists, the stiffening is reset and limited to a
+ * lower value for the rest of the solve. Returns 1 if it is. */
 static int ipm_soften(ipm_t *q, real_t gradient_before)
 {
     if (q->stiffening > R(1) && q->slope < (real_t)INFINITY && q->slope > R(1024) &&
@@ -362,7 +365,8 @@ static int ipm_soften(ipm_t *q, real_t gradient_before)
     return 0;
 }
 
-/* Stiff rows may be too much for the recursion. 0 if it fails with the regularisation that they began with, too. */
+/* The recursion may fail if rows are too stiff; it is then repeated with the initial regularisation. Returns 0 if that
+ * fails, too. */
 static int ipm_weigh_and_factorize(solver_t *s)
 {
     ipm_weigh(s);
@@ -377,14 +381,16 @@ static int ipm_weigh_and_factorize(solver_t *s)
 }
 
 #if NG
-/* 1 if the next step is to be stretched: every other one, where nothing but equations is left that hardly come closer. */
+/* Returns 1 if the next step is to be stretched: every other step if only the equations have not converged and their
+ * residuals hardly decrease. */
 static int ipm_slow_equations(const ipm_t *q, real_t before)
 {
     return !q->stretched && q->primal > R(0.875) * before && q->stiffening >= q->stiffest &&
         q->mu <= R(16384) * TOL_IPM_GAP * q->unit && ipm_any(q, EQUATION);
 }
 
-/* The same before an end with equations that are off by more than rounding; 1 also after a stretched step: another one follows. */
+/* The same before termination, if the residuals of the equations exceed rounding. Also returns 1 after a stretched
+ * step, so that another step follows. */
 static int ipm_inexact_equations(ipm_t *q)
 {
     q->stretched = !q->stretched;
@@ -397,7 +403,7 @@ static int ipm_inexact_equations(ipm_t *q)
 }
 
 #endif
-/* Nothing is known about residuals yet. */
+/* Resets the measures of progress. */
 static void ipm_forget_progress(ipm_t *q)
 {
     q->closed_gaps = 0;
@@ -411,7 +417,8 @@ static void ipm_forget_progress(ipm_t *q)
 }
 
 #if NG
-/* 1 if the iterate is the solution, which `done` says of all but the equations; else the next step may be a stretched one. */
+/* Returns 1 if the iterate is the solution; `done` states this for all conditions but the equations. Otherwise the next
+ * step may be stretched. */
 static int ipm_ends(ipm_t *q, int done, real_t before)
 {
     if (done) {
@@ -421,14 +428,14 @@ static int ipm_ends(ipm_t *q, int done, real_t before)
     return 0;
 }
 
-/* 1 if the rows come no closer, as where they contradict each other. */
+/* Returns 1 if the residuals of the rows stop decreasing, as when the rows contradict one another. */
 static inline int ipm_stagnates(const ipm_t *q, real_t before)
 {
     return q->primal > TOL_IPM_PRIMAL && (q->step < R(0.5) || q->primal > R(0.5) * before);
 }
 
 #endif
-/* Iterations from the present point. OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
+/* Iterations from the present point. Returns OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
 static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;

@@ -1,9 +1,10 @@
-/* Contract of this part: rows of the QP (controls first, then general rows), their sides with finite bounds, directions. */
+/* Contract of this part: the rows of the QP (controls first, then general rows), their sides with finite bounds, and
+ * directions. */
 
-/* What a row is: an inequality or free; an equation; a control that is given. */
+/* Kind of a row: an inequality or an unbounded row; an equation; a control that is fixed by equal bounds. */
 enum { INEQUALITY = 0, EQUATION = 1, GIVEN_CONTROL = 2 };
 
-/* Value of every row at the iterate. */
+/* Values of all rows at the iterate. */
 static void ipm_values(solver_t *s)
 {
     memcpy(s->ipm.v, s->qp.z, sizeof s->qp.z);
@@ -14,7 +15,7 @@ static void ipm_values(solver_t *s)
 #endif
 }
 
-/* The same for the direction. */
+/* Changes of all rows along the direction. */
 static void ipm_changes(solver_t *s)
 {
     memcpy(s->ipm.dv, s->riccati.work.vectors.rhs.direction.du, sizeof s->qp.z);
@@ -25,7 +26,7 @@ static void ipm_changes(solver_t *s)
 #endif
 }
 
-/* g += sum_c force_c a_c, g the right-hand side. */
+/* g += sum_c force_c a_c, where g is the right-hand side. */
 static void ipm_add_forces(solver_t *s, const real_t *force)
 {
     for (int k = 0; k < NS; k++) {
@@ -48,13 +49,13 @@ static void ipm_cost_gradient(solver_t *s)
     }
 }
 
-/* The cost of the iterate enters the right-hand side. */
+/* Copies the gradient of the cost at the iterate to the right-hand side. */
 static void ipm_load_gradient(solver_t *s)
 {
     memcpy(s->riccati.work.vectors.rhs.g, s->ipm.gradient, sizeof s->ipm.gradient);
 }
 
-/* What row c is; soft rows are never equations. */
+/* Kind of row c; a soft row is never an equation. */
 static inline int ipm_row_kind(const qp_t *q, int c)
 {
     if (!(q->lower[c] >= q->upper[c])) {
@@ -71,7 +72,7 @@ static inline int ipm_row_kind(const qp_t *q, int c)
     return INEQUALITY;
 }
 
-/* Rows or controls of the given kind: 1 if there is one. */
+/* Returns 1 if there is a row or control of the given kind. */
 static int ipm_any(const ipm_t *q, int kind)
 {
     int any = 0;
@@ -81,7 +82,7 @@ static int ipm_any(const ipm_t *q, int kind)
     return any;
 }
 
-/* 1 if the kind of a row is not what the factorisation was made for; the kinds are taken. */
+/* Stores the kinds of all rows. Returns 1 if one differs from the kind for which the factorisation was computed. */
 static int ipm_take_kinds(solver_t *s)
 {
     int changed = 0;
@@ -96,7 +97,7 @@ static int ipm_take_kinds(solver_t *s)
     return changed;
 }
 
-/* Row of side i, 1 if it is the upper one, and 1 for it, -1 for the lower one. */
+/* Row of side i; 1 if it is the upper side; sign of the side, 1 for the upper and -1 for the lower one. */
 static inline int ipm_row(const ipm_t *q, int i)
 {
     return q->place[i] >> 1;
@@ -118,13 +119,13 @@ static inline real_t ipm_bound(const solver_t *s, int i)
     return ipm_is_upper(&s->ipm, i) ? s->qp.upper[c] : s->qp.lower[c];
 }
 
-/* How far the value of its row is from the bound of side i; < 0 if it is violated. */
+/* Distance of the value of the row from the bound of side i; negative if the bound is violated. */
 static inline real_t ipm_distance(const solver_t *s, int i)
 {
     return ipm_sign(&s->ipm, i) * (ipm_bound(s, i) - s->ipm.v[ipm_row(&s->ipm, i)]);
 }
 
-/* The sides of row c enter the list if their bounds are finite. A row that the controls do not move is left out. */
+/* Appends the sides of row c with finite bounds to the list. A row that the controls do not move is skipped. */
 static void ipm_add_sides(solver_t *s, int c)
 {
     ipm_t *q = &s->ipm;
@@ -141,8 +142,8 @@ static void ipm_add_sides(solver_t *s, int c)
     }
 }
 
-/* Sides of all inequalities, hard ones first; of soft rows those whose violation costs anything. Rows that the controls do not
- * move are left to ipm_constant_rows. */
+/* Lists the sides of all inequalities, hard ones first; soft rows only if their violation has a cost. Rows that the
+ * controls do not move are left to ipm_constant_rows. */
 static void ipm_list_sides(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -167,7 +168,7 @@ static void ipm_list_sides(solver_t *s)
 #endif
 }
 
-/* Hands the weights of the rows to the recursion. */
+/* Passes the weights of the rows to the recursion. */
 static void ipm_set_weights(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
@@ -209,7 +210,7 @@ static void ipm_side_residuals(solver_t *s)
     q->mu = (pairs > 0) ? sum / (real_t)pairs : R(0);
 }
 
-/* omega = 1 / (t / lam + regularization + 1 / (l2 + kappa / e)); weights of the rows. */
+/* omega = 1 / (t / lam + regularization + 1 / (l2 + kappa / e)), and the weights of the rows. */
 static void ipm_weigh(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -242,7 +243,7 @@ static void ipm_weigh(solver_t *s)
  *     dt = r - sign dv + de + regularization dlam,   lam dt + t dlam = c_1,
  *     l2 de - dlam - dkappa = -r_e,   kappa de + e dkappa = c_2
  * give dlam = omega (sign dv + rho),  rho = extra - t - r - (extra_e - kappa - r_e) compliance.
- * extra stands in dt and extra_e in dkappa, rho goes to dlam. force: what the multipliers become where dv = 0. */
+ * On entry dt holds extra and dkappa holds extra_e; on return dlam holds rho, and force the multipliers for dv = 0. */
 static void ipm_forces(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -267,7 +268,7 @@ static void ipm_forces(solver_t *s)
     }
 }
 
-/* The direction of all unknowns for the present extra, extra_e: one substitution. */
+/* Direction of all unknowns for the present extra and extra_e, by one substitution. */
 static void ipm_direction(solver_t *s)
 {
     ipm_t *q = &s->ipm;

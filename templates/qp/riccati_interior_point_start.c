@@ -1,6 +1,8 @@
-/* Contract of this part: units of the rows and the first iterate, from the minimiser that knows equations only. */
+/* Contract of this part: the reach of the rows and the first iterate, from the minimiser subject to the equations
+ * only. */
 
-/* Recursion with the present weights; where a pivot may be zero, with an addition to it that grows until it is enough. */
+/* The recursion with the present weights. If a pivot may be zero, a term is added to it, which is increased until the
+ * factorisation succeeds. */
 static int ipm_factorize(solver_t *s)
 {
     riccati_t *r = &s->riccati;
@@ -20,8 +22,8 @@ static int ipm_factorize(solver_t *s)
     return 0;
 }
 
-/* A cost for the bounded rows of a QP whose Hessian is singular without them: the largest of Q_jj d^2 and |g_j| d over the
- * controls with two finite bounds, d apart. */
+/* Damping of the bounded rows of a QP whose Hessian is singular without them: the largest of Q_jj d^2 and |g_j| d over
+ * the controls with two finite bounds, where d is the distance between the bounds. */
 static real_t ipm_damping_cost(solver_t *s)
 {
     real_t most = R(0);
@@ -37,8 +39,9 @@ static real_t ipm_damping_cost(solver_t *s)
     return (most > R(0)) ? most : R(1);
 }
 
-/* Where the Hessian is singular the steps are those of the proximal point method, or rounding drives them along its null space:
- * a small share of the largest diagonal entry of each control and free component of x_0. */
+/* If the Hessian is singular, proximal point steps prevent rounding errors from moving the iterate along its null
+ * space. The proximal term is a small fraction of the largest diagonal entry of each control and free component of
+ * x_0. */
 static void ipm_set_proximal(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -52,7 +55,8 @@ static void ipm_set_proximal(solver_t *s)
     }
 }
 
-/* Weights for the first factorisation: equations, and if the Hessian needs it a damping of the rows with two bounds. */
+/* Weights for the first factorisation: equations and, if the Hessian is singular, a damping of the rows with two
+ * bounds. */
 static void ipm_first_weights(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -70,7 +74,8 @@ static void ipm_first_weights(solver_t *s)
 }
 
 #if NG
-/* An equation is met in one step but for a small share of its reach^2 times the multiplier. Returns 1 if there is one. */
+/* Stiffness of the equations: one step satisfies an equation up to a small fraction of reach^2 times the multiplier.
+ * Returns 1 if there is an equation. */
 static int ipm_set_stiffness(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -85,7 +90,7 @@ static int ipm_set_stiffness(solver_t *s)
 }
 
 #endif
-/* Factorisation of the problem with equations only, and units of the rows. plain: as in ipm_prepare(). */
+/* Factorisation of the problem with equations only, and the reach of the rows. plain: as in ipm_prepare(). */
 static int ipm_first_factorization(solver_t *s, int plain)
 {
     ipm_t *q = &s->ipm;
@@ -120,8 +125,8 @@ static int ipm_first_factorization(solver_t *s, int plain)
     return 1;
 }
 
-/* Multipliers that the rows would have at v = 0, where the first point is computed from; values of the given controls. Returns 1
- * if something has changed. */
+/* Multipliers of the weighted rows at v = 0, from which the first point is computed, and the values of the fixed
+ * controls. Returns 1 if one of them has changed. */
 static int ipm_first_forces(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -140,7 +145,7 @@ static int ipm_first_forces(solver_t *s)
     return changed;
 }
 
-/* The backward substitution that does not need dx_0. */
+/* Backward substitution, which does not depend on dx_0. */
 static void ipm_first_backward(solver_t *s)
 {
     riccati_t *r = &s->riccati;
@@ -154,7 +159,8 @@ static void ipm_first_backward(solver_t *s)
     riccati_backward(s, NS);
 }
 
-/* (x, u) = minimiser with equations only. Returns 0 if it is not finite. From here on steps are computed: no gaps, no dx_0. */
+/* (x, u) = minimiser subject to the equations only. Returns 0 if it is not finite. The recursion computes steps from
+ * here on: its gaps and fixed controls become 0. */
 static int ipm_first_point(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -182,7 +188,7 @@ static int ipm_first_point(solver_t *s)
     return isfinite(probe) != 0;
 }
 
-/* How much row c, which has no multiplier yet, violates its bounds beyond rounding. */
+/* Violation of the bounds of row c, which has no multiplier yet, beyond rounding. */
 static real_t ipm_violation(const solver_t *s, int c)
 {
     const real_t v = s->ipm.v[c], over = v - s->qp.upper[c], under = s->qp.lower[c] - v;
@@ -206,7 +212,7 @@ static real_t ipm_violation_cost(const solver_t *s, int *count)
     return sum;
 }
 
-/* 1 if an inequality is violated. */
+/* Returns 1 if an inequality is violated. */
 static int ipm_any_violation(const solver_t *s)
 {
     int count;
@@ -216,13 +222,13 @@ static int ipm_any_violation(const solver_t *s)
 
 #if NG
 #if IPM_WARM_START
-/* 1 if soft side i was violated in the QP before. */
+/* Returns 1 if soft side i was violated in the previous QP. */
 static inline int ipm_was_violated(const solver_t *s, int i)
 {
     return s->ipm.warm && s->qp.side[ipm_row(&s->ipm, i)] == (ipm_is_upper(&s->ipm, i) ? ABOVE : BELOW);
 }
 
-/* It starts near the violation that it has now. */
+/* Starts side i near its present violation. */
 static void ipm_start_violated_side(solver_t *s, int i, real_t mu)
 {
     ipm_t *q = &s->ipm;
@@ -236,8 +242,8 @@ static void ipm_start_violated_side(solver_t *s, int i, real_t mu)
 }
 
 #endif
-/* Slack and multiplier of a soft side. It starts where its violation costs no more than its penalty, unless it was violated in
- * the QP before. */
+/* Starts slack and multiplier of a soft side: with the multiplier below the penalty, unless the side was violated in
+ * the previous QP. */
 static void ipm_start_soft_side(solver_t *s, int i, real_t mu)
 {
     ipm_t *q = &s->ipm;
@@ -262,10 +268,10 @@ static void ipm_start_soft_side(solver_t *s, int i, real_t mu)
 
 #endif
 #if IPM_WARM_START
-/* The distance t of side i from its multiplier in the QP before: t lam = mu,
- *     t - reach^2 lam = distance - reach^2 |multiplier before|,
- * but for violated bounds, where the distance counts as 0. A multiplier that the present cost of the violations, most^2 / 16,
- * cannot explain is cut. 0 if there was none. */
+/* Distance t of side i from its multiplier in the previous QP: t lam = mu,
+ *     t - reach^2 lam = distance - reach^2 |previous multiplier|,
+ * where the distance of a violated bound counts as 0. The multiplier is limited to `most`, which is derived from the
+ * present cost of the violations, most^2 / 16. Returns 0 if there was no multiplier. */
 static real_t ipm_warm_distance(const solver_t *s, int i, real_t mu, real_t most)
 {
     const ipm_t *q = &s->ipm;
@@ -282,7 +288,8 @@ static real_t ipm_warm_distance(const solver_t *s, int i, real_t mu, real_t most
 }
 
 #endif
-/* The distance t of side i without a multiplier: at most the middle between the bounds, unless the value is farther away. */
+/* Distance t of side i without a multiplier: at most half the distance between the bounds, unless the value is
+ * farther from the bound. */
 static real_t ipm_cold_distance(const solver_t *s, int i, real_t root_mu)
 {
     const int c = ipm_row(&s->ipm, i);
@@ -292,7 +299,7 @@ static real_t ipm_cold_distance(const solver_t *s, int i, real_t root_mu)
     return (distance > t) ? distance : t;
 }
 
-/* t and lam = mu / t of every side. */
+/* Initial t and lam = mu / t of every side. */
 static void ipm_start_sides(solver_t *s, real_t mu)
 {
     ipm_t *q = &s->ipm;

@@ -1,4 +1,5 @@
-/* Warm start of a shifted problem: the side of control c + n becomes the prediction for control c, the last n keep theirs. */
+/* Warm start of a shifted problem: control c takes the predicted side of control c + n; the last n controls keep
+ * theirs. */
 static void qp_shift_controls(solver_t *s, int n)
 {
     qp_t *q = &s->qp;
@@ -9,7 +10,7 @@ static void qp_shift_controls(solver_t *s, int n)
 }
 
 #if NG
-/* Row m takes the prediction of row source[m] >= m, or none if source[m] < 0. */
+/* Row m takes the predicted side of row source[m] >= m, or none if source[m] < 0. */
 static void qp_shift_rows(solver_t *s, const int *source)
 {
     qp_t *q = &s->qp;

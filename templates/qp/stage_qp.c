@@ -1,7 +1,8 @@
-/* Contract of this part: what solvers of the stage QP share: sides of bounds, rows, bounds that make sense, results that say
- * nothing. Rows have their gradient in the variables of one stage; a bound of a state is its component. */
+/* Contract of this part: functions shared by the solvers of the stage QP: sides of bounds, rows, validation of bounds,
+ * and clearing of results. A row has its gradient in the variables of one stage; a bound on a state is stored as the
+ * index of its component. */
 
-/* The side of a row: a member of the working set is an equation at its bound; a soft row may be violated. */
+/* Side of a row. A member of the working set is an equation at its bound; a soft row may be violated. */
 enum { BELOW = -2, AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1, ABOVE = 2 };
 
 #if NG
@@ -28,7 +29,7 @@ static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t
 }
 
 #endif
-/* Value of row m at the present (x, z). */
+/* Value of row m at the present point (x, z). */
 static inline real_t qp_row_value(const solver_t *s, int m)
 {
     const int k = stage_of_row[m];
@@ -41,7 +42,7 @@ static inline real_t qp_row_value(const solver_t *s, int m)
     return s->qp.x[k][stage_state[m]];
 }
 
-/* The same for the direction. */
+/* Change of the value of row m along the direction. */
 static inline real_t qp_row_change(const solver_t *s, int m)
 {
     const direction_t *d = &s->riccati.work.vectors.rhs.direction;
@@ -55,7 +56,7 @@ static inline real_t qp_row_change(const solver_t *s, int m)
     return d->dx[k][stage_state[m]];
 }
 
-/* g += f a of row m, g that of its stage. */
+/* g += f a for row m, where g is the gradient of its stage. */
 static inline void qp_add_row(solver_t *s, int m, real_t f)
 {
     real_t *g = s->riccati.work.vectors.rhs.g[stage_of_row[m]];
@@ -77,7 +78,7 @@ static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
     memcpy(z + NXS, q->z + first, sizeof z[0] * NUS);
 }
 
-/* g_k + Q_k z_k at the present point, for the entries that stage k has. */
+/* y = g_k + Q_k z_k at the present point, for the components that stage k has. */
 static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 {
     if (k < NS) {
@@ -102,7 +103,7 @@ static void qp_gap(solver_t *s, int k, real_t *b)
     }
 }
 
-/* No bounds, nothing known. */
+/* Resets the QP: no bounds, no prediction. */
 static void qp_clear(qp_t *q)
 {
     memset(q, 0, sizeof *q);
@@ -117,7 +118,7 @@ static void qp_clear(qp_t *q)
 #endif
 }
 
-/* Bounds and penalties: NUMERICAL_FAILURE if one is invalid, INFEASIBLE if bounds cross, else OK. */
+/* Checks bounds and penalties. Returns NUMERICAL_FAILURE if one is invalid, INFEASIBLE if bounds cross, else OK. */
 static status_t qp_check_bounds(const qp_t *q)
 {
     int valid = 1, ordered = 1;
@@ -136,7 +137,7 @@ static status_t qp_check_bounds(const qp_t *q)
     return ordered ? OK : INFEASIBLE;
 }
 
-/* Results that say nothing. */
+/* Clears the results after a failure. */
 static void qp_clear_results(qp_t *q)
 {
     memset(q->x, 0, sizeof q->x);

@@ -1,18 +1,20 @@
-/* riccati_convexify   before qp_factorize, side[] being the predicted working set: makes the QP convex if it is not. Returns 1 if
- *                     the factors at hand are those without given controls and without rows.
+/* riccati_convexify   makes the QP convex if it is not. Called before qp_factorize, when side[] is the predicted
+ *                     working set. Returns 1 if the present factors are those without fixed controls and without rows.
  *
- * The reduced Hessian, that of the controls and of the free components of x_0, is positive definite if and only if the pivots of
- * the recursion without given controls are. Where they are not, these variables get an addition to the diagonal of the
- * Hessian, which is the same at all stages and adds as much to the reduced Hessian:
- *     shift  on all of them: the smallest one, up to a factor of four, with which the pivots are positive while the controls of
- *            the predicted set are given, and an eighth more; twice that smallest one if MIRROR, as if the negative eigenvalue
- *            changed its sign; or only the floor if that is enough
- *     hold   on the controls of the predicted set: what makes the pivots positive without them being given. Near a solution
- *            they do not move, so this changes neither the step nor the rate of convergence (Debreu's lemma: a matrix that is
- *            positive definite on the null space of E is so everywhere with the addition of a large multiple of E'E).
- * Multipliers lam do not see it: the additions belong to variables that have no multiplier lam. */
+ * The reduced Hessian in the controls and the free components of x_0 is positive definite if and only if the pivots of
+ * the recursion without fixed controls are positive. If they are not, terms are added to the diagonal of the Hessian
+ * for these variables. The terms are the same at all stages and add the same amount to the reduced Hessian:
+ *     shift  for all of them: the smallest one, up to a factor of four, for which the pivots are positive with the
+ *            controls of the predicted working set fixed, plus one eighth; twice the smallest one if MIRROR, as if the
+ *            negative eigenvalue changed its sign; only the floor if that is sufficient
+ *     hold   for the controls of the predicted working set: large enough for the pivots to be positive without fixing
+ *            these controls. Near a solution they do not move, so that the hold changes neither the step nor the rate
+ *            of convergence (Debreu's lemma: a matrix that is positive definite on the null space of E becomes positive
+ *            definite if a sufficiently large multiple of E'E is added).
+ * The multipliers lam are not affected: the terms belong to variables that have no multiplier lam. */
 
-/* The unit of component j of z: the largest |Q_jj| + sum_i S_ij^2 |Q_ii of the next stage|. 0 if it is not finite. */
+/* Scale of component j of z: the maximum over the stages of |Q_jj| + sum_i S_ij^2 |Q_ii of the next stage|. Returns 0
+ * if it is not finite. */
 static int riccati_units(solver_t *s, real_t *unit)
 {
     real_t largest = R(0), probe = R(0);
@@ -38,7 +40,8 @@ static int riccati_units(solver_t *s, real_t *unit)
     return isfinite(probe) != 0;
 }
 
-/* The recursion with shift and hold; given: the controls of the predicted set are. 0 if a pivot is not positive. */
+/* The recursion with shift and hold; if `given`, the controls of the predicted working set are fixed. Returns 0 if a
+ * pivot is not positive. */
 static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hold, int given)
 {
     riccati_t *r = &s->riccati;
@@ -57,8 +60,8 @@ static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hol
     return riccati_factorize(s, NS);
 }
 
-/* The smallest shift, up to a factor of four, with which the recursion succeeds; looked for near that of the QP before. Negative
- * if there is none. */
+/* Smallest shift, up to a factor of four, for which the recursion succeeds; the search starts at the shift of the
+ * previous QP. Negative if there is none. */
 static real_t riccati_smallest_shift(solver_t *s, const real_t *unit, int given)
 {
     const real_t least = regularization[0], before = s->riccati.shift;
@@ -83,7 +86,8 @@ static real_t riccati_smallest_shift(solver_t *s, const real_t *unit, int given)
     return (MIRROR ? R(2) : R(1.125)) * high;
 }
 
-/* The recursion without given controls, and with a hold on those of the predicted set that is large enough. 0 if none is. */
+/* The recursion without fixed controls, with a hold on the predicted working set that is large enough. Returns 0 if
+ * none is found. */
 static int riccati_hold(solver_t *s, const real_t *unit, real_t shift)
 {
     real_t hold = R(0.25) * s->riccati.hold;
@@ -101,7 +105,7 @@ static int riccati_hold(solver_t *s, const real_t *unit, real_t shift)
     return 0;
 }
 
-/* Shifts and holds of the last trial become part of the QP. */
+/* Adds the shifts and holds of the last trial to the Hessian of the QP. */
 static void riccati_keep_diagonal(solver_t *s)
 {
     for (int k = 0; k < NS; k++) {

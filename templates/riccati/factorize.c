@@ -1,4 +1,4 @@
-/* The padding of P_k takes part in products. */
+/* Sets the padding of P_k to zero, as it takes part in products. */
 static inline void riccati_clear_padding(real_t (*P)[LDX])
 {
     for (int i = 0; i < LDX; i++) {
@@ -8,7 +8,7 @@ static inline void riccati_clear_padding(real_t (*P)[LDX])
     }
 }
 
-/* P_k (lower triangle) and M_u before the cost to go enters: Q_k, and the diagonal of the controls. */
+/* P_k (lower triangle) and M_u before the cost to go is added: Q_k, and `diagonal` for the controls. */
 static void riccati_load_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
@@ -34,7 +34,7 @@ static void riccati_load_terminal(solver_t *s)
     riccati_clear_padding(r->P[NS]);
 }
 
-/* Lower triangle of P += A'B for rows A, B of n entries each. */
+/* P += A'B, lower triangle, where A and B have n rows. */
 static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
     for (int i = 0; i < LDX; i += 4) {
@@ -51,7 +51,7 @@ static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A,
 
 #if NG
 #if GENERAL_ROWS || NE || BLOCK_ROWS
-/* The general row m goes to place n of a group. */
+/* Writes the general row m to position n of a group. */
 static inline void riccati_collect_row(solver_t *s, int m, int n)
 {
     recursion_t *work = &s->riccati.work.recursion;
@@ -63,7 +63,7 @@ static inline void riccati_collect_row(solver_t *s, int m, int n)
     }
 }
 
-/* The n rows of a group enter the Hessian of stage k. */
+/* Adds the n rows of a group to the Hessian of stage k. */
 static inline void riccati_add_group(riccati_t *r, int k, int n)
 {
     const recursion_t *work = &r->work.recursion;
@@ -74,7 +74,7 @@ static inline void riccati_add_group(riccati_t *r, int k, int n)
 }
 
 #endif
-/* weight a a' of the rows of stage k: state bounds on the diagonal, the others in groups of four. */
+/* Adds weight a a' for the rows of stage k: state bounds to the diagonal, the others in groups of four. */
 static void riccati_add_weights(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
@@ -83,7 +83,7 @@ static void riccati_add_weights(solver_t *s, int k)
 #endif
     for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
         const int state = stage_state[m];
-        const int counts = r->weight[m] != R(0); /* what has no weight adds nothing */
+        const int counts = r->weight[m] != R(0); /* rows without weight are skipped */
         if (counts && state >= 0) {
             r->P[k][state][state] += r->weight[m];
         }
@@ -101,7 +101,7 @@ static void riccati_add_weights(solver_t *s, int k)
 }
 
 #endif
-/* T = P_{k+1} S_k, S_k padded in W. */
+/* T = P_{k+1} S_k, with S_k copied to W and padded. */
 static void riccati_propagate(solver_t *s, int k)
 {
     const riccati_t *r = &s->riccati;
@@ -116,8 +116,8 @@ static void riccati_propagate(solver_t *s, int k)
     }
 }
 
-/* M_uu of the free controls into L (lower triangle), their M_ux into V (T below the states); fixed ones: rows of the identity,
- * and of zeros. */
+/* Copies M_uu of the free controls to L (lower triangle) and their M_ux to V (T below the states). Fixed controls get
+ * rows of the identity in L and zero rows in V. */
 static inline void riccati_load_controls(riccati_t *r, int k)
 {
     const int first = k * NUS;
@@ -135,8 +135,8 @@ static inline void riccati_load_controls(riccati_t *r, int k)
     }
 }
 
-/* The pivot d of a matrix whose diagonal entry was `reference`. One that may be zero gets a share of that entry, if this is
- * asked for. Returns 0 if it is not positive. */
+/* Returns the pivot d of a matrix whose diagonal entry is `reference`, or 0 if it is not positive. If r->regularize is
+ * set, a pivot that may be zero is increased by `added`, a small fraction of that entry. */
 static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t reference, real_t *added)
 {
     const real_t unit = SQRT(TOL_UNIT);
@@ -151,8 +151,8 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
     return d + *added;
 }
 
-/* M_uu = L D L' with 1 / D on the diagonal of L,  V = L^{-1} M_ux,  -D^{-1} V into W below the states. 0 if a pivot is not
- * positive. */
+/* M_uu = L D L' with 1 / D stored on the diagonal of L, V = L^{-1} M_ux, -D^{-1} V in W below the states. Returns 0 if
+ * a pivot is not positive. */
 static int riccati_eliminate_controls(riccati_t *r, int k)
 {
     real_t(*L)[NUS] = r->L[k];
@@ -194,7 +194,7 @@ static inline void riccati_gain(riccati_t *r, int k)
     }
 }
 
-/* The upper triangle of P_k from the lower one. */
+/* Copies the lower triangle of P_k to the upper one. */
 static inline void riccati_mirror(real_t (*P)[LDX])
 {
     for (int i = 1; i < NXS; i++) {
@@ -204,7 +204,7 @@ static inline void riccati_mirror(real_t (*P)[LDX])
     }
 }
 
-/* P_k = Q_xx + A'P_{k+1}A - V'D^{-1}V: one product of (A, -D^{-1}V) with (P_{k+1}A, V). */
+/* P_k = Q_xx + A'P_{k+1}A - V'D^{-1}V, computed as one product of (A, -D^{-1}V) with (P_{k+1}A, V). */
 static int riccati_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
@@ -231,7 +231,8 @@ static int riccati_stage(solver_t *s, int k)
 }
 
 #if NXS > NX
-/* Copies of components of x_0 are no variables of their own: P_0 gets their rows and columns where the originals have theirs. */
+/* Adds the rows and columns of P_0 that belong to copies of components of x_0 to those of the original components,
+ * because the copies are not independent variables. */
 static inline void riccati_fold(riccati_t *r)
 {
     for (int c = 0; c < NXS - NX; c++) {
@@ -247,7 +248,7 @@ static inline void riccati_fold(riccati_t *r)
 
 #endif
 #if NF
-/* L D L' of the block of P_0 that belongs to the free components of x_0; pivots as above. */
+/* L D L' of the block of P_0 that belongs to the free components of x_0; small pivots are treated as above. */
 static int riccati_factorize_free(riccati_t *r)
 {
     r->raised[NS] = 0;
@@ -276,7 +277,7 @@ static int riccati_factorize_free(riccati_t *r)
 }
 
 #endif
-/* The recursion from stage last down to 0; last = NS: P_NS too. */
+/* The recursion from stage `last` down to stage 0; last = NS: all stages and P_NS. */
 static int riccati_factorize(solver_t *s, int last)
 {
     if (last == NS) {

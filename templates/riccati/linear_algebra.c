@@ -1,4 +1,4 @@
-/* Four rows of a product: c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < 8. */
+/* Four rows of a matrix product: c[r][j] += sum_{l<n} a[l][r] b[l][j], r < 4, j < 8. */
 static inline void riccati_block_8(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n)
 {
     real_t s0[8] = {0}, s1[8] = {0}, s2[8] = {0}, s3[8] = {0};
@@ -157,7 +157,7 @@ static inline real_t riccati_dot(const real_t *a, const real_t *b, int n)
     return sum + ((s[0] + s[2]) + (s[1] + s[3]));
 }
 
-/* y += Q z, Q symmetric of n rows (lower triangle), in blocks of four rows. */
+/* y += Q z, where Q is symmetric of n rows (lower triangle), in blocks of four rows. */
 static void riccati_add_symmetric(real_t *y, const real_t *Q, int ld, const real_t *z, int n)
 {
     const real_t *block = Q;

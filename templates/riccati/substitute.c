@@ -1,4 +1,4 @@
-/* Solves L D L'y = y for the free controls; entries of fixed ones are 0 and stay so. */
+/* Solves L D L'y = y for the free controls; the entries of fixed controls are 0 and remain 0. */
 static inline void riccati_solve_controls(const riccati_t *r, int k, real_t *y)
 {
     for (int j = 1; j < NUS; j++) {
@@ -14,13 +14,13 @@ static inline void riccati_solve_controls(const riccati_t *r, int k, real_t *y)
     }
 }
 
-/* Entry (i, j) of the block of M_k that belongs to the controls, from its lower triangle. */
+/* Entry (i, j) of the control block of M_k, from its lower triangle. */
 static inline real_t riccati_control_entry(const riccati_t *r, int k, int i, int j)
 {
     return (i < j) ? r->M[k][j][NXS + i] : r->M[k][i][NXS + j];
 }
 
-/* w += M_f du_f, f the fixed controls. */
+/* w += M_f du_f, where f are the fixed controls. */
 static inline void riccati_add_fixed(const riccati_t *r, int k, real_t *w)
 {
     for (int j = 0; j < NUS; j++) {
@@ -34,7 +34,7 @@ static inline void riccati_add_fixed(const riccati_t *r, int k, real_t *w)
     }
 }
 
-/* w = g_k + S_k'(p_{k+1} + P_{k+1} b_k): gradient at z = 0, controls free. With f the fixed controls:
+/* w = g_k + S_k'(p_{k+1} + P_{k+1} b_k) is the gradient at z = 0. With f the fixed controls:
  *     feed = -M_uu^{-1} (w_u + M_uf du_f),   p_k = w_x + M_xf du_f + K'(w_u + M_uf du_f) */
 static void riccati_backward_stage(solver_t *s, int k)
 {
@@ -63,7 +63,7 @@ static void riccati_backward_stage(solver_t *s, int k)
     }
 }
 
-/* p, feed and h of the stages last .. 0; last = NS: p_NS too. */
+/* p, feed and h of the stages last .. 0; last = NS: all stages and p_NS. */
 static void riccati_backward(solver_t *s, int last)
 {
     riccati_t *r = &s->riccati;
@@ -82,7 +82,7 @@ static void riccati_backward(solver_t *s, int last)
 }
 
 #if NF
-/* Free components of x_0 and their copies: P_ff x_f = -(p_f + P_fm x_m), m the others. */
+/* Free components f of x_0 and their copies: P_ff x_f = -(p_f + P_fm x_m), where m are the other components. */
 static void riccati_solve_free(const riccati_t *r, real_t *x)
 {
     real_t y[NXS];

@@ -1,6 +1,7 @@
-/* Contract of this part: units of the rows, how far one half unit of cost moves them, from the factors of the recursion. */
+/* Contract of this part: the reach of the rows, that is the distance by which half a unit of cost moves their values,
+ * from the factors of the recursion. */
 
-/* What is added to a pivot that is zero and has no scale of its own. */
+/* Term added to a zero pivot that has no scale of its own. */
 static real_t riccati_least_pivot(solver_t *s)
 {
     real_t most = R(0);
@@ -14,8 +15,8 @@ static real_t riccati_least_pivot(solver_t *s)
 }
 
 #if NG || INTERIOR_POINT
-/* Stage k under u = K x + G xi, unit covariance of xi: G' (columns of fixed controls 0, G G' = M_uu^{-1}) into `gain`,
- * (A + B K)' into `closed`, (B G)' into `push`. */
+/* Stage k under u = K x + G xi, where xi has unit covariance: G' in `gain` (columns of fixed controls 0,
+ * G G' = M_uu^{-1}), (A + B K)' in `closed`, (B G)' in `push`. */
 static void riccati_closed_loop(solver_t *s, int k)
 {
     const riccati_t *r = &s->riccati;
@@ -50,7 +51,7 @@ static void riccati_closed_loop(solver_t *s, int k)
     }
 }
 
-/* Covariance of x_{k+1}:  closed' C closed + push' push. */
+/* Covariance of x_{k+1}: closed' C closed + push' push. */
 static void riccati_propagate_covariance(noise_t *q)
 {
     memset(q->product, 0, sizeof q->product);
@@ -69,7 +70,7 @@ static void riccati_propagate_covariance(noise_t *q)
     }
 }
 
-/* (a' Cov(x, u) a)^{1/2} at stage k:  c = a_x + K'a_u,  c' C c + |G'a_u|^2. */
+/* (a' Cov(x, u) a)^{1/2} at stage k: c' C c + |G'a_u|^2, c = a_x + K'a_u. */
 static real_t riccati_reach(const riccati_t *r, int k, const real_t *a_x, const real_t *a_u)
 {
     const noise_t *q = &r->work.noise;
@@ -86,7 +87,7 @@ static real_t riccati_reach(const riccati_t *r, int k, const real_t *a_x, const 
 }
 
 #if NG
-/* Rows of stage k. */
+/* Reach of the rows of stage k. */
 static void riccati_rows_reach(solver_t *s, int k)
 {
     const noise_t *q = &s->riccati.work.noise;
@@ -104,7 +105,7 @@ static void riccati_rows_reach(solver_t *s, int k)
 }
 
 #endif
-/* Controls of stage k. */
+/* Reach of the controls of stage k. */
 static void riccati_controls_reach(solver_t *s, int k)
 {
     for (int j = 0; j < NUS; j++) {
@@ -114,9 +115,9 @@ static void riccati_controls_reach(solver_t *s, int k)
     }
 }
 
-/* reach_c = (a_c'H^{-1}a_c)^{1/2}: how far one half unit of cost moves row c, H that of the factorisation on the null space of
- * the dynamics. Covariances of a linear system driven by unit noise: those of the variables have the inverse H^{-1}. 0: no control
- * moves the row. */
+/* reach_c = (a_c'H^{-1}a_c)^{1/2}, the distance by which half a unit of cost moves row c, where H is the factorised
+ * Hessian on the null space of the dynamics. H^{-1} is computed as the covariance of the states and controls of a
+ * linear system driven by unit noise. A reach of 0 means that no control moves the row. */
 static void riccati_set_reach(solver_t *s)
 {
     noise_t *q = &s->riccati.work.noise;

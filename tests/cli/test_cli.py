@@ -1,4 +1,4 @@
-"""cli/: the command line from a problem file to C, and every way to use it wrongly."""
+"""cli/: the command line from a problem file to C, and incorrect uses."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def state_problem(tmp_path: Path) -> Any:
 
 
 def said(capsys: pytest.CaptureFixture[str]) -> tuple[str, str]:
-    """Output and errors, each on one line."""
+    """Output and errors, each joined to one line."""
     captured = capsys.readouterr()
     return " ".join(captured.out.split()), " ".join(captured.err.split())
 
@@ -135,7 +135,7 @@ def test_list_options_names_every_component_and_field(capsys: pytest.CaptureFixt
 
 
 def words_listed(out: str) -> list[tuple[str, str]]:
-    """Every KEY=VALUE that the listing offers: words, True and False, the default of the others."""
+    """Every KEY=VALUE of the listing: words, True and False, the default of the other options."""
     found = []
     for line in (line for line in out.splitlines() if "--set" not in line):
         key, _, rest = line.strip().partition(" = ")
@@ -146,7 +146,7 @@ def words_listed(out: str) -> list[tuple[str, str]]:
 
 
 def test_what_is_listed_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
-    """The words of --list-options are those that --set takes, whichever component has the option."""
+    """--set accepts exactly the words of --list-options, whichever component has the option."""
     assert main(["--list-options"]) == 0
     listed = words_listed(capsys.readouterr().out)
     assert len(listed) > 50
@@ -263,7 +263,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def command(*arguments: str, where: Path, **environment: str) -> subprocess.CompletedProcess[bytes]:
-    """The command as a process of its own."""
+    """Run the command as a separate process."""
     return subprocess.run(
         [sys.executable, "-m", "nmpc_codegen.cli", *arguments],
         cwd=where,
@@ -277,7 +277,7 @@ def command(*arguments: str, where: Path, **environment: str) -> subprocess.Comp
     "environment", [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}]
 )
 def test_ascii_terminal(environment: dict[str, str], state_problem: Any, tmp_path: Path) -> None:
-    """Names and printed texts that the terminal cannot show are escaped; markup in a path is no markup."""
+    """Names and printed texts that the terminal cannot show are escaped; markup in a path has no effect."""
     state_problem("print('\u03c0')\nocp = cart()")
     done = command("problem.py", "-o", "\u03c0 [red]x[/]", where=tmp_path, **environment)
     assert done.returncode == 0, done.stderr
@@ -372,7 +372,7 @@ def test_files_that_are_no_programs(
 def test_an_exception_of_ours_names_its_stage(
     state_problem: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What should not happen is one line all the same."""
+    """Even an unexpected error is reported in one line."""
     monkeypatch.setattr("nmpc_codegen.compiler.lower", lambda *_: len(None))  # type: ignore[arg-type]
     assert main([state_problem("ocp = cart()")]) == 1
     _, err = said(capsys)

@@ -1,4 +1,4 @@
-"""The benchmark part that knocks at the command line: it sees what is wrong, and a few of its cases are run here."""
+"""The benchmark of the command line detects faults, and a few of its cases run here."""
 
 from __future__ import annotations
 

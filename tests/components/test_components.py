@@ -1,4 +1,4 @@
-"""What every registered component promises: protocol, template, features, costs, and options that defend themselves."""
+"""Contract of every registered component: protocol, template, features, costs, and options that check themselves."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ FEATURES = {
     "accumulators",
 }
 
-#: Macro names that lower.py and render.py decide themselves.
+#: Macro names that lower.py and render.py define themselves.
 OWN_MACROS = {f.upper() for f in ("MANY", "MAGIC", "PANEL", "PARAMS", "ALL", "OK")}
 
 
@@ -67,7 +67,7 @@ def test_is_a_frozen_dataclass_with_defaults(cls: type) -> None:
 
 @every_component
 def test_has_every_member_of_the_protocol(cls: type) -> None:
-    """Class variables of their type, methods with the parameters that lower.py passes."""
+    """Class variables have their type, and methods have the parameters that lower.py passes."""
     for name in ("seam", "name", "template"):
         assert isinstance(getattr(cls, name), str)
         assert name in vars(cls), f"{name} is a class variable of the component itself"

@@ -1,6 +1,6 @@
-"""The condensing in C, random stage data, against dense elimination by a linear solver.
+"""Condensing in C with random stage data, against dense elimination by a linear solver.
 
-Both spellings of the stage products run on the same problems and the same data.
+Both code styles of the stage products run on the same problems and the same data.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ FUNCTIONS = (
 )
 SPELLINGS = {"nonzeros": 10**9, "loops": -1}
 
-#: The summation orders differ; data are of order 1, states grow with N.
+#: The orders of summation differ; data are of order 1, and states grow with N.
 TOLERANCE = 1e-12
 
 
 def chain(name: str, nx: int, nu: int, N: int, uniform: bool = True) -> OCP:
-    """A coupled nonlinear model of any size with a residual that sees everything."""
+    """A coupled nonlinear model of any size with a residual that depends on all variables."""
     grid: dict[str, Any] = {"T": 0.2 * N, "N": N} if uniform else {"intervals": [0.1 + 0.05 * k for k in range(N)]}
     ocp = OCP(name, **grid)
     x, u = ocp.state("x", size=nx), ocp.control("u", size=nu)
@@ -51,7 +51,7 @@ def chain(name: str, nx: int, nu: int, N: int, uniform: bool = True) -> OCP:
 
 
 def bare() -> OCP:
-    """No row at all, N = 1."""
+    """No rows, N = 1."""
     return chain("bare", 2, 1, 1)
 
 
@@ -64,7 +64,7 @@ def bounded() -> OCP:
 
 
 def general() -> OCP:
-    """Path rows with and without a control, terminal rows, an equality at the end; non-uniform grid."""
+    """Path rows with and without a control, terminal rows, an equality at the end; nonuniform grid."""
     ocp = chain("general", 2, 2, 5, uniform=False)
     x, u = ocp.x, ocp.u
     ocp.subject_to(-1, x[0] * u[1] + u[0], 1, name="mixed")
@@ -75,7 +75,7 @@ def general() -> OCP:
 
 
 def sparse() -> OCP:
-    """A double integrator whose cost sees one state only: columns of A, rows of S and states without nonzeros."""
+    """A double integrator whose cost contains one state only: columns of A, rows of S and states without nonzeros."""
     ocp = OCP("sparse", N=3)
     x, u = ocp.state("x", size=4), ocp.control("u", size=2)
     ocp.dynamics(ca.vertcat(x[0] + x[1], x[1] + u[0], 0 * x[2], u[1]), discrete=True)
@@ -108,12 +108,12 @@ def problem(name: str) -> Problem:
 
 
 def existing(struct: np.ndarray, *fields: str) -> list[str]:
-    """Those of the members that the package has."""
+    """The data of the members that the package has."""
     return [field for field in fields if field in (struct.dtype.names or ())]
 
 
 def fill(p: Package, name: str, seed: int) -> StageData:
-    """Random data on the structural nonzeros; the rest of the matrices is zero, as the C promises."""
+    """Random data on the structural nonzeros; the rest of the matrices is zero, as the C code guarantees."""
     random = np.random.default_rng(seed)
     stated = problem(name)
     N, nx, nu = stated.N, stated.nx, stated.nu
@@ -221,7 +221,7 @@ def test_embedding_and_expansion(name: str, spelling: str, seed: int) -> None:
 
 @every_case
 def test_multipliers(name: str, spelling: str, seed: int) -> None:
-    """lam makes the Lagrangian of the stage QP stationary in every state, whatever the other multipliers are."""
+    """lam makes the Lagrangian of the stage QP stationary in every state, for any values of the other multipliers."""
     p, d, condensed = prepared(name, spelling, seed)
     stated, N = problem(name), d.N
     random = np.random.default_rng(seed + 200)
@@ -240,7 +240,7 @@ def test_multipliers(name: str, spelling: str, seed: int) -> None:
 
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_both_spellings_agree(name: str) -> None:
-    """On the same data, to rounding."""
+    """Equality on the same data, up to rounding."""
     found = [prepared(name, spelling, 3)[0] for spelling in SPELLINGS]
     for struct, field in (
         ("condensed", "Hx"),
@@ -255,7 +255,7 @@ def test_both_spellings_agree(name: str) -> None:
 
 
 def test_patterns_are_not_all_dense() -> None:
-    """The sparse problem has what its comment promises, else nothing is shown about empty rows and columns."""
+    """The sparse problem has the structure stated in its docstring; else empty rows and columns are not tested."""
     p = package("sparse", "nonzeros").module.products
     assert sorted(p.S) == [(0, 0), (0, 1), (1, 1), (1, 4), (3, 5)]
     assert p.panels["condense_forward_panel"].count == OpCount(add=COLUMNS, mul=3 * COLUMNS)

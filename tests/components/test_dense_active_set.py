@@ -44,7 +44,7 @@ few = settings(max_examples=25, deadline=None)
 
 
 def solved(qp: QuadraticProgram, solver: QP, limit: float = 1e-11) -> None:
-    """Solves, and asserts the optimality conditions."""
+    """Solve, and assert the optimality conditions."""
     assert solver.run(*qp.data) == "OK"
     result = residuals(qp, solver.z, solver.mult)
     assert result.worst <= limit, result
@@ -114,7 +114,7 @@ def test_redundant_equalities_get_no_multiplier_and_are_counted() -> None:
 @many
 @given(seed=seeds)
 def test_warm_started_sequences(nv: int, ng: int, seed: int) -> None:
-    """One struct through problems whose active sets, bounds, equalities and Hessians jump."""
+    """One struct solves problems whose active sets, bounds, equalities and Hessians change strongly."""
     rng = np.random.default_rng(seed)
     solver = QP(nv, ng)
     for _ in range(6):
@@ -125,7 +125,7 @@ def test_warm_started_sequences(nv: int, ng: int, seed: int) -> None:
 @many
 @given(seed=seeds)
 def test_bounds_may_change_between_the_phases(seed: int) -> None:
-    """The prediction seen by qp_factorize may be arbitrarily wrong: sides turn infinite, equalities come and go."""
+    """The prediction passed to qp_factorize may be arbitrarily wrong: bounds turn infinite, equalities change."""
     rng = np.random.default_rng(seed)
     H, A = hessian(rng, 10, 1e3), rng.normal(size=(4, 10))
     solver = QP(10, 4)
@@ -276,8 +276,8 @@ def test_a_zero_diagonal_entry_with_a_coupling_is_indefinite() -> None:
 def test_semidefinite_hessians(nv: int, ng: int, seed: int, share: float, spread: float) -> None:
     """Any rank, 0 (a linear program) included: KKT conditions and the objective of the constructed solution.
 
-    The proximal term amplifies rounding: a row outside of the working set may stay violated by some 1e-8, relative,
-    where a definite Hessian keeps 1e-10.
+    The proximal term amplifies rounding errors: a row outside the working set may remain violated by about 1e-8,
+    relative, compared with 1e-10 for a definite Hessian.
     """
     rng = np.random.default_rng(seed)
     rank = int(share * nv)
@@ -296,7 +296,7 @@ def test_semidefinite_hessians(nv: int, ng: int, seed: int, share: float, spread
 @few
 @given(seed=seeds, n=st.sampled_from([1, 4, 10]))
 def test_an_unbounded_problem(seed: int, n: int) -> None:
-    """Weighted differences of neighbours cost nothing along (1, ..., 1), and no bound stops g'z there."""
+    """Weighted differences of neighbours have no cost along (1, ..., 1), and no bound limits g'z in that direction."""
     rng = np.random.default_rng(seed)
     difference = np.diff(np.eye(n), axis=0)
     H = difference.T @ np.diag(rng.integers(1, 9, size=n - 1)) @ difference
@@ -313,7 +313,7 @@ PENALTIES = {"mixed": (1e-2, 1.0, 1e2), "small": (1e-6, 1e-3), "large": (1e6, 1e
 
 
 def unrelated_bounds(rng: np.random.Generator, nv: int, ng: int) -> QuadraticProgram:
-    """General rows whose bounds contradict each other and the bounds of the variables, in general."""
+    """General rows whose bounds usually contradict one another and the bounds of the variables."""
     qp = from_solution(rng, nv, ng, weights=(1, 2, 1, 1))
     shift = np.append(np.zeros(nv), 3 * rng.normal(size=ng))
     return dataclasses.replace(qp, lower=qp.lower + shift, upper=qp.upper + shift, z=None, mult=None)
@@ -342,7 +342,7 @@ def test_elastic_rows(nv: int, ng: int, penalties: str, seed: int) -> None:
 @few
 @given(seed=seeds)
 def test_elastic_rows_are_slack_variables(nv: int, ng: int, seed: int) -> None:
-    """The cost is that of the problem with explicit slacks, A z - over + under inside, solved by qpOASES."""
+    """The cost equals that of the problem with explicit slacks, A z - over + under inside, solved by qpOASES."""
     rng = np.random.default_rng(seed)
     qp, penalty = unrelated_bounds(rng, nv, ng), rng.exponential(size=ng)
     solver = QP(nv, ng)
@@ -365,7 +365,7 @@ def test_elastic_rows_are_slack_variables(nv: int, ng: int, seed: int) -> None:
 @many
 @given(seed=seeds)
 def test_the_penalty_is_exact(seed: int) -> None:
-    """Above the multipliers nothing changes; below, a row that had a larger multiplier gives way."""
+    """Penalties above the multipliers change nothing; a row with a multiplier above its penalty is violated."""
     rng = np.random.default_rng(seed)
     qp = from_solution(rng, 10, 4, weights=(1, 4, 1, 0))
     solver = QP(10, 4)
@@ -421,7 +421,7 @@ def test_the_iteration_cap() -> None:
     assert solver.run(*qp.data) == "ITERATION_LIMIT"
     assert solver["iterations"] == 3
     assert np.all(np.isfinite(solver.z))
-    for _ in range(5):  # the working set is kept, so capped calls make progress
+    for _ in range(5):  # the working set is kept, so that capped calls make progress
         status = solver.run(*qp.data)
     assert status == "OK"
     np.testing.assert_allclose(solver.z, qp.z, atol=1e-10)
@@ -448,7 +448,7 @@ def test_single_precision(nv: int, ng: int, seed: int) -> None:
     qp = QuadraticProgram(*rounded)
     solver = QP(nv, ng, "single")
     status = solver.run(*qp.data)
-    if status == "INFEASIBLE":  # rounding of the data may have made dependent equalities contradict each other
+    if status == "INFEASIBLE":  # rounding of the data may have made dependent equalities inconsistent
         assert np.count_nonzero(qp.lower == qp.upper) + np.count_nonzero(solver["side"]) >= nv
         return
     assert status == "OK"
@@ -467,7 +467,7 @@ def test_no_warnings_in_c_and_cpp(tmp_path: Path, need, precision: str, nv: int,
     need(compiler[0])
     text = source(nv, ng, precision) + ENTRY_POINTS
     if "-O2" in compiler and precision == "single":
-        compiler = (*compiler, "-O0")  # the flow of data, which the optimiser looks at, is that of double precision
+        compiler = (*compiler, "-O0")  # the data flow, which the optimiser analyses, is that of double precision
     compile_source(text, tmp_path / "qp.c", *compiler, *WARNINGS, "-c")
 
 

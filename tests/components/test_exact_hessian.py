@@ -1,4 +1,4 @@
-"""Exact Hessian: blocks against CasADi, regularisation against numpy's eigenvalues, solutions against IPOPT."""
+"""Exact Hessian: blocks against CasADi, regularisation against eigenvalues of NumPy, solutions against IPOPT."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MIRROR, PROJECT = Mirror(1e-8, "stage"), Project(1e-8, "stage")
 
 
 def everything(free: bool = True) -> OCP:
-    """Least squares, general, integrated and terminal costs, path, terminal, coupled rows, a parameter: all curved."""
+    """Least-squares, general, integrated and terminal costs, path, terminal and coupled rows, a parameter."""
     ocp = pendulum_of_everything("everything", [0.1, 0.3, 0.2])
     ocp.terminal_least_squares(ocp.x[0] * ocp.x[1], weight=[3.0])
     if free:
@@ -78,7 +78,7 @@ def mirrored(L: Array) -> Array:
     ids=str,
 )
 def test_blocks(scheme: Any, unroll: str) -> None:
-    """Every term of the Lagrangian, non-uniform grid, parameters per node."""
+    """Every term of the Lagrangian, nonuniform grid, parameters per node."""
     problem = classify(everything())
     c = _built(scheme, None, unroll).copy()
     p = np.linspace(0.8, 1.6, 4)
@@ -93,7 +93,7 @@ def test_blocks(scheme: Any, unroll: str) -> None:
 
 
 def test_adjoint_pass_after_reset() -> None:
-    """lam_N = q_N, lam_k = q_k + A_k' lam_{k+1} while all multipliers are zero, and 0 for the free component of x_0."""
+    """lam_N = q_N, lam_k = q_k + A_k' lam_{k+1} if all multipliers are zero, and 0 for the free component of x_0."""
     c = _built(Symmetric(), None, "auto").copy()
     c.reset()
     c.x[...] = np.random.default_rng(1).uniform(-1, 1, c.x.shape)
@@ -112,7 +112,7 @@ def test_adjoint_pass_after_reset() -> None:
 
 @pytest.mark.parametrize("regularization", [PROJECT, Mirror(0.05, "stage"), Project(0.3, "stage")], ids=repr)
 def test_stage_level(regularization: Any) -> None:
-    """Blocks of random plans; those that are positive definite keep their values."""
+    """Blocks of random plans; positive definite blocks keep their values."""
     problem = classify(everything())
     c = _built(Symmetric(), regularization, "auto").copy()
     changed = 0
@@ -168,7 +168,7 @@ def spectrum(random: np.random.Generator, n: int, kind: int) -> Array:
 
 @pytest.mark.parametrize(("n", "mirror"), [(n, i % 2 == 0) for i, n in enumerate((1, 2, 3, 4, 5, 8, 13))])
 def test_given_blocks(n: int, mirror: bool) -> None:
-    """Eleven nodes, more than fit into the lanes at once; the blocks of x and of node N are zero."""
+    """Eleven nodes, more than the number of lanes; the blocks of x and of node N are zero."""
     floor, N = 1e-6, 11
     c = _quadratic(n, N, (Mirror if mirror else Project)(floor, "stage")).copy()
     random = np.random.default_rng(n)
@@ -201,7 +201,7 @@ def test_levenberg_marquardt_comes_after_the_regularisation() -> None:
 
 @pytest.mark.parametrize(("n", "mirror"), [(n, i % 2 == 1) for i, n in enumerate((1, 2, 3, 7, 16, 25))])
 def test_reduced_level(n: int, mirror: bool) -> None:
-    """The condensed Hessian is H: the step is -f(H)^{-1} c, f = identity where H is positive definite."""
+    """The condensed Hessian is H: the step is -f(H)^{-1} c, where f is the identity if H is positive definite."""
     floor = 1e-3
     c = _quadratic(n, 1, (Mirror if mirror else Project)(floor)).copy()
     random = np.random.default_rng(n)
@@ -212,7 +212,7 @@ def test_reduced_level(n: int, mirror: bool) -> None:
         c.reset()
         values = np.linalg.eigvalsh(H)
         if abs(values).min() < 1e-10 * abs(values).max():
-            continue  # zero to rounding: the solver's own matter
+            continue  # zero up to rounding: left to the solver
         c.step([0.0])
         assert c.status == Status.OK
         M = regularized(H, mirror, floor) if values[0] < 0 else H
@@ -261,7 +261,7 @@ def test_solutions_equal_those_of_ipopt(free: bool, regularization: Any) -> None
 
 
 def test_quadratic_convergence() -> None:
-    """CSTR from the plain start: 8 iterations to 1e-10, the last residuals squared; Gauss-Newton takes 13."""
+    """CSTR from the initial iterate: 8 iterations to 1e-10 with quadratic convergence; Gauss-Newton takes 13."""
     controller = build(cstr.build_ocp(), Options(hessian=ExactHessian(), condensing=FullCondensing()), "test")
     controller.x[...] = cstr.START
     residuals = []
@@ -275,7 +275,7 @@ def test_quadratic_convergence() -> None:
 
 
 def test_the_identity_is_steepest_descent() -> None:
-    """Blocks are the identity, and the unconstrained step is minus the condensed gradient of the condensed identity."""
+    """Blocks are the identity; the unconstrained step is minus the condensed gradient of the condensed identity."""
     c = build(quadratic(3), Options(hessian=IdentityHessian(), condensing=FullCondensing()), "test").copy()
     c.set_parameter("c", [1.0, -2.0, 3.0])
     c.step([0.0])
@@ -284,7 +284,7 @@ def test_the_identity_is_steepest_descent() -> None:
 
 
 def test_identity_with_all_costs() -> None:
-    """The gradient of an integrated cost comes by its adjoint: equal to that of the exact Hessian's sweep."""
+    """The gradient of an integrated cost is computed by its adjoint: equal to that of the exact Hessian's sweep."""
     options = Options(hessian=IdentityHessian(), condensing=FullCondensing())
     identity, exact = build(everything(), options, "test").copy(), _built(Symmetric(), None, "auto").copy()
     for c in (identity, exact):

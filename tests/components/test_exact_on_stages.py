@@ -1,4 +1,4 @@
-"""The reduced level of the exact Hessian on stages: random indefinite QPs against NumPy, and how solve() converges."""
+"""The reduced level of the exact Hessian on stages: random indefinite QPs against NumPy, and convergence of solve()."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ ROUTES: dict[str, tuple[Any, Any]] = {
     "partial, active set": (PartialCondensing(2), RiccatiActiveSet()),
 }
 DENSE = (FullCondensing(), DenseActiveSet())
-#: Odd N: the last block of two is padded.
+#: Odd N, so that the last of the blocks of two intervals is padded.
 SHAPES = {
     Shape(1, 1, 1): Project(),
     Shape(3, 2, 5, states=1, coupled=1): Mirror(),
@@ -70,7 +70,7 @@ def options_of(route: tuple[Any, Any], regularization: Any) -> Options:
 
 
 def symmetric(L: Array) -> Array:
-    """From the lower triangles."""
+    """Symmetric matrices from their lower triangles."""
     return np.asarray(np.tril(L) + np.tril(L, -1).swapaxes(-1, -2))
 
 
@@ -90,8 +90,8 @@ def reduced_hessian(S: Array, Q: Array, Q_N: Array, free: int) -> Array:
 
 
 def random_nonconvex_qp(shape: Shape, seed: int, curvature: float) -> StageQP:
-    """Convex blocks plus ``curvature`` times random symmetric ones; rows that a point inside the bounds meets. Of every
-    third seed a control is fixed."""
+    """Convex blocks plus ``curvature`` times random symmetric ones; rows that a point inside the bounds satisfies. A
+    control is fixed for every third seed."""
     rng = np.random.default_rng(seed)
     nx, nu, N = shape.nx, shape.nu, shape.N
     nz, rows = nx + nu, rows_of(shape)
@@ -150,7 +150,7 @@ def shifted(qp: StageQP, shift: Array) -> StageQP:
 
 
 def assert_convex_and_optimal(qp: StageQP, solver: StageSolver) -> Array:
-    """What was solved is qp plus a nonnegative diagonal, which is returned; it is convex, and the point its optimum."""
+    """The solved QP is qp plus a nonnegative diagonal, which is returned; it is convex, the point its optimum."""
     before, after = reduced_hessian(qp.S, qp.Q, qp.Q_N, qp.shape.free), solved_hessian(solver)
     scale, change = np.abs(before).max(), after - before
     shift = np.diag(change)
@@ -174,13 +174,13 @@ def far_from_singular(qp: StageQP) -> tuple[bool, bool]:
     return bool(values[0] > 1e-6 * values[-1]), bool(values[0] < -1e-6 * np.abs(values).max())
 
 
-#: Two routes in turn for every shape.
+#: Two combinations of solvers in turn for every shape.
 IN_TURN = {s: [list(ROUTES)[(i + step) % len(ROUTES)] for step in (0, 1)] for i, s in enumerate(SHAPES)}
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_random_qps(shape: Shape) -> None:
-    """Cold, and from the working set of the same QP; equal to the dense route where nothing needs to be changed."""
+    """Cold, and from the working set of the same QP; equal to the dense solver if no regularisation is needed."""
     regularization, names = SHAPES[shape], IN_TURN[shape]
     every = {name: options_of(ROUTES[name], regularization) for name in names}
     every["dense"] = options_of(DENSE, regularization)
@@ -213,7 +213,7 @@ def test_random_qps(shape: Shape) -> None:
 
 
 def test_the_check_sees_a_wrong_shift() -> None:
-    """Of a QP whose Hessian was changed without the solver knowing."""
+    """The same for a QP whose Hessian was changed after the preparation phase."""
     shape = Shape(3, 2, 5, states=1, coupled=1)
     solver = StageSolver(shape, options_of(ROUTES["none, active set"], SHAPES[shape]))
     qp = random_nonconvex_qp(shape, 5, 1.0)
@@ -226,7 +226,7 @@ def test_the_check_sees_a_wrong_shift() -> None:
 
 @pytest.mark.parametrize("regularization", [Project(), Mirror()], ids=repr)
 def test_size_of_the_shift(regularization: Any) -> None:
-    """No bounds: H + shift D. Between 1 and 4 times 9/8 (Mirror: 2) of what makes D^{-1/2} H D^{-1/2} singular."""
+    """No bounds: H + shift D. The shift is 1 to 4 times 9/8 (Mirror: 2) of the one at which the Hessian is singular."""
     shape = Shape(3, 2, 5, controls=0)
     solver = StageSolver(shape, options_of(ROUTES["none, active set"], regularization))
     factor = 2.0 if regularization.mirrors else 1.125
@@ -250,7 +250,7 @@ def test_size_of_the_shift(regularization: Any) -> None:
 
 # Whole problems -------------------------------------------------------------------------------------------------------
 
-#: Every route and both regularisations, but not all pairs.
+#: Every combination of solvers and both regularisations, but not all pairs.
 PAIRS = (
     ("none, active set", Project()),
     ("none, interior point", Mirror()),
@@ -281,8 +281,8 @@ def _built(ocp: Any, route: str, regularization: Any, *args: Any) -> Controller:
 
 @pytest.mark.parametrize(("route", "regularization"), PAIRS, ids=str)
 def test_controls_at_their_bounds_keep_the_step(route: str, regularization: Any) -> None:
-    """H is indefinite, but not along the controls that are free at the local minimiser: one step leads there,
-    and nothing is added to these controls."""
+    """H is indefinite, but positive definite along the controls that are free at the local minimiser: one step leads
+    there, and nothing is added for these controls."""
     c = _built(quadratic, route, regularization, 3, (-1.0, 1.0)).copy()
     H = np.array([[1.0, 2.0, 0.3], [2.0, 1.0, 0.1], [0.3, 0.1, 2.0]])
     c.set_parameter("H", H.ravel())
@@ -308,7 +308,7 @@ def test_controls_at_their_bounds_keep_the_step(route: str, regularization: Any)
 
 @pytest.mark.parametrize(("route", "regularization"), PAIRS[1:], ids=str)
 def test_cstr_converges_quadratically(route: str, regularization: Any) -> None:
-    """From the plain start to 1e-10 in at most 8 iterations (Gauss-Newton: 13), the last residuals squared."""
+    """From the initial iterate to 1e-10 in at most 8 iterations (Gauss-Newton: 13), with quadratic convergence."""
     controller = _built(cstr.build_ocp, route, regularization)
     found = []
     for n in range(1, 9):
@@ -320,7 +320,7 @@ def test_cstr_converges_quadratically(route: str, regularization: Any) -> None:
             break
     assert solution.status == Status.OK
     steps = np.diff(np.log(found[-4:]))
-    assert np.max(steps[1:] / steps[:-1]) > 1.6  # the last residual may be rounding
+    assert np.max(steps[1:] / steps[:-1]) > 1.6  # the last residual may be a rounding error
 
 
 @pytest.mark.parametrize(("route", "regularization"), PAIRS[::2], ids=str)
@@ -330,7 +330,7 @@ def test_quadrotor_converges(route: str, regularization: Any) -> None:
     x0 = np.array([1.0, 1.0, 1.0, *np.zeros(9)])
     solution = c.solve(x0, tol=1e-10, max_iterations=30)
     assert solution.status == Status.OK
-    assert solution.cost == pytest.approx(181.337254, abs=1e-6)  # test_examples.py has it from IPOPT
+    assert solution.cost == pytest.approx(181.337254, abs=1e-6)  # test_examples.py computes it by IPOPT
     u = c.u.copy()
     c.reset()
     again = c.solve(x0, tol=1e-10, max_iterations=30)
@@ -339,7 +339,7 @@ def test_quadrotor_converges(route: str, regularization: Any) -> None:
 
 
 def test_closed_loop() -> None:
-    """Real-time iterations through the nonconvex part: every QP is solved, the quadrotor comes to rest."""
+    """Real-time iterations through the nonconvex region: every QP is solved, and the quadrotor comes to rest."""
     c = _built(quadrotor.build_ocp, "none, active set", Project()).copy()
     log = simulate(c, [1.0, 1.0, 1.0, *np.zeros(9)], steps=80, dt=quadrotor.SAMPLING)
     assert all(status == Status.OK for status in log.status)
@@ -347,7 +347,7 @@ def test_closed_loop() -> None:
 
 
 def curved(free: bool, coupled: bool) -> OCP:
-    """All kinds of costs and rows that stages take, and a dynamic system far from linear."""
+    """All kinds of costs and rows that solvers on stages support, and strongly nonlinear dynamics."""
     ocp = pendulum_of_everything("curved", [0.1, 0.3, 0.2, 0.2, 0.4])
     ocp.subject_to(-1.5, ocp.u, 1.5)
     if free:
@@ -369,7 +369,7 @@ def curved(free: bool, coupled: bool) -> OCP:
     ids=str,
 )
 def test_solutions_equal_those_of_ipopt(route: str, regularization: Any, free: bool, coupled: bool) -> None:
-    """Both levels, x_0 given and in part free."""
+    """Both levels, with x_0 given and partly free."""
     problem = classify(curved(free, coupled))
     c = _built(curved, route, regularization, free, coupled).copy()
     ours = c.solve([0.7, -0.2], tol=1e-9)
@@ -408,7 +408,7 @@ def linear_in_the_control() -> OCP:
 
 
 def test_shifts_of_the_sample_before_are_forgotten() -> None:
-    """Also in entries that no kernel writes; the multipliers of a convex sample show it."""
+    """Also in entries that no kernel writes; the multipliers of a convex sample reveal it."""
     c = _built(linear_in_the_control, "none, active set", Project()).copy()
     c.step([0.3])
     assert c.status == Status.OK
@@ -442,7 +442,7 @@ def test_warnings_of_the_interior_point_route() -> None:
 
 
 def test_qp_none_looks_at_stages() -> None:
-    """The pairs that keep stages are candidates of an exact Hessian too."""
+    """The combinations that keep stages are candidates for an exact Hessian, too."""
     chosen = linearize(classify(cstr.build_ocp()), Options(hessian=ExactHessian()))
     assert chosen.options.condensing == NoCondensing()
     assert chosen.options.qp == RiccatiActiveSet()
@@ -452,7 +452,7 @@ def test_qp_none_looks_at_stages() -> None:
 
 
 def test_multipliers_do_not_see_the_shift() -> None:
-    """lam of the QP as it was and of the shifted one are the same."""
+    """lam of the original QP equals that of the shifted one."""
     shape = Shape(3, 2, 5, states=1, coupled=1)
     solver = StageSolver(shape, options_of(ROUTES["none, active set"], SHAPES[shape]))
     qp = random_nonconvex_qp(shape, 11, 1.0)

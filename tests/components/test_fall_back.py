@@ -1,4 +1,4 @@
-"""RiccatiActiveSet(fallback=None): the interior point method is left out, and a QP that needs it ends with a status."""
+"""RiccatiActiveSet(fallback=None): the interior point method is omitted, and a QP that needs it ends with a status."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.models import problem_of
 
 
 def test_without_fall_back_the_interior_point_method_is_not_in_the_package() -> None:
-    """No code, no struct, less memory; the option is known to the command line."""
+    """No code, no struct, less memory; the command line knows the option."""
     ocp, closed = problem_of("reactor"), Options(condensing=NoCondensing(), qp=RiccatiActiveSet(fallback=None))
     with_it = module_of(ocp, replace(closed, qp=RiccatiActiveSet()))
     without = module_of(ocp, closed)
@@ -46,7 +46,7 @@ def test_without_fall_back_closed_loops_are_the_same_where_it_is_not_needed() ->
 
 
 def test_without_fall_back_an_infeasible_qp_ends_with_a_status_and_a_safe_control() -> None:
-    """Two rows that no control can reconcile: the control stays inside its bounds and the plan stays as it was."""
+    """Two contradictory rows: the control stays inside its bounds, and the plan is unchanged."""
     ocp = OCP("torn", T=1.0, N=4)
     x, u = ocp.state("x"), ocp.control("u")
     ocp.dynamics({x: u})

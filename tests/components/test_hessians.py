@@ -97,7 +97,7 @@ def stored(W: Array, case: Case) -> Array:
 @pytest.mark.parametrize("dt", GRID)
 @pytest.mark.parametrize("name", CASES)
 def test_path(name: str, dt: float) -> None:
-    """Run-time weights unlike those declared, symmetric positive definite."""
+    """Run-time weights that differ from the declared ones, symmetric positive definite."""
     case, call = CASES[name], compiled(name)
     W, _ = weights(case, seed=7)
     weight = W.copy()
@@ -133,7 +133,7 @@ def test_terminal(name: str) -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_gradient_is_that_of_the_cost(name: str) -> None:
-    """Central differences of the compiled cost, error of order h^2."""
+    """Central differences of the compiled cost, with an error of order h^2."""
     case, call = CASES[name], compiled(name)
     W, _ = weights(case)
     z, h = np.concatenate([X, U]), 1e-5
@@ -179,7 +179,7 @@ def linear(**more: object) -> Model:
     ],
 )
 def test_a_constant_hessian_is_recognised(more: dict, constant: bool) -> None:
-    """One block only if neither the point, the parameters nor a varying dt enter."""
+    """There is a single block only if no dependence on the point, the parameters or a varying dt exists."""
     assert linear(**more).constant_hessian is constant
 
 

@@ -1,4 +1,4 @@
-"""The seams are real: an algorithm that needs an integrator alone has a package without anything else, which works."""
+"""The seams are independent: a package whose algorithm needs only an integrator contains nothing else, and works."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ def test_sensitivities_against_casadi(compiled: Compiled) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_sensitivities_in_single_precision(model: str) -> None:
-    """64 eps: S carries the rounding of about 30 stages."""
+    """64 eps: S contains the rounding errors of about 30 stages."""
     point, routines = POINTS[model], {}
     for unroll in UNROLL:
         routines[unroll] = ExplicitRungeKutta(steps=2, unroll=unroll).interval(stated(model, False)).linearize
@@ -192,7 +192,7 @@ def test_zero_entries_of_the_tableau_cost_nothing() -> None:
 
 
 def test_structural_zeros_of_the_crane_are_kept() -> None:
-    """The cart does not feel the load: S has 12 nonzeros, the others are never written."""
+    """The cart is independent of the load: S has 12 nonzeros, the others are never written."""
     interval = ExplicitRungeKutta(unroll="all").interval(stated("crane", True)).linearize
     assert isinstance(interval, Kernel)
     written = {divmod(e, 5) for o, e, _ in interval.stores if o == 1}
@@ -203,7 +203,7 @@ def test_structural_zeros_of_the_crane_are_kept() -> None:
 
 
 def test_a_state_that_vanishes_is_written() -> None:
-    """One Euler step of length 1 of xdot = -x gives zero; the caller's memory need not hold zeros."""
+    """One Euler step of length 1 of xdot = -x gives zero, whatever the caller's memory contains."""
     ocp = OCP("deadbeat", T=2.0, N=2)
     x, u = ocp.state("x", size=2), ocp.control("u")
     ocp.dynamics(ca.vertcat(-x[0], u))
@@ -282,7 +282,7 @@ def test_a_wrong_tableau_is_refused(a: list, b: list, order: int, message: str) 
 
 
 def test_a_tableau_of_the_user() -> None:
-    """Ralston's method of order 2, with a numerator that is no unit fraction."""
+    """Ralston's method of order 2, with a numerator other than 1."""
     F = Fraction
     ralston = ButcherTableau("Ralston", ((F(0), F(0)), (F(2, 3), F(0))), (F(1, 4), F(3, 4)), 2)
     x, u, p = POINTS["tanks"]

@@ -1,7 +1,7 @@
 """Stated operation counts against the generated C run with a counting scalar, class by class.
 
-Every printed routine, every stage product in both spellings, every function that a component states a cost for, and
-the sums in the table of contents.
+Tested are every printed routine, every stage product in both code styles, every function with a cost stated by a
+component, and the sums in the table of contents.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def test_what_is_stated_covers_routines_products_and_components() -> None:
 
 
 def test_a_wrong_count_is_found() -> None:
-    """One operation more, in a routine, a product and components, in every class; the others still agree."""
+    """One additional operation, in a routine, a product and components, in every class; the others still agree."""
     module = module_of(problem_of("reactor"))
     functions = ("integrator_interval", "state_step", "condense_hessian", "linearize", "path_gradient")
     wrong = dict(zip(functions, CLASSES, strict=True))
@@ -93,7 +93,7 @@ def test_a_wrong_count_is_found() -> None:
 
 
 def test_sections_of_the_table_of_contents() -> None:
-    """The figure of a section is the sum over its functions, and it is what the text prints."""
+    """The figure of a section is the sum over its functions, and the text prints it."""
     module = module_of(PROBLEMS["general"](), Options(qp=DenseActiveSet()))
     operations = module.description.report.operations
     expected = {
@@ -130,6 +130,6 @@ def test_the_counting_scalar_replaces_the_type_in_both_precisions() -> None:
 
 
 def test_lower_states_the_same_counts_twice() -> None:
-    """lower() is a pure function: asking again changes nothing."""
+    """lower() is a pure function: a second call changes nothing."""
     lin = linearize(classify(problem_of("crane")), Options())
     assert lower(lin).description == lower(lin).description

@@ -31,7 +31,7 @@ def test_the_same_steps_as_the_active_set(name: str) -> None:
 
 
 def test_copies_share_the_workspace_and_answer_alike() -> None:
-    """Interleaved calls of two copies at different states: each gives what it gives alone."""
+    """Interleaved calls of two copies at different states: each gives the same result as alone."""
     case = problems.CASES["crane"]
     first = build(case.make(), OPTIONS, profile="test", name="crane_osqp")
     second, alone = first.copy(), problems.controller("crane")

@@ -43,7 +43,7 @@ few = settings(max_examples=8, deadline=None)
 
 
 def drawn_rows(rng: np.random.Generator, shape: Shape) -> np.ndarray:
-    """Gradients of the rows; unit vectors where the shape says so."""
+    """Gradients of the rows; unit vectors if the shape requires them."""
     rows = rng.normal(size=(len(shape.rows), shape.nx + shape.nus))
     for m, (k, state) in enumerate(shape.rows):
         if state >= 0:
@@ -100,7 +100,7 @@ def test_constructed_kkt_points(name: str, kind: str, seed: int) -> None:
 @many
 @given(seed=seeds, degenerate=st.sampled_from([0.0, 0.3, 1.0]))
 def test_warm_started_sequences(name: str, seed: int, degenerate: float) -> None:
-    """One struct through problems whose active sets, bounds, equations and matrices jump."""
+    """One struct solves problems whose active sets, bounds, equations and matrices change strongly."""
     rng = np.random.default_rng(seed)
     s = solver(SHAPES[name])
     for _ in range(5):
@@ -113,7 +113,7 @@ def test_warm_started_sequences(name: str, seed: int, degenerate: float) -> None
 @many
 @given(seed=seeds, name=st.sampled_from(["bounds", "state bounds", "general", "free"]))
 def test_everything_but_the_matrices_may_change_between_the_phases(seed: int, name: str) -> None:
-    """The prediction that qp_factorize sees may be wrong in every bound, gradient and in x_0."""
+    """The prediction passed to qp_factorize may be wrong in every bound, gradient and in x_0."""
     rng = np.random.default_rng(seed)
     shape = SHAPES[name]
     s = solver(shape)
@@ -156,7 +156,7 @@ def test_a_holding_set_of_control_bounds_needs_no_correction() -> None:
 
 
 def test_a_shifted_working_set_is_the_prediction() -> None:
-    """Shifting a time-invariant problem by a stage: sides and multipliers move along, rows as their source says."""
+    """Shifting a time-invariant problem by a stage shifts sides and multipliers, and rows according to their source."""
     shape = Shape(4, 1, 2, ((1, 0), (2, 0), (3, 0), (4, 0)))
     s = solver(shape)
     s["side"][...] = [1, 0, -1, 0, 0, 1, 0, -1, 1, 0, -1, 0]
@@ -170,7 +170,7 @@ def test_a_shifted_working_set_is_the_prediction() -> None:
 @few
 @given(seed=seeds, degenerate=st.sampled_from([0.0, 0.5]))
 def test_redundant_rows(repeated: str, seed: int, degenerate: float) -> None:
-    """No decision about rank is needed: what is active twice shares its multiplier."""
+    """No decision on the rank is needed: duplicate active rows share the multiplier."""
     rng = np.random.default_rng(seed)
     shape = Shape(4, 3, 2, tuple((k, -1) for k in range(5) for _ in range(4)))
     rows = drawn_rows(rng, shape)
@@ -193,7 +193,7 @@ def test_redundant_rows(repeated: str, seed: int, degenerate: float) -> None:
 @few
 @given(seed=seeds, rank=st.sampled_from([0, 1, 3, 5]))
 def test_semidefinite_hessians(seed: int, rank: int) -> None:
-    """Any rank: optimality conditions and the objective of the solution; a linear program may be given up."""
+    """Any rank: optimality conditions and the objective of the solution; the solver may fail on a linear program."""
     rng = np.random.default_rng(seed)
     shape = SHAPES["state bounds"]
     problem = random_problem(rng, shape.ns, shape.nx, shape.nus)
@@ -218,7 +218,7 @@ def test_semidefinite_hessians(seed: int, rank: int) -> None:
 @few
 @given(seed=seeds, radius=st.sampled_from([1.05, 1.3]))
 def test_unstable_dynamics(seed: int, radius: float) -> None:
-    """The recursion feeds back: growth over the horizon does not spoil what it computes."""
+    """The recursion uses feedback: growth over the horizon does not impair its accuracy."""
     rng = np.random.default_rng(seed)
     shape = Shape(60, 3, 2)
     problem = random_problem(rng, 60, 3, 2, radius=radius)
@@ -257,7 +257,7 @@ def test_badly_scaled_components(seed: int, spread: float) -> None:
 
 
 def contradiction(rng: np.random.Generator, shape: Shape) -> StageQP:
-    """A row at the end that cannot reach its bound with all the others kept."""
+    """A row at the end that cannot reach its bound if all the others hold."""
     qp = drawn(rng, shape, "none active")
     assert qp.u is not None
     assert qp.x is not None
@@ -274,7 +274,7 @@ def contradiction(rng: np.random.Generator, shape: Shape) -> StageQP:
 
 
 def proves(qp: StageQP, weights: np.ndarray) -> bool:
-    """sum_c f_c (value of row c) does not depend on the controls, and exceeds what the bounds allow."""
+    """sum_c f_c (value of row c) does not depend on the controls, and exceeds the value that the bounds allow."""
     p, n = qp.problem, p_controls(qp)
     grad = np.zeros((p.ns + 1, p.nx + p.nu))
     for a, k, f in zip(qp.rows, qp.at, weights[n:], strict=True):
@@ -340,7 +340,7 @@ def test_data_that_are_not_finite(seed: int, name: str, bad: float) -> None:
     if name in ("Q", "Q_N"):
         i, j = np.sort(index[-2:])
         index = (*index[:-2], j, i)
-    if name in ("Q", "g") and index[0] == 0:  # x_0 is given: its block takes no part
+    if name in ("Q", "g") and index[0] == 0:  # x_0 is given: its block has no effect
         index = (1, *index[1:])
     if name == "rows" and good.at[index[0]] == SHAPES["general"].ns:
         index = (0, index[1])
@@ -376,7 +376,7 @@ def test_a_failed_factorisation_is_not_solved_with() -> None:
 
 
 def test_an_unbounded_problem() -> None:
-    """A control without cost, bound or effect, but with a price."""
+    """A control without quadratic cost, bound or effect, but with a linear cost."""
     rng = np.random.default_rng(3)
     shape = SHAPES["bounds"]
     problem = random_problem(rng, shape.ns, shape.nx, shape.nus)
@@ -397,7 +397,7 @@ def test_an_unbounded_problem() -> None:
 @few
 @given(seed=seeds)
 def test_a_working_set_that_is_not_found_goes_to_the_interior_point(seed: int) -> None:
-    """Two working sets are allowed; what follows is exact again."""
+    """Two working sets are allowed; the subsequent solve is exact again."""
     rng = np.random.default_rng(seed)
     s, qp = solver(SHAPES["general"], max_iterations=1), drawn(rng, SHAPES["general"], "all active")
     assert s.run(qp) == "OK"

@@ -44,7 +44,7 @@ class Kernel:
         return ctypes.c_void_p(self.memory.ctypes.data)
 
     def load(self, problem: StageProblem, rows: np.ndarray) -> None:
-        """The strict upper triangles are NaN: nobody may read them."""
+        """The strict upper triangles are NaN, because they must not be read."""
         stage, hessian = self.memory["stage"], self.memory["hessian"]
         stage["S"][...], stage["b"][...] = problem.S, problem.b
         upper = np.triu(np.full(problem.Q[0].shape, np.nan), 1)
@@ -55,7 +55,7 @@ class Kernel:
         self.problem = problem
 
     def right(self) -> None:
-        """The right-hand sides: a factorisation overwrites them."""
+        """Set the right-hand sides, which a factorisation overwrites."""
         riccati, problem = self.memory["riccati"], self.problem
         g = riccati["work"]["vectors"]["rhs"]["g"]
         g[:-1], g[-1, : problem.nx] = problem.g, problem.g_N
@@ -123,7 +123,7 @@ def loaded(kernel: Kernel, data: dict[str, Any]) -> None:
 
 
 def weighted(shape: Shape, data: dict[str, Any]) -> StageProblem:
-    """The same problem with weights and diagonal in its Hessian."""
+    """The same problem with weights and diagonal included in its Hessian."""
     problem, nx = data["problem"], shape.nx
     Q, Q_N = problem.Q.copy(), problem.Q_N.copy()
     for k in range(shape.ns):
@@ -176,7 +176,7 @@ def test_one_dense_kkt_system_agrees(name: str, seed: int) -> None:
 @some
 @given(seed=seeds)
 def test_a_recursion_from_the_middle(name: str, seed: int) -> None:
-    """Weights, fixed controls and vectors up to stage ``last`` change: later stages stand."""
+    """Weights, fixed controls and vectors up to stage ``last`` change: later stages remain valid."""
     shape, rng = SHAPES[name], np.random.default_rng(seed)
     kernel = Kernel(shape)
     data, other = drawn(shape, rng), drawn(shape, rng)
@@ -202,7 +202,7 @@ def test_a_pivot_that_is_not_positive_is_named() -> None:
     loaded(kernel, data)
     assert kernel.factorize() == 0
     assert kernel.memory["riccati"]["failed"] == 5
-    data["fixed"][5] = True  # what is given needs no curvature
+    data["fixed"][5] = True  # a fixed control needs no curvature
     loaded(kernel, data)
     assert kernel.factorize() == 1
     agrees(kernel, data, *kernel.substitute(data["problem"].x_0))

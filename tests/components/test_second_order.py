@@ -1,4 +1,4 @@
-"""Second-order sensitivities in C, both schemes in every spelling, against the complex step."""
+"""Second-order sensitivities in C, both schemes in every code style, against the complex step."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SWEEPS = ("symmetric", "forward_over_adjoint")
 #: (steps, uniform grid); of three steps one is neither the first nor the last.
 GRIDS = ((1, True), (3, False))
 
-#: Every tableau in every spelling on one model, two on the others; "auto" is one of the three.
+#: Every tableau in every code style on one model, two on the others; "auto" is one of the three.
 PAIRS = [("crane", s) for s in SCHEMES] + [(m, s) for m in ("reactor", "tanks") for s in ("SSPRK3", "RK4")]
 SPELLED = {"crane": UNROLL[:3], "reactor": ("all", "none"), "tanks": ("step", "auto")}
 
@@ -94,7 +94,7 @@ def test_against_the_complex_step(compiled: tuple[str, str, Routines]) -> None:
 
 @pytest.mark.parametrize("scheme", SWEEPS)
 def test_against_casadi(scheme: str) -> None:
-    """The Hessian that CasADi takes of the whole unrolled interval."""
+    """The Hessian of the complete unrolled interval by CasADi."""
     problem = stated("reactor", False)
     x, u, p = POINTS["reactor"]
     lam = seed(2)
@@ -148,7 +148,7 @@ def economic(uniform: bool) -> Problem:
 
 @pytest.mark.parametrize(("steps", "uniform"), GRIDS)
 def test_integrated_cost(steps: int, uniform: bool) -> None:
-    """Value, gradient by the adjoint, gradient and Hessian by the sweeps; least squares of the node come on top."""
+    """Value, gradient by the adjoint, gradient and Hessian by the sweeps; least squares of the node are added."""
     x, u, p = POINTS["reactor"]
     lam, dt = seed(2), LENGTH if uniform else GRID[2]
     yref, W = np.array([0.1, 0.2, 0.3, 0.4]), np.array([1.0, 2.0, 3.0, 4.0])
@@ -193,7 +193,7 @@ def integral(steps: int, dt: float, x: Array, u: Array, p: Array) -> float:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_what_is_not_kept_is_evaluated_again(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Three ways to store: curved rows of all stages; adjoints and tapes; adjoints and points alone."""
+    """Three ways of storage: curved rows of all stages; adjoints and tapes; only adjoints and points."""
     problem, (x, u, p) = stated(model, True), POINTS[model]
     lam = seed(len(x))
     expected = expand(MODELS[model], "RK4", 2, LENGTH, x, u, p, lam)
@@ -218,7 +218,7 @@ def test_what_is_not_kept_is_evaluated_again(model: str, monkeypatch: pytest.Mon
     assert [loops(f"{way}_symmetric_none") for way in ("kept", "tapes", "points")] == [2, 3, 3]
 
 
-#: Example, steps, what its three sweeps do: tapes in vectors, the second half of a step one step behind.
+#: Example, steps, properties of its three sweeps: tapes in vectors, the second half of a step one step behind.
 IN_VECTORS = (
     (lambda: bioreactor.build_ocp(periodic=False), 3, True, True),
     (cart_pole.build_ocp, 2, True, False),  # calls of sin and cos
@@ -250,7 +250,7 @@ def test_stages_in_vectors(make: Callable[[], OCP], steps: int, wide: bool, stag
 
 
 def test_memory_of_three_sweeps() -> None:
-    """Nothing of three sweeps that is kept per stage is larger than n (nx + nx); forward over adjoint keeps n nx nz."""
+    """No storage per stage of three sweeps exceeds n (nx + nx); forward over adjoint stores n nx nz."""
     problem = classify(dense(6))
     sizes = {}
     for scheme in SWEEPS:
@@ -265,7 +265,7 @@ def test_memory_of_three_sweeps() -> None:
 
 
 def dense(n: int) -> OCP:
-    """A model whose every derivative is nonzero: n states, one control."""
+    """A model with all derivatives nonzero: n states, one control."""
     ocp = OCP("dense", T=1.0, N=2)
     x, u = ocp.state("x", size=n), ocp.control("u")
     M = np.random.default_rng(n).uniform(0.1, 1, (n, n + 1))
@@ -279,7 +279,7 @@ def dense(n: int) -> OCP:
 
 @pytest.mark.parametrize("scheme", SWEEPS)
 def test_lower_triangle_and_structural_zeros(scheme: str) -> None:
-    """The crane is curved in (phi, omega, a) only; straight-line code stores nothing else, loops know it as well."""
+    """The crane is curved only in (phi, omega, a); straight-line code stores nothing else, and loops use it as well."""
     block = {(i, j) for i in (2, 3, 4) for j in (2, 3, 4) if j <= i}
     for unroll in UNROLL:
         routine = curved(stated("crane", True), ExplicitRungeKutta(steps=2, unroll=unroll), scheme)
@@ -289,7 +289,7 @@ def test_lower_triangle_and_structural_zeros(scheme: str) -> None:
 
 
 def test_columns_that_depend_on_time_alone() -> None:
-    """Of the crane: position and velocity of the cart; they are not propagated."""
+    """States of the crane: position and velocity of the cart; they are not propagated."""
     d = Derivatives(stated("crane", True))
     assert [d.closed(j) for j in range(5)] == [True, True, False, False, False]
     assert d.curved == [3]
@@ -316,7 +316,7 @@ def test_linear_dynamics_have_no_curvature(scheme: str) -> None:
 
 @pytest.mark.parametrize("scheme", SWEEPS)
 def test_products_of_controls(scheme: str) -> None:
-    """x' = u_0 u_1 + u_0^2: H has control rows only, no state is curved."""
+    """x' = u_0 u_1 + u_0^2: H has rows of the controls only, no state is curved."""
     ocp = OCP("controls", T=1.0, N=2)
     x, u = ocp.state("x"), ocp.control("u", size=2)
     ocp.dynamics({x: u[0] * u[1] + u[0] ** 2 - x})

@@ -43,14 +43,14 @@ def pendulum(name: str) -> OCP:
 
 
 def soft_bound(l1: float, l2: float) -> OCP:
-    """The speed stays above -0.2, softly: its multiplier at the optimum is about 0.5."""
+    """The speed has the soft lower bound -0.2: its multiplier at the optimum is about 0.5."""
     ocp = pendulum("soft_bound")
     ocp.subject_to(-0.2, ocp.x[1], np.inf, soft=(l1, l2), name="speed")
     return ocp
 
 
 def soft_equality() -> OCP:
-    """A soft equality at the end, which the controls cannot reach, and a soft path row with the control."""
+    """A soft equality at the end that the controls cannot satisfy, and a soft path row with the control."""
     ocp = pendulum("soft_equality")
     ocp.subject_to(-1.5, ocp.x[0], -1.5, at="end", soft=(0.3, 0.2), name="target")
     ocp.subject_to(-0.4, ocp.x[0] * ocp.x[1] + ocp.u, 0.5, soft=(0.02, 0.5), name="mixed")
@@ -76,7 +76,7 @@ def periodic() -> OCP:
 
 
 def partly_free() -> OCP:
-    """th_0 given, w_0 free; a row that mixes both ends in a curved way, hard, and one with a penalty."""
+    """th_0 given, w_0 free; a hard nonlinear row on both ends, and one with a penalty."""
     ocp = pendulum("partly_free")
     ocp.free_initial(ocp.x[1])
     start, end = ocp.at_start(ocp.x), ocp.at_end(ocp.x)
@@ -121,7 +121,7 @@ def ipopt(case: str) -> Reference:
     return Reference(classify(CASES[case]()))
 
 
-#: Forms in turn, two for every other case; test_stage_qps.py has soft, coupled and free rows in QPs of all solvers.
+#: Variants in turn, two for every other case; test_stage_qps.py has soft, coupled and free rows for all solvers.
 PICKS = [(case, list(FORMS)[(i + step) % len(FORMS)]) for i, case in enumerate(CASES) for step in (0, 1)[: 1 + i % 2]]
 
 
@@ -158,7 +158,7 @@ def test_an_exact_penalty_is_the_hard_row() -> None:
 
 
 def test_stages_carry_free_components_to_coupled_rows() -> None:
-    """No condensing is blocks of one interval then, and says so; the QPs are those of full condensing."""
+    """Without condensing the blocks then have one interval, which is stated; the QPs are those of full condensing."""
     stages, condensed = (
         build(periodic(), Options(**FORMS[form]), profile="test") for form in ("active set", "condensed")
     )
@@ -171,7 +171,7 @@ def test_stages_carry_free_components_to_coupled_rows() -> None:
 
 
 def tight() -> OCP:
-    """|th| <= 0.5, infeasible for th_0' beyond it."""
+    """|th| <= 0.5, infeasible for th_0' outside."""
     ocp = pendulum("tight")
     ocp.subject_to(-0.5, ocp.x[0], 0.5, name="angle")
     return ocp

@@ -1,7 +1,8 @@
-"""Every registered QP solver on random stage QPs, judged by the constructed optimum; and the judge judged.
+"""Every registered QP solver on random stage QPs, judged by the constructed optimum; and tests of the judge.
 
-A package per dimensions and solver, 25 data sets each drawn by hypothesis, which shrinks kind, active rows and digits.
-Every solver sees the five structures of SMALL, and the others in turn; benchmarks.qp draws dimensions for all of them.
+There is one package per dimensions and solver, with 25 data sets each drawn by hypothesis, which shrinks kind, active
+rows and digits. Every solver gets the five structures of SMALL, and the others in turn; benchmarks.qp draws dimensions
+for all solvers.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ SMALL = (
     Shape(5, 3, 8, coupled=2, path=1, soft=(2,)),
 )
 
-#: What the solvers are built for: every structure, from the smallest to nx = 30.
+#: Shapes for which the solvers are designed: every structure, from the smallest to nx = 30.
 SHAPES = (
     *SMALL,
     Shape(1, 1, 2, states=1),
@@ -82,7 +83,7 @@ def test_constructed_points_are_optimal(shape: Shape, kind: str) -> None:
 @pytest.mark.parametrize("plugin", ["qpoases", "proxqp"])
 @pytest.mark.parametrize("shape", SMALL, ids=str)
 def test_foreign_solvers_find_the_constructed_optimum(shape: Shape, plugin: str) -> None:
-    """qpOASES to rounding also where blocks are indefinite; ProxQP, which needs them convex, to its tolerance."""
+    """qpOASES to rounding accuracy also for indefinite blocks; ProxQP, which needs convex blocks, to its tolerance."""
     if not available(plugin):
         pytest.skip(f"this CasADi has no {plugin}")
     tolerance = {"qpoases": 1e-9, "proxqp": 1e-5}[plugin]
@@ -90,7 +91,7 @@ def test_foreign_solvers_find_the_constructed_optimum(shape: Shape, plugin: str)
         qp = random_qp(shape, kind, 7)
         form = stage_form(qp)
         if kind == "scaled":
-            continue  # in units that absolute tolerances do not fit
+            continue  # in units that are unsuitable for absolute tolerances
         with silent():
             found, w = Plugin(plugin, [form]).solve(form)
         p = point_of(qp, w)
@@ -100,7 +101,7 @@ def test_foreign_solvers_find_the_constructed_optimum(shape: Shape, plugin: str)
 
 
 def test_scaled_problems_are_the_same_in_other_units() -> None:
-    """Residuals and distances do not depend on the units; the numbers do span many powers of ten."""
+    """Residuals and distances do not depend on the units; the numbers span many powers of ten."""
     qp = random_qp(SMALL[2], "scaled", 0)
     assert qp.unit_x.max() / qp.unit_x.min() > 1e3
     assert qp.optimum is not None
@@ -111,7 +112,7 @@ def test_scaled_problems_are_the_same_in_other_units() -> None:
 
 @pytest.mark.parametrize("shape", SMALL, ids=str)
 def test_the_judge_sees_every_error(shape: Shape) -> None:
-    """Wrong steps, wrong multipliers, a multiplier of the wrong sign, a row left out."""
+    """Wrong steps, wrong multipliers, a multiplier of the wrong sign, a missing row."""
     rng = np.random.default_rng(0)
     for kind in ("plain", "degenerate", "redundant"):
         qp = random_qp(shape, kind, 3, active=0.8)
@@ -147,7 +148,7 @@ def test_natural_residual() -> None:
 
 @pytest.mark.parametrize("shape", [s for s in SMALL if INFEASIBLE in kinds_of(s)], ids=str)
 def test_infeasible_problems_have_a_proof(shape: Shape) -> None:
-    """The weights combine rows and bounds to 0 <= something negative; HiGHS finds no point either."""
+    """The weights combine rows and bounds to 0 <= (a negative number); HiGHS finds no feasible point either."""
     for seed in range(10):
         qp = random_qp(shape, INFEASIBLE, seed)
         assert certificate(qp) == "infeasible"
@@ -169,7 +170,7 @@ def test_feasible_problems_are_certified() -> None:
 
 
 def test_condition_of_a_known_problem() -> None:
-    """Nearly parallel active rows are seen; a well-posed problem is not near the limit at which errors are excused."""
+    """Nearly parallel active rows are detected; a well-posed problem is not near the limit for excused errors."""
     shape = Shape(2, 2, 4, path=2)
     qp = random_qp(shape, "plain", 0, active=0.0)
     assert condition(qp) < 1e4
@@ -191,7 +192,7 @@ SOLVERS = solvers()
 
 
 def chosen(shape: Shape) -> dict[str, Options]:
-    """Solvers of a shape: all for SMALL, else the one whose turn it is."""
+    """Solvers of a shape: all for SMALL, else one in turn."""
     name = list(SOLVERS)[SHAPES.index(shape) % len(SOLVERS)]
     return SOLVERS if shape in SMALL else {name: SOLVERS[name]}
 
@@ -210,7 +211,7 @@ def recipes(draw: st.DrawFn, shape: Shape) -> dict[str, Any]:
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_every_solver_finds_the_constructed_optimum(shape: Shape) -> None:
-    """Cold, again from its own working set, and from that of another QP; infeasible ones are recognised."""
+    """Cold, again from its own working set, and from that of another QP; infeasible QPs are recognised."""
     some = chosen(shape)
     build_all((shape, options) for options in some.values())
 

@@ -1,7 +1,7 @@
 """Any sequence of calls, with good and bad arguments, either gives a consistent problem or raises ProblemError.
 
-And any problem file, through the command line, ends in a package or in a message about the file: never in an exception
-that the library did not mean to raise.
+Any problem file, through the command line, leads to a package or to a message about the file, never to an unintended
+exception of the library.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ FOREIGN = ca.SX.sym("foreign")
 
 
 def expressions(ocp: OCP) -> list[Any]:
-    """Expressions in whatever is declared, and things that are none."""
+    """Expressions in the declared symbols, and objects that are no expressions."""
     symbols = [s for s in (ocp.x, ocp.u, ocp.p, ocp.x_start, ocp.x_end) if s.numel()]
     elements = [s[i] for s in symbols for i in range(s.numel())]
     made = [
@@ -122,7 +122,7 @@ def call(ocp: OCP, draw: Any) -> None:
 
 
 def consistent(problem: Problem) -> None:
-    """What every later stage relies on."""
+    """Properties on which every later stage relies."""
     nx, nu, N = problem.nx, problem.nu, problem.N
     assert len(problem.dt) == N
     assert problem.dynamics.size1_out(0) == nx
@@ -184,7 +184,7 @@ def test_only_problem_errors(data: st.DataObject) -> None:
 @settings(max_examples=100, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_mutations_of_a_whole_problem(data: st.DataObject) -> None:
-    """A problem that analyses, then a few random calls: still consistent, or a ProblemError."""
+    """A valid problem, then a few random calls: still consistent, or a ProblemError."""
     ocp = OCP("a", T=1.0, N=3)
     x, r, u = ocp.state("x"), ocp.state("r", size=2), ocp.control("u")
     ocp.dynamics({x: u, "r": ca.vertcat(r[1], x)})
@@ -316,7 +316,7 @@ def with_another_token(text: str, rng: random.Random) -> str:
 
 
 def meant(error: BaseException, file: Path) -> bool:
-    """True for an error of ours, and for one that Python raises in the file itself or in what it calls but us."""
+    """True for an error of ours, and for one that Python raises in the file itself or in code that the file calls."""
     package = Path(nmpc_codegen.__file__).parent
     frames = [Path(f.filename) for f in traceback.extract_tb(error.__traceback__)]
     ours = [f for f in frames if f == file or package in f.parents]
@@ -355,7 +355,7 @@ def test_the_unmutated_file(tmp_path: Path) -> None:
 
 
 def test_an_exception_inside_the_library_is_not_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The judge of the test above: blames the library for what it lets through, not the file for its own mistakes."""
+    """Test of the judge above: it blames the library for unintended exceptions, not the file for its own mistakes."""
     file = tmp_path / "problem.py"
     errors: list[BaseException] = []
     monkeypatch.setattr(command, "message", lambda error, problem: (errors.append(error), "message")[1])

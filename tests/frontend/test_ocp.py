@@ -1,4 +1,4 @@
-"""What the user can state, and the message of every mistake."""
+"""Statements of the user, and the message of every mistake."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nmpc_codegen.ir.naming import C_KEYWORDS
 
 
 class Given:
-    """x, r[2], u, q: the names that the cases below speak of. No dynamics, no cost, no rows yet."""
+    """x, r[2], u, q: the names used in the cases below, without dynamics, cost and rows."""
 
     def __init__(self) -> None:
         self.ocp = OCP("plant", T=2.0, N=4)
@@ -28,14 +28,14 @@ class Given:
         self.q = self.ocp.parameter("q", value=1.0)
 
     def complete(self) -> OCP:
-        """Add what is missing to a whole problem."""
+        """Complete a problem with the missing statements."""
         self.ocp.dynamics({"x": self.u, "r": self.r})
         self.ocp.least_squares(self.u, 1)
         return self.ocp
 
 
 def foreign() -> Any:
-    """An SX symbol of no OCP."""
+    """An SX symbol that belongs to no OCP."""
     return ca.SX.sym("w")
 
 
@@ -364,7 +364,7 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
 
 
 class _Callback(ca.Callback):  # type: ignore[misc]
-    """A function that CasADi cannot look into."""
+    """A function that CasADi cannot inspect."""
 
     def __init__(self) -> None:
         ca.Callback.__init__(self)
@@ -383,7 +383,7 @@ def callback(x: Any) -> Any:
 
 @pytest.mark.parametrize("case", MISTAKES, ids=str)
 def test_every_mistake_is_named(case: str) -> None:
-    """Each mistake raises ProblemError, whose message names the thing and what was expected."""
+    """Each mistake raises ProblemError, whose message names the object and the expected input."""
     make, message = MISTAKES[case]
     with pytest.raises(ProblemError, match=re.escape(message)):
         make(Given())
@@ -401,7 +401,7 @@ def test_keyword_table_holds_c99_and_no_library_names() -> None:
 
 
 def test_a_refused_call_changes_nothing() -> None:
-    """After an error the OCP is as before."""
+    """After an error the OCP is unchanged."""
     g = Given()
     for wrong in (
         lambda: g.ocp.dynamics({"x": g.u, "r": 0}),
@@ -434,7 +434,7 @@ EXPECTED = [0.5 * 2.0, -0.7, np.sin(0.3) - 0.2 * 1.1]
 
 @pytest.mark.parametrize("form", ["symbols", "names", "elements", "column", "list", "calls", "array", "MX", "mixed MX"])
 def test_forms_of_dynamics_agree(form: str) -> None:
-    """Whichever way the derivatives are given, f(x, u, p) is the same (numbers worked out with NumPy)."""
+    """However the derivatives are given, f(x, u, p) is the same (numbers computed with NumPy)."""
     g = Given()
     ocp, x, r, u, q = g.ocp, g.x, g.r, g.u, g.q
     rate = ca.vertcat(r[0], ca.sin(x) - 0.2 * r[1])
@@ -533,7 +533,7 @@ def test_weights_of_every_form() -> None:
 def test_weight_with_round_off_is_accepted_and_symmetric() -> None:
     rng = np.random.default_rng(1)
     J = rng.standard_normal((2, 2))
-    W = J @ np.diag([1.0, 0.0]) @ J.T  # singular: one eigenvalue is zero up to round-off
+    W = J @ np.diag([1.0, 0.0]) @ J.T  # singular: one eigenvalue is zero up to rounding
     W[0, 1] *= 1 + 1e-15
     g = Given()
     g.ocp.least_squares(g.r, W)

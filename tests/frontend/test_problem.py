@@ -168,7 +168,7 @@ def test_rows_are_classified(case: str) -> None:
 
 
 def test_one_interval() -> None:
-    """Path and end of the states coincide: the equality replaces the path row altogether."""
+    """Path and end rows of the states coincide: the equality replaces the path row completely."""
     rows = stated(to(-1, X, 1), to(0, X, 0, at="end"), to(-1, U, 1), intervals=1)
     assert [(r.kind, r.nodes) for r in rows] == [("state", ()), ("state", (1,)), ("control", (0,))]
 
@@ -235,7 +235,7 @@ def test_stage_symbols_are_all_that_expressions_contain() -> None:
 
 
 def test_general_costs_and_their_scaling() -> None:
-    """Node terms are multiplied by dt unless told otherwise, integrated and terminal ones never; terms add up."""
+    """Node terms are multiplied by dt unless stated otherwise, integrated and terminal ones never; terms are added."""
     m = Model()
     m.ocp.stage_cost(m.x)
     m.ocp.stage_cost(10 * m.u, scale_with_dt=False)
@@ -312,7 +312,7 @@ def test_discrete_map_has_unit_intervals_unless_given() -> None:
 
 
 def test_analyse_twice_and_after_a_change() -> None:
-    """The OCP stays mutable; a problem once made does not move with it."""
+    """The OCP remains mutable; an existing problem does not change with it."""
     m = Model()
     before = m.problem()
     m.ocp.subject_to(-1, m.u, 1)

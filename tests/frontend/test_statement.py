@@ -1,4 +1,4 @@
-"""Rows of one name on one bare state or control are one bound: the intersection of what is stated."""
+"""Rows of one name on one bare state or control are one bound: the intersection of all statements."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Plant:
         self.u = self.ocp.control("u")
 
     def complete(self) -> OCP:
-        """Add what is missing to a whole problem."""
+        """Complete a problem with the missing statements."""
         self.ocp.dynamics({self.x: self.u, self.r: self.r})
         self.ocp.least_squares(self.u, 1)
         return self.ocp
@@ -43,7 +43,7 @@ def test_a_copied_ocp_states_the_same_problem() -> None:
     st.lists(st.tuples(st.floats(-9, 0) | st.just(-np.inf), st.floats(0, 9) | st.just(np.inf)), min_size=1, max_size=4)
 )
 def test_rows_of_one_name_are_one_bound(intervals: list[tuple[float, float]]) -> None:
-    """The intersection, whatever the order; nothing is left over."""
+    """The intersection does not depend on the order, and no other rows remain."""
     g = Plant()
     for lower, upper in intervals:
         g.ocp.subject_to(lower, g.u, upper)

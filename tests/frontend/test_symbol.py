@@ -1,4 +1,4 @@
-"""The symbols of an OCP are SX in every respect but one: vectors, too, can be keys of a dictionary."""
+"""The symbols of an OCP are SX with one extension: vectors, too, can be keys of a dictionary."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 /* ==== settings and results =============================================================================== */
 
-/* Settings, results and integration: what the application calls besides the algorithm. */
+/* Settings, results and integration: the functions that the application calls besides those of the algorithm. */
 
 const char *golden_status_string(status_t status)
 {
@@ -22,7 +22,7 @@ const char *golden_status_string(status_t status)
     return (index >= 0 && index < 12) ? text[index] : "unknown status";
 }
 
-/* Back to the plain start; settings (references, weights, parameters, bounds) stay. */
+/* Restores the initial iterate; the settings (references, weights, parameters, bounds) are kept. */
 status_t golden_reset(solver_t *s)
 {
     if (s->magic != MAGIC) {
@@ -32,7 +32,7 @@ status_t golden_reset(solver_t *s)
     return OK;
 }
 
-/* to = copies of from (n numbers), one after the other. */
+/* Fills `to` with consecutive copies of the n numbers in `from`. */
 static void fill_copies(real_t *to, int copies, const real_t *from, int n)
 {
     for (int k = 0; k < copies; k++) {
@@ -42,7 +42,7 @@ static void fill_copies(real_t *to, int copies, const real_t *from, int n)
     }
 }
 
-/* Everything to what the problem states. */
+/* Initialises all members to their declared values. */
 status_t golden_init(solver_t *s)
 {
     memset(s, 0, sizeof *s);
@@ -58,8 +58,8 @@ status_t golden_init(solver_t *s)
     return OK;
 }
 
-/* Copies first .. end - 1 of the data of node k, or of ALL; 0 if there is no such node. The nodes lowest .. highest
- * have a copy of their own, the highest one the last. */
+/* Finds the copies first .. end - 1 of the data of node k or of ALL nodes; returns 0 if there is no such node. Each of
+ * the nodes lowest .. highest has its own copy; that of the highest node is the last one. */
 static int locate(int k, int lowest, int highest, int copies, int *first, int *end)
 {
     const int own = k >= lowest && k <= highest;
@@ -68,7 +68,7 @@ static int locate(int k, int lowest, int highest, int copies, int *first, int *e
     return own || k == ALL;
 }
 
-/* Reference of the path residual y. Takes effect in the next feedback. */
+/* Sets the reference of the path residual y. Takes effect in the next feedback. */
 status_t golden_set_reference(solver_t *s, int k, const real_t yref[GOLDEN_NY])
 {
     int first, end;
@@ -105,7 +105,8 @@ status_t golden_set_terminal_reference(solver_t *s, const real_t yref[GOLDEN_NY_
     return OK;
 }
 
-/* 1 if W is finite with nonnegative diagonal (n entries), or finite and symmetric (n x n entries). */
+/* Returns 1 if W is finite and has a nonnegative diagonal (n entries), and is symmetric if stored in full (n x n
+ * entries). */
 static int weight_is_valid(const real_t *W, int n, int entries)
 {
     const int stride = (entries == n) ? 1 : n + 1;
@@ -123,7 +124,8 @@ static int weight_is_valid(const real_t *W, int n, int entries)
     return all_finite(W, entries);
 }
 
-/* Weight of the path residual: its diagonal. Takes effect in the next prepare. */
+/* Sets the weight of the path residual, given by its diagonal.
+ * Takes effect in the next prepare. */
 status_t golden_set_weight(solver_t *s, int k, const real_t W[GOLDEN_NW])
 {
     int first, end;
@@ -154,7 +156,7 @@ status_t golden_set_terminal_weight(solver_t *s, const real_t W[GOLDEN_NW_N])
     return OK;
 }
 
-/* One parameter (PARAM_...). Takes effect in the next prepare. */
+/* Sets one parameter (PARAM_...). Takes effect in the next prepare. */
 status_t golden_set_parameter(solver_t *s, int param, int k, const real_t *values)
 {
     int first, end;
@@ -175,7 +177,7 @@ status_t golden_set_parameter(solver_t *s, int param, int k, const real_t *value
     return OK;
 }
 
-/* 1 if the row of the user holds at node k. */
+/* Returns 1 if the declared row is imposed at node k. */
 static int row_holds(int row, int k)
 {
     for (int m = row_first[k]; m < row_first[k + 1]; m++) {
@@ -191,8 +193,8 @@ static int row_holds(int row, int k)
     return 0;
 }
 
-/* Bounds of one scalar row (ROW_...) at one of its nodes. Crossed or undefined bounds are refused, old ones kept.
- * Takes effect in the next feedback. */
+/* Sets the bounds of one scalar row (ROW_...) at one of its nodes. Crossed or undefined bounds are refused and the
+ * previous ones kept. Takes effect in the next feedback. */
 status_t golden_set_bounds(solver_t *s, int row, int k, real_t lower, real_t upper)
 {
     int first, end;

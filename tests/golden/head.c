@@ -8,7 +8,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * Contents: section, template, operations of one run where they do not depend on data, bytes of its data
+ * Contents: section, template, operations of one run if independent of the data, bytes of its data
  *   integrator_interval             printed kernel                                        6 operations
  *   integrator_step                 printed kernel                                        4 operations
  *   path_cost                       printed kernel                                        8 operations
@@ -35,12 +35,13 @@
 #endif
 
 #if defined(__GNUC__) && !defined(__clang__) && __GNUC__ == 12
-/* GCC 12 takes addresses that its loop optimiser has split into a null base and an index for accesses to NULL, finds the
- * function without effects and drops calls to it (seen with 12.2 at -O2); -fno-delete-null-pointer-checks switches the
- * inference off. Where it turns a loop over a local array into memset, with -march=native its stores may want an alignment
- * that it has not given the stack of a leaf function (seen with 12.2, too). Functions that are not declared inline stay
- * apart: inside a larger one the loops of the matrix products stay scalar, which halves the speed. CMakeLists.txt passes the
- * same options; the pragma is for those who compile in another way. */
+/* GCC 12 mistakes addresses that its loop optimiser has split into a null base and an index for accesses to NULL,
+ * concludes that the function has no effects and removes calls to it (observed with 12.2 at -O2);
+ * -fno-delete-null-pointer-checks disables this inference. With -march=native, when it turns a loop over a local array
+ * into memset, its stores may require an alignment that it has not given to the stack of a leaf function (also observed
+ * with 12.2). Functions that are not declared inline are not inlined: inside a larger function the loops of the matrix
+ * products remain scalar, which halves the speed. CMakeLists.txt passes the same options; the pragma covers all other
+ * builds. */
 #pragma GCC optimize("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
 #endif
 

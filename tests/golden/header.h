@@ -9,8 +9,9 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2584 bytes, holds no pointers and may be copied with '='.
- * One context per instance; not interrupt-safe by itself: copy measurements first. Members of size 0 do not exist. */
+ * The caller owns the memory: one golden_solver_t is 2584 bytes in size, holds no pointers and may be
+ * copied with '='. Only one execution context at a time may use an instance. An interrupt may change measurements
+ * during a call: pass a copy of them. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
 #define GOLDEN_H
 
@@ -61,7 +62,7 @@ typedef double golden_real;
 #define GOLDEN_MANY 1000000 /* counters stop here */
 #define GOLDEN_MAGIC 1313689667 /* a struct that init has seen */
 
-enum { GOLDEN_ALL = -1 }; /* every node, for the setters */
+enum { GOLDEN_ALL = -1 }; /* all nodes, as argument k of the setters */
 
 enum { /* scalar rows, for set_bounds */
     GOLDEN_ROW_U = 0,
@@ -118,7 +119,7 @@ typedef union { /* memory of phases that never overlap */
 
 
 
-/* Everything to what the problem states; reset keeps the settings and goes back to the plain start. */
+/* init: initialise all members to their declared values. reset: keep the settings and restore the initial iterate. */
 golden_status_t golden_init(golden_solver_t *s);
 golden_status_t golden_reset(golden_solver_t *s);
 
@@ -144,8 +145,8 @@ golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_N
  *   weight     no node
  *   parameter  0 .. N
  *   bounds     N, if the row holds there
- * What is refused (BAD_INDEX, BAD_ARGUMENT, BAD_BOUNDS) writes nothing. References and bounds take effect in the next
- * feedback, parameters and weights in the next prepare. */
+ * A call that is refused (BAD_INDEX, BAD_ARGUMENT, BAD_BOUNDS) changes nothing. References and bounds take effect in
+ * the next feedback, parameters and weights in the next prepare. */
 golden_status_t golden_set_reference(golden_solver_t *s, int k, const golden_real yref[GOLDEN_NY]);
 golden_status_t golden_set_terminal_reference(golden_solver_t *s, const golden_real yref[GOLDEN_NY_N]);
 golden_status_t golden_set_weight(golden_solver_t *s, int k, const golden_real W[GOLDEN_NW]);
@@ -153,7 +154,7 @@ golden_status_t golden_set_terminal_weight(golden_solver_t *s, const golden_real
 golden_status_t golden_set_parameter(golden_solver_t *s, int param, int k, const golden_real *values);
 golden_status_t golden_set_bounds(golden_solver_t *s, int row, int k, golden_real lower, golden_real upper);
 
-/* The plant model over dt; the cost and the KKT residuals of the present plan. */
+/* integrate: plant model over the time dt; cost: cost of the present plan; kkt: its KKT residuals. */
 void golden_integrate(const golden_solver_t *s, const golden_real x[GOLDEN_NX], const golden_real u[GOLDEN_NU],
     golden_real dt, golden_real x_next[GOLDEN_NX]);
 golden_real golden_cost(const golden_solver_t *s);

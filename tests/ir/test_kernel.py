@@ -1,4 +1,4 @@
-"""lift(): every operation in C against CasADi, value numbering, aliasing, dead code, and what is refused."""
+"""lift(): every operation in C against CasADi, value numbering, aliasing, dead code, and refusals."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_every_operation_has_an_expression() -> None:
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("opcode", EXPRESSIONS, ids=opcode_name)
 def test_c_gives_the_value_of_casadi(opcode: int, precision: str) -> None:
-    """A few units in the last place: the same libm in double; float functions and arguments rounded to float."""
+    """A few units in the last place: the same libm in double precision; functions and arguments rounded to float."""
     e, points = EXPRESSIONS[opcode]
     f = ca.Function("f", [x, y], [e])
     scalar = {"double": np.float64, "single": np.float32}[precision]
@@ -143,7 +143,7 @@ def test_other_operands_keep_their_order() -> None:
 
 
 def test_every_commutative_operation_commutes() -> None:
-    """Marked operations give one instruction for both orders; all others that take two arguments give two."""
+    """Marked operations give one instruction for both orders; all other binary operations give two."""
     for opcode, operation in OPERATIONS.items():
         if "{1}" not in operation.c or opcode == ca.OP_CONSTPOW:
             continue

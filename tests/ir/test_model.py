@@ -1,4 +1,4 @@
-"""The functions of a package by what they are for, and the order in which C has them."""
+"""The functions of a package by their purpose, and their order in C."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_operations_of_what_there_is() -> None:
 
 
 def test_completed_options_leave_no_choice() -> None:
-    """They are what the description of the package prints, and lead to the same model."""
+    """They are the functions that the description of the package prints, and they lead to the same model."""
     m = model("gauss_newton")
     assert m.options.integrator is m.parts.integrator
     again = linearize(m.problem, m.options)

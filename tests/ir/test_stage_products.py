@@ -1,4 +1,4 @@
-"""The stage products, written out and as loops: run on SX against NumPy, printed against what a reader expects."""
+"""The stage products, written out and as loops: run on SX against NumPy, and their text against the expected one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIZES = ((1, 1), (2, 1), (4, 2), (5, 3), (9, 1))
 
 
 def random_products(nx: int, nu: int, seed: int) -> tuple[Products, dict[str, np.ndarray]]:
-    """Random patterns, numbers on them, and all operands; a third of the entries is not zero."""
+    """Random patterns with one third nonzeros, numbers on them, and all operands."""
     random = np.random.default_rng(seed)
     nz = nx + nu
 
@@ -74,7 +74,7 @@ def test_products_against_numpy(nx: int, nu: int, spelling: str, monkeypatch: py
 
 
 def test_dense_loops_stop_at_sizes_and_skip_what_is_zero(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No nonzero of Q in a column of the states: its rows of the controls add nothing and are not passed."""
+    """No nonzero of Q is in a column of the states: its rows of the controls have no effect and are not passed."""
     monkeypatch.setattr(stage_products, "WRITTEN_OUT", -1)
     S = frozenset((i, j) for i in range(5) for j in range(6))
     products = Products(5, 1, S, frozenset({(5, 5)}), frozenset())
@@ -88,7 +88,7 @@ def test_dense_loops_stop_at_sizes_and_skip_what_is_zero(monkeypatch: pytest.Mon
 
 
 def test_printed_loops(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sizes by name, a scalar that is declared where it starts, matrices by row and column."""
+    """Sizes by name, a scalar declared at its first use, matrices by row and column."""
     monkeypatch.setattr(stage_products, "WRITTEN_OUT", -1)
     products = Products(2, 1, frozenset({(0, 0)}), frozenset({(0, 0), (2, 0)}), frozenset())
     style = CStyle("real_t", False)

@@ -1,4 +1,4 @@
-"""Sweeps: unrolled, printed and counted, the three interpreters agree with NumPy run by hand."""
+"""Sweeps: the unrolled, printed and counted versions agree with NumPy, computed by hand."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def by_hand(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _started(sweep: Sweep) -> Sweep:
-    """The same with s set to zero first: buffers of C hold anything."""
+    """The same with s initialised to zero, because buffers in C may contain any values."""
     zero = ca.Function("zero", [], [ca.SX.zeros(N)], [], ["o"])
     return Sweep(
         sweep.name,
@@ -184,7 +184,7 @@ static void recursion(const real *A, real *y, real *Y)
 
 
 def test_leaves_store_structural_zeros() -> None:
-    """A buffer is used again: what a leaf leaves out would keep an old value."""
+    """A buffer is used again: entries that a leaf does not write would keep an old value."""
     t = ca.SX.sym("t", 2)
     sparse = ca.Function("sparse", [t], [ca.vertcat(ca.SX(1, 1), t[0])], ["t"], ["o"])
     sweep = Sweep("f", "", (Port("x", 2),), (Port("y", 2),), (), (Call(sparse, (Slice("x", 2),), (Slice("y", 2),)),))

@@ -1,8 +1,8 @@
-"""GCC 12 at -O2 drops calls of functions whose stores it takes for stores to NULL: a reproducer, and what heals it.
+"""GCC 12 at -O2 removes calls of functions whose stores it mistakes for stores to NULL: a reproducer, and the remedy.
 
-Its loop optimiser may split an address into a null base and an index that holds the rest; the analysis of what
-functions do then finds stores to NULL alone, which cannot happen, and the function without effects. Nothing in the
-program is undefined.
+Its loop optimiser may split an address into a null base and an index that holds the rest. The analysis of side effects
+then finds only stores to NULL, which cannot happen, and concludes that the function has no effects. The behaviour of
+the program is well-defined.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def gcc() -> str:
 
 
 def output(gcc: str, files: Sources, flags: Sequence[str], folder: Path) -> str:
-    """What the program prints."""
+    """Output of the program."""
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
     units = [name for name in files if name.endswith(".c")]
@@ -78,7 +78,7 @@ def output(gcc: str, files: Sources, flags: Sequence[str], folder: Path) -> str:
 
 
 def major(gcc: str) -> int:
-    """Version of GCC; 0: it is another compiler by that name."""
+    """Version of GCC; 0 for another compiler with that name."""
     macros = subprocess.run(
         [gcc, "-dM", "-E", "-x", "c", "/dev/null"], capture_output=True, text=True, check=True
     ).stdout
@@ -87,7 +87,7 @@ def major(gcc: str) -> int:
 
 
 def test_only_gcc_12_drops_the_call(gcc: str, tmp_path: Path, record_property: pytest.RecordProperty) -> None:
-    """The pragma is for version 12 alone: any other that has the bug fails here. 12.2 prints 0."""
+    """The pragma is for version 12 only: this test fails for any other version with the bug. 12.2 prints 0."""
     printed = output(gcc, {"main.c": PROGRAM}, ["-O2"], tmp_path).strip()
     record_property("gcc_major", major(gcc))
     record_property("drops_the_call", printed == "0")
@@ -103,7 +103,7 @@ def test_the_option_heals_it(gcc: str, level: str, tmp_path: Path) -> None:
 
 
 def test_the_pragma_of_the_package_heals_it(gcc: str, tmp_path: Path) -> None:
-    """With its condition, as it stands in the .c."""
+    """The pragma with its condition, as in the .c."""
     text = problems.sources("tiny")["tiny.c"]
     (block,) = re.findall(r"^#if defined\(__GNUC__\).*?^#endif$", text, re.MULTILINE | re.DOTALL)
     assert "__GNUC__ == 12" in block
@@ -113,7 +113,7 @@ def test_the_pragma_of_the_package_heals_it(gcc: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "riccati"), [("crane", False), ("path_rows", True)])
 def test_controls_with_the_options_instead_of_the_pragma(gcc: str, name: str, riccati: bool, tmp_path: Path) -> None:
-    """Thirty samples of main.c, to the last digit that it prints, at -O2 and, with neither, without optimisation."""
+    """Thirty samples of main.c agree in all printed digits, at -O2 and, without pragma and options, at -O0."""
     options = Options(qp=RiccatiActiveSet(), condensing=NoCondensing()) if riccati else Options()
     package = generate(problems.CASES[name].make(), options)
     files = {path: text for path, text in package.items() if path.endswith((".c", ".h"))}

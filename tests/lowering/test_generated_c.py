@@ -17,13 +17,13 @@ from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.cache import CACHE_VARIABLE
 from nmpc_codegen.runtime.status import Status
 
-#: Cases whose C differs in structure; dense_changed differs from dense_weight in data only.
+#: Cases whose C differs in structure; dense_changed differs from dense_weight only in its data.
 STRUCTURES = tuple(name for name in problems.CASES if name != "dense_changed")
-#: A constraint of every kind, no constraint at all, loops instead of straight-line code.
+#: A constraint of every kind, no constraints, loops instead of straight-line code.
 FEW = ("path_rows", "tiny", "crane_looped")
 #: Terminal equalities, general rows, parameters, the smallest sizes.
 OPTIMISED = ("crane", "path_rows", "parameters", "tiny")
-#: Every kind of row and bound, of weight, of grid, of dynamics and of data once.
+#: Every kind of row and bound, of weight, of grid, of dynamics and of data.
 DIFFERENT = ("crane", "path_rows", "terminal_rows", "single_nodes", "parameters", "scaled", "discrete", "tiny")
 
 
@@ -34,7 +34,7 @@ def _compilers() -> None:
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_c99(name: str) -> None:
-    """Some optimised, which finds what may be uninitialised; in single precision the flow of the data is the same."""
+    """Some optimised, which finds values that may be uninitialised; in single precision the data flow is the same."""
     level = "-O2" if name in OPTIMISED else "-fsyntax-only"
     assert quality.warnings_of(problems.sources(name), levels=(level,), languages=("C99",)) == ""
     assert quality.warnings_of(problems.sources(name, "single"), levels=("-fsyntax-only",), languages=("C99",)) == ""
@@ -42,7 +42,7 @@ def test_no_warning_as_c99(name: str) -> None:
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_cpp17(name: str) -> None:
-    """All that the front end finds."""
+    """All findings of the front end."""
     require_tool("cxx")
     assert quality.warnings_of(problems.sources(name), levels=("-fsyntax-only",), languages=("C++17",)) == ""
 
@@ -78,7 +78,7 @@ def test_fast_math_is_refused(flag: str) -> None:
 
 @pytest.mark.parametrize("name", DIFFERENT)
 def test_symbols(name: str) -> None:
-    """Only the API is external; only <math.h> and memcpy and the like are called; there is no writable data."""
+    """Only the API is external; the C calls only <math.h>, memcpy and similar functions; there are no writable data."""
     level = () if name == "path_rows" else ("-O0",)
     assert quality.foreign_symbols(problems.sources(name), *level) == []
 
@@ -90,7 +90,7 @@ def test_api_symbols_are_those_of_the_header() -> None:
         listing = subprocess.run(["nm", "crane.o"], cwd=folder, capture_output=True, text=True, check=True).stdout
     defined = {line.split()[-1] for line in listing.splitlines() if line.split()[-2] == "T"}
     assert defined == set(re.findall(r"\b(crane_\w+)\(", sources["crane.h"]))
-    assert len(defined) == 14  # no terminal cost and no parameter to be set
+    assert len(defined) == 14  # no terminal cost and no parameter to set
 
 
 def test_foreign_symbols_are_seen() -> None:
@@ -131,8 +131,8 @@ def test_shift_under_sanitizers() -> None:
     ("old", "new"),
     [
         ("s->yref[n][i] = yref[i];", "s->yref[n + 1][i] = yref[i];"),  # past the last node
-        ("isfinite(u) ? u : CONTROL_REFERENCE", "1 ? u : CONTROL_REFERENCE"),  # a NaN gets through
-        ("lower < (real_t)INFINITY && upper", "upper"),  # no number lies between infinity and itself
+        ("isfinite(u) ? u : CONTROL_REFERENCE", "1 ? u : CONTROL_REFERENCE"),  # a NaN is accepted
+        ("lower < (real_t)INFINITY && upper", "upper"),  # no number is between infinity and itself
     ],
 )
 def test_exercise_finds_defects(old: str, new: str) -> None:
@@ -165,7 +165,7 @@ def test_two_controllers_in_one_program() -> None:
 
 
 def test_copy_by_assignment_goes_on_alike() -> None:
-    """A struct copied with '=' in mid-run continues bit for bit as the original, which does not notice."""
+    """A struct copied with '=' during operation continues bit for bit like the original, which is not affected."""
     program = """
 #include <stdio.h>
 #include "crane.h"
@@ -204,7 +204,7 @@ int main(void)
 
 
 def test_statuses() -> None:
-    """The shared order of the status values, in the header and in Python, and a text for every value."""
+    """The status values have the same order in the header and in Python, and there is a text for every value."""
     order = (
         *("OK", "ITERATION_LIMIT", "INFEASIBLE", "RELAXED", "NUMERICAL_FAILURE", "NOT_FINITE", "NOT_PREPARED"),
         *("NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED"),
@@ -240,7 +240,7 @@ def test_no_machine_or_date_in_the_sources() -> None:
 
 @pytest.mark.parametrize("name", ["crane", "parameters", "path_rows"])
 def test_functions_fit_a_screen(name: str) -> None:
-    """At most about 40 lines each, kernels and stage products (printed) apart."""
+    """At most about 40 lines each, without printed kernels and stage products."""
     source = problems.sources(name)[f"{quality.package_name(problems.sources(name))}.c"]
     written = source[source.index("/* Rows besides the control bounds") :]
     written = re.sub(r"/\* ==== stage products.*?(?=/\* ==== )", "", written, flags=re.DOTALL)
@@ -261,7 +261,7 @@ def test_sizes_in_the_header_are_those_of_the_compiler() -> None:
 
 
 def test_failed_build_can_be_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The lock of the cache is free again although the exception, and with it the frame of build(), still lives."""
+    """The lock of the cache is released although the exception, and with it the frame of build(), still exists."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     sources = dict(problems.sources("tiny"))
     sources["tiny.c"] += "this is no C\n"

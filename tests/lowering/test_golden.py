@@ -1,6 +1,6 @@
-"""Golden files: what is printed rather than written by hand, byte by byte. ``pytest --update-golden`` writes them anew.
+"""Golden files: printed text, compared byte for byte. ``pytest --update-golden`` rewrites them.
 
-All but one come from a hand-written Model, so that they change with the printer and the templates only; the
+All but one come from a hand-written Model, so that they change only with the printer and the templates; the
 lifted one also changes with CasADi and is compared under the version that wrote it.
 """
 
@@ -214,12 +214,12 @@ def test_settings_and_results(check) -> None:  # type: ignore[no-untyped-def]
 
 
 def test_looped_routine(check) -> None:  # type: ignore[no-untyped-def]
-    """A hand-written Sweep in single precision; its leaves are so small that every CasADi lifts them alike."""
+    """A hand-written Sweep in single precision; its leaves are so small that every CasADi version lifts them alike."""
     check("sweep.c", print_routine(looped(SWEEP), CStyle("real", True)) + "\n")
 
 
 def test_lifted(check) -> None:  # type: ignore[no-untyped-def]
-    """Ralston's method on the reactor, straight-line and looped: what CasADi derives and simplifies shows here."""
+    """Ralston's method on the reactor, straight-line and looped, with the derivatives and simplifications of CasADi."""
     if ca.__version__ != PINNED_CASADI:
         pytest.skip(f"the golden file was written with CasADi {PINNED_CASADI}, this is {ca.__version__}")
     F = Fraction

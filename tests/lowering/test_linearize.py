@@ -1,4 +1,4 @@
-"""The linearisation of whole packages, node by node, against the NumPy twins; rows against the complex step."""
+"""The linearisation of complete packages, node by node, against the NumPy twins; rows against the complex step."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def package(model: str, unroll: str, uniform: bool) -> Package:
 
 
 UNROLL = ("all", "step", "none")
-#: Every model in every spelling, both grids in turn.
+#: Every model in every code style, both grids in turn.
 SPELLED = [(m, unroll, (i + j) % 2 == 0) for i, m in enumerate(MODELS) for j, unroll in enumerate(UNROLL)]
 
 
 @pytest.mark.parametrize(("model", "unroll", "uniform"), SPELLED)
 def test_every_node(model: str, unroll: str, uniform: bool) -> None:
-    """States, controls and parameters of their own at every node; interval lengths from the grid."""
+    """Different states, controls and parameters at every node; interval lengths from the grid."""
     p, random = package(model, unroll, uniform), np.random.default_rng(5)
     x, u, q = POINTS[model]
     p["x"][...] = x * random.uniform(0.8, 1.2, p["x"].shape)
@@ -92,7 +92,7 @@ def test_general_rows() -> None:
 
 
 def test_no_rows() -> None:
-    """Zero rows are routines too: no instruction, no store."""
+    """Rows that are zero are also routines, without instructions and stores."""
     lin = linearize(classify(problem_of("crane")), Options())
     for name in ("path_rows", "terminal_rows"):
         routine = next(r for r in lin.routines if r.name == name)

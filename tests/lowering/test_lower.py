@@ -1,4 +1,4 @@
-"""Sizes, names and memory: what lower() decides is what the compiler sees."""
+"""Sizes, names and memory: the decisions of lower() agree with those of the compiler."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def module(case: str, precision: str = "double", name: str | None = None) -> CMo
 
 
 def sizes_in_c(m: CModule) -> dict[str, int]:
-    """sizeof of every struct, and of every member of the solver, by the compiler."""
+    """sizeof for every struct and for every member of the solver, according to the compiler."""
     expressions = {s.name: f"sizeof({m.name}_{s.name}_t)" for s in m.structs}
     expressions |= {f"offset {f.name}": f"offsetof({m.name}_solver_t, {f.name})" for f in m.structs[-1].fields}
     lines = [f'#include "{m.name}.h"', "#include <stddef.h>", "int value(int i);", "int value(int i)", "{"]
@@ -68,7 +68,7 @@ def test_layout_pads_by_the_rules_of_c() -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_sizes(case: str) -> None:
-    """Macros against the problem, each counted afresh."""
+    """Macros against the problem, each counted independently."""
     m, p = module(case), problems.problem(case)
     rows = sum(len(r.nodes) for r in p.rows if r.kind in ("state", "general"))
     expected = {
@@ -100,7 +100,7 @@ def test_sizes(case: str) -> None:
 
 @pytest.mark.parametrize("case", CASES)
 def test_rows_of_the_qp(case: str) -> None:
-    """Sorted by node; every row of the user at every node where it holds; tables say the same."""
+    """Rows are sorted by node; every declared row is present at every node at which it is imposed; tables agree."""
     p: Problem = problems.problem(case)
     rows = p.qp_rows
     assert list(rows) == sorted(rows)

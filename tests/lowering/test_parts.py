@@ -1,4 +1,4 @@
-"""resolve() against unifdef and the C preprocessor on random texts, and what it refuses."""
+"""resolve() against unifdef and the C preprocessor on random texts, and its refusals."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def conditions(operators: tuple[str, ...]) -> st.SearchStrategy[str]:
     return st.one_of(st.recursive(ATOMS, joined, max_leaves=4), loose)
 
 
-#: Whole statements, with what a careless reader takes for directives and braces.
+#: Whole statements, including text that looks like directives and braces.
 STATEMENTS = st.sampled_from(
     [
         "x = 1;",
@@ -76,7 +76,7 @@ def _defines(sizes: dict[str, int]) -> list[str]:
 @settings(max_examples=60, deadline=None)
 @given(texts(COMPARISONS + ARITHMETIC), SIZES)
 def test_resolve_agrees_with_the_c_preprocessor(text: str, sizes: dict[str, int]) -> None:
-    """What gcc -E keeps, as tokens: it drops comments and changes blanks."""
+    """The tokens that gcc -E keeps: it removes comments and changes blanks."""
     require_tool("gcc")
     command = ["gcc", "-E", "-P", "-Wundef", "-Werror", "-x", "c", "-", *_defines(sizes)]
     run = subprocess.run(command, input=text, capture_output=True, text=True, check=False)
@@ -89,7 +89,7 @@ def test_resolve_agrees_with_the_c_preprocessor(text: str, sizes: dict[str, int]
 @settings(max_examples=60, deadline=None)
 @given(texts(COMPARISONS), SIZES)
 def test_resolve_agrees_with_unifdef_line_by_line(text: str, sizes: dict[str, int]) -> None:
-    """It knows no arithmetic."""
+    """The other tool supports no arithmetic."""
     require_tool("unifdef")
     run = subprocess.run(["unifdef", "-k", *_defines(sizes)], input=text, capture_output=True, text=True, check=False)
     assert run.returncode in (0, 1), run.stderr

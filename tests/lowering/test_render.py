@@ -1,4 +1,4 @@
-"""CModule to text: deterministic, strict, tidy."""
+"""CModule to text: deterministic, with strict checks and tidy output."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ for name in {cases!r}:
 
 
 def test_hash_seeds_do_not_matter() -> None:
-    """Fresh interpreters with other orders of sets, in another directory."""
+    """New interpreters with different orders of sets, in another directory."""
     program = PROGRAM.format(source=str(ROOT / "src"), root=str(ROOT), cases=CASES)
     found = []
     for seed in ("0", "1", "4321"):
@@ -95,7 +95,7 @@ def test_precision_is_spelled_in_one_place() -> None:
 
 
 def test_templates_hold_no_decision() -> None:
-    """House rule 4: names, loops and inclusions; what stands between {{ }} may choose a word, never a block."""
+    """House rule 4: names, loops and inclusions; an expression in {{ }} may choose a word, never a block."""
     for path in template_directory().rglob("*.jinja"):
         blocks = re.findall(r"\{%-?\s*(\w+)", path.read_text(encoding="utf-8"))
         allowed = {"for", "endfor", "include", "else"}

@@ -1,6 +1,6 @@
-"""The generated C has no warning with gcc and clang, as C99 and as C++17, whatever is combined.
+"""The generated C has no warnings with gcc and clang, as C99 and as C++17, for all combinations.
 
-Every pair of a structure, a QP solver, a precision, a shift, a Hessian and a storage of data stands in one combination.
+Every pair of a structure, a QP solver, a precision, a shift, a Hessian and a storage of data is in a combination.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def pendulum(name: str, N: int = 5) -> tuple[OCP, Any, Any, Any]:
 
 
 def soft_without_terminal_rows() -> OCP:
-    """A soft general row with a control: none at the last node."""
+    """A soft general row with a control, thus none at the last node."""
     ocp, q, w, u = pendulum("soft_path")
     ocp.subject_to(-1, u, 1)
     ocp.subject_to(-2, q * w + u, 2, soft=(10, 0), name="row")
@@ -134,7 +134,7 @@ Choice = tuple[Callable[[], OCP], str, str, str | None, str, str]
 
 
 def sources(choice: Choice) -> Sources:
-    """The package of a combination. Raises OptionError where there is none."""
+    """The package of a combination. Raises OptionError if there is none."""
     make, route, precision, moves, hessian, layout = choice
     condensing, qp = ROUTES[route]
     options = Options(
@@ -159,7 +159,7 @@ def is_allowed(choice: Choice) -> bool:
 
 
 def pairwise() -> list[Choice]:
-    """Combinations that hold every allowed pair of values, each time the one with most pairs that are still missing."""
+    """Combinations that contain every allowed pair of values, each chosen for the largest number of missing pairs."""
     values = (STRUCTURES, tuple(ROUTES), ("double", "single"), SHIFTS, tuple(HESSIANS), tuple(LAYOUTS))
     every = [choice for choice in itertools.product(*values) if is_allowed(choice)]
     bits: dict[Any, int] = {}
@@ -181,7 +181,7 @@ CHOICES = pairwise()
 
 
 def covering(choices: list[Choice]) -> list[Choice]:
-    """Those of double precision that bring a structure, a route, a Hessian or a storage that none before them had."""
+    """Combinations in double precision with a structure, solvers, a Hessian or a storage not used by earlier ones."""
     seen: set[Any] = set()
     found = []
     for choice in choices:
@@ -194,7 +194,7 @@ def covering(choices: list[Choice]) -> list[Choice]:
 
 @pytest.mark.parametrize("choice", CHOICES, ids=label)
 def test_combination(choice: Choice) -> None:
-    """All that the front ends find, clang's unused functions too; as C++17 in single precision, which has all."""
+    """All findings of the front ends, including clang's unused functions; as C++17 in single precision."""
     text = sources(choice)
     require_tool("gcc")
     assert quality.warnings_of(text, ("-fsyntax-only",), ("C99",), "gcc") == ""
@@ -207,9 +207,9 @@ def test_combination(choice: Choice) -> None:
 
 @pytest.mark.parametrize("choice", covering(CHOICES), ids=label)
 def test_every_value_with_the_optimiser(choice: Choice) -> None:
-    """gcc's optimiser finds what may be uninitialised (benchmarks.doors: in all combinations); both as C++17.
+    """gcc's optimiser finds values that may be uninitialised (benchmarks.doors: in all combinations); both as C++17.
 
-    The flow of data is that of double precision in single precision, too.
+    In single precision the data flow is the same as in double precision.
     """
     text = sources(choice)
     require_tool("gcc")
@@ -234,14 +234,14 @@ def test_most_optimised(compiler: str) -> None:
 
 
 def test_soft_rows_without_terminal_rows() -> None:
-    """The rows of the last node are those of its states: there is no value of a general row there to read."""
+    """The rows of the last node are those of its states, so that no value of a general row may be read there."""
     text = generate(soft_without_terminal_rows())
     assert "#define SOFT_PATH_NH_N 0 " in text["soft_path.h"]
     assert "h_N" not in text["soft_path.c"]
 
 
 def test_uninitialised_values_are_seen() -> None:
-    """By gcc with its optimiser alone."""
+    """Found by gcc only, with its optimiser."""
     require_tool("gcc")
     text = generate(tiny())
     text["tiny.c"] += "int tiny_late(int n);\nint tiny_late(int n)\n{\n    int found;\n    if (n > 3) {\n"
@@ -252,7 +252,7 @@ def test_uninitialised_values_are_seen() -> None:
 
 @pytest.mark.parametrize("compiler", list(quality.COMPILERS))
 def test_unused_functions_are_seen(compiler: str) -> None:
-    """By gcc when it compiles; by clang's front end, such as are declared inline too."""
+    """Found by gcc when it compiles; by the front end of clang also for functions declared inline."""
     require_tool(compiler)
     level = {"gcc": "-O0", "clang": "-fsyntax-only"}[compiler]
     text = generate(tiny())
@@ -264,7 +264,7 @@ def test_unused_functions_are_seen(compiler: str) -> None:
 
 
 class Spoiled(Combination):
-    """A package with a function that nothing calls."""
+    """A package with a function that is never called."""
 
     def generate(self) -> Sources:
         text = super().generate()
@@ -273,7 +273,7 @@ class Spoiled(Combination):
 
 
 def test_benchmark_counts() -> None:
-    """Warnings by compiler, the refused ones apart: OSQP has no single precision."""
+    """Warnings by compiler, without refused combinations: OSQP has no single precision."""
     require_tool("gcc")
     require_tool("clang")
     report = Report("warnings")

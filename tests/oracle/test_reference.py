@@ -1,4 +1,4 @@
-"""The oracle against closed forms, published figures, and itself by other means."""
+"""The oracle against closed forms, published figures, and independent computations."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def test_cstr_steady_state_and_transition() -> None:
     moving = reference.solve(node_data(problem))
     assert moving.success
     assert np.abs(moving.mu_x).max() < 1e-6  # state bounds inactive
-    # Set point 2 cannot be reached because of the state bounds, which become active.
+    # The state bounds become active and make set point 2 unreachable.
     x2, u2 = (3.51744722, 0.74003328, 87.00164887, 79.8045743), (8.256, -6239)
     second = reference.solve(node_data(problem, yref=[*x2, *u2], yref_N=x2))
     assert second.success
@@ -298,7 +298,7 @@ def test_accumulators_start_at_zero() -> None:
 
 
 def test_cost_terms_and_their_scaling() -> None:
-    """Every kind of term on a known trajectory, non-uniform grid: numbers worked out by hand."""
+    """Every kind of term on a known trajectory, nonuniform grid: numbers computed by hand."""
     dt = (0.5, 2.0)
     ocp = OCP("costs", intervals=dt)
     x, u, q = ocp.state("x"), ocp.control("u"), ocp.parameter("q", value=3.0)
@@ -398,7 +398,7 @@ def everything() -> Problem:
 
 
 def lagrangian(problem: Problem, point: Point, data: Data) -> float:
-    """L of algorithms.md, summed node by node with evaluated functions only; no slacks."""
+    """L of algorithms.md, summed node by node from evaluated functions only; no slacks."""
     hard = replace(problem, rows=tuple(replace(r, soft=None) for r in problem.rows))
     total = evaluate_cost(hard, point.x, point.u, data)
     Phi = interval_map(problem)

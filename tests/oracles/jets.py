@@ -1,7 +1,7 @@
-"""Second derivatives by arithmetic with Taylor polynomials of degree 2, apart from CasADi's and from the generated C.
+"""Second derivatives by arithmetic with Taylor polynomials of degree 2, independent of CasADi and the generated C.
 
-A Jet is (value, gradient, Hessian) with respect to z; f is run instruction by instruction on Jets, CasADi being no more
-than its text. The scheme is the definition of the Butcher tableau.
+A Jet is (value, gradient, Hessian) with respect to z; f is run instruction by instruction on Jets, and CasADi only
+provides its text. The scheme is the definition of the Butcher tableau.
 """
 
 from __future__ import annotations

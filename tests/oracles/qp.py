@@ -16,7 +16,7 @@ LOWER, FREE, UPPER, EQUAL = -1, 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class QuadraticProgram:
-    """A QP with its solution ``z`` and multipliers ``mult`` if known; ``state`` says what each row was built to be."""
+    """A QP with its solution ``z`` and multipliers ``mult`` if known; ``state``: the constructed state of each row."""
 
     H: np.ndarray
     g: np.ndarray
@@ -39,7 +39,7 @@ class QuadraticProgram:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Violations of the optimality conditions, each relative to the size of the terms whose sum it is."""
+    """Violations of the optimality conditions, each relative to the magnitude of its terms."""
 
     stationarity: float
     feasibility: float
@@ -55,12 +55,12 @@ def residuals(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray, penalty: np
 
     stationarity: |H z + g + C'mult| / (|H||z| + |g| + |C'||mult|) in the largest norm, C = rows.
     feasibility: violation / (|bound| + |c_i||z|_max + 1e-20); sign: |mult_i| relative to the
-    largest, times the relative distance (at most 1) from the bound that its sign names.
+    largest, times the relative distance (at most 1) from the bound that its sign selects.
     ``penalty``: of the general rows, cost penalty * violation in place of the row. A row whose multiplier is at this
     limit may be violated on that side; |mult| > penalty counts as a sign violation of 1.
-    Multipliers have the unit of the cost over that of a row. A cost that is constant (H = 0, g = 0) gives no unit, and
-    every multiplier of a solution is 0; there the residuals are relative to 1, so that rounding is not compared with
-    itself.
+    Multipliers have the unit of the cost over that of a row. A constant cost (H = 0, g = 0) provides no unit, and every
+    multiplier of a solution is 0; the residuals are then relative to 1, so that rounding errors are not compared with
+    themselves.
     """
     unit = np.finfo(float).tiny if np.any(qp.H) or np.any(qp.g) else 1.0
     C = qp.rows

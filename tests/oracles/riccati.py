@@ -1,4 +1,4 @@
-"""Dense oracles of the stage QP: everything in one vector, solved by one KKT matrix.
+"""Dense oracles of the stage QP: all variables in one vector, solved by one KKT matrix.
 
 min  sum_{k<NS} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_NS'Q_NS x_NS + g_NS'x_NS,   z = (x, u)
 s.t. x_{k+1} = S_k z_k + b_k,   x_0 given except for its free components
@@ -115,7 +115,7 @@ LOWER, FREE, UPPER, EQUAL, VIOLATED = -1, 0, 1, 2, 3
 class StageQP:
     """A StageProblem with bounds on (u, rows), rows (ng, nz) at the stages ``at``; soft rows have a finite penalty.
 
-    x, u, mult: the solution it was built from, if it was.
+    x, u, mult: the solution from which it was built, if any.
     """
 
     problem: StageProblem
@@ -137,7 +137,7 @@ class StageQP:
         return np.concatenate([u.ravel(), rows])
 
     def objective(self, x: np.ndarray, u: np.ndarray) -> float:
-        """Penalties of soft rows included."""
+        """The cost, including the penalties of soft rows."""
         p = self.problem
         z = np.concatenate([x[:-1], u], axis=1)
         cost = sum(0.5 * v @ Q @ v + g @ v for v, Q, g in zip(z, p.Q, p.g, strict=True))
@@ -150,7 +150,7 @@ class StageQP:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Violations of the optimality conditions, relative to the terms whose sum they are."""
+    """Violations of the optimality conditions, relative to the magnitude of their terms."""
 
     dynamics: float
     stationarity: float
@@ -228,7 +228,7 @@ def constructed(
     degenerate: float = 0.0,
     margin: float = 0.1,
 ) -> StageQP:
-    """A QP built backwards from a KKT point: everything but g is kept of ``problem``, x_0 included.
+    """A QP built backwards from a KKT point: all data of ``problem`` but g are kept, including x_0.
 
     ``weights``: of the states lower, free, upper, equal, violated; controls are never violated.
     """

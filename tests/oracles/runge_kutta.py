@@ -3,7 +3,7 @@
     X_i = x + h sum_j a_ij K_j,   K_i = f(X_i, u, p),   x+ = x + h sum_i b_i K_i
     K_i' = f_x(X_i) X_i' + (0, f_u(X_i)),   the same combinations of the derivatives with respect to (x, u)
 
-The models are written by hand, Jacobians by hand too; ``complex_step`` is their independent check.
+The models and their Jacobians are written by hand; ``complex_step`` checks them independently.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 Array = np.ndarray
 Function = Callable[[Array, Array, Array], Array]
 
-#: (a, b) of every scheme, typed in once more from the literature: Butcher tableaus, [H11] figure 1.
+#: (a, b) of every scheme, entered independently from the literature: Butcher tableaus, [H11] figure 1.
 SCHEMES: dict[str, tuple[list[list[float]], list[float]]] = {
     "Euler": ([[0]], [1]),
     "Midpoint": ([[0, 0], [1 / 2, 0]], [0, 1]),

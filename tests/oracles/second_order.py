@@ -2,7 +2,7 @@
 
     H = d2 (lam' Phi + q) / d(x, u)^2 = d (S' lam + dq/dz) / dz,   exact to rounding
 
-q is the integral of a rate by the same scheme: the last component of an extended model, which nothing depends on.
+q is the integral of a rate by the same scheme: the last component of an extended model, on which no other depends.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     s.t.  dx_0 = xhat - x_0 (except its free components),   dx_{k+1} = S_k z_k + b_k,   z_k = (dx_k, du_k)
           lower <= c_m + C_m z_{k(m)} + C0_m dx_0 <= upper,   lower_u <= u + du <= upper_u
 
-A soft row costs l1 v + l2/2 v^2 where its value lies outside its bounds by v. Multipliers are > 0 at an upper bound.
+A soft row costs l1 v + l2/2 v^2 if its value violates its bounds by v. Multipliers are > 0 at an upper bound.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ REDUNDANT = 1e-13  # in place of the zero block of K
 
 @dataclass(frozen=True, order=True)
 class Shape:
-    """Dimensions of a stage QP: what a package is built for.
+    """Dimensions of a stage QP, for which a package is built.
 
     ``controls``: the first so many controls are bounded (None: all); ``states``: the first so many states are bounded
     at nodes 1 .. N; ``path``: general rows on (x, u) at nodes 0 .. N-1; ``pure``: general rows on x at nodes 1 .. N;
@@ -61,7 +61,7 @@ class Shape:
 
     @property
     def user_rows(self) -> int:
-        """Scalar rows as a user states them, control bounds apart."""
+        """Scalar rows as stated by a user, without control bounds."""
         return self.states + self.path + self.pure + self.end + self.coupled
 
     @property
@@ -131,12 +131,12 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class StageQP:
-    """A stage QP; of its shape only nx, nu, N, free are looked at.
+    """A stage QP; only nx, nu, N and free of its shape are used.
 
     Q (N, nz, nz) and Q_N are symmetric; rows C (ng, nz) (x part only at node N), C0 (ng, nx), c (ng,).
-    ``optimum``: what it was built around; None: infeasible, and ``proof`` = (weights of du bounds, of rows) combines
-    bounds to a contradiction. ``unique``: the minimiser is. ``growth``: bound of |A_k ... A_0|'s growth per interval.
-    ``unit_x``, ``unit_u``: size of the variables. ``kind``, ``seed``: where it comes from.
+    ``optimum``: the point from which it was built; None: infeasible, and ``proof`` = (weights of du bounds, of rows)
+    combines bounds to a contradiction. ``unique``: the minimiser is unique. ``growth``: bound of the growth of
+    |A_k ... A_0| per interval. ``unit_x``, ``unit_u``: size of the variables. ``kind``, ``seed``: its origin.
     """
 
     shape: Shape
@@ -187,7 +187,7 @@ def row_sizes(qp: StageQP, dx: Array, du: Array) -> Array:
 
 
 def cost_gradient(qp: StageQP, p: Point, absolute: bool = False) -> tuple[Array, Array]:
-    """Gradient of cost and rows in z_k (N, nz) and dx_N (nx,), dynamics left out; or the sums of its terms' sizes."""
+    """Gradient of cost and rows in z_k (N, nz) and dx_N (nx,), without the dynamics; or the sums of its |terms|."""
     f = np.abs if absolute else (lambda a: a)
     nx, N = qp.shape.nx, qp.shape.N
     z = f(stacked(p.dx, p.du))
@@ -214,8 +214,8 @@ def recover_lam(qp: StageQP, p: Point) -> Array:
 
 
 def fitted_lam(qp: StageQP, p: Point) -> Array:
-    """lam that makes the Lagrangian stationary in the least-squares sense: the recursion amplifies rounding where the
-    dynamics are unstable, and says nothing about the point."""
+    """lam that makes the Lagrangian stationary in the least-squares sense, because the recursion amplifies rounding
+    errors if the dynamics are unstable."""
     nx, nu, N, free = qp.shape.nx, qp.shape.nu, qp.shape.N, qp.shape.free
     G, G_N = cost_gradient(qp, p)
     M = dynamics_matrix(qp).T
@@ -246,7 +246,7 @@ def dynamics_matrix(qp: StageQP) -> sp.csr_matrix:
 
 @dataclass(frozen=True)
 class Residuals:
-    """Violations of the optimality conditions, each relative to the size of the terms whose sum it is."""
+    """Violations of the optimality conditions, each relative to the magnitude of its terms."""
 
     stationarity: float
     dynamics: float
@@ -255,7 +255,7 @@ class Residuals:
 
     @property
     def worst(self) -> float:
-        """NaN if one of them is."""
+        """Largest violation; NaN if one of them is NaN."""
         return float(np.max([self.stationarity, self.dynamics, self.feasibility, self.rows]))
 
 
@@ -263,7 +263,7 @@ def residuals(qp: StageQP, p: Point) -> Residuals:
     """Relative residuals of a point.
 
     stationarity: gradient of the Lagrangian in z_k over the largest sum of its terms' sizes, in units of the variables,
-    with lam recovered by recursion, or fitted where the dynamics are unstable; dynamics: gaps likewise; feasibility:
+    with lam recovered by recursion, or fitted if the dynamics are unstable; dynamics: gaps likewise; feasibility:
     violation of bounds and hard rows over |bound| + size of the terms; rows: see natural_residual().
     """
     lam = recover_lam(qp, p) if qp.growth <= 1.05 else fitted_lam(qp, p)
@@ -382,7 +382,7 @@ def condition(qp: StageQP) -> float:
     """|K|_1 |P K^-1|_1 of the KKT matrix K at the optimum in units of the variables, P = primal part (an estimate).
 
     The larger of two: with all active rows, and with those that carry a multiplier. Where rows are redundant on purpose
-    K is blurred by REDUNDANT.
+    K is regularised by REDUNDANT.
     """
     assert qp.optimum is not None
     s, p = qp.shape, qp.optimum

@@ -1,8 +1,8 @@
-"""Random stage QPs built backwards: first the KKT point, then data that make it one.
+"""Random stage QPs built backwards: first the KKT point, then data for which it satisfies the optimality conditions.
 
     b_k = dx_{k+1} - S_k z_k,   g_k = -(Q_k z_k + S_k' lam_{k+1} - (lam_k, 0) + rows' mult),   bounds around the values
 
-Every kind of a shape is drawn from a seed; infeasible ones come with the combination of bounds that proves it.
+Every kind of a shape is drawn from a seed; infeasible QPs have a combination of bounds that proves infeasibility.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def random_qp(
         kind: one of kinds_of(shape).
         seed: any number >= 0.
         radius: spectral radius of A up to which it is drawn.
-        active: share of bounds and rows that are tried as active ones.
+        active: share of bounds and rows that are candidates for active ones.
         digits: decimals of the numbers drawn (None: all), for readable counterexamples.
     """
     draw = _Draw(np.random.default_rng([seed, sum(map(ord, kind))]), digits)
@@ -81,7 +81,7 @@ class _Draw:
 
 
 def _stages(draw: _Draw, shape: Shape, kind: str, radius: float) -> StageQP:
-    """Dynamics, Hessian and gradients of the rows; everything that depends on the point is still zero."""
+    """Dynamics, Hessian and gradients of the rows; all data that depend on the point are still zero."""
     nx, nu, N = shape.nx, shape.nu, shape.N
     nz, rows = nx + nu, rows_of(shape)
     S = _dynamics(draw, shape, kind, radius)
@@ -143,7 +143,7 @@ def _hessian(draw: _Draw, shape: Shape, kind: str) -> tuple[Array, Array]:
 
 
 def _idle_controls(draw: _Draw, shape: Shape, S: Array, Q: Array, C: Array, rows: Rows) -> None:
-    """At some nodes the last control has neither effect nor cost, or the effect and cost of the first one."""
+    """At some nodes the last control has neither effect nor cost, or the same effect and cost as the first one."""
     nx, last = shape.nx, shape.nx + shape.nu - 1
     for k in np.flatnonzero(draw.rng.random(shape.N) < 0.3):
         twin = draw.rng.random() < 0.5
@@ -155,7 +155,7 @@ def _idle_controls(draw: _Draw, shape: Shape, S: Array, Q: Array, C: Array, rows
 
 
 def _indefinite(draw: _Draw, S: Array, Q: Array, Q_N: Array) -> tuple[Array, Array]:
-    """Blocks that are indefinite while the Hessian reduced to the dynamics stays what it was.
+    """Indefinite blocks with the same Hessian on the null space of the dynamics.
 
     The terms 1/2 x_{k+1}'P_{k+1} x_{k+1} - 1/2 x_k'P_k x_k of all intervals and -1/2 x_N'P_N x_N add up to a constant.
     """
@@ -188,7 +188,7 @@ def _repeat(draw: _Draw, shape: Shape, rows: Rows, C: Array) -> None:
 
 
 def _around_point(draw: _Draw, qp: StageQP, kind: str, share: float) -> StageQP:
-    """Gaps, gradients and bounds that make a random point the optimum."""
+    """Gaps, gradients and bounds for which a random point is the optimum."""
     s, rng, rows = qp.shape, draw.rng, qp.rows
     dx, du = draw.normal(s.N + 1, s.nx), draw.normal(s.N, s.nu)
     plan = 0.0 if kind == "scaled" or rng.random() < 0.2 else 1.0
@@ -217,7 +217,7 @@ def _around_point(draw: _Draw, qp: StageQP, kind: str, share: float) -> StageQP:
 
 
 def _states(draw: _Draw, qp: StageQP, kind: str, share: float) -> tuple[Array, Array]:
-    """What every control bound and every row is at the optimum.
+    """State of every control bound and every row at the optimum.
 
     Unless the kind is "redundant", the hard active rows up to any node are no more than the free controls up to it:
     more would depend on each other.
@@ -228,7 +228,7 @@ def _states(draw: _Draw, qp: StageQP, kind: str, share: float) -> tuple[Array, A
     if kind == "all_active":
         wanted = np.arange(count)
     state_u, state_r = np.zeros((s.N, s.nu), int), np.zeros(len(rows), int)
-    room = s.free + np.cumsum(np.append(np.zeros(1, int), np.full(s.N, s.nu)))  # free variables that node k can see
+    room = s.free + np.cumsum(np.append(np.zeros(1, int), np.full(s.N, s.nu)))  # free variables that affect node k
     for i in wanted:
         if i < s.N * s.bounded:
             k, j = divmod(int(i), s.bounded)
@@ -241,7 +241,7 @@ def _states(draw: _Draw, qp: StageQP, kind: str, share: float) -> tuple[Array, A
         if side in (OVER, UNDER):
             state_r[m] = side
             continue
-        # A row with controls sees those of its node, the others the ones before.
+        # A row with controls depends on those of its node, the other rows only on earlier ones.
         sees = rows.node[m] + int(rows.kind[m] == 1 and rows.index[m] < s.path and rows.node[m] < s.N)
         if kind == "redundant" or np.all(room[sees:] > 0):
             state_r[m] = side
@@ -288,9 +288,9 @@ def _bounds(
 
 
 def _in_units(draw: _Draw, qp: StageQP) -> StageQP:
-    """The same problem in units of 1e-6 to 1e6 of states, controls, hard rows and cost; met bounds stay met exactly.
+    """The same problem in units of 1e-6 to 1e6 of states, controls, hard rows and cost; active bounds stay active.
 
-    What a soft row prices keeps its unit, and then so does the cost, for penalties are part of the package.
+    If there are soft rows, their unit and that of the cost are kept, because the penalties are part of the package.
     """
     rng, s, rows, p = draw.rng, qp.shape, qp.rows, qp.optimum
     assert p is not None
@@ -352,7 +352,7 @@ def condensed_rows(qp: StageQP) -> tuple[Array, Array]:
 
 
 def _contradiction(draw: _Draw, qp: StageQP) -> StageQP:
-    """One hard row is asked for more than bounded controls and up to two other rows allow.
+    """One hard row requires more than bounded controls and up to two other rows allow.
 
     a_m du = sum_j c_j a_j du + rest' du <= sum_j max(c_j lower_j, c_j upper_j) + sum_i max(rest_i du_i over its bounds)
     """

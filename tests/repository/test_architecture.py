@@ -1,4 +1,4 @@
-"""The house rules that a machine can check: who imports whom, what mirrors what, how long things may be."""
+"""The house rules that can be checked automatically: imports, mirrored folders, sizes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from nmpc_codegen.options import REGISTRIES, Options
 
 TEMPLATES = ROOT / "templates"
 
-#: Seam -> folder, in src and in templates alike.
+#: Seam -> folder, both in src and in templates.
 FOLDERS = {
     "integrator": "integrators",
     "hessian": "hessians",
@@ -46,7 +46,7 @@ FOLDERS = {
     "algorithm": "algorithms",
 }
 
-#: A stage knows the value it is given and the one it makes, not the stages before.
+#: A stage knows its input value and its output value, not the earlier stages.
 BLIND = {
     "lowering/linearize": {"frontend.ocp", "frontend.checks", "frontend.classify"},
     "lowering/lower": {"frontend.ocp", "frontend.checks", "frontend.classify", "oracle"},
@@ -97,7 +97,7 @@ def test_imports_run_one_way(path: Path) -> None:
 
 
 def test_an_upward_import_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Inside a function and for type checking, too."""
+    """Also imports inside functions and for type checking."""
     monkeypatch.setattr(rooms, "SOURCE", tmp_path)
     path = tmp_path / "ir" / "module.py"
     path.parent.mkdir()
@@ -110,7 +110,7 @@ def test_rooms_are_small() -> None:
 
 
 def test_seams_and_values_are_typed() -> None:
-    """No Any, object or dict of words in options, components, Model and CModule."""
+    """No Any, object or dict of strings in options, components, Model and CModule."""
     assert {Options, Component, Parts, Model, CModule} <= set(typing_figures.classes())
     assert typing_figures.untyped_options() == []
 
@@ -153,7 +153,7 @@ def test_foreign_packages_stay_in_their_modules(package: str) -> None:
 def test_runtime_loads_neither_casadi_nor_jinja2(
     toy_files: dict[str, str], compiler: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """open_package, step, solve and simulate in a fresh interpreter."""
+    """open_package, step, solve and simulate in a new interpreter."""
     assert compiler
     for name, text in toy_files.items():
         (tmp_path / name).write_text(text, encoding="utf-8")
@@ -180,7 +180,7 @@ def test_seams_are_the_registries() -> None:
 
 @pytest.mark.parametrize("seam", SEAMS)
 def test_every_component_is_registered(seam: str) -> None:
-    """Every class with a seam that is defined in the folder stands in the registry under its name, and is public."""
+    """Every class with a seam that is defined in the folder is in the registry under its name, and is public."""
     folder = FOLDERS[seam]
     defined = {
         cls
@@ -201,7 +201,7 @@ def test_every_component_is_registered(seam: str) -> None:
 
 @pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls.__name__)
 def test_component_keeps_its_house(cls: Any) -> None:
-    """A frozen dataclass that is all options; its template has the stem of its module; docs and change log name it."""
+    """A frozen dataclass with options as its only fields; its template has the stem of its module; docs name it."""
     module = cls.__module__.split(".")[-1]
     folder = FOLDERS[cls.seam]
     assert cls.__dataclass_params__.frozen
@@ -215,7 +215,7 @@ def test_component_keeps_its_house(cls: Any) -> None:
 
 @pytest.mark.parametrize("seam", SEAMS)
 def test_every_template_of_a_seam_is_used(seam: str) -> None:
-    """It belongs to a component, or is a part that a template or a component names."""
+    """The template belongs to a component, or is a part named by a template or a component."""
     folder = FOLDERS[seam]
     owned = {cls.template for cls in REGISTRIES[seam].values()}
     parts = {f"{folder}/{path.name}" for path in (TEMPLATES / folder).iterdir()} - owned
@@ -259,7 +259,7 @@ def test_no_drawers() -> None:
 
 
 def texts() -> Iterator[tuple[Path, str]]:
-    """Every text of the tree but this file, which has to spell what it forbids."""
+    """Every text of the tree but this file, which has to contain the forbidden words."""
     folders = ("src", "templates", "tests", "examples", "benchmarks", "docs", ".ci")
     files = [path for path in ROOT.iterdir() if path.is_file()]
     files += [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]

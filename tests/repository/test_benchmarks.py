@@ -1,4 +1,4 @@
-"""The harness of the benchmarks on the crane, with few steps: it measures what it says and writes what it should."""
+"""The harness of the benchmarks on the crane, with few steps: it measures and writes the stated quantities."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_closed_loop_in_c() -> None:
 
 
 def test_scenario_reaches_the_c_program(tmp_path: Path) -> None:
-    """At rest in the origin no QP iteration is needed; a push or a far set point takes some, when its time comes."""
+    """At rest at the origin no QP iteration is needed; a push or a far set point causes some at its time."""
     require_tool("cc")
     program = compile_driver(problems.sources("crane_weight"), "crane", tmp_path)
     origin, far, near = (0.0, 0.0, 0.0, 0.0), ((5.0, 0, 0, 0, 0), (5.0, 0, 0, 0)), ((0.0,) * 5, (0.0,) * 4)
@@ -56,7 +56,7 @@ def test_scenario_reaches_the_c_program(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("plugin", ["qpoases", "daqp", "hpipm"])
 def test_peer_takes_the_same_steps(plugin: str) -> None:
-    """One full Gauss-Newton step per sample from the same start: the controls of the generated code."""
+    """One full Gauss-Newton step per sample from the same start gives the controls of the generated code."""
     if not available(plugin):
         pytest.skip(f"this CasADi has no {plugin}")
     problem, c = problems.problem("crane_weight"), problems.controller("crane_weight")
@@ -88,7 +88,7 @@ def test_comparison_of_a_case() -> None:
 
 
 def test_comparison_sees_an_error() -> None:
-    """A solution that is not the optimum fails, and a multiplier that is not unique is not compared."""
+    """A solution that is not optimal fails, and a multiplier that is not unique is not compared."""
     report, case = Report("test"), crane_case()
     tracking.report_case(report, case, tracking.compare(case, tol=0.5))
     assert {r.key: r.value for r in report.records}["crane_u_error"] > 1e-6

@@ -1,4 +1,4 @@
-"""Documents cannot rot: their code is extracted and run, their links and their claims are followed."""
+"""Tests of the documents: their code is extracted and run, and their links and claims are checked."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 
 
 def test_readme_walk(tmp_path: Path, compiler: tuple[str, ...]) -> None:
-    """All blocks in their order, in one folder: excerpt, problem file, command line, firmware, Python."""
+    """All blocks in order, in one folder: excerpt, problem file, command line, firmware, Python."""
     install_command(tmp_path)
     search = (ROOT / "src",)
     outputs = []
@@ -55,7 +55,7 @@ def readme() -> str:
 
 
 def firmware(folder: Path, compiler: tuple[str, ...]) -> None:
-    """The C of the README is free of warnings, links, and drives the cart home."""
+    """The C of the README has no warnings, links, and drives the cart to the origin."""
     loop = """
 #include <stdio.h>
 #include "cart.h"
@@ -114,7 +114,7 @@ def test_what_is_refused_is_refused_by_name(feature: str, state: Callable[[OCP, 
 
 
 def test_component_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
-    """The page's edits, applied to a copy of the compiler, give a component that passes the page's test."""
+    """The edits of the page, applied to a copy of the compiler, give a component that passes the test of the page."""
     assert compiler
     copy_tree(tmp_path)
     program = []
@@ -165,7 +165,7 @@ def test_problem_class_scaling_and_signs() -> None:
 
 @pytest.mark.parametrize(("page", "scale"), [("acado", 1.0), ("acados", 0.3)])
 def test_pages_for_newcomers(page: str, scale: float) -> None:
-    """Their blocks run; the cost has the scaling that the page promises: nodes times 1 or dt, no factor at the end."""
+    """Their blocks run; the cost has the scaling that the page states: nodes times 1 or dt, no factor at the end."""
     (block,) = blocks(f"docs/coming-from-{page}.md")
     names: dict[str, Any] = {}
     exec(block.text, names)
@@ -193,7 +193,7 @@ def test_problems_of_the_documents_through_the_command_line(
 
 
 def test_names_in_the_page_for_acado() -> None:
-    """Every C name stands in the header of such a problem."""
+    """Every C name occurs in the header of such a problem."""
     text = (ROOT / "docs" / "coming-from-acado.md").read_text(encoding="utf-8")
     ocp = OCP("crane", T=1.0, N=2)
     x, a, length = ocp.state("x"), ocp.control("a"), ocp.parameter("L", value=1.0)
@@ -208,7 +208,7 @@ def test_names_in_the_page_for_acado() -> None:
 
 
 def test_page_of_the_examples_is_complete() -> None:
-    """Every example has its heading and its picture there, and a line in the README."""
+    """Every example has its heading and its figure there, and a line in the README."""
     page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
     for path in (ROOT / "examples").glob("*.py"):
         assert f"(../examples/{path.name})" in page

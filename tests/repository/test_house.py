@@ -1,4 +1,4 @@
-"""The benchmark of the house: its figures can be wrong, and then they show it."""
+"""The benchmark of the code base detects faults."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SAMPLE = next(s for s in SAMPLES if s.name == "controls dense")
 
 
 def test_code_without_comments_indentation_and_printed_kernels() -> None:
-    """Less than the file, and more by exactly what a line adds."""
+    """The count is less than the file size, and grows by exactly the bytes of an added line."""
     module = texts(SAMPLES[0])["crane.c"]
     found = sizes.code_bytes(crane.build_ocp(), Options())
     assert 20_000 < found < len(module) / 1.3
@@ -33,7 +33,7 @@ def test_ram_is_what_a_controller_takes() -> None:
     assert sizes.ram_bytes(crane.build_ocp(), Options()) == build(crane.build_ocp()).nbytes
 
 
-#: Tool -> a fault that it knows.
+#: Tool -> a fault that it detects.
 FAULTS = {
     "clang-tidy": "int f(int a);\nint f(int a)\n{\n    if (a) return 1;\n    return 0;\n}\n",
     "clang": "double f(float a);\ndouble f(float a)\n{\n    return a;\n}\n",
@@ -74,7 +74,7 @@ def test_lint_names_the_part() -> None:
 
 
 def test_builds_disagree_where_one_of_them_is_wrong() -> None:
-    """Two builds of one package agree to rounding; one without the bounds does not; NaN is no agreement."""
+    """Two builds of one package agree up to rounding; one without the bounds does not; NaN is no agreement."""
     require_tool("gcc")
     sources = texts(SAMPLE)
     x = np.random.default_rng(1).uniform(-1, 1, (6, 2))
@@ -90,7 +90,7 @@ def test_builds_disagree_where_one_of_them_is_wrong() -> None:
 
 
 def test_packages_of_a_commit() -> None:
-    """The last commit can generate what this tree can; an unknown one is an error, not an empty comparison."""
+    """The last commit can generate the packages of this tree; an unknown one is an error, not an empty comparison."""
     if not commits.has_commit("HEAD"):
         pytest.skip("this tree is no clone")
     found = commits.packages_of("HEAD", ["controls dense"])

@@ -1,4 +1,4 @@
-"""The samples on which rendering and style of the C are measured leave no part and no condition out."""
+"""The samples on which rendering and style of the C are measured cover every part and every condition."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_coverage_walks_included_parts(modules: tuple[CModule, ...]) -> None:
 
 
 def test_raw_and_resolved_text_have_the_same_object_code() -> None:
-    """And text that does something else has not."""
+    """Text with different behaviour has different object code."""
     sample = next(s for s in SAMPLES if s.name == "path dense")
     raw, resolved = texts(sample, resolved=False), texts(sample)
     name = sample.make().name

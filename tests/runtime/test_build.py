@@ -1,4 +1,4 @@
-"""build.py: profiles, cache, loading, and every way in which a build can fail."""
+"""build.py: profiles, cache, loading, and failures of a build."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_single_precision(toy_files: Files, toy_single_files: Files) -> None:
 
 
 def test_the_runtime_needs_no_casadi(toy_files: Files, tmp_path: Path) -> None:
-    """A package is compiled, loaded and simulated where CasADi and jinja2 cannot be imported."""
+    """A package is compiled, loaded and simulated without CasADi and jinja2."""
     (tmp_path / "toy.json").write_text(json.dumps(toy_files))
     program = (
         "import json, sys; sys.modules['casadi'] = None; sys.modules['jinja2'] = None\n"

@@ -1,4 +1,4 @@
-"""cache.py: damage, strangers, killed and simultaneous builds. The faults are those of the benchmark."""
+"""cache.py: damage, other users, killed and simultaneous builds. The faults are those of the benchmark."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""folder.py, seal.py, naming.py: an export replaces only what it wrote, all or nothing, in its folder."""
+"""folder.py, seal.py, naming.py: an export replaces only files that it wrote, all or none, in its folder."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_arguments_of_wrong_types(directory: object, force: object) -> None:
 # -- all or none ------------------------------------------------------------------------------------------------------
 
 
-CALLS = 60  # calls of a re-export that change the disk, and some to spare
+CALLS = 60  # calls of a second export that change the disk, with a margin
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, 0])
@@ -150,8 +150,8 @@ def test_a_failure_anywhere(number: int, start: str, tmp_path: Path) -> None:
             failures += 1
             left = {path: text for path, text in contents(folder).items() if STAGING not in path}
             assert left in (before, {**NEW, "osqp/x.c": NEW["a.c"]}), (at, fault.seen)
-            said = str(error) or STAGING  # KeyboardInterrupt says nothing
-            assert STAGING in said or not (folder / STAGING).exists()  # left if it is the removal that failed
+            said = str(error) or STAGING  # KeyboardInterrupt has no message
+            assert STAGING in said or not (folder / STAGING).exists()  # present if the removal failed
             assert start == "old" or left or not folder.exists()
     assert failures > 20
 

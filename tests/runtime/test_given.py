@@ -1,4 +1,4 @@
-"""What is a weight: symmetric positive semidefinite up to the rounding of a product of matrices."""
+"""Definition of a weight: symmetric positive semidefinite up to the rounding of a product of matrices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nmpc_codegen.runtime.given import checked_weight
 
 @given(st.integers(0, 10_000), st.integers(1, 12), st.floats(1e-200, 1e200))
 def test_a_product_is_a_weight(seed: int, n: int, scale: float) -> None:
-    """T' Q T as computed, whatever the order of its sums; and one part in a million is not rounding."""
+    """T' Q T as computed, for any order of its sums; one part in a million is not rounding."""
     rng = np.random.default_rng(seed)
     T, Q = rng.normal(size=(n, n)), np.diag(rng.uniform(0, 1, n))
     W = scale * (T.T @ (Q @ T) + np.triu(rng.uniform(-1, 1, (n, n)), 1) * 8 * np.finfo(float).eps)

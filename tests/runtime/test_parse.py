@@ -1,4 +1,4 @@
-"""PackageDescription.from_json() and the comparison in compiled.py: an error names the entry that is wrong."""
+"""PackageDescription.from_json() and the comparison in compiled.py: an error names the wrong entry."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_an_entry_that_is_wrong(toy_files: Files, path: str, value: Any, message
 
 
 def test_what_is_read_is_what_was_written(toy_files: Files) -> None:
-    """Soft penalties, rows at the end and a report included, of which toy.json, written by hand, says nothing."""
+    """Soft penalties, rows at the end and a report, which the hand-written toy.json does not contain."""
     read = PackageDescription.from_json(toy_files["toy.json"])
     rows = tuple(replace(row, name=f"r[{i}]_end", soft=(10.0, 0.5)) for i, row in enumerate(read.rows))
     report = Report(8, {"kkt": 4}, {"linearize": OpCount(add=1, call=2)}, 3, ("qp: none",), ("path_exact",))
@@ -114,7 +114,7 @@ def test_a_text_that_is_no_description(text: str, message: str) -> None:
 
 
 def consistent(raw: dict[str, Any], case: str) -> None:
-    """Lies that from_json() cannot see."""
+    """Wrong entries that from_json() cannot detect."""
     members = {f["name"]: f for f in raw["structs"][-1]["fields"]}
     match case:
         case "sizes":

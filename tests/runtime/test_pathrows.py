@@ -1,4 +1,4 @@
-"""General path rows along a closed loop: their values against NumPy, and their axes in the picture."""
+"""General path rows along a closed loop: their values against NumPy, and their axes in the plot."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ mpl.use("Agg")
 
 
 def cart(name: str) -> OCP:
-    """A cart with rows of every kind; the first four have an axis of their own."""
+    """A cart with rows of every kind; the first four have their own axes."""
     ocp = OCP(name, T=2.0, N=5)
     p, v = ocp.state("p", initial=1.0), ocp.state("v")
     F, m = ocp.control("F"), ocp.parameter("m", value=0.5)
@@ -56,14 +56,14 @@ OPTIONS: dict[str, Options] = {
 
 
 def values(log: Log, m: Any) -> Any:
-    """The rows with an axis of their own, in NumPy."""
+    """The rows with their own axes, in NumPy."""
     p, v, F = log.x[:-1, 0], log.x[:-1, 1], log.u[:, 0]
     return np.column_stack([F * v, v + 0.1 * p**2 + m, F + p, F - p, F])
 
 
 @pytest.mark.parametrize("case", OPTIONS)
 def test_values_along_the_loop(case: str) -> None:
-    """Whatever moves: the plan, or the mass of the model in the middle of the run."""
+    """For a shifted plan, and for a mass of the model that changes during the run."""
     ctrl = build(cart(f"cart_{case}"), OPTIONS[case], profile="test")
     changes = case != "fixed"
 
@@ -83,7 +83,7 @@ def test_values_along_the_loop(case: str) -> None:
 
 
 def test_axes_of_rows(tmp_path: Path) -> None:
-    """Each row has its own axis with its present bounds; a soft row on a bare state is drawn where the state is."""
+    """Each row has its own axis with its present bounds; a soft row on a bare state is drawn with the state."""
     ctrl = build(cart("cart_condensed"), OPTIONS["condensed"], profile="test")
     ctrl.set_bounds("power", -0.1, 0.1)
     log = simulate(ctrl, [1.0, 0.0], 12)

@@ -1,4 +1,4 @@
-"""What is printed for people, and that a status stays the integer it is."""
+"""Printed texts, and a status remains the integer that it is."""
 
 from __future__ import annotations
 

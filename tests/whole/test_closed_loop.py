@@ -1,4 +1,4 @@
-"""Controllers in operation: u0 on every return, data that change while it runs, closed loops, shifted plans."""
+"""Controllers in operation: u0 on every return, data that change during operation, closed loops, shifted plans."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ INFEASIBLE = np.array([1.0, 0.0, 0.5, 0.0])
 
 
 def assert_safe(c: Controller, u: Any) -> None:
-    """Every control is finite and inside the bounds of now."""
+    """Every control is finite and inside the present bounds."""
     rows = {row.index: i for i, row in enumerate(c.description.rows) if row.kind == "control"}
     for j, value in enumerate(u):
         assert np.isfinite(value)
@@ -77,7 +77,7 @@ def test_every_prepare_serves_one_feedback() -> None:
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("component", range(4))
 def test_state_not_finite(component: int, bad: float) -> None:
-    """A safe control, and the next sample is served as if nothing had been: bit for bit."""
+    """A safe control, and the next sample is solved as usual: bit for bit."""
     c, twin = started(), started()
     xhat = FAR.copy()
     xhat[component] = bad
@@ -89,7 +89,7 @@ def test_state_not_finite(component: int, bad: float) -> None:
 
 
 def test_infeasible_state() -> None:
-    """The plan stays, its control is returned, the next feasible sample is solved."""
+    """The plan is kept, its control is returned, and the next feasible sample is solved."""
     c = started()
     x, u = c.x.copy(), c.u.copy()
     assert_safe(c, c.step(INFEASIBLE))
@@ -102,9 +102,9 @@ def test_infeasible_state() -> None:
 
 
 def test_a_plan_that_has_nothing_to_do_with_the_plant_is_given_up() -> None:
-    """Its QP is infeasible at a state from which a new controller finds a way: the third sample does, too."""
+    """Its QP is infeasible at a state from which a new controller finds a solution: the third sample does, too."""
     c = started()
-    c.x[:, 2] = np.linspace(1.0, -1.4, len(c.x))  # the load hangs elsewhere, at angles that no plan has
+    c.x[:, 2] = np.linspace(1.0, -1.4, len(c.x))  # the load is elsewhere, at angles that no plan has
     c.x[:, 3] = 40.0
     u = c.u.copy()
     for _ in range(2):
@@ -130,8 +130,8 @@ def test_iteration_cap_of_the_qp() -> None:
 @pytest.mark.parametrize(("which", "fails"), [("x", True), ("u", True), ("lam", False), ("mu_u", False)])
 @pytest.mark.parametrize("name", ["crane", "path_rows"])
 def test_iterate_overwritten_with_nan(name: str, which: str, fails: bool) -> None:
-    """States and controls: one NUMERICAL_FAILURE, then the plan starts anew at the measured state. Gauss-Newton does
-    not read multipliers. solve() heals the plan before it starts; reset() heals everything."""
+    """States and controls: one NUMERICAL_FAILURE, then the plan restarts at the measured state. Gauss-Newton does
+    not read multipliers. solve() repairs the plan before it starts; reset() repairs all data."""
     c = started(name)
     x0 = problems.CASES[name].x0
     c.view(which)[...] = np.nan
@@ -167,7 +167,7 @@ def away_from_zero() -> OCP:
 
 
 def test_safe_control_where_zero_is_none() -> None:
-    """Not initialised: 0 clipped to the declared bounds; initialised: the plan clipped to the bounds of now."""
+    """Not initialised: 0 clipped to the declared bounds; initialised: the plan clipped to the present bounds."""
     c = build(away_from_zero(), profile="test")
     c.view("magic")[...] = 0
     np.testing.assert_array_equal(c.feedback([0.0]), [0.4, -1.5])
@@ -184,7 +184,7 @@ def test_safe_control_where_zero_is_none() -> None:
 
 
 def test_u0_over_random_abuse() -> None:
-    """300 samples of states of any size, bounds, references, NaN, resets, skipped phases: safe every time."""
+    """300 samples with states of any size, bounds, references, NaN, resets, skipped phases: safe every time."""
     rng = np.random.default_rng(3)
     c = problems.controller("state_bounds")
     seen = set()
@@ -243,7 +243,7 @@ def test_bounds_of_states_between_prepare_and_feedback() -> None:
 @pytest.mark.parametrize("what", ["path", "terminal"])
 @pytest.mark.parametrize("name", ["references", "dense_changed", "parameters"])
 def test_references_between_prepare_and_feedback(name: str, what: str) -> None:
-    """Equal to setting them before prepare; and not without effect."""
+    """Equal to setting them before prepare, with an effect on the result."""
     late, early, without = started(name), started(name), started(name)
     x0 = problems.CASES[name].x0
     rng = np.random.default_rng(1)
@@ -330,7 +330,7 @@ def test_crane_comes_to_rest(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["crane", "crane_weight"])
 def test_real_time_iterates_approach_the_optimum(name: str) -> None:
-    """Distance of the applied control from the optimal one for the same state: it falls to round-off."""
+    """Distance of the applied control from the optimal one for the same state: it decreases to rounding level."""
     c, x, distance = problems.controller(name), FAR, []
     for _ in range(40):
         u = c.step(x, on_failure="raise")
@@ -376,7 +376,7 @@ def test_copy_in_mid_run() -> None:
 
 
 def later_rows(name: str) -> list[int]:
-    """Position in the QP of the same row one node later, or of the row itself where it has no later one."""
+    """Position in the QP of the same row one node later, or of the row itself if there is no later one."""
     rows = problems.problem(name).qp_rows
     position = {(k, identity): m for m, (k, _, _, identity) in enumerate(rows)}
     return [position.get((k + 1, identity), m) for m, (k, _, _, identity) in enumerate(rows)]
@@ -384,7 +384,7 @@ def later_rows(name: str) -> list[int]:
 
 @pytest.mark.parametrize("name", ["crane", "path_rows", "parameters"])
 def test_shift_moves_the_plan(name: str) -> None:
-    """x_k <- x_{k+1}, u_k <- u_{k+1}, the last control again and the tail integrated: bit for bit in NumPy."""
+    """x_k <- x_{k+1}, u_k <- u_{k+1}, the last control repeated and the tail integrated: bit for bit in NumPy."""
     c = problems.controller(name)
     x0 = problems.CASES[name].x0
     c.set_parameter("k", 1.3) if name == "parameters" else None
@@ -445,7 +445,7 @@ def test_shift_helps() -> None:
 
 
 def explosive() -> OCP:
-    """x' = x^3 + u escapes to infinity within the horizon if the control stays."""
+    """x' = x^3 + u escapes to infinity within the horizon if the control is kept."""
     ocp = OCP("explosive", T=2.0, N=4)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: x**3 + u})
@@ -454,7 +454,7 @@ def explosive() -> OCP:
 
 
 def test_shift_of_a_tail_that_explodes() -> None:
-    """The new end of the plan is finite, whatever the model does there: the controller stays usable."""
+    """The new end of the plan is finite whatever the model does there: the controller remains usable."""
     c = build(explosive(), profile="test")
     c.x[:] = 1e60
     c.u[:] = 0.0
@@ -472,7 +472,7 @@ def test_not_prepared_after_shift_and_reset() -> None:
 
 
 def test_texts_of_the_statuses() -> None:
-    """Every status has a sentence of its own, for people."""
+    """Every status has a readable sentence of its own."""
     texts = [s.meaning for s in Status]
     assert len(set(texts)) == len(texts)
     assert all(re.fullmatch(r"[a-z].{5,}", text) for text in texts)
@@ -504,7 +504,7 @@ def test_shift_periodic() -> None:
 
 @pytest.mark.parametrize("sampling", [0.03, 0.2, 0.5, 1.7])
 def test_shift_resample(sampling: float) -> None:
-    """The old plan read later: states integrated along it, controls averaged over the moved intervals."""
+    """The old plan evaluated later: states integrated along it, controls averaged over the moved intervals."""
     c = shifted("resample", sampling_time=sampling)
     x, u, lam = c.x.copy(), c.u.copy(), c.lam.copy()
     c.shift()
@@ -536,7 +536,7 @@ def test_shift_resample_by_an_interval_is_repeat() -> None:
 
 
 def test_shift_resample_on_a_non_uniform_grid() -> None:
-    """With the plan of an undisturbed plant, the resampled plan starts where the plant is."""
+    """With the plan of an undisturbed plant, the resampled plan starts at the state of the plant."""
     ocp = OCP("grid", intervals=[0.1, 0.2, 0.4])
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -x + u})
@@ -551,7 +551,7 @@ def test_shift_resample_on_a_non_uniform_grid() -> None:
 
 
 def test_accumulators_start_at_zero_at_every_sample() -> None:
-    """A state that adds up over the horizon, bounded at the end: what is measured of it does not matter."""
+    """A state that accumulates over the horizon, with a bound at the end; its measured value has no effect."""
     ocp = OCP("budget", T=1.0, N=5)
     x, spent = ocp.state("x", initial=1.0), ocp.state("spent")
     u = ocp.control("u")

@@ -1,4 +1,4 @@
-"""The examples run as their users run them, and the folder that the crane exports builds on its own."""
+"""The examples run as by their users, and the folder exported by the crane builds without the compiler."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def assert_loop(output: str) -> None:
 
 
 def assert_picture(file: Path) -> None:
-    """It is of some size, and there is something on it."""
+    """The figure has some size, and it is not empty."""
     picture = matplotlib.image.imread(file)
     assert min(picture.shape[:2]) > 200
     assert picture[..., :3].std() > 0.01
@@ -80,14 +80,14 @@ def test_crane_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The examples build with the profile "test", which takes a third of the time; the crane's keeps its own."""
+    """The examples are built with the profile "test", which takes a third of the time; the crane keeps its own."""
     for module in (bioreactor, cart_pole, chain, cstr, quadrotor):
         monkeypatch.setattr(module, "build", partial(build, profile="test"))
 
 
 @pytest.mark.usefixtures("quick")
 def test_cstr_main(tmp_path: Path) -> None:
-    """Figure 6: the set points in reach are reached, the other one up to the bounds; a node per sample keeps them."""
+    """Figure 6: reachable set points are reached, the other one up to the bounds; a node per sample satisfies them."""
     refined, coarse = cstr.main(str(tmp_path / "sub" / "cstr.png"))
     assert_picture(tmp_path / "sub" / "cstr.png")
     for log in (refined, coarse):
@@ -97,12 +97,12 @@ def test_cstr_main(tmp_path: Path) -> None:
         np.testing.assert_allclose(log.x[1200, 2:], [98, 92], rtol=0, atol=1e-2)
     assert sum(cstr.REFINED) == 1500
     assert (refined.x[:, 2:].min(axis=0) >= np.array([98, 92]) - 1e-5).all()
-    assert coarse.x[:, 2].min() == pytest.approx(98 - 0.027, abs=1e-3)  # as the example tells
+    assert coarse.x[:, 2].min() == pytest.approx(98 - 0.027, abs=1e-3)  # as described in the example
 
 
 @pytest.mark.usefixtures("quick")
 def test_cart_pole_main(tmp_path: Path) -> None:
-    """The plan is followed, and the pole stands at the end although it was hit."""
+    """The plan is followed, and the pole is upright at the end in spite of the push."""
     logs = cart_pole.main(str(tmp_path / "cart_pole.png"))
     assert_picture(tmp_path / "cart_pole.png")
     assert len(logs) == len(cart_pole.LENGTHS)
@@ -139,7 +139,7 @@ def test_chain_main(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("quick")
 def test_bioreactor_orbit() -> None:
-    """The optimum of the exact Hessian; benchmarks.exact_hessian has the other readings and the closed loops."""
+    """The optimum with the exact Hessian; benchmarks.exact_hessian has the other readings and the closed loops."""
     controller, best = bioreactor.orbit()
     assert best.status.name == "OK"
     assert -best.cost == pytest.approx(3.054852, abs=1e-6)
@@ -149,7 +149,7 @@ def test_bioreactor_orbit() -> None:
 
 @pytest.mark.slow
 def test_bioreactor_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Both orbits are as productive as they can be, and after a jump the classical one is found again."""
+    """Both orbits are optimal, and after a jump the classical one is reached again."""
     logs = bioreactor.main(str(tmp_path / "bioreactor.png"))
     assert_picture(tmp_path / "bioreactor.png")
     printed = capsys.readouterr().out
@@ -166,7 +166,7 @@ def test_bioreactor_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.mark.parametrize("n", [3, 5, 7])
 def test_rest_shape_is_at_rest(n: int) -> None:
-    """The controls that keep the reference are 0: Phi(reference, 0) is the reference; the chain hangs down."""
+    """The controls that hold the reference are 0: Phi(reference, 0) is the reference; the chain hangs down."""
     M = n - 2
     problem = classify(chain.build_ocp(n))
     x = np.asarray(problem.x_initial)
@@ -189,7 +189,7 @@ def rate(ocp: OCP, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 def test_cstr_stands_still_at_its_set_points() -> None:
-    """Set point 1 is a steady state; 3 is rounded to three digits. Rates per hour."""
+    """Set point 1 is a steady state; set point 3 is rounded to three digits. Rates per hour."""
     for index, tolerance in ((0, 1e-5), (2, 0.5)):
         at = cstr.SET_POINTS[index]
         np.testing.assert_allclose(3600 * rate(cstr.build_ocp(), at[:4], at[4:]), 0, atol=tolerance)
@@ -197,7 +197,7 @@ def test_cstr_stands_still_at_its_set_points() -> None:
 
 @pytest.mark.parametrize("any_length", [False, True])
 def test_cart_pole_power(any_length: bool) -> None:
-    """dE/dt = F v; E from the velocities of cart and tip, the pole's mass sitting there, th = 0 upright."""
+    """dE/dt = F v; E from the velocities of cart and tip, with the mass of the pole at the tip, th = 0 upright."""
     p, th, v, w, F = np.random.default_rng(3).uniform(-2, 2, 5)
     length, M, m = 0.8, cart_pole.CART, cart_pole.POLE
     x = np.array([p, th, v, w])
@@ -237,7 +237,7 @@ def test_quadrotor_by_rotation_matrices() -> None:
 
 @pytest.mark.parametrize("n", [3, 5])
 def test_chain_keeps_its_energy(n: int) -> None:
-    """While the hand rests, springs and weight do: dE/dt = 0."""
+    """While the hand is at rest, springs and weight conserve energy: dE/dt = 0."""
     M = n - 2
     x = np.random.default_rng(5).uniform(-1, 1, 6 * M + 3)
     f = rate(chain.build_ocp(n), x, np.zeros(3))
@@ -255,7 +255,7 @@ def test_chain_keeps_its_energy(n: int) -> None:
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_run_time_dependencies_are_enough(name: str) -> None:
-    """No import but the standard library, the package, and what it depends on itself."""
+    """Only imports of the standard library, the package, and its own dependencies."""
     tree = ast.parse((Path(__file__).parents[2] / "examples" / f"{name}.py").read_text(encoding="utf-8"))
     modules = {
         module.split(".")[0]
@@ -285,7 +285,7 @@ def pushed(n: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Solved:
-    """An example with the state it is solved from; ``optimum`` and the rows that touch a bound are known beforehand."""
+    """An example with its initial state; ``optimum`` and the rows that touch a bound are known beforehand."""
 
     make: Callable[[], OCP]
     x0: Callable[[], np.ndarray]
@@ -326,7 +326,7 @@ def relative(ours: Any, theirs: Any) -> float:
 
 @pytest.mark.parametrize("name", sorted(SOLVED))
 def test_equal_to_ipopt(name: str) -> None:
-    """Both from the plain start; where they find different optima, IPOPT started at ours must return it."""
+    """Both from the initial iterate; if they find different optima, IPOPT started at ours must return it."""
     case = SOLVED[name]
     ocp, x0 = case.make(), case.x0()
     problem = classify(ocp)
@@ -379,7 +379,7 @@ def test_command_line_takes_every_example(name: str, tmp_path: Path, capsys: pyt
 
 
 def test_example_runs_through_open_package(folder: Path) -> None:
-    """What was exported is what build() runs, bit for bit."""
+    """The exported files are those that build() runs, bit for bit."""
     ours, exported = problems.controller("crane", "fast"), open_package(folder)
     x = np.array([2.0, 0.0, 0.0, 0.0])
     for _ in range(10):
@@ -410,7 +410,7 @@ def test_cmake_builds_and_runs(folder: Path, tmp_path: Path) -> None:
 
 
 def test_cortex_m_compiles(folder: Path, tmp_path: Path) -> None:
-    """Freestanding use: code and constants only, no data of its own."""
+    """Freestanding use: only code and constants, no data of its own."""
     compiler = require_tool("arm")
     flags = ["-std=c99", "-O2", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-Wall", "-Werror"]
     run([compiler, *flags, "-c", str(folder / "crane.c"), "-o", "crane.o"], tmp_path)

@@ -1,4 +1,4 @@
-"""Online: what can be changed at run time and how it is stored. Oracle: IPOPT with the data of every node."""
+"""Online: data that can be changed at run time, and their storage. Oracle: IPOPT with the data of every node."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ CHANGE = {
 
 
 def change_all(c: Controller, online: Online) -> dict[str, Any]:
-    """Change everything that the layout lets change; the data of every node, for node_data()."""
+    """Change all data that the layout allows to change; returns the data of every node, for node_data()."""
     data: dict[str, Any] = {}
     for kind, layout in online.layouts.items():
         if layout != "fixed":
@@ -174,7 +174,7 @@ def solved(**data: Any) -> ReferenceSolution:
 
 @pytest.mark.parametrize("pick", PAIRS)
 def test_equal_to_ipopt_after_changes(pick: tuple[int, ...]) -> None:
-    """As declared, and after changing everything that can be changed; what is changed matters."""
+    """As declared, and after changing all data that can be changed; every change has an effect."""
     online = Online(**dict(zip(KINDS, (LAYOUTS[i] for i in pick), strict=True)))
     c = fresh(online)
     declared = solved()
@@ -188,7 +188,7 @@ def test_equal_to_ipopt_after_changes(pick: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize(("kind", "layout"), list(zip(KINDS, ("node", "shared", "node", "shared"), strict=True)))
 def test_every_kind_by_itself(kind: str, layout: str) -> None:
-    """All others fixed: the change of this one alone moves the solution to IPOPT's."""
+    """All others fixed: the change of this one alone moves the solution to that of IPOPT."""
     online = Online(**{**dict.fromkeys(KINDS, "fixed"), kind: layout})
     c = fresh(online)
     data = change_all(c, online)
@@ -226,7 +226,7 @@ def ram(online: Online) -> int:
     ],
 )
 def test_memory_is_that_of_the_data(kind: str, shared: int, node: int) -> None:
-    """Fixed data take no RAM, shared ones little. The residual is nonlinear: no Hessian block is saved."""
+    """Fixed data take no RAM, shared data little. The residual is nonlinear: no Hessian block is saved."""
     fixed = ram(Online(**{kind: "fixed"}))
     assert ram(Online(**{kind: "shared"})) == fixed + 8 * shared
     assert ram(Online(**{kind: "node"})) == fixed + 8 * node
@@ -396,7 +396,7 @@ def test_names_of_residuals_where_references_are_shared() -> None:
     np.testing.assert_array_equal(c.view("yref"), [[0.1, 0.3, 0.0]])
 
 
-#: layout -> call -> nodes that C accepts, ALL (-1) apart.
+#: layout -> call -> nodes that C accepts, without ALL (-1).
 ACCEPTED = {
     ALL_SHARED: {"reference": (), "weight": (), "parameter": (N,), "w": (N,), "u": (), "gate_end": (N,)},
     ALL_NODE: {
@@ -410,7 +410,7 @@ ACCEPTED = {
 
 @pytest.mark.parametrize("online", [ALL_SHARED, ALL_NODE], ids=["shared", "node"])
 def test_indices_in_c(online: Online) -> None:
-    """ALL and the nodes of the layout; anything else is BAD_INDEX and writes nothing."""
+    """ALL and the nodes of the layout are accepted; any other node is BAD_INDEX and writes nothing."""
     c = fresh(online)
     values = c._pointer(np.full(NY, 0.25))
 
@@ -451,7 +451,7 @@ def test_crossed_bounds_keep_the_old_ones(online: Online) -> None:
 
 
 def test_every_control_stays_inside_the_bounds_of_its_node() -> None:
-    """Bounds that narrow along the horizon, moved plans, failures; one node is an equality, one has no bound."""
+    """Bounds that narrow along the horizon, shifted plans, failures; one node is an equality, one has no bound."""
     options = Options(ExplicitRungeKutta(), online=Online(bounds="node"), algorithm=RealTimeIteration(shift="repeat"))
     c = build(stated(T=1.0, N=N), options, "test")
     low, high = np.array([-0.2, -1.0, -0.4, -np.inf, 0.05]), np.array([0.3, -0.1, 0.4, np.inf, 0.05])

@@ -1,4 +1,4 @@
-"""Options: every bad value is an OptionError that lists the good ones; what nobody supports is refused by name."""
+"""Options: every bad value is an OptionError that lists the allowed ones; unsupported features are refused by name."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_bad_value_lists_the_good_ones(make: Callable[[], Any], words: list[str]
     "part", [Options(), Online(), *(cls() for registry in REGISTRIES.values() for cls in registry.values())]
 )
 def test_parts_are_frozen_values(part: Any) -> None:
-    """Equal by value, hashable where all parts are, and not to be changed."""
+    """Equal by value, hashable if all parts are, and immutable."""
     assert part == type(part)()
     for f in dataclasses.fields(part):
         with pytest.raises(dataclasses.FrozenInstanceError):
@@ -177,7 +177,7 @@ def test_choices_are_reported() -> None:
 
 @pytest.mark.parametrize("name", [*TAKEN_PREFIXES, "Crane", "1st", "a-b", ""])
 def test_prefix_of_the_package(name: str) -> None:
-    """A prefix whose API would bear the names of internal functions, or that is no lower-case identifier."""
+    """A prefix whose API would have the names of internal functions, or that is no lower-case identifier."""
     ocp = integrator_ocp()
     with pytest.raises(ProblemError, match=repr(name)):
         generate(ocp, name=name)
@@ -244,7 +244,7 @@ def _accumulated(ocp: OCP) -> None:
     ],
 )
 def test_unsupported_feature(state: Callable[[OCP], None], feature: str) -> None:
-    """Every component takes the feature or is refused with the names of problem, feature, seam and component."""
+    """Every component supports the feature or is refused with the names of problem, feature, seam and component."""
     ocp = integrator_ocp()
     state(ocp)
     components = [cls for registry in REGISTRIES.values() for cls in registry.values()]

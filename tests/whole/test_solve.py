@@ -39,7 +39,7 @@ def assert_equal_to_ipopt(name: str, solution: Solution, tolerance: float = 1e-6
 
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_equal_to_ipopt(name: str) -> None:
-    """Some in profile "fast", where gcc 12 once dropped a call (the pragma in solver.c.jinja)."""
+    """Some in profile "fast", in which gcc 12 removed a call without the pragma in solver.c.jinja."""
     case = CASES[name]
     solution = problems.controller(name, "fast" if name in FAST else "test").solve(case.x0, tol=1e-10)
     assert_equal_to_ipopt(name, solution)
@@ -53,7 +53,7 @@ def test_equal_to_ipopt(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "profile"), [("crane", "verify"), ("crane", "test")])
 def test_every_profile(name: str, profile: str) -> None:
-    """The same iterations in every profile, to round-off."""
+    """The same iterations in every profile, up to rounding."""
     solution = problems.controller(name, profile).solve(CASES[name].x0, tol=1e-10)
     assert_equal_to_ipopt(name, solution)
     fast = problems.controller(name, "fast").solve(CASES[name].x0, tol=1e-10)
@@ -83,7 +83,7 @@ def perturbed(name: str) -> tuple[Controller, Any]:
 
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_kkt_residuals(name: str) -> None:
-    """kkt() away from the solution, where no part is zero by itself."""
+    """kkt() away from the solution, where no part is zero by coincidence."""
     c, point = perturbed(name)
     ours = c.kkt()
     theirs = kkt_residuals(problems.problem(name), point, problems.case_data(name), CASES[name].tableau)
@@ -92,7 +92,7 @@ def test_kkt_residuals(name: str) -> None:
     assert ours.equality == pytest.approx(theirs.equality, rel=1e-10)
     assert ours.inequality == pytest.approx(theirs.inequality, rel=1e-10)
     rows = problems.problem(name).rows
-    if all(r.lower < r.upper for r in rows):  # the C leaves equalities to the part "inequality"
+    if all(r.lower < r.upper for r in rows):  # the C code counts equalities in the part "inequality"
         assert ours.complementarity == pytest.approx(theirs.complementarity, rel=1e-10)
 
 
@@ -106,7 +106,7 @@ def test_cost(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["crane", "crane_weight"])
 def test_crane_kkt(name: str) -> None:
-    """What solve() stopped on is what NumPy finds at the same point."""
+    """The residuals at which solve() stopped are those that NumPy finds at the same point."""
     solution = problems.controller(name).solve(CASES[name].x0, tol=1e-8)
     theirs = kkt_residuals(problems.problem(name), problems.point(solution), problems.case_data(name))
     for part in ("stationarity", "equality", "inequality", "complementarity"):
@@ -124,7 +124,7 @@ def test_warm_start_needs_no_iteration() -> None:
 
 
 def test_start_elsewhere() -> None:
-    """From another guess, and for another xhat, the same answer as IPOPT's."""
+    """From another guess, and for another xhat, the answer equals that of IPOPT."""
     c = problems.controller("crane")
     c.solve((0.3, 0.0, 0.0, 0.0))
     c.u[:] = 0.7
@@ -141,7 +141,7 @@ def test_iteration_limit() -> None:
 
 
 def test_infeasible_and_recovered() -> None:
-    """The elastic QP leads to a point of least violation, which is no solution; the next solve forgets it."""
+    """The elastic QP leads to a point of least violation, which is no solution; the next solve is independent of it."""
     c = problems.controller("crane")
     solution = c.solve((1.0, 0.0, 0.5, 0.0))
     assert solution.status == Status.INFEASIBLE
@@ -159,7 +159,7 @@ def test_state_not_finite(bad: float) -> None:
 
 
 def test_never_ok_without_being_solved() -> None:
-    """Full Gauss-Newton steps cycle on the terminal disc: the status says so, and the residuals are the true ones."""
+    """Full Gauss-Newton steps cycle on the terminal disc: the status states it, and the residuals are the true ones."""
     ocp: OCP = problems.disc()
     solution = build(ocp, profile="test").solve((1.0, 0.0), tol=1e-8)
     assert solution.status == Status.ITERATION_LIMIT
@@ -193,7 +193,7 @@ def test_convex_rows_make_the_disc_converge() -> None:
 
 
 def test_concave_rows_are_left_out() -> None:
-    """Outside of a disc: the curvature is negative definite, the iterates are those of plain Gauss-Newton."""
+    """Outside a disc: the curvature is negative definite, and the iterates are those of plain Gauss-Newton."""
     solutions = []
     for convex_rows in (False, True):
         ocp = OCP("outside", T=1.0, N=4)
@@ -212,7 +212,7 @@ def test_concave_rows_are_left_out() -> None:
 
 
 def free_start(rows: bool, N: int = 6) -> OCP:
-    """A pendulum whose angle is measured and whose speed at the start the solver chooses."""
+    """A pendulum whose angle is measured and whose initial speed is chosen by the solver."""
     ocp = OCP("free_start", T=1.2, N=N)
     phi, omega = ocp.state("phi", initial=0.8), ocp.state("omega", initial=0.1)
     torque = ocp.control("torque")
@@ -247,7 +247,7 @@ def test_free_components_of_the_initial_state(rows: bool, N: int) -> None:
 
 
 def test_a_free_component_need_not_be_measured() -> None:
-    """In solve() it is the first guess, NaN keeps the plan's; step() does not look at it."""
+    """In solve() it is the initial guess, NaN keeps that of the plan; step() ignores it."""
     c = build(free_start(True), profile="test")
     solution = c.solve((0.8, np.nan), tol=1e-9)
     assert solution.status == Status.OK

@@ -1,4 +1,4 @@
-"""A cost on x_0, which is free or measured: against IPOPT, by every way to solve the QP."""
+"""A cost on x_0, which is free or measured: against IPOPT, with every QP solver."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_solution_is_that_of_ipopt(case: str, route: str) -> None:
 
 
 def test_the_cost_of_the_start_matters() -> None:
-    """Without it IPOPT finds another start: the comparison above can fail."""
+    """Without it IPOPT finds another start, so that the comparison above can fail."""
     problem = classify(arrival_on_path())
     other = arrival_on_path()
     other.residuals[:] = [r for r in other.residuals if r.stage != "start"]
@@ -99,7 +99,7 @@ def test_its_parameter_moves_the_start(route: str) -> None:
 
 
 def test_real_time_iterations_settle_at_the_solution() -> None:
-    """The gradient is added once per sample, also where the reference has been renewed after prepare()."""
+    """The gradient is added once per sample, also if the reference has been changed after prepare()."""
     ocp = moving_prior()
     ctrl = build(ocp, profile="test")
     for _ in range(6):

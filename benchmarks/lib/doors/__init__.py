@@ -1,1 +1,1 @@
-"""What the benchmark of doors is made of."""
+"""Parts of the benchmark of robustness."""

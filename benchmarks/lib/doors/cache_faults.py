@@ -1,4 +1,4 @@
-"""What can happen to a cache of compiled controllers; every fault is a function (cache, package) -> survived?"""
+"""Faults of a cache of compiled controllers; each fault is a function (cache, package) -> survived?"""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ for twin in (c, c.copy(), pickle.loads(pickle.dumps(c))):
     assert (twin.step([0.1, 0.0]) == first).all()
 print(first)
 """
-STRANGER = 54321  # a user number that nobody has
+STRANGER = 54321  # a user number that no user has
 
 
 def start(program: str, cache: Path, *arguments: Path) -> subprocess.Popen[str]:
-    """A Python process of its own session with this cache."""
+    """A Python process in its own session with this cache."""
     environment = {**os.environ, "NMPC_CODEGEN_CACHE": str(cache), "PYTHONPATH": str(ROOT / "src")}
     command = [sys.executable, "-c", program, *map(str, arguments)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -38,14 +38,14 @@ def start(program: str, cache: Path, *arguments: Path) -> subprocess.Popen[str]:
 
 
 def opens(cache: Path, package: Path, program: str = OPEN) -> bool:
-    """The package opens and steps, and nothing but modules, checksums and locks remains."""
+    """The package opens and steps, and the cache contains only modules, checksums and locks."""
     process = start(program, cache, package, cache)
     output, _ = process.communicate()
     return process.returncode == 0 and output.startswith("[") and not leftovers(cache)
 
 
 def refused(cache: Path, package: Path) -> bool:
-    """One BuildError that names the cache and what to do."""
+    """Exactly one BuildError, which names the cache and the remedy."""
     process = start(OPEN, cache, package)
     _, errors = process.communicate()
     last = errors.strip().splitlines()[-1] if errors.strip() else ""
@@ -53,12 +53,12 @@ def refused(cache: Path, package: Path) -> bool:
 
 
 def leftovers(cache: Path) -> list[str]:
-    """What a build leaves behind only when it is killed."""
+    """Files that a build leaves behind only if it is killed."""
     return [p.name for p in cache.iterdir() if p.suffix not in (".so", ".sha256") and p.name not in ("locks", "failed")]
 
 
 def module(cache: Path) -> Path:
-    """The only module of a cache."""
+    """The single module of a cache."""
     (found,) = cache.glob("*.so")
     return found
 
@@ -69,7 +69,7 @@ def _damaged(damage: Callable[[Path], object]) -> Callable[[Path, Path], bool]:
             return False
         before = module(cache).stat().st_ino
         good = module(cache).read_bytes()
-        keep = os.open(module(cache), os.O_RDONLY)  # its number is not given to the new file
+        keep = os.open(module(cache), os.O_RDONLY)  # so that its inode number is not given to the new file
         damage(module(cache))
         survived = opens(cache, package)
         os.close(keep)
@@ -169,12 +169,12 @@ AS_ROOT = (FAULTS["module of a stranger"], FAULTS["folder of a stranger"])
 
 
 def is_root() -> bool:
-    """Only root can give files to another user."""
+    """Only root can transfer files to another user."""
     return hasattr(os, "geteuid") and os.geteuid() == 0
 
 
 def survived(fault: Fault) -> bool:
-    """Run one fault on a cache and a copy of the toy package of its own."""
+    """Run one fault on a new cache and a copy of the toy package."""
     with tempfile.TemporaryDirectory() as temporary:
         package = Path(temporary) / "toy"
         shutil.copytree(ROOT / "tests" / "data" / "toy", package)

@@ -1,8 +1,8 @@
-"""The command line from outside: every example, every snippet of the documents, and files and flags that are hostile.
+"""The command line from outside: every example, every snippet of the documents, and hostile files and flags.
 
 cli_examples_failed    examples that nmpc-export does not turn into a package that passes its check
-docs_snippets_failed   fenced blocks of README.md and docs/*.md that do not do what the text around them says
-tracebacks             hostile cases that end in a traceback, an unknown status, or without a word
+docs_snippets_failed   fenced blocks of README.md and docs/*.md that do not behave as their text states
+tracebacks             hostile cases that end in a traceback, an unknown status, or without a message
 silent_hours           hostile cases that do not end in time
 """
 
@@ -27,7 +27,7 @@ from benchmarks.lib.report import Report
 
 EXAMPLE_SECONDS = 300
 CASE_SECONDS = 20.0
-PROCESSES = 80  # hostile cases with an interpreter of their own; the others run in forks of this one
+PROCESSES = 80  # Hostile cases with an interpreter of their own; the others run in forks of this one.
 UNCHECKED = {"chain"}  # IPOPT takes minutes
 ENVIRONMENTS: tuple[dict[str, str], ...] = (
     {},
@@ -39,7 +39,7 @@ ENVIRONMENTS: tuple[dict[str, str], ...] = (
 
 @dataclass(frozen=True)
 class End:
-    """How a case ended; status None: not in time."""
+    """How a case ended; status None: not within the time limit."""
 
     status: int | None
     output: str
@@ -54,7 +54,7 @@ def measure(report: Report) -> None:
 
 
 def measure_examples(report: Report) -> None:
-    """Every file in examples/ through the command, in a folder of its own."""
+    """Every file in examples/ through the command, in a separate folder."""
     paths = sorted((ROOT / "examples").glob("[!_]*.py"))
     failed = {path.stem: 0 if _exports(path) else 1 for path in paths}
     report.add("cli_examples_failed", sum(failed.values()), "examples", case="all", n=len(paths), limit=0)
@@ -87,7 +87,7 @@ def measure_snippets(report: Report) -> None:
 
 
 def measure_hostile(report: Report, cases: Sequence[Case]) -> None:
-    """Every case once; some of them as processes, in odd surroundings."""
+    """Every case once; some of them as separate processes in unusual environments."""
     apart = set(random.Random(2).sample([i for i, c in enumerate(cases) if passes(c)], min(PROCESSES, len(cases))))
     bad: dict[str, str] = {}
     late: dict[str, str] = {}
@@ -108,7 +108,7 @@ def measure_hostile(report: Report, cases: Sequence[Case]) -> None:
 
 
 def judge(case: Case, end: End) -> str:
-    """What is wrong with the end of a case, "" if nothing is."""
+    """Description of the fault in the end of a case; "" if there is none."""
     if end.status is None:
         return "not in time"
     if "Traceback (most recent call last)" in end.output + end.errors:
@@ -134,7 +134,7 @@ def _write(case: Case, folder: Path) -> None:
 
 
 def in_process(case: Case, folder: Path, surroundings: dict[str, str], seconds: float) -> End:
-    """The case as a process of its own."""
+    """Run the case as a separate process."""
     _write(case, folder)
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "MPLBACKEND": "Agg", **surroundings}
     command = [sys.executable, "-m", "nmpc_codegen.cli", *case.arguments]
@@ -146,7 +146,7 @@ def in_process(case: Case, folder: Path, surroundings: dict[str, str], seconds: 
 
 
 def forked(case: Case, folder: Path, seconds: float = CASE_SECONDS) -> End:
-    """The case in a fork of this process, which has everything imported."""
+    """Run the case in a fork of this process, which has imported all modules."""
     _preload()
     where = folder / "where"
     where.mkdir()
@@ -168,7 +168,7 @@ def _preload() -> None:
 
 
 def _be_the_command(case: Case, folder: Path, where: Path) -> None:
-    """In the fork: the command line until its end; never returns."""
+    """In the fork: run the command line to its end; never returns."""
     status = 70
     try:
         for number, name in ((1, "output"), (2, "errors")):
@@ -191,7 +191,7 @@ def _be_the_command(case: Case, folder: Path, where: Path) -> None:
 
 
 def _wait(child: int, until: float) -> int | None:
-    """Exit status of a child; None: it was killed when its time was over."""
+    """Exit status of a child; None if it was killed at its time limit."""
     while time.monotonic() < until:
         done, status = os.waitpid(child, os.WNOHANG)
         if done:
@@ -203,5 +203,5 @@ def _wait(child: int, until: float) -> int | None:
 
 
 def good() -> Case:
-    """A case that nothing is wrong with."""
+    """A case without a fault."""
     return Case("good", ("problem.py", "-o", "out"), {"problem.py": (GOOD + "ocp = good()\n").encode()}, (0,))

@@ -1,4 +1,4 @@
-"""Exports that fail at every one of their writes and renames: the disk is full, it fails, the process is killed."""
+"""Exports that fail at each of their writes and renames: the disk is full, a call fails, the process is killed."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Tree = dict[str, tuple[int, bytes]]
 Make = Callable[..., OCP]
 
 CALLS = ("replace", "link", "fsync", "mkdir", "chmod", "unlink", "rmdir")
-LIMITS = (0, 1, 700, 4_000, 14_000, 30_000, 100_000)  # bytes of a file that the kernel allows
+LIMITS = (0, 1, 700, 4_000, 14_000, 30_000, 100_000)  # limit of the kernel on the size of a file, in bytes
 
 
 @dataclass
 class Fault:
-    """Counts calls that change the disk, and does something before or after the one with number ``at``."""
+    """Counts calls that change the disk, and acts before or after the call with number ``at``."""
 
     at: int
     act: Callable[[], None]
@@ -34,7 +34,7 @@ class Fault:
     seen: list[str] = field(default_factory=list)
 
     def around(self, name: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The call, counted."""
+        """The call, with counting."""
 
         def wrapped(*args: Any, **kwargs: Any) -> Any:
             self.seen.append(name)
@@ -49,7 +49,7 @@ class Fault:
         return wrapped
 
     def opened(self, *args: Any, **kwargs: Any) -> Any:
-        """open(), which fails itself and whose write() fails after the first half of the data."""
+        """open(), which itself fails, or whose write() fails after the first half of the data."""
         if len(args) < 2 or "x" not in args[1]:
             return _OPEN(*args, **kwargs)
         file = self.around("open", _OPEN)(*args, **kwargs)
@@ -58,7 +58,7 @@ class Fault:
 
 
 class _Writer:
-    """A file whose write() is another one; a failing write leaves half of the data."""
+    """A file with another write(); a failing write leaves half of the data."""
 
     def __init__(self, file: Any, write: Callable[..., Any]) -> None:
         self.file, self.counted = file, write
@@ -83,7 +83,7 @@ _OPEN = builtins.open
 
 @contextmanager
 def injected(fault: Fault) -> Iterator[None]:
-    """All calls of export() that change the disk go through the fault."""
+    """Route all calls of export() that change the disk through the fault."""
     before = {name: getattr(os, name) for name in CALLS}
     try:
         for name, call in before.items():
@@ -97,7 +97,7 @@ def injected(fault: Fault) -> Iterator[None]:
 
 
 def prepare(start: str, tiny: Make, folder: Path) -> None:
-    """The folder before the export: not there, an older package, or files of the user's that force replaces."""
+    """The folder before the export: missing, an older package, or user files that force replaces."""
     if start == "new":
         return
     export(tiny(rate=2.0), None, folder)
@@ -108,12 +108,12 @@ def prepare(start: str, tiny: Make, folder: Path) -> None:
 
 
 def rewrite(start: str, tiny: Make, folder: Path) -> None:
-    """The export that is going to fail."""
+    """The export that will fail."""
     export(tiny(), None, folder, force=start == "force")
 
 
 def failing(number: int) -> Callable[[], None]:
-    """Raise this error of the system, or KeyboardInterrupt for 0."""
+    """Raise this error of the operating system, or KeyboardInterrupt for 0."""
 
     def act() -> None:
         if number == 0:
@@ -124,7 +124,7 @@ def failing(number: int) -> Callable[[], None]:
 
 
 def after_error(start: str, tiny: Make, root: Path, look: Callable[[Path], Tree], fault: Fault, wanted: Tree) -> str:
-    """An export with one failure must leave all as it was, or be complete; "" if so."""
+    """An export with one failure must change nothing or be complete; "" if so, else the fault."""
     folder = root / "out"
     prepare(start, tiny, folder)
     before = look(root)
@@ -141,12 +141,12 @@ def after_error(start: str, tiny: Make, root: Path, look: Callable[[Path], Tree]
     if after in (before, wanted):
         return ""
     rest = {path: found for path, found in after.items() if STAGING not in path}
-    # Only removing the leftovers failed: the message has to say where they are.
+    # Only the removal of leftovers failed: the message has to name them.
     return "" if rest in (before, wanted) and (STAGING in said or not said) else "half written"
 
 
 def child(work: Callable[[], None]) -> int:
-    """Status of a process that does the work: 0 done, 1 ExportError, 2 another error, -9 killed."""
+    """Exit status of a process that performs the export: 0 done, 1 ExportError, 2 another error, -9 killed."""
     process = os.fork()
     if process == 0:
         status = 2
@@ -161,7 +161,7 @@ def child(work: Callable[[], None]) -> int:
 
 
 def after_kill(start: str, tiny: Make, root: Path, look: Callable[[Path], Tree], fault: Fault, wanted: Tree) -> str:
-    """kill -9: each file whole, a mixture refused by open_package(), the next export complete; "" if so."""
+    """kill -9: every file is whole, open_package() refuses a mixture, the next export is complete; "" if so."""
     folder = root / "out"
     prepare(start, tiny, folder)
     before = look(root)
@@ -188,7 +188,7 @@ def after_kill(start: str, tiny: Make, root: Path, look: Callable[[Path], Tree],
 
 
 def full_disk(start: str, tiny: Make, root: Path, look: Callable[[Path], Tree], limit: int) -> str:
-    """The kernel refuses to make a file longer than ``limit``; "" if all is as before."""
+    """The kernel refuses to make a file longer than ``limit``; "" if the folder is unchanged."""
     prepare(start, tiny, root / "out")
     before = look(root)
 
@@ -201,7 +201,7 @@ def full_disk(start: str, tiny: Make, root: Path, look: Callable[[Path], Tree], 
 
 
 def unwritable(tiny: Make, root: Path, look: Callable[[Path], Tree]) -> str:
-    """A folder of somebody else's; root becomes nobody for it. "" if it is refused."""
+    """A folder of another user; root becomes nobody for this case. "" if the export is refused."""
     root.chmod(0o755)
     (root / "out").mkdir(mode=0o555)
     before = look(root)
@@ -217,7 +217,7 @@ def unwritable(tiny: Make, root: Path, look: Callable[[Path], Tree]) -> str:
 
 @contextmanager
 def generated_once() -> Iterator[None]:
-    """export() takes the texts of equal problems from a store: only its writing is of interest here."""
+    """export() takes the texts of equal problems from a store, as only the writing is tested here."""
     store: dict[str, dict[str, str]] = {}
     generate = compiler.generate
 
@@ -237,7 +237,7 @@ def generated_once() -> Iterator[None]:
 def run(
     tiny: Make, look: Callable[[Path], Tree], fresh: Callable[[], AbstractContextManager[Path]]
 ) -> tuple[int, dict[str, str]]:
-    """Number of failures that were injected, and those after which the folder was not as it has to be."""
+    """Number of injected failures, and the failures after which the folder was in a wrong state."""
     count, wrong = 0, {}
 
     def note(case: str, found: str) -> None:

@@ -1,4 +1,4 @@
-"""What export() does to a user's files: overwritten ones, writes outside of the folder, packages written by half.
+"""Effects of export() on the files of a user: overwritten files, writes outside the folder, incomplete packages.
 
     python -m benchmarks.lib.doors.doors_files --json FILE
 
@@ -38,7 +38,7 @@ Tree = dict[str, tuple[int, bytes]]
 
 
 def tiny(name: str = "tiny", rate: float = 1.0) -> OCP:
-    """x' = u - rate x; another rate makes another package."""
+    """x' = u - rate x; a different rate gives a different package."""
     ocp = OCP(name, T=1.0, N=1)
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: u - rate * x})
@@ -48,7 +48,7 @@ def tiny(name: str = "tiny", rate: float = 1.0) -> OCP:
 
 
 def tree(root: Path) -> Tree:
-    """Everything below a folder: relative path -> kind and permissions, bytes of files and targets of links."""
+    """All entries below a folder: relative path -> kind and permissions, bytes of files and targets of links."""
     found: Tree = {}
     for path in root.rglob("*"):
         mode = path.lstat().st_mode
@@ -61,7 +61,7 @@ def tree(root: Path) -> Tree:
     return found
 
 
-#: What the command line says of a folder that it sees to be unusable before any work is done.
+#: Message of the command line for a folder that is recognised as unusable before any work is done.
 UNUSABLE = "error: --output "
 
 
@@ -72,7 +72,7 @@ class Ways:
     problem: Path
 
     def python(self, folder: str, name: str | None, force: bool) -> str | None:
-        """export(); an error that is not ours goes through."""
+        """export(); errors of other classes propagate."""
         try:
             export(tiny(), None, folder, name, force=force)
         except NmpcError as error:
@@ -93,9 +93,9 @@ class Ways:
 
 @dataclass(frozen=True)
 class Case:
-    """``prepare(root)`` makes root/out and what is around it. ``word`` is in the message of the refusal; "": it works.
+    """``prepare(root)`` creates root/out and its surroundings. ``word``: part of the refusal's message; "": it works.
 
-    If it works, nothing but the package's files in ``written`` may have changed.
+    If it works, only the files of the package in ``written`` may have changed.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Case:
 
 
 def outcome(case: Case, way: Callable[[str, str | None, bool], str | None], root: Path) -> str:
-    """What is wrong; "" if nothing is."""
+    """Description of the fault; "" if there is none."""
     case.prepare(root)
     before = tree(root)
     folder = case.directory if case.directory.startswith(("/", "\0")) else str(root / case.directory)
@@ -146,7 +146,7 @@ def place(name: str, data: bytes = b"mine\n") -> Callable[[Path], None]:
 
 
 def exported(change: Callable[[Path], None] = lambda folder: None, name: str = "tiny") -> Callable[[Path], None]:
-    """An earlier package of another rate in root/out, and then a change, beside files that are nobody's business."""
+    """An earlier package with another rate in root/out, then a change, next to unrelated files."""
 
     def prepare(root: Path) -> None:
         export(tiny(rate=2.0), None, root / "out", name)
@@ -163,7 +163,7 @@ def edit(name: str, how: Callable[[bytes], bytes]) -> Callable[[Path], None]:
 
 
 def without_seals(folder: Path) -> None:
-    """As versions without seals wrote packages."""
+    """Remove the seals, as in packages written by versions without them."""
     for path in (folder / name for name in FILES):
         lines = path.read_bytes().splitlines(keepends=True)
         path.write_bytes(b"".join(line for line in lines if b"nmpc_codegen package" not in line))
@@ -180,7 +180,7 @@ EDITS: dict[str, Callable[[bytes], bytes]] = {
 
 
 def overwrites() -> Iterator[Case]:
-    """Files of the user in the folder, and exports that must go on working beside them."""
+    """User files in the folder, and exports that must still work next to them."""
     for name in FILES:
         yield Case(f"user's {name}", place(name), "not written by export()")
         yield Case(f"user's empty {name}", place(name, b""), "not written by export()")
@@ -203,7 +203,7 @@ def overwrites() -> Iterator[Case]:
 
 
 def outside(root: Path) -> Path:
-    """A user's file and folder beside root/out."""
+    """A file and a folder of the user next to root/out."""
     (root / "out").mkdir(exist_ok=True)
     (root / "home" / "folder").mkdir(parents=True)
     (root / "home" / "file").write_text("mine\n", encoding="utf-8")
@@ -211,12 +211,12 @@ def outside(root: Path) -> Path:
 
 
 def link(name: str, target: str) -> Callable[[Path], None]:
-    """root/out/<name> -> a path relative to root/home."""
+    """root/out/<name> links to a path relative to root/home."""
     return lambda root: (root / "out" / name).symlink_to(outside(root) / target)
 
 
 def hard_link(name: str, sealed_one: bool) -> Callable[[Path], None]:
-    """root/out/<name> and root/home/file are one file."""
+    """root/out/<name> and root/home/file are the same file."""
 
     def prepare(root: Path) -> None:
         home = outside(root)
@@ -228,7 +228,7 @@ def hard_link(name: str, sealed_one: bool) -> Callable[[Path], None]:
 
 
 def strange(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]:
-    """Something that is no file in the place of one."""
+    """An entry that is not a regular file in the place of a file."""
 
     def prepare(root: Path) -> None:
         (root / "out").mkdir()
@@ -238,7 +238,7 @@ def strange(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]
 
 
 def bound_socket(path: Path) -> None:
-    """A socket in the file system; its name is relative, as sockets allow no long ones."""
+    """A socket in the file system; its name is relative because sockets do not allow long names."""
     here = os.getcwd()
     os.chdir(path.parent)
     try:
@@ -249,7 +249,7 @@ def bound_socket(path: Path) -> None:
 
 
 def links() -> Iterator[Case]:
-    """Links and other things in the place of a file or of the folder."""
+    """Links and other entries in the place of a file or of the folder."""
     for name in FILES:
         yield Case(f"{name} -> file", link(name, "file"), "is a link")
         yield Case(f"{name} -> file, force", link(name, "file"), "is a link", force=True)
@@ -279,7 +279,7 @@ def links() -> Iterator[Case]:
 
 
 def outside_folder(root: Path) -> Path:
-    """home/folder, with no root/out."""
+    """home/folder, without root/out."""
     home = outside(root)
     (root / "out").rmdir()
     return home / "folder"
@@ -301,7 +301,7 @@ def names() -> Iterator[Case]:
 
 
 def refused_names() -> list[str]:
-    """Names that OCP() does not refuse."""
+    """Names that OCP() does not refuse by itself."""
     wrong = []
     for name in NAMES:
         try:
@@ -313,7 +313,7 @@ def refused_names() -> list[str]:
 
 
 def folder_of_foreign_code(root: Path, kind: str) -> str:
-    """OSQP's code needs a sub-folder, which is a link, or has one; "" if it is refused and nothing has changed."""
+    """The code of OSQP needs a sub-folder, which is a link or contains one; "" if refused without changes."""
     home = outside(root)
     if kind == "osqp":
         (root / "out" / "osqp").symlink_to(home / "folder")
@@ -339,12 +339,12 @@ def fresh() -> Iterator[Path]:
 
 
 def run(cases: Iterator[Case], ways: Ways) -> tuple[int, dict[str, str]]:
-    """Number of cases, and what is wrong with those that misbehave."""
+    """Number of cases, and the faults of the cases that misbehave."""
     wrong, count = {}, 0
     for case in cases:
         for way in (ways.python, ways.command):
             if way == ways.command and case.package is not None and "\0" in case.package:
-                continue  # no program can be given such an argument
+                continue  # no program can receive such an argument
             count += 1
             with fresh() as root:
                 found = outcome(case, way, root)
@@ -361,7 +361,7 @@ def add(report: Report, key: str, count: int, wrong: dict[str, str]) -> None:
 
 
 def measure(report: Report) -> None:
-    """overwrites, escapes, half_written: cases in which a file of the user's or the folder came to harm."""
+    """overwrites, escapes, half_written: cases in which a user file or the folder was damaged."""
     with fresh() as place_of_problem:
         problem = place_of_problem / "problem.py"
         problem.write_text(PROBLEM, encoding="utf-8")

@@ -17,7 +17,7 @@ from tests.problems import sources
 ROOT = Path(__file__).parents[3]
 TOY = ROOT / "tests" / "data" / "toy"
 MUTATIONS = 200  # of each package
-CRASHES = 5  # a package that crashes so often need not be tried further
+CRASHES = 5  # a package with this many crashes is not tried any further
 
 
 def measure(report: Report) -> None:
@@ -69,7 +69,7 @@ def _sanitized(library: str, *arguments: str) -> subprocess.CompletedProcess[str
 
 
 def campaign(folder: Path, count: int, library: str) -> tuple[list[str], list[str]]:
-    """(one line per mutation that came to an end, one per crash)."""
+    """(one line per completed mutation, one line per crash)."""
     lines: list[str] = []
     crashes: list[str] = []
     first = 0

@@ -2,10 +2,10 @@
 
     python -m benchmarks.lib.doors.doors_warnings [--json FILE]
 
-Clang warns in its front end. What gcc says of values that may be uninitialised takes its optimiser: packages in double
-precision are compiled at -O2. In single precision the flow of the data is the same, so that -O0 is enough there, for
-conversions and promotions; its front end alone would not tell unused functions. Both see the packages as C99;
-tests/lowering/test_warnings.py has them as C++17, too.
+Clang warns in its front end. The warnings of gcc about values that may be uninitialised need its optimiser: packages in
+double precision are compiled at -O2. In single precision the flow of the data is the same, so that -O0 is sufficient
+for conversions and promotions; its front end alone would not report unused functions. Both compile the packages as C99;
+tests/lowering/test_warnings.py compiles them as C++17, too.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from benchmarks.lib.report import Report, arguments
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.lowering.render import Sources
 
-#: What finds every warning, by compiler and precision.
+#: Options that find all warnings, by compiler and precision.
 FLAGS = {
     ("gcc", "double"): "-O2",
     ("gcc", "single"): "-O0",
@@ -34,7 +34,7 @@ FLAGS = {
 def measure(report: Report, chosen: Iterable[Combination] | None = None) -> None:
     """Add ``warnings_all_combinations`` for every compiler that the machine has, and how many combinations there are.
 
-    ``chosen``: combinations to look at; None: all.
+    ``chosen``: combinations to compile; None: all.
     """
     compilers = [c for c, programs in quality.COMPILERS.items() if shutil.which(programs["C99"])]
     counts: dict[str, list[Future[int]]] = {compiler: [] for compiler in compilers}
@@ -62,7 +62,7 @@ def measure(report: Report, chosen: Iterable[Combination] | None = None) -> None
 
 
 def _key(sources: Sources, compiler: str, flag: str) -> str:
-    """Equal for texts that are equal, metadata apart."""
+    """Key that is equal for equal texts, without their metadata."""
     texts = (text for path in sorted(sources) if path.endswith((".c", ".h")) for text in (path, sources[path]))
     return hashlib.sha256("\0".join((compiler, flag, *texts)).encode()).hexdigest()
 

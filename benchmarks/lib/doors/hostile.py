@@ -1,4 +1,4 @@
-"""Problem files and command lines that nobody should write, and what the command must not do with them."""
+"""Hostile problem files and command lines, and the required behaviour of the command."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import random
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-#: A problem that is exported in a moment.
+#: A problem that exports quickly.
 GOOD = """\
 from nmpc_codegen import OCP, Options, ExplicitRungeKutta
 
@@ -165,7 +165,7 @@ SAMPLES = ("0", "-1", "1e3", "many", "1000000000000", "9" * 5000, "", "\u0663")
 
 @dataclass(frozen=True)
 class Case:
-    """A command line in a folder with some files; ``statuses``: how it may end."""
+    """A command line in a folder with some files; ``statuses``: its allowed exit statuses."""
 
     name: str
     arguments: tuple[str, ...]
@@ -203,7 +203,7 @@ def files() -> Iterator[Case]:
 
 
 def lines(seed: int, count: int) -> Iterator[Case]:
-    """Command lines: every odd value of every flag once, then ``count`` random combinations."""
+    """Command lines: every unusual value of every flag once, then ``count`` random combinations."""
     flags = (("-o", OUTPUTS), ("--name", NAMES), ("--qp", VALUES), ("--hessian", VALUES), ("--precision", VALUES[:6]))
     for flag, values in flags:
         for value in values:
@@ -221,5 +221,5 @@ def lines(seed: int, count: int) -> Iterator[Case]:
 
 
 def catalogue(seed: int = 1) -> list[Case]:
-    """All cases, in an order that depends on nothing but the seed."""
+    """All cases, in an order that depends only on the seed."""
     return [*files(), *lines(seed, 150)]

@@ -1,10 +1,10 @@
-"""Mutated package descriptions, and a use of the controller that touches every buffer: what hostile JSON could reach.
+"""Mutated package descriptions, and a use of the controller that touches every buffer: effects of hostile JSON.
 
     python -m benchmarks.lib.doors.mutated_package FOLDER FIRST END     one line "<k> <outcome> <label>" per mutation
-    python -m benchmarks.lib.doors.mutated_package FOLDER              reads beside a buffer: does the sanitizer see it?
+    python -m benchmarks.lib.doors.mutated_package FOLDER              read outside a buffer: does the sanitizer see it?
 
-The mutation number k is a function of k and of the text alone. Run under AddressSanitizer (doors_trust.py), a read or
-write beside a buffer kills the process; the last line then tells which mutation it was.
+Mutation number k is a function only of k and of the text. Run under AddressSanitizer (doors_trust.py), a read or
+write outside a buffer kills the process; the last line then identifies the mutation.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Place = tuple[Any, Any]  # container, key or index
 
 
 def mutate(text: str, k: int) -> tuple[str, str]:
-    """(what was done, mutated text) number k."""
+    """(description of the change, mutated text) number k."""
     rng = random.Random(k)
     if k % 8 == 7:
         return _mutate_text(text, rng)
@@ -126,7 +126,7 @@ _STRUCTURED: dict[str, Callable[[Any, Any, random.Random], str]] = {
 
 
 def _lie(whole: dict[str, Any], rng: random.Random) -> str:
-    """A change of a size with everything that follows from it, so that only the compiled code can tell."""
+    """A change of a size with all its consequences, so that only the compiled code can reveal it."""
     sizes, change = whole["sizes"], rng.choice((-1, 1, 2, 60))
     kind, macro = rng.choice(
         (("states", "NX"), ("controls", "NU"), ("parameters", "NP"), ("y_names", "NY"), ("rows", "NR"))
@@ -139,7 +139,7 @@ def _lie(whole: dict[str, Any], rng: random.Random) -> str:
         return f"lie: {sizes[macro]} {kind}"
     signals = whole[kind]
     _resize(signals[0], max(1, signals[0]["size"] + change))
-    if len(signals) > 1 and rng.random() < 0.5:  # the others give what the first one takes
+    if len(signals) > 1 and rng.random() < 0.5:  # the others take the same sizes as the first one
         _resize(signals[1], max(1, sizes[macro] - signals[0]["size"] - sum(s["size"] for s in signals[2:])))
     for before, after in itertools.pairwise(signals):
         after["offset"] = before["offset"] + before["size"]
@@ -166,7 +166,7 @@ def _mutate_text(text: str, rng: random.Random) -> tuple[str, str]:
 
 
 def use(ctrl: Controller) -> None:
-    """Call everything that reads or writes memory; a refusal is the business of the caller."""
+    """Call every function that reads or writes memory; the caller handles refusals."""
     d, x0 = ctrl.dims, ctrl.description.x_initial
     calls: list[Callable[[], Any]] = [
         *(lambda: ctrl.step(x0), lambda: ctrl.prepare(), lambda: ctrl.feedback(x0), lambda: ctrl.shift()),
@@ -214,7 +214,7 @@ def _check_sentence(error: NmpcError) -> None:
 
 
 def outcome(folder: Path, name: str, text: str, profile: Any) -> str:
-    """What a package with this description does: refused, opened, or the name of an error that it must not give."""
+    """Outcome for a package with this description: refused, opened, or the name of an error that must not occur."""
     (folder / f"{name}.json").write_text(text, encoding="utf-8", errors="surrogatepass")
     try:
         ctrl = open_package(folder, profile)
@@ -231,7 +231,7 @@ def outcome(folder: Path, name: str, text: str, profile: Any) -> str:
 
 
 def overrun(source: str) -> None:
-    """Let C read a reference that is too short: what the sanitizer has to see."""
+    """Let C read a reference that is too short, which the sanitizer has to report."""
     ctrl = open_package(source, SANITIZED)
     library = ctrl._library
     library.function("set_reference")(ctrl._s, 0, library.ffi.from_buffer(f"{library.name}_real[]", np.zeros(1)))

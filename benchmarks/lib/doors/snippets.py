@@ -18,7 +18,7 @@ COMPONENT_PAGE = "docs/add-a-component.md"
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: its language, the file it is to stand in ("" if it is only run), its text."""
+    """A fenced block: its language, its file ("" if it is only run), its text."""
 
     language: str
     file: str
@@ -26,18 +26,18 @@ class Block:
 
     @property
     def states_a_problem(self) -> bool:
-        """True for a Python text that nmpc-export takes."""
+        """True for a Python text that nmpc-export accepts."""
         return self.language == "python" and "OCP(" in self.text
 
 
 def blocks(document: str) -> list[Block]:
-    """The fenced blocks of a document in their order."""
+    """The fenced blocks of a document, in order."""
     text = (ROOT / document).read_text(encoding="utf-8")
     return [Block(m[1], m[3] or "", m[4]) for m in FENCE.finditer(text)]
 
 
 def documents() -> list[str]:
-    """README.md and docs/*.md, those with code."""
+    """README.md and docs/*.md, as far as they contain code."""
     found = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
     return [str(path.relative_to(ROOT)) for path in found if FENCE.search(path.read_text(encoding="utf-8"))]
 
@@ -56,7 +56,7 @@ def run(command: list[str], folder: Path, search: tuple[Path, ...]) -> str:
 
 
 def install_command(folder: Path) -> None:
-    """nmpc-export of this tree in bin/ of a folder, where run() finds it."""
+    """Write nmpc-export of this tree to bin/ of a folder, where run() finds it."""
     tool = folder / "bin" / "nmpc-export"
     tool.parent.mkdir()
     tool.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m nmpc_codegen.cli "$@"\n', encoding="utf-8")
@@ -64,7 +64,7 @@ def install_command(folder: Path) -> None:
 
 
 def changed(text: str, difference: str) -> str:
-    """The text with a difference applied; what the difference expects must stand in it exactly once."""
+    """The text with a difference applied; the text that the difference expects must occur exactly once."""
     lines = difference.splitlines()
     old = "\n".join(line[1:] for line in lines if line[0] in " -")
     new = "\n".join(line[1:] for line in lines if line[0] in " +")
@@ -73,13 +73,13 @@ def changed(text: str, difference: str) -> str:
 
 
 def copy_tree(folder: Path) -> None:
-    """The compiler with its examples in a folder, for pages that edit it."""
+    """Copy the compiler with its examples to a folder, for pages that edit it."""
     for name in ("src", "templates", "examples"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
 
 
 def walk(document: str, folder: Path) -> Iterator[tuple[str, str, str]]:
-    """Do with every block what its reader would: (name of the block, output, what went wrong or "")."""
+    """Process every block as a reader would: (name of the block, output, fault or "")."""
     install_command(folder)
     own = document == COMPONENT_PAGE
     if own:

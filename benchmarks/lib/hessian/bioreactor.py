@@ -41,7 +41,7 @@ HESSIANS = {"mirrored stages": MIRROR, "projected reduced": PROJECT}
 PHASES = ("shift", "integration + Hessian", "regularisation", "condensing", "QP", "RTI step")
 PICTURE = Path(__file__).parents[3] / "out" / "bioreactor.png"
 
-# Table III of [Q14], and benchmarks.md's measurements of ACADO 1.2.2 and acados, us; None: not told apart.
+# Table III of [Q14], and the measurements of ACADO 1.2.2 and acados in benchmarks.md, us; None: not listed separately.
 PEERS: dict[str, tuple[float | None, ...]] = {
     "[Q14], TSP": (None, 64, 16, 15, 60, 155),
     "[Q14], FOA": (None, 138, 16, 15, 60, 229),
@@ -55,14 +55,14 @@ TIMING = Scenario(example.START, example.SAMPLING, 50, restart=1e-2)
 
 
 def condensed(hessian: ExactHessian, shift: str | None = "repeat", unroll: str = "auto") -> Options:
-    """The example's options with full condensing."""
+    """The options of the example with full condensing."""
     options = example.options(hessian, shift)
     integrator = replace(options.integrator, unroll=unroll)
     return replace(options, integrator=integrator, condensing=FullCondensing(), qp=DenseActiveSet())
 
 
 def by_ipopt(ocp: OCP, x0: np.ndarray, x: np.ndarray, u: np.ndarray) -> ReferenceSolution:
-    """IPOPT's solution from (x, u)."""
+    """Solution of IPOPT from (x, u)."""
     problem = classify(ocp)
     return Reference(problem, RK4).solve(node_data(problem, x0=x0), x=x, u=u)
 
@@ -71,9 +71,9 @@ def by_ipopt(ocp: OCP, x0: np.ndarray, x: np.ndarray, u: np.ndarray) -> Referenc
 
 
 def orbits(report: Report) -> None:
-    """Optimal periodic orbits, initial state free, both readings of the average feed; then the unique optimum."""
+    """Optimal periodic orbits with a free initial state, both readings of the average feed; then the unique optimum."""
     for reading, value in EXPECTED.items():
-        # In reading (a) the reduced Hessian is 0: nothing is left to scale the floor of its eigenvalues by, so watched.
+        # In reading (a) the reduced Hessian is 0, so that the floor of its eigenvalues has no scale: no limit.
         for case, hessian in HESSIANS.items():
             watched = "_zero_reduced_hessian" if reading == "a" and hessian is PROJECT else ""
             ocp = example.build_ocp(reading)
@@ -98,7 +98,7 @@ def orbits(report: Report) -> None:
 
 
 def unique(report: Report, case: str, hessian: ExactHessian) -> None:
-    """Without periodicity, from x0, averages bounded above: one optimum, of which controls are compared."""
+    """Without periodicity, from x0, with averages bounded above: one optimum, whose controls are compared."""
     ocp = example.build_ocp("a", periodic=False)
     controller = build(ocp, condensed(hessian, shift=None), "fast")
     x = np.tile(example.START, (example.N + 1, 1))
@@ -121,7 +121,7 @@ def unique(report: Report, case: str, hessian: ExactHessian) -> None:
 
 
 def loops(report: Report) -> None:
-    """288 h with soft periodicity; the state jumps at sample 60. The picture is that of [Q14] Fig. 1."""
+    """288 h with soft periodicity; the state jumps at sample 60. The figure corresponds to [Q14] Fig. 1."""
     at = 60
     asked = {"S + 20 %": (1.0, 1.2, 1.0), "X + 10 %": (1.1, 1.0, 1.0)}
     watched = {"S - 20 %": (1.0, 0.8, 1.0), "X - 10 %": (0.9, 1.0, 1.0)}
@@ -149,7 +149,7 @@ def loops(report: Report) -> None:
 
 @dataclass(frozen=True)
 class Setting:
-    """What is timed."""
+    """The timed configurations."""
 
     case: str
     reading: str
@@ -158,7 +158,7 @@ class Setting:
 
 
 def settings() -> Iterator[Setting]:
-    """ACADO's setting (mirrored stages, plan shifted), the default regularisation, other shifts and spellings."""
+    """The setting of ACADO (mirrored stages, shifted plan), the default regularisation, other shifts, loops."""
     for reading in ("a", "b"):
         for case, hessian in HESSIANS.items():
             yield Setting(f"({reading}) {case}", reading, condensed(hessian), limited=True)
@@ -172,7 +172,7 @@ def settings() -> Iterator[Setting]:
 
 
 def times(report: Report, runs: int = 15, steps: int = 1000) -> None:
-    """Closed loops in C: no periodicity, x0 (1 + 1e-2 U) every 50 steps."""
+    """Closed loops in C without periodicity, restarted at x0 (1 + 1e-2 U) every 50 steps."""
     for setting in settings():
         ocp = example.build_ocp(setting.reading, periodic=False)
         count = (runs, steps) if setting.limited else (5, steps // 2)
@@ -188,7 +188,7 @@ def times(report: Report, runs: int = 15, steps: int = 1000) -> None:
 
 
 def phases(options: Options, reading: str = "a", runs: int = 9, steps: int = 500) -> list[float]:
-    """us per phase: minimum over runs of the median over steps."""
+    """Time per phase in us: minimum over the runs of the median over the steps."""
     sources = generate(example.build_ocp(reading, periodic=False), options)
     with tempfile.TemporaryDirectory() as folder:
         program = compile_driver(sources, "bioreactor", Path(folder), driver=Path(__file__).with_name("phases.c"))
@@ -205,7 +205,7 @@ def phases(options: Options, reading: str = "a", runs: int = 9, steps: int = 500
 
 
 def table_3(report: Report) -> None:
-    """Ours, straight-line and looped, next to the paper's and the peers'."""
+    """Our times, straight-line and looped, next to those of the paper and of the peers."""
     rows = {}
     for scheme, hessian in (("TSP", MIRROR), ("FOA", ExactHessian(Mirror(level="stage"), ForwardOverAdjoint()))):
         for unroll, word in (("auto", "unrolled"), ("none", "looped")):

@@ -1,7 +1,8 @@
-/* Times the phases of a sample of one package in C, the package's own model as plant.
+/* Times the phases of a sample of one package in C, with the package's own model as plant.
  * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'. Arguments: runs steps dt period restart x0...
- * Every `period` steps the plant starts anew at x0 (1 + restart * U(-1, 1)). Prints per run the medians, us, of shift,
- * linearisation with second derivatives, regularisation (with the terminal block), condensing, feedback, all together. */
+ * Every `period` steps the plant restarts at x0 (1 + restart * U(-1, 1)). Prints per run the medians, us, of shift,
+ * linearisation with second derivatives, regularisation (with the terminal block), condensing, feedback, and the
+ * total. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>

@@ -34,11 +34,11 @@ SWEEPS = {"tsp": "symmetric", "foa": "forward_over_adjoint"}
 
 @dataclass(frozen=True)
 class Model:
-    """A problem, its RK4 steps per interval, and how far from its initial state points are drawn."""
+    """A problem, its RK4 steps per interval, and the distance from its initial state up to which points are drawn."""
 
     make: Callable[[], OCP]
     steps: int
-    limit: float | None = None  # on the time of exact over that of forward sensitivities
+    limit: float | None = None  # on the time of the exact Hessian over that of forward sensitivities
 
 
 MODELS = {
@@ -54,7 +54,7 @@ MODELS = {
 
 
 def curved(problem: Problem, component: Any, scheme: str) -> Routine:
-    """x_next, S, gradient and Hessian of an interval; the node itself adds nothing."""
+    """x_next, S, gradient and Hessian of an interval; the node adds no terms."""
     nz = problem.nx + problem.nu
     zeros = ca.Function("zeros", [], [ca.SX.zeros(nz), ca.SX.zeros(nz * nz)])
     start = Call(zeros, (), (Slice("g", nz), Slice("Q", nz * nz)))
@@ -86,7 +86,7 @@ def points(problem: Problem, n: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class ErrorCase:
-    """One interval map: its problem, tableau and steps ("", 0: discrete map), and how it is spelled."""
+    """One interval map: its problem, tableau and steps ("", 0: discrete map), and its code style."""
 
     name: str
     problem: Problem
@@ -106,7 +106,7 @@ def error_cases() -> Iterator[ErrorCase]:
     """All examples, tableaus, several numbers of steps, parameters, intervals of different lengths, discrete maps."""
     for name, model in MODELS.items():
         problem = classify(model.make())
-        chains = name.startswith("chain")  # a step of theirs as one leaf takes the compiler too long
+        chains = name.startswith("chain")  # one of their steps as a single leaf takes the compiler too long
         for tableau in TABLEAUS:
             full = ("all", "step", "none") if tableau == "RK4" else ("all", "none")
             unroll = ("none",) if chains else full
@@ -122,7 +122,7 @@ def error_cases() -> Iterator[ErrorCase]:
 
 
 def economic_map() -> OCP:
-    """x+ = (0.9 x_0 + 0.1 x_1 u, x_1 - 0.2 sin(x_0) u): a map with a mixed derivative of state and control."""
+    """x+ = (0.9 x_0 + 0.1 x_1 u, x_1 - 0.2 sin(x_0) u): a map with a mixed derivative in state and control."""
     ocp = OCP("economic_map", N=3)
     x, u = ocp.state("x", size=2), ocp.control("u")
     ocp.dynamics(ca.vertcat(0.9 * x[0] + 0.1 * x[1] * u, x[1] - 0.2 * ca.sin(x[0]) * u), discrete=True)
@@ -153,7 +153,7 @@ def errors(report: Report) -> None:
 
 
 def normwise(value: np.ndarray, exact: np.ndarray) -> float:
-    """|value - exact| / |exact|; where exact is zero, |value|."""
+    """|value - exact| / |exact|; |value| if exact is zero."""
     return float(np.linalg.norm(value - exact) / (np.linalg.norm(exact) or 1.0))
 
 
@@ -194,7 +194,7 @@ def _jets(x: Any, u: Any, p: Any) -> tuple[list[Any], ...]:
 
 
 def forward_problem(problem: Problem) -> Problem:
-    """The same dynamics; an integrated cost becomes a state: its gradient is part of the forward sensitivities."""
+    """The same dynamics; an integrated cost becomes a state, so that its gradient is a forward sensitivity."""
     if problem.path.cost_rate is None:
         return problem
     if problem.np:
@@ -218,12 +218,12 @@ def one_program(routine: Routine, sweep_of: LoopedRoutine) -> Kernel:
     return lift(ca.Function("curved", symbols, outputs), "curved", routine.doc, routine.inputs, routine.outputs)
 
 
-#: unroll -> what it is called in the table and in keys
+#: unroll -> its name in the table and in keys
 SPELLED = {"all": ('unroll="all"', "unrolled"), "none": ("looped", "looped"), "scalar": ("no loop at all", "scalar")}
 
 
 def promise(report: Report) -> None:
-    """Exact Hessian over forward sensitivities: time, operations and code; and FOA over TSP."""
+    """Exact Hessian over forward sensitivities: time, operations and code; FOA over TSP."""
     for name, model in MODELS.items():
         problem = classify(model.make())
         forward = forward_problem(problem)
@@ -278,11 +278,11 @@ GROUPS = {
 
 
 def explain() -> None:
-    """Where operations of the bioreactor's loops are: all of them, and as instructions, four in a vector.
+    """Distribution of the operations of the bioreactor's loops: all of them, and as instructions on vectors of four.
 
-    With four packed columns a symmetric product saves nothing in vectors of four. Three sweeps are faster because the
-    terms of the sum do not depend on each other: what they consist of is evaluated for the stages of a step at once.
-    The reference stays as [Q14] algorithm 1 has it, one stage after the other; its tapes could be treated alike.
+    With four packed columns a symmetric product saves no instructions. Three sweeps are faster because the terms of the
+    sum are independent of one another: their factors are evaluated for all stages of a step at once. The reference
+    follows [Q14] algorithm 1, one stage after the other; its tapes could be treated in the same way.
     """
     model = MODELS["bioreactor"]
     problem = classify(model.make())
@@ -338,8 +338,8 @@ TABLE_1 = Path(__file__).parents[3] / "out" / "table_1.png"
 def table_1(steps: int = 10) -> list[dict[str, float]]:
     """Operations per step and numbers stored for n steps, counted from the emitted loops, and the paper's formulas.
 
-    The paper counts one operation per product; so do we. Columns are padded to multiples of PANEL. ``memory`` is what
-    the recursions of S and H store, apart from the slopes of a step, which are local to it.
+    As in the paper, a product counts as one operation. Columns are padded to multiples of PANEL. ``memory`` is the
+    storage of the recursions of S and H, without the slopes of a step, which are local to it.
     """
     rows = []
     for nz in range(2, 21):
@@ -386,7 +386,7 @@ def report_table_1(report: Report) -> None:
 
 
 def _products(nodes: tuple[Node, ...], routine: LoopedRoutine, leaves: tuple[str, ...], indices: Any = None) -> int:
-    """Multiplications in the given leaves, loops multiplied out."""
+    """Multiplications in the given leaves, with loops multiplied out."""
     total = 0
     for node in nodes:
         if isinstance(node, For):
@@ -398,7 +398,7 @@ def _products(nodes: tuple[Node, ...], routine: LoopedRoutine, leaves: tuple[str
 
 
 def draw_table_1(rows: list[dict[str, float]], picture: Path) -> None:
-    """Both schemes, counted and by formula."""
+    """Both schemes, counted and by the formulas of the paper."""
     nz = [row["nz"] for row in rows]
     figure = Figure(figsize=(9, 4), layout="constrained")
     for axis, what, formula, title in zip(

@@ -1,1 +1,1 @@
-"""What the benchmark of the house is made of."""
+"""Parts of the benchmark of the code base."""

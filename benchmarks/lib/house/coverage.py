@@ -1,4 +1,4 @@
-"""Which C parts and which conditions of their `#if`s the samples reach."""
+"""C parts and conditions of their `#if`s that the samples reach."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nmpc_codegen.lowering.parts import evaluate, template_directory
 ALWAYS = ("rows.c", "cost.c")
 _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')
 
-#: (part, line number) of a condition -> the values that it has had.
+#: (part, line number) of a condition -> its observed values.
 Values = dict[tuple[str, int], set[bool]]
 
 
@@ -29,7 +29,7 @@ def conditions(part: str) -> list[tuple[int, str]]:
 
 
 def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
-    """Parts that are part of one of the modules at least, and the values of the conditions that were decided."""
+    """Parts used by at least one of the modules, and the observed values of the conditions."""
     parts: set[str] = set()
     values: Values = defaultdict(set)
     for module in modules:
@@ -42,7 +42,7 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
 
 
 def gaps(modules: Iterable[CModule]) -> list[str]:
-    """What the modules leave out: parts that none uses, conditions that are never true or never false."""
+    """Gaps of the modules: parts that none uses, conditions that are never true or never false."""
     parts, values = reached(modules)
     missing = [f"{part}: in no sample" for part in sorted(all_parts() - parts)]
     for part in sorted(parts):
@@ -53,9 +53,9 @@ def gaps(modules: Iterable[CModule]) -> list[str]:
 
 
 def _walk(part: str, sizes: Mapping[str, int]) -> Iterator[tuple[str, int, bool]]:
-    """(part, line, value) of every condition that is decided; line 0: the part itself is used."""
+    """(part, line, value) of every resolved condition; line 0: the part itself is used."""
     yield part, 0, True
-    stack: list[tuple[bool, bool]] = []  # of every open #if: this branch counts, one branch has counted
+    stack: list[tuple[bool, bool]] = []  # for every open #if: this branch is taken, one branch has been taken
     for number, line in enumerate((template_directory() / part).read_text(encoding="utf-8").splitlines(), 1):
         found = _LINE.match(line)
         if found is None:

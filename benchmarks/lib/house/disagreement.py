@@ -1,7 +1,7 @@
-"""Do gcc and clang, from -O0 to -O3, make the same controller? All are fed the recorded samples of one run.
+"""Do gcc and clang, from -O0 to -O3, produce the same controller? All builds receive the recorded samples of one run.
 
 The other flags are those of the profile "fast": products and sums may be contracted, so that rounding differs between
-the builds, and what differs by more than rounding shows.
+the builds. The figure shows differences beyond rounding.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ LEVELS = ("-O0", "-O1", "-O2", "-O3")
 LIMIT = 1e-9
 SAMPLES = 100
 JOBS = 2
-#: All examples, each in the setting that is timed.
+#: All examples, each in the setting in which it is timed.
 CASES = (*TIMED, Sample("timed cart_pole", scenarios.CART_POLE.make, scenarios.CART_POLE.options))
 
 
 def measure(report: Report, cases: Sequence[Sample] = CASES, n: int = SAMPLES) -> None:
-    """compiler_disagreement: difference of the controls from those of gcc -O0 over the largest of each control.
+    """compiler_disagreement: difference of the controls from those of gcc -O0, over the largest value of each control.
 
     compiler_disagreement_status: samples whose status differs. Absent without both compilers.
     """

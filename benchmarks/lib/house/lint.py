@@ -1,14 +1,14 @@
-"""What linters say about the C of the samples: clang-tidy, clang -Weverything, gcc -fanalyzer, cppcheck.
+"""Findings of linters on the C of the samples: clang-tidy, clang -Weverything, gcc -fanalyzer, cppcheck.
 
-A finding counts once however many samples show it: it is a check, its message and the line of C that it is about.
-A comparison of floating-point numbers for equality is no finding where a comment stands on its line or right above it.
+A finding consists of a check, its message and its line of C, and counts once, no matter how many samples show it.
+A comparison of floating-point numbers for equality is no finding if there is a comment on its line or directly above.
 A printed kernel is as long as the user's model: its length and its complexity are no findings about the core, and are
-counted apart. What gcc -fanalyzer says in it about values without initialisation is left out: the analyzer forgets
-what a loop stores at ``tape[8 * step]`` before another loop loads it. Everything else about it is a finding.
+counted separately. Findings of gcc -fanalyzer in a kernel about uninitialised values are ignored: the analyzer forgets
+values that a loop stores at ``tape[8 * step]`` before another loop loads them. All other messages are findings.
 
     python -m benchmarks.lib.house.lint [--tools clang,clang-tidy] [SAMPLE ...]
 
-prints the findings, most frequent check first, and fails if there are any. Tools that are not there are left out.
+prints the findings, most frequent check first, and fails if there are any. Tools that are not installed are skipped.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from nmpc_codegen.lowering.render import Sources
 
 ROOT = Path(__file__).parents[3]
 JOBS = os.cpu_count() or 1
-#: What is looked at unless samples are named: small packages, all solvers.
+#: Samples that are checked unless others are named: small packages, all solvers.
 QUICK = ("controls dense", "path riccati", "soft rows interior")
 
-#: Tool -> command; the file follows.
+#: Tool -> command, which is followed by the file.
 TOOLS: dict[str, tuple[str, ...]] = {
     "clang-tidy": ("clang-tidy", "--quiet", f"--config-file={ROOT / '.clang-tidy'}"),
     "clang": ("clang", "-fsyntax-only", "-std=c99", "-Weverything", "-Wno-padded", "-Wno-declaration-after-statement"),
@@ -52,13 +52,13 @@ TOOLS: dict[str, tuple[str, ...]] = {
         ),
     ),
 }
-#: What clang-tidy wants behind the file.
+#: Arguments of clang-tidy after the file.
 TRAILING = {"clang-tidy": ("--", "-std=c99")}
 _FINDING = re.compile(r"^([^\s:]+):(\d+):\d+: (?:warning|error): (.*?)(?: \[CWE-\d+\])? \[([\w.,+=-]+)\]$", re.M)
 #: Checks of the length of a function.
 LENGTH = ("readability-function-size", "readability-function-cognitive-complexity")
 _FUNCTION = re.compile(r"function '(\w+)'")
-#: The check of gcc that loops over symbolic offsets defeat, and where gcc says in which function it is.
+#: The check of gcc that fails on loops with symbolic offsets, and the line in which gcc names the function.
 UNINITIALIZED = "-Wanalyzer-use-of-uninitialized-value"
 _INSIDE = re.compile(r"In function [‘'](\w+)[’']")
 _COMMENT = re.compile(r"/\*|\*/|//")
@@ -66,10 +66,10 @@ _COMMENT = re.compile(r"/\*|\*/|//")
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check of a tool says about a line.
+    """A message of a check of a tool about a line.
 
-    origin: the part or the file of the package it stands in.
-    of_length: it says that a printed kernel is long.
+    origin: the part or the file of the package that contains the line.
+    of_length: the message is about the length of a printed kernel.
     """
 
     tool: str
@@ -81,7 +81,7 @@ class Finding:
 
 
 def measure(report: Report, samples: Sequence[Sample] = SAMPLES) -> None:
-    """c_core_lint_findings: of every check, and of all; printed_kernel_length_findings. Absent if a tool is missing."""
+    """c_core_lint_findings: per check and in total; printed_kernel_length_findings. Absent if a tool is missing."""
     absent = [tool for tool in TOOLS if shutil.which(tool) is None]
     if absent:
         print(f"lint: {', '.join(absent)} not found; no c_core_lint_findings")
@@ -141,7 +141,7 @@ def _parsed(tool: str, text: str, sources: Mapping[str, str], printed: Collectio
 
 
 def _origin(line: str, file: str) -> str:
-    """Parts that have the line; the file of the package if none or many have."""
+    """Parts that contain the line; the file of the package if none or many do."""
     parts = _parts_by_line().get(line, ())
     return " ".join(parts) if 0 < len(parts) <= 3 else file
 
@@ -157,7 +157,7 @@ def _parts_by_line() -> dict[str, tuple[str, ...]]:
 
 
 def table(found: Iterable[Finding]) -> Iterator[str]:
-    """A line per tool and check, and below it where its findings stand."""
+    """One line per tool and check, followed by the places of its findings."""
     checks: dict[tuple[str, str], list[Finding]] = defaultdict(list)
     for finding in found:
         checks[finding.tool, finding.check].append(finding)

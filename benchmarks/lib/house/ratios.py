@@ -1,4 +1,4 @@
-"""Times of this tree over those of an earlier commit, in the same run: closed loops in C, taken in turn."""
+"""Times of this tree over those of an earlier commit in the same run: closed loops in C, run alternately."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from benchmarks.lib.house.timed import TIMED, Sample
 from benchmarks.lib.report import Report
 from nmpc_codegen import generate
 
-#: The tree whose times are to be kept.
+#: The commit whose times are the reference.
 BASE = "fe7a182"
 LIMIT = 1.05
-#: Runs of either package, one at a time; the best of each counts.
+#: Runs of each package, one at a time; the best run counts.
 RUNS, STEPS = 15, 400
 
 
@@ -56,7 +56,7 @@ def in_turn(programs: list[Path], scenario: Scenario, runs: int, steps: int) -> 
 
 
 def scenario_of(sample: Sample) -> Scenario:
-    """The closed loop that a timed problem runs."""
+    """The closed loop of a timed problem."""
     own = {"timed crane": scenarios.CRANE_LOOP, "timed bioreactor": bioreactor.TIMING}
     if sample.name in own:
         return own[sample.name]

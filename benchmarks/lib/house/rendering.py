@@ -13,7 +13,7 @@ from benchmarks.lib.report import Report
 
 
 def measure(report: Report, before: str | None = None, samples: Sequence[Sample] = SAMPLES) -> None:
-    """Raw against resolved text; with ``before``, packages of that commit against those of this tree, too."""
+    """Compare raw with resolved text; with ``before``, also packages of that commit with those of this tree."""
     if any(shutil.which(program) is None for program in (*COMPILERS, "objdump")):
         print("rendering_differences: absent, it needs gcc, clang and objdump")
         return

@@ -1,4 +1,4 @@
-/* Reads measured states, one per line, and prints status and control of one step for each.
+/* Reads measured states, one per line, and prints the status and the control of one step for each.
  * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'. */
 #include <stdio.h>
 

@@ -1,7 +1,7 @@
-"""Samples of what the compiler can write: examples with various options, and small problems with odd structure.
+"""Samples of the compiler's output: examples with various options, and small problems with unusual structure.
 
 Together they use every C part and make every `#if` of a part true once and false once (coverage.py, test_samples.py).
-A part or a condition that no sample reaches gets a sample here.
+For every part or condition that no sample reaches, a sample has to be added here.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ def single() -> OCP:
 
 
 def controls() -> OCP:
-    """Control bounds and nothing else."""
+    """Control bounds only."""
     ocp, _, _, u = _pendulum("controls")
     ocp.subject_to(-1, u, 1)
     return ocp
 
 
 def states() -> OCP:
-    """Bounds of states, one of them at the end; none of controls."""
+    """Bounds on states, one of them at the end; none on controls."""
     ocp, q, w, _ = _pendulum("states")
     ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
     ocp.subject_to(-0.6, w, 0.6)
@@ -75,7 +75,7 @@ def states() -> OCP:
 
 
 def path() -> OCP:
-    """General rows of the path with and without controls, a parameter in one of them; nothing at the end."""
+    """General path rows with and without controls, one of them with a parameter; none at the end."""
     ocp, q, w, u = _pendulum("walls")
     p = ocp.parameter("p", value=0.5)
     ocp.subject_to(-0.8, u + p * w * w, 0.9, name="effort")
@@ -84,7 +84,7 @@ def path() -> OCP:
 
 
 def final() -> OCP:
-    """General rows at the end only."""
+    """General rows only at the end."""
     ocp, q, w, u = _pendulum("final")
     ocp.subject_to(-3, u, 3)
     ocp.subject_to(-0.1, ca.vertcat(q + 0.2 * q * w, ca.sin(w) + q), [0.1, 0.5], at="end", name="gate")
@@ -92,7 +92,7 @@ def final() -> OCP:
 
 
 def soft_states() -> OCP:
-    """Bounds of states that may be violated."""
+    """Soft bounds on states."""
     ocp, _, w, u = _pendulum("soft_states")
     ocp.subject_to(-1, u, 1)
     ocp.subject_to(-0.6, w, 0.6, soft=(10, 1))
@@ -100,7 +100,7 @@ def soft_states() -> OCP:
 
 
 def soft_rows() -> OCP:
-    """General rows that may be violated, at some nodes, and a general row that may not."""
+    """Soft general rows at some nodes, and a hard general row."""
     ocp, q, w, u = _pendulum("soft_rows")
     ocp.subject_to(-0.8, u + 0.5 * w * w, 0.9, name="effort", soft=(5, 0))
     ocp.subject_to(-0.2, q * q + w, 0.7, at=(2, 4, 5), name="gate")
@@ -108,7 +108,7 @@ def soft_rows() -> OCP:
 
 
 def cycle() -> OCP:
-    """Start and end are coupled, the start is free; nothing else is bounded."""
+    """Start and end are coupled, the start is free; there are no other bounds."""
     ocp, q, w, _ = _pendulum("cycle")
     ocp.boundary(0, ocp.at_start(q) - ocp.at_end(q), 0)
     ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0)
@@ -117,7 +117,7 @@ def cycle() -> OCP:
 
 
 def arrival() -> OCP:
-    """A free start with a cost of its own."""
+    """A free start with a separate cost."""
     ocp, q, w, u = _pendulum("arrival")
     ocp.subject_to(-1, u, 1)
     ocp.free_initial(q, w)
@@ -127,7 +127,7 @@ def arrival() -> OCP:
 
 
 def arrival_on_path() -> OCP:
-    """A cost of x_0 in least squares, beside a path that has a cost of the state alone."""
+    """A least-squares cost of x_0, together with a path cost of the state only."""
     ocp = OCP("arrival_on_path", T=1.0, N=5)
     q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
     ocp.dynamics({q: w, w: -ca.sin(q) + u})
@@ -139,14 +139,14 @@ def arrival_on_path() -> OCP:
 
 
 def arrival_rows() -> OCP:
-    """A free start and a row of the state."""
+    """A free start and a row on the state."""
     ocp = arrival()
     ocp.subject_to(-0.8, ocp.x[1] + 0.1 * ocp.x[0], 0.8, name="slow")
     return ocp
 
 
 def ring() -> OCP:
-    """Curved coupled rows and a general row."""
+    """Nonlinear coupled rows and a general row."""
     ocp, q, w, u = _pendulum("ring")
     ocp.boundary(-1, ocp.at_start(q) * ocp.at_end(q) + ocp.at_end(w) ** 2 - ocp.at_start(w) ** 2, 1)
     ocp.subject_to(-2, w + u * q, 2, name="row")
@@ -155,14 +155,14 @@ def ring() -> OCP:
 
 
 def closing() -> OCP:
-    """A measured start and a coupled row, nothing else."""
+    """A measured start and a coupled row only."""
     ocp, _, w, _ = _pendulum("closing")
     ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0)
     return ocp
 
 
 def target() -> OCP:
-    """A cost at the end alone, and bounds of the control."""
+    """A cost at the end only, and bounds on the control."""
     ocp = OCP("target", T=1.0, N=5)
     q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
     ocp.dynamics({q: w, w: -ca.sin(q) + u})
@@ -184,7 +184,7 @@ def counted() -> OCP:
 
 
 def free() -> OCP:
-    """A component of the start is free and no row couples it to the end."""
+    """A component of the start is free, and no row couples it to the end."""
     ocp, _, w, u = _pendulum("loose")
     ocp.subject_to(-1, u, 1)
     ocp.subject_to(-0.6, w, 0.6)
@@ -193,7 +193,7 @@ def free() -> OCP:
 
 
 def everything() -> OCP:
-    """Every kind of row and of data, on a non-uniform grid."""
+    """Every kind of row and of data, on a nonuniform grid."""
     ocp = OCP("everything", intervals=[0.1, 0.1, 0.2, 0.2])
     x, u, p = ocp.state("x", size=2), ocp.control("u", size=2), ocp.parameter("p", size=2, value=[1, 2])
     ocp.dynamics(ca.vertcat(x[1] * p[0], -x[0] + u[0] * u[1] + ca.sin(x[1]) * p[1]))
@@ -241,7 +241,7 @@ def discrete() -> OCP:
 
 
 def discrete_rows() -> OCP:
-    """A discrete map with bounds of its state, a general row and a parameter."""
+    """A discrete map with bounds on its state, a general row and a parameter."""
     ocp = OCP("discrete_rows", N=3)
     x, u, p = ocp.state("x", size=2, initial=[0.5, 0.1]), ocp.control("u"), ocp.parameter("p", value=0.9)
     ocp.dynamics(ca.vertcat(p * x[0] + x[1], 0.5 * x[1] + u + 0.1 * x[0] ** 2), discrete=True)
@@ -279,11 +279,11 @@ def _partial(block: int = 2, **more: Any) -> Options:
 
 
 def _alone(qp: Any, condensing: Any = STAGES) -> Options:
-    """Real-time iterations and nothing that they can do without."""
+    """Real-time iterations without any optional part."""
     return Options(qp=qp, condensing=condensing, solve=False, online=FIXED)
 
 
-#: Examples as they are exported by default.
+#: Examples with their default options.
 EXAMPLES = (
     Sample("crane", crane.build_ocp),
     Sample("cstr", cstr.build_ocp),

@@ -1,4 +1,4 @@
-"""Bytes of code and of RAM of the crane and the quadrotor, whole and for real-time iterations alone (solve=False)."""
+"""Bytes of code and of RAM of the crane and the quadrotor, complete and for real-time iterations only (solve=False)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from nmpc_codegen.runtime.build import find_compiler
 CODE_LIMITS = {"": 62_000, "_rti": 48_000}
 RAM_LIMITS = {"crane": {"": 15_000, "_rti": 12_500}, "quadrotor": {"": 140_000, "_rti": 115_000}}
 MAKE: dict[str, Callable[[], OCP]] = {"crane": crane.build_ocp, "quadrotor": quadrotor.build_ocp}
-#: Suffix of the keys -> options of every problem: the defaults; a controller for the real time alone.
+#: Suffix of the keys -> options of every problem: the defaults; a controller for real-time operation only.
 _DEFAULTS, _RTI = Options(), Options(solve=False)
 VARIANTS = {
     "": {"crane": _DEFAULTS, "quadrotor": _DEFAULTS},
@@ -34,7 +34,7 @@ _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.S)
 
 
 def measure(report: Report) -> None:
-    """<problem>_code_bytes, <problem>_ram_bytes, and the same for the real time alone."""
+    """<problem>_code_bytes, <problem>_ram_bytes, and the same for real-time operation only."""
     for suffix, options in VARIANTS.items():
         code = code_bytes(MAKE["crane"](), options["crane"])
         report.add(f"crane_code_bytes{suffix}", code, "bytes", limit=CODE_LIMITS[suffix])
@@ -46,7 +46,7 @@ def measure(report: Report) -> None:
 
 
 def code_bytes(ocp: OCP, options: Options, products: bool = False) -> int:
-    """Bytes of the .c without comments, indentation, empty lines, and what is printed from kernels and sweeps.
+    """Bytes of the .c without comments, indentation, empty lines, and code printed from kernels and sweeps.
 
     ``products``: those with the stage matrices, which are printed likewise, count nevertheless.
     """
@@ -63,7 +63,7 @@ def code_bytes(ocp: OCP, options: Options, products: bool = False) -> int:
 
 
 def ram_bytes(ocp: OCP, options: Options) -> int:
-    """sizeof the solver struct, asked of the C compiler."""
+    """sizeof the solver struct, according to the C compiler."""
     name = ocp.name
     program = f'#include <stdio.h>\n#include "{name}.h"\nint main(void) {{ printf("%zu", sizeof({name}_solver_t)); }}\n'
     with tempfile.TemporaryDirectory() as folder:

@@ -16,7 +16,7 @@ LIMIT = 650.0
 
 
 def measure(report: Report, command: tuple[str, ...] = ("-m", "pytest", "-q", "-n", "auto")) -> None:
-    """test_suite_cpu_seconds: user and system time of pytest, its workers and the compilers that they start."""
+    """test_suite_cpu_seconds: user and system time of pytest, its workers and the compilers that they run."""
     with tempfile.TemporaryDirectory() as cache:
         before = os.times()
         done = subprocess.run(

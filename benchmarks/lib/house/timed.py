@@ -1,4 +1,4 @@
-"""Problems that are timed, old against new: stated with what earlier commits have, too."""
+"""Problems whose times are compared with an earlier commit, stated with features that earlier commits have, too."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from nmpc_codegen import (
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One package: how its problem is made, and its options."""
+    """One package: the function that states its problem, and its options."""
 
     name: str
     make: Callable[[], OCP]
     options: Options = field(default_factory=Options)
 
 
-#: Problems that are timed, in the settings of the benchmarks that time them against peers.
+#: The timed problems, in the settings of the benchmarks that compare their times with those of peers.
 TIMED = (
     Sample("timed crane", crane.build_ocp),
     Sample("timed cstr", cstr.build_ocp),

@@ -1,10 +1,10 @@
-"""Text with the `#if`s of its parts left in, against text whose `#if`s are resolved at export: the same object code?
+"""Does text with the `#if`s of its parts compile to the same object code as text with `#if`s resolved at export?
 
 The oracle compares, per compiler (gcc, clang) and level (-O0, -O2), the disassembly with its relocations and the bytes
-of all read-only sections. Layout, comments and names of variables do not show there; every instruction, every constant
-and every function that is not inlined does. Raw text is the same parts behind a preamble that also defines the switches
-as macros, so that the compiler decides what the exporter has decided. A commit whose change concerns the text alone is
-compared in the same way: packages that the commit before it generates against those of this tree.
+of all read-only sections. They do not depend on layout, comments and names of variables, but on every instruction,
+every constant and every function that is not inlined. Raw text consists of the same parts after a preamble that also
+defines the switches as macros, so that the compiler resolves the conditions. A commit that changes only the text is
+checked in the same way: packages that the preceding commit generates against those of this tree.
 """
 
 from __future__ import annotations
@@ -27,38 +27,38 @@ from nmpc_codegen.lowering.render import Sources, render
 
 COMPILERS = ("gcc", "clang")
 LEVELS = ("-O0", "-O2")
-#: Neither the compiler's name nor tables for unwinding: the first is no code, the second repeats addresses.
+#: Without the name of the compiler, which is no code, and tables for unwinding, which repeat addresses.
 FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-ident", "-fno-asynchronous-unwind-tables", "-w")
 JOBS = 2
 
 
 @cache
 def lowered(sample: Sample) -> CModule:
-    """The sample up to its C nouns, before text."""
+    """The CModule of a sample, before rendering."""
     return lower(linearize(classify(sample.make()), sample.options), None)
 
 
 def texts(sample: Sample, resolved: bool = True) -> Sources:
-    """The package of a sample, without code of other generators."""
+    """The package of a sample, without third-party code."""
     return render(lowered(sample), resolved)
 
 
 def objects_differ(
     one: Sources, other: Sources, compilers: Sequence[str] = COMPILERS, levels: Sequence[str] = LEVELS
 ) -> bool:
-    """True if one compiler makes different object code of two packages at one level at least."""
+    """True if at least one compiler produces different object code for two packages at one level or more."""
     return any(_object(one, cc, level) != _object(other, cc, level) for cc, level in product(compilers, levels))
 
 
 def differing(pairs: Sequence[tuple[str, Sources, Sources]]) -> list[str]:
-    """Names of the pairs whose object code differs, several at a time."""
+    """Names of the pairs whose object code differs; several pairs are compiled at a time."""
     with ThreadPoolExecutor(JOBS) as pool:
         verdicts = pool.map(lambda pair: objects_differ(pair[1], pair[2]), pairs)
         return [name for (name, _, _), differs in zip(pairs, verdicts, strict=True) if differs]
 
 
 def _object(sources: Sources, compiler: str, level: str) -> str:
-    """Disassembly and read-only data of a package's .c; a compiler that refuses it is an error."""
+    """Disassembly and read-only data of the .c of a package; raises an error if the compiler refuses it."""
     name = package_name(sources)
     with tempfile.TemporaryDirectory() as folder:
         for path in (f"{name}.h", f"{name}.c"):

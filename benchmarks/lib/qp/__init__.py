@@ -1,1 +1,1 @@
-"""QPs of closed loops and random ones, and who solves them."""
+"""QPs of closed loops and random QPs, and their solvers."""

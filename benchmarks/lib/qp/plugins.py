@@ -1,7 +1,7 @@
-"""CasADi's conic plugins on stage QPs: the same QP in the form that each of them likes.
+"""CasADi's conic plugins on stage QPs: the same QP in the form that suits each plugin.
 
 Stage form, variables [x_0 u_0 x_1 ... x_N], rows [gap_0 rows_0 gap_1 ...], is what HPIPM, FATROP and OSQP take; daqp
-and qpOASES, dense solvers, can have the condensed QP as well: then condensing is left to whoever calls.
+and qpOASES, dense solvers, also accept the condensed QP, which the caller then has to condense.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import scipy.sparse as sp
 
 from tests.oracles.stage_qp import Array, Point, StageQP, dynamics_matrix, row_values
 
-#: Silent, and accurate enough that all give the same answer.
+#: No output, and accurate enough for all solvers to give the same answer.
 OPTIONS: dict[str, dict[str, Any]] = {
     "hpipm": {"hpipm": {"mode": "speed_abs", "iter_max": 50}, "inf": 1e4},
     "fatrop": {"structure_detection": "manual", "fatrop": {"print_level": 0, "tol": 1e-8}},
@@ -46,7 +46,7 @@ class Formulation:
 
 
 def stage_form(qp: StageQP) -> Formulation:
-    """All of dx and du; plain state bounds as bounds, the gaps and the general rows stage by stage."""
+    """All of dx and du; state bounds as simple bounds, gaps and general rows stage by stage."""
     s, rows = qp.shape, qp.rows
     nz, n = s.nx + s.nu, s.N * (s.nx + s.nu) + s.nx
     lbx, ubx = np.full(n, -np.inf), np.full(n, np.inf)
@@ -81,7 +81,7 @@ def stage_form(qp: StageQP) -> Formulation:
 
 
 def without_start(f: Formulation, qp: StageQP) -> Formulation:
-    """The stage form with x_0 put in: what its first stage has are controls alone."""
+    """The stage form with x_0 eliminated: its first stage contains controls only."""
     n = qp.shape.nx
     A, H = f.A.tocsc(), f.H.tocsc()
     offset = A[:, :n] @ qp.dx0
@@ -109,7 +109,7 @@ def _with_slacks(f: Formulation, place: Array, l1: Array, l2: Array) -> Formulat
 
 
 def condensed_form(qp: StageQP) -> Formulation:
-    """du alone; x_0 given, general rows and state bounds as rows, none of them soft."""
+    """Only du; x_0 is given, general rows and state bounds are rows, none of them soft."""
     s = qp.shape
     G, x = _states(qp)
     rows = qp.rows
@@ -149,7 +149,7 @@ def _states(qp: StageQP) -> tuple[Array, Array]:
 
 
 class Plugin:
-    """One conic solver for QPs that fit into the union of the patterns of ``forms``; keeps its last solution."""
+    """One conic solver for QPs that fit into the union of the patterns of ``forms``; it stores its last solution."""
 
     def __init__(self, name: str, forms: Sequence[Formulation], dense: bool = False, **more: Any) -> None:
         form, n = forms[0], len(forms[0].g)
@@ -166,7 +166,7 @@ class Plugin:
         self.last: dict[str, Any] = {}
 
     def solve(self, f: Formulation, *, warm: bool = False) -> tuple[bool, Array]:
-        """(success, w); started from the last solution if ``warm``, else from nothing."""
+        """(success, w); started from the last solution if ``warm``, else without one."""
         h, a = (_values(self.H, f.H), _values(self.A, f.A))
         start = {}
         if warm and self.last:
@@ -177,7 +177,7 @@ class Plugin:
 
     @property
     def time(self) -> float:
-        """Time (us) of the last solve by CasADi's clock: of the solver where the plugin tells it apart."""
+        """Time (us) of the last solve by CasADi's clock; only that of the solver if the plugin states it separately."""
         return 1e6 * float(self.stats.get("t_wall_solver") or self.stats["t_wall_total"])
 
 
@@ -193,7 +193,7 @@ def _values(pattern: Any, m: sp.spmatrix) -> Any:
 
 
 def point_of(qp: StageQP, w: Array) -> Point:
-    """dx, du of the variables of stage_form(); multipliers are not asked for."""
+    """dx, du from the variables of stage_form(); multipliers are not evaluated."""
     s = qp.shape
     nz = s.nx + s.nu
     z = np.append(w[: s.N * nz + s.nx], np.zeros(s.nu)).reshape(s.N + 1, nz)

@@ -2,8 +2,8 @@
 
     python -m benchmarks.lib.qp.qp_random
 
-Every answer is judged by what NumPy recomputes from the data: optimality conditions, objective and, where it is unique,
-the minimiser against the constructed one; for infeasible problems the certificate.
+Every answer is judged by quantities that NumPy recomputes from the data: optimality conditions, objective and, if it is
+unique, the minimiser against the constructed one; for infeasible problems the certificate.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from tests.oracles.qp import QuadraticProgram, from_solution, infeasible, residuals
 from tests.qp_harness import QP, library
 
-#: (NV, NG); a problem of every class is built for each in turn.
+#: (NV, NG); for each of them a problem of every class is built in turn.
 DIMENSIONS = (
     *((1, 0), (1, 1), (1, 3), (2, 0), (2, 2), (3, 1), (3, 8), (4, 0), (4, 4), (5, 2), (6, 12), (8, 0)),
     *((8, 3), (10, 4), (10, 20), (12, 12), (15, 5), (16, 40), (20, 0), (20, 10), (25, 25), (30, 8), (40, 0), (40, 40)),
@@ -31,7 +31,7 @@ Build = Callable[[np.random.Generator, int, int], QuadraticProgram]
 
 
 def _redundant(rng: np.random.Generator, n: int, m: int) -> QuadraticProgram:
-    """Rows repeated with other factors, combinations of rows, and rows that are bounds."""
+    """Rows repeated with other factors, combinations of rows, and rows that equal bounds."""
     A = rng.normal(size=(m, n))
     for j in range(m // 2, m):
         first = rng.normal(size=max(1, m // 2)) * (rng.random(max(1, m // 2)) < 0.5)
@@ -47,7 +47,7 @@ def _scaled(rng: np.random.Generator, n: int, m: int) -> QuadraticProgram:
 
 
 def _in_units(qp: QuadraticProgram, unit: np.ndarray, row: np.ndarray, cost: float) -> QuadraticProgram:
-    """The same problem for z * unit, (A z) * row and cost * objective; the bounds that are met stay met exactly."""
+    """The same problem for z * unit, (A z) * row and cost * objective; active bounds remain active exactly."""
     both = np.concatenate([unit, row])
     H, A = cost * qp.H / np.outer(unit, unit), qp.A / unit * row[:, None]
     z, mult = qp.z * unit, cost * qp.mult / both
@@ -60,7 +60,7 @@ def _in_units(qp: QuadraticProgram, unit: np.ndarray, row: np.ndarray, cost: flo
 
 
 def _semidefinite(rng: np.random.Generator, n: int, m: int) -> QuadraticProgram:
-    """A Hessian of any rank below n: 0, diagonal, or with a condition of up to 1e6 on its range."""
+    """A Hessian of any rank below n: 0, diagonal, or with a condition number of up to 1e6 on its range."""
     rank = int(rng.integers(0, n))
     factor = rng.normal(size=(rank, n)) * np.geomspace(1, rng.choice([1.0, 1e3]), rank)[:, None]
     diagonal = np.diag(np.append(np.zeros(1), (rng.random(n - 1) < 0.5) * 1.0))
@@ -83,10 +83,10 @@ UNIQUE = frozenset(CLASSES) - {"semidefinite"}
 
 
 def wrong_answer(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray, unique: bool) -> str:
-    """What is wrong with an answer, with its figure; empty if nothing is."""
+    """Faults of an answer with their figures; empty if there is none."""
     worst = residuals(qp, z, mult)
     if not np.any(qp.g) and np.max(np.abs(qp.H @ z + qp.rows.T @ mult)) < RESIDUAL:
-        worst = dataclasses.replace(worst, stationarity=0.0)  # all terms are rounding: a feasibility problem
+        worst = dataclasses.replace(worst, stationarity=0.0)  # all terms are rounding errors: a feasibility problem
     if worst.worst > RESIDUAL:
         return f"{worst}"
     assert qp.z is not None
@@ -106,7 +106,7 @@ def wrong_answer(qp: QuadraticProgram, z: np.ndarray, mult: np.ndarray, unique: 
 
 
 def wrong_certificate(qp: QuadraticProgram, f: np.ndarray) -> str:
-    """What is wrong with the weights f of an infeasible problem: f'C vanishes, its bound lies below zero."""
+    """Faults of the weights f of an infeasible problem: f'C must vanish and its bound be negative."""
     C, n = qp.rows, len(qp.g)
     bound = np.where(f > 0, qp.upper, qp.lower)[f != 0]
     value = f[f != 0] @ bound
@@ -120,12 +120,12 @@ def wrong_certificate(qp: QuadraticProgram, f: np.ndarray) -> str:
 
 
 def random_qp_statistics(n_feasible: int = 5000, n_infeasible: int = 500, seed: int = 0) -> dict:
-    """Counts over random QPs; every second one is solved from the working set of another, every first from none.
+    """Counts over random QPs; every second QP is solved from the working set of another one, every first from none.
 
-    qp_wrong_answers: answers OK that are not, and certificates that prove nothing; qp_capped: iteration limit or a
+    qp_wrong_answers: wrong answers with status OK, and invalid certificates; qp_capped: iteration limit or a
     repeated working set; qp_failed: numerical failure. ``qp_examples`` describes up to ten of the problems counted.
     """
-    library(*DIMENSIONS[0])  # makes the directory
+    library(*DIMENSIONS[0])  # creates the directory
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda size: library(*size), DIMENSIONS))
     warm = {size: QP(*size) for size in DIMENSIONS}
@@ -156,7 +156,7 @@ def random_qp_statistics(n_feasible: int = 5000, n_infeasible: int = 500, seed: 
 
 
 def _judge(name: str, qp: QuadraticProgram, solver: QP, status: str) -> tuple[str, str] | None:
-    """(column, explanation) of a problem that was not solved as it should be."""
+    """(column, explanation) of a problem that was not solved correctly."""
     if status in ("ITERATION_LIMIT", "STALLED"):
         return "capped", status
     if status == "NUMERICAL_FAILURE":

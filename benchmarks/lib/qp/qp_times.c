@@ -1,4 +1,4 @@
-/* Times the QP of one package in C: both phases of the solver on data that are in the struct already.
+/* Times the QP of one package in C: both phases of the solver on data that are already in the struct.
  * Compile as a shared library with -DNAME=<prefix> -DPACKAGE='"<prefix>.c"'. */
 #define _POSIX_C_SOURCE 199309L
 #include <string.h>
@@ -41,7 +41,7 @@ int run_timed_qp(API(_solver_t) * s, const API(_real) * dx0)
     return status ? status : (int)condense_solve(s);
 }
 
-/* Least time (us) of both phases; from the working set that `before` predicts, or from none. Negative: not solved. */
+/* Minimum time (us) of both phases, from the working set that `before` predicts or from none. Negative: not solved. */
 double time_qp(API(_solver_t) * s, const API(_solver_t) * before, const API(_real) * dx0, int repeats, int cold)
 {
     double least = 1e30;
@@ -65,7 +65,7 @@ double time_qp(API(_solver_t) * s, const API(_solver_t) * before, const API(_rea
 }
 
 #ifdef FULL_CONDENSING
-/* Least time (us) of full condensing: Hessian, gradient, rows. */
+/* Minimum time (us) of full condensing: Hessian, gradient, rows. */
 double time_condensing(API(_solver_t) * s, int repeats)
 {
     double least = 1e30;

@@ -1,6 +1,6 @@
-"""The QPs of closed loops of chains and the quadrotor, timed in C for ours and by CasADi's own clocks for its plugins.
+"""QPs of closed loops of chains and the quadrotor: our solvers timed in C, CasADi's plugins by their own clocks.
 
-Cold: no working set, no guess. Warm: from the solution of the sample before, whose active set is the same.
+Cold: no working set, no guess. Warm: from the solution of the preceding sample with the same active set.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from tests.stage_qp import write_qp
 
 DRIVER = Path(__file__).with_name("qp_times.c")
 BY_NAME = {example.name: example for example in EXAMPLES}
-SAME, NEAR = 1e-7, 1e-3  # distance of the steps, relative: what counts as an answer of ours, and of a plugin
+SAME, NEAR = 1e-7, 1e-3  # relative distance of the steps up to which an answer of ours, or of a plugin, is accepted
 REPEATS = 20
-SLOW = 5e5  # us: a plugin that takes longer is asked once, and not for larger examples
+SLOW = 5e5  # us: a plugin that takes longer runs once, and not on larger examples
 PLUGINS = ("hpipm", "qpoases", "daqp", "osqp", "fatrop")
-DENSE = ("qpoases", "daqp")  # get the condensed QP as well
+DENSE = ("qpoases", "daqp")  # these also get the condensed QP
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """QPs of one closed loop, each with our solution as ``optimum``, checked; disturbed: first after a disturbance."""
+    """QPs of one closed loop, with our verified solution as ``optimum``; disturbed: first QP after a disturbance."""
 
     name: str
     N: int
@@ -59,7 +59,7 @@ class Recorded:
 
     @property
     def warm(self) -> list[int]:
-        """QPs whose active set is that of the QP before."""
+        """QPs whose active set equals that of the preceding QP."""
         same = [i for i in range(1, len(self.qps)) if not self.disturbed[i] and self._active(i) == self._active(i - 1)]
         return same[:: max(1, len(same) // 12)]
 
@@ -70,7 +70,7 @@ class Recorded:
 
 
 def stretched(example: Example, N: int) -> OCP:
-    """The example over N intervals of the length it has."""
+    """The example with N intervals of its own length."""
     ocp = example.make()
     vars(ocp).update(N=N, dt=(ocp.dt[0],) * N)
     return ocp
@@ -78,7 +78,7 @@ def stretched(example: Example, N: int) -> OCP:
 
 @functools.cache
 def record(name: str, N: int, disturbances: int = 6, samples: int = 20) -> Recorded:
-    """Closed loop, ``samples`` after each disturbance; by the solver that long horizons trouble least."""
+    """Closed loop, ``samples`` after each disturbance, with the solver that handles long horizons best."""
     example = BY_NAME[name]
     ocp = stretched(example, N)
     exact = Options(example.options.integrator, condensing=NoCondensing(), qp=RiccatiActiveSet())
@@ -150,12 +150,12 @@ class Timed:
         return Status(self.library.run_timed_qp(self._pointer(self.memory), self._pointer(qp.dx0)))
 
     def agrees(self, qp: StageQP) -> bool:
-        """The last solution is that of the recording."""
+        """True if the last solution is the recorded one."""
         step = self.memory["step"]
         return distance(qp, Point(step["dx"], step["du"], step["mult_u"], step["mult"])) < SAME
 
     def time(self, qp: StageQP, *, cold: bool, repeats: int = REPEATS) -> float:
-        """Least time (us) of both phases, from none or from the last working set; NaN: not solved, or otherwise."""
+        """Minimum time (us) of both phases, without or with the last working set; NaN: not the recorded solution."""
         write_qp(self.memory, qp)
         self.before[...] = self.memory
         pointers = (self._pointer(a) for a in (self.memory, self.before, qp.dx0))
@@ -163,14 +163,14 @@ class Timed:
         return least if least > 0 and self.agrees(qp) else np.nan
 
     def time_condensing(self, qp: StageQP) -> float:
-        """Least time (us) of full condensing alone."""
+        """Minimum time (us) of full condensing alone."""
         write_qp(self.memory, qp)
         self.library.time_condensing.restype = ctypes.c_double
         return float(self.library.time_condensing(self._pointer(self.memory), REPEATS))
 
 
 def our_times(timed: Timed, recorded: Recorded, *, cold: bool, repeats: int = REPEATS) -> Array:
-    """Times (us) of the QPs of that kind, least of the repeats."""
+    """Times (us) of the QPs of that kind, minimum over the repeats."""
     found = []
     for i in recorded.cold if cold else recorded.warm:
         if not cold:
@@ -182,13 +182,13 @@ def our_times(timed: Timed, recorded: Recorded, *, cold: bool, repeats: int = RE
 # The others -----------------------------------------------------------------------------------------------------------
 
 
-#: What helps a plugin here, and would hurt on QPs in general: few bounds are active.
+#: Options that help a plugin on these QPs with few active bounds, and would be harmful in general.
 TUNED: dict[str, dict[str, Any]] = {"qpoases": {"initialStatusBounds": "inactive"}}
 
 
 @dataclass(frozen=True, eq=False)
 class Contender:
-    """A plugin on one form of the QP; ``extra`` (us): condensing, which a dense solver needs and CasADi does not do."""
+    """A plugin on one form of the QP; ``extra`` (us): condensing, which a dense solver needs and CasADi omits."""
 
     plugin: str
     form: str
@@ -206,11 +206,11 @@ class Contender:
         return Plugin(self.plugin, forms, dense=self.dense, **TUNED.get(self.plugin, {}))
 
     def formulate(self, qp: StageQP) -> Formulation:
-        """The QP as this plugin gets it."""
+        """The QP in the form for this plugin."""
         return condensed_form(qp) if self.dense else without_start(stage_form(qp), qp)
 
     def point(self, qp: StageQP, w: Array) -> Point:
-        """Its solution as steps; states of the condensed form are not compared."""
+        """Its solution as steps; the states of the condensed form are not compared."""
         assert qp.optimum is not None
         if self.dense:
             return dataclasses.replace(qp.optimum, du=w.reshape(qp.optimum.du.shape))
@@ -218,14 +218,14 @@ class Contender:
 
 
 def contenders(condensing: float) -> list[Contender]:
-    """All plugins on the stages, the dense ones on the condensed QP too."""
+    """All plugins on the stages; the dense ones also on the condensed QP."""
     return [Contender(p, "stages") for p in PLUGINS] + [Contender(p, "condensed", condensing) for p in DENSE]
 
 
 def plugin_times(one: Contender, recorded: Recorded, *, cold: bool, budget: float = 1e6) -> Array:
-    """Times (us) by CasADi's clock, least of the repeats; as many QPs as fit into the budget (us), one at least.
+    """Times (us) by CasADi's clock, minimum over the repeats; as many QPs as fit into the budget (us), at least one.
 
-    Cold: a new solver for every solve, for some keep their working set. NaN: failed, or another answer.
+    Cold: a new solver for every solve, because some keep their working set. NaN: failed, or another answer.
     """
     chosen = recorded.cold if cold else recorded.warm
     spent, times = 0.0, []
@@ -252,5 +252,5 @@ def plugin_times(one: Contender, recorded: Recorded, *, cold: bool, budget: floa
 
 
 def median(times: Sequence[float] | Array) -> float:
-    """Median; NaN if one of them is, or if there are none."""
+    """Median; NaN if one of the values is, or if there are none."""
     return float(np.median(times)) if len(times) else np.nan

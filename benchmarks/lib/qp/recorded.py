@@ -22,8 +22,8 @@ def rows_of_problem(problem: Problem) -> Rows:
 def read_qp(problem: Problem, struct: Any, xhat: Array, plan: tuple[Array, Array] | None = None) -> StageQP:
     """The QP of the next feedback(xhat), from the struct of a controller after prepare(), in double precision.
 
-    Bounds have to be stored "shared" (one pair for the path, one for node N) or "node". ``plan``: (x, u) that was
-    prepared, if the struct holds another one by now.
+    Bounds have to be stored "shared" (one pair for the path, one for node N) or "node". ``plan``: the prepared
+    (x, u), if the struct now holds another plan.
     """
     N, nx, nu = problem.N, problem.nx, problem.nu
     node, terminal, hessian = struct["node"], struct["terminal"], struct["hessian"]

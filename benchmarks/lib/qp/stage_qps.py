@@ -1,9 +1,9 @@
-"""Random stage QPs of drawn dimensions through every registered QP solver, judged by the optimum they are built around.
+"""Random stage QPs of random dimensions for every registered QP solver, judged by the optimum they are built around.
 
     python -m benchmarks.lib.qp.stage_qps [--tuples N] [--first I]
 
-A package is compiled for every tuple of dimensions and every solver. Condensing takes part where the spectral radius is
-at most 1.05, for its condition grows with the power 2 N of it, and N nu at most CONDENSED.
+A package is compiled for every tuple of dimensions and every solver. Full condensing is included if the spectral radius
+is at most 1.05, because the condition number grows with its power 2 N, and if N nu is at most CONDENSED.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from tests.oracles.stage_qp_random import INFEASIBLE, SEMIDEFINITE, kinds_of, ra
 from tests.stage_qp import GIVEN_UP, StageSolver, built, solver_options, solvers
 
 SETS = 7  # data sets of a tuple
-CONDENSED = 160  # largest N nu of full condensing: its solver is cubic in it
-LARGE = 400  # bounds and rows above which fewer of them are active
+CONDENSED = 160  # largest N nu of full condensing, whose solver is cubic in N nu
+LARGE = 400  # number of bounds and rows above which a smaller share is active
 MILD, UNSTABLE = 1.05, 1.3  # spectral radius
 OSQP_LIMIT, OSQP_CONDITION = 1e-5, 1e5
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """Dimensions, spectral radius, and the length of blocks where condensing is partial."""
+    """Dimensions, spectral radius, and the block length of partial condensing."""
 
     shape: Shape
     radius: float
@@ -65,7 +65,7 @@ def draw(seed: int) -> Drawn:
 
 
 def options_of(drawn: Drawn) -> dict[str, Options]:
-    """The solvers that take part, by name; behind partial condensing one of them in turn, with the drawn block."""
+    """The solvers for these dimensions, by name; partial condensing uses one of them in turn, with the drawn block."""
     found, partial = {}, []
     for name, options in solvers().items():
         if isinstance(options.condensing, condensing.PartialCondensing):
@@ -82,7 +82,7 @@ def options_of(drawn: Drawn) -> dict[str, Options]:
 
 
 def data_sets(drawn: Drawn, seed: int) -> Iterator[StageQP]:
-    """SETS problems of kinds in turn; the number of active bounds and rows stays moderate where there are many."""
+    """SETS problems, of all kinds in turn; the number of active bounds and rows remains moderate if there are many."""
     rng = np.random.default_rng([21, seed])
     shape, kinds = drawn.shape, kinds_of(drawn.shape)
     size = shape.N * shape.bounded + shape.N * shape.user_rows
@@ -98,7 +98,7 @@ class Tally:
 
     tuples: int = 0
     problems: int = 0
-    solved: Counter[str] = field(default_factory=Counter)  # by solver: problems it took part in
+    solved: Counter[str] = field(default_factory=Counter)  # by solver: number of its problems
     wrong: Counter[str] = field(default_factory=Counter)
     given_up: Counter[str] = field(default_factory=Counter)  # semidefinite problems without an answer
     iterations: Counter[str] = field(default_factory=Counter)
@@ -111,7 +111,7 @@ class Tally:
 
 
 def try_solver(tally: Tally, name: str, solver: StageSolver, problem: StageQP) -> None:
-    """One problem with one solver; its answer is judged."""
+    """Solve one problem with one solver and judge its answer."""
     start = time.perf_counter()
     status = solver.solve(problem)
     tally.seconds[name] += time.perf_counter() - start
@@ -132,7 +132,7 @@ def try_solver(tally: Tally, name: str, solver: StageSolver, problem: StageQP) -
 
 
 def compare_with_osqp(tally: Tally, problem: StageQP) -> None:
-    """OSQP, with polishing, on a well-scaled problem with one minimiser, where it converges."""
+    """OSQP with polishing on a well-scaled problem with a unique minimiser, if it converges."""
     size = problem.shape.N * (problem.shape.nx + problem.shape.nu)
     if problem.kind in ("scaled", "reduced", SEMIDEFINITE, INFEASIBLE) or size > 1500:
         return
@@ -147,7 +147,7 @@ def compare_with_osqp(tally: Tally, problem: StageQP) -> None:
 
 
 def run(tuples: int = 300, first: int = 0, osqp: bool = True) -> Tally:
-    """All drawn problems; the compilers work ahead."""
+    """Solve all drawn problems; the compilers work ahead."""
     tally = Tally()
     drawn = [draw(seed) for seed in range(first, first + tuples)]
     with ThreadPoolExecutor(2) as pool:
@@ -164,7 +164,7 @@ def run(tuples: int = 300, first: int = 0, osqp: bool = True) -> Tally:
 
 
 def run_tuple(tally: Tally, drawn: Drawn, seed: int, osqp: bool) -> None:
-    """The data sets of one tuple: every solver cold on the first, and then from the working set of the one before."""
+    """The data sets of one tuple: every solver cold on the first, then from the working set of the preceding one."""
     used = {name: StageSolver(drawn.shape, options) for name, options in options_of(drawn).items()}
     tally.tuples += 1
     for i, problem in enumerate(data_sets(drawn, seed)):

@@ -1,10 +1,10 @@
-"""Closed loops under everything that goes wrong: jumps, NaN, infeasible QPs, bounds moved and crossed at run time.
+"""Closed loops under adverse conditions: jumps, NaN, infeasible QPs, bounds moved and crossed at run time.
 
     python -m benchmarks.lib.qp.torture [--steps N]
 
-After every sample: the control is finite and inside its bounds; the status says what happened; a sample without a
-solution returns the control of the plan that prepare() left, shifted if the options say so, and keeps its controls.
-Whether a QP has a feasible point is decided by HiGHS on the condensed rows of that very QP.
+Required after every sample: the control is finite and inside its bounds; the status is correct; a sample without a
+solution returns the control of the plan that prepare() left, shifted according to the options, and keeps its controls.
+HiGHS decides on the condensed rows of the same QP whether it has a feasible point.
 """
 
 from __future__ import annotations
@@ -28,19 +28,20 @@ from nmpc_codegen.frontend.classify import classify
 from tests.oracles.stage_qp import Array, StageQP
 from tests.oracles.stage_qp_random import condensed_rows
 
-# Violation of the rows, in their units, above which a QP is infeasible, and below which it is not; between: undecided.
+# Violation of the rows, in their units, above which a QP is infeasible and below which it is feasible; else undecided.
 CONTRADICTION, ROUNDING = 1e-6, 1e-9
-PATIENCE = 25  # failures in a row after which the plant is brought back to its place by hand
+PATIENCE = 25  # failures in a row after which the plant is reset
 EVENTS = {"spell": 0.02, "kick": 0.004, "nan": 0.01, "bounds": 0.02, "crossed": 0.01, "reference": 0.01, "reset": 0.002}
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A controller and what is done to it.
+    """A controller and the disturbances applied to it.
 
-    ``rest``: where the plant begins and is brought back to; ``noise`` (nx,): standard deviation at every sample;
-    ``jump`` (nx,): of measurements in a spell and of kicks. ``moved``: rows whose bounds change, with what they change
-    to: (name, lower, upper) drawn between the declared pair and this one. ``lag``: controls by which prepare() shifts.
+    ``rest``: state at which the plant starts and is reset; ``noise`` (nx,): standard deviation at every sample;
+    ``jump`` (nx,): amplitude of bad measurements and of kicks. ``moved``: rows whose bounds change,
+    (name, lower, upper): drawn between the declared pair and this one. ``lag``: number of controls by which
+    prepare() shifts.
     """
 
     name: str
@@ -56,7 +57,7 @@ class Trial:
 
 
 def trials() -> tuple[Trial, ...]:
-    """Crane with x_N = 0, reactor with state bounds, quadrotor with limits of tilt and speed."""
+    """Crane with x_N = 0, reactor with state bounds, quadrotor with limits on tilt and speed."""
     one_step = ExplicitRungeKutta(RK4, steps=1)
     hovering = wrapped(lambda: quadrotor.build_ocp((0.0, 0.0, 0.0)), QUADROTOR.row)
     reactor = {
@@ -86,14 +87,14 @@ def trials() -> tuple[Trial, ...]:
 
 @dataclass
 class Outcome:
-    """Counts of a trial; ``violations`` has one line per kind of violation with its first instance."""
+    """Counts of a trial; ``violations`` has one line per kind of violation, with its first occurrence."""
 
     samples: int = 0
     status: Counter[str] = field(default_factory=Counter)
     certified: Counter[str] = field(default_factory=Counter)
     violations: Counter[str] = field(default_factory=Counter)
     first: dict[str, str] = field(default_factory=dict)
-    recovery: int = 0  # failures in a row at states that are feasible for a controller without a plan, at most
+    recovery: int = 0  # largest number of failures in a row at states that are feasible for a controller without a plan
     longest: int = 0  # failures in a row
     rescues: int = 0
 
@@ -104,9 +105,9 @@ class Outcome:
 
 
 def least_violation(qp: StageQP, A: Array, value: Array) -> float:
-    """min t >= 0 such that all hard rows hold up to t and all control bounds hold, by HiGHS; inf: even that fails.
+    """min t >= 0 such that all hard rows hold up to t and all control bounds hold, by HiGHS; inf if that is infeasible.
 
-    A, value: its condensed rows.
+    A, value: the condensed rows of the QP.
     """
     hard = np.isinf(qp.rows.l1)
     above, below = hard & np.isfinite(qp.upper), hard & np.isfinite(qp.lower)
@@ -117,7 +118,7 @@ def least_violation(qp: StageQP, A: Array, value: Array) -> float:
     bounds = np.column_stack([(qp.lower_u - qp.u).ravel(), (qp.upper_u - qp.u).ravel()])
     if np.any(bounds[:, 0] > bounds[:, 1]):
         return np.inf
-    size = np.maximum(np.max(np.abs(rows), axis=1), 1.0)  # the LP in units in which its tolerance means something
+    size = np.maximum(np.max(np.abs(rows), axis=1), 1.0)  # the LP in units in which its tolerance is meaningful
     cost = np.append(np.zeros(A.shape[1]), 1.0)
     answer = linprog(
         cost, np.column_stack([rows / size[:, None], -1 / size]), right / size, bounds=[*bounds, (0.0, None)],
@@ -127,7 +128,7 @@ def least_violation(qp: StageQP, A: Array, value: Array) -> float:
 
 
 def rounding(qp: StageQP, A: Array, value: Array) -> float:
-    """What the hard rows are known to in double precision: eps times the largest terms that their values sum up."""
+    """Accuracy of the hard rows in double precision: eps times the largest sum of the terms of their values."""
     hard = np.isinf(qp.rows.l1)
     range_u = np.maximum(np.abs(qp.lower_u - qp.u), np.abs(qp.upper_u - qp.u)).ravel()
     terms = np.abs(A) @ np.where(np.isfinite(range_u), range_u, 1.0) + np.abs(value)
@@ -140,9 +141,9 @@ def certificate(qp: StageQP) -> str:
         return "not finite"
     A, value = condensed_rows(qp)
     if not (np.all(np.isfinite(A)) and np.all(np.isfinite(value))):
-        return "not finite"  # the plan grows beyond all numbers over the horizon
+        return "not finite"  # the plan overflows over the horizon
     if rounding(qp, A, value) > CONTRADICTION:
-        return "undecided"  # no solver in double precision knows
+        return "undecided"  # undecidable in double precision
     t = least_violation(qp, A, value)
     if t > CONTRADICTION:
         return "infeasible"
@@ -157,7 +158,7 @@ class Torture:
         ocp = trial.make()
         self.problem = classify(ocp)
         self.c: Controller = build(ocp, trial.options, profile="fast")
-        self.struct: Any = self.c._struct  # the oracle reads members that the interface has no names for
+        self.struct: Any = self.c._struct  # the oracle reads private members
         self.rng = np.random.default_rng(seed)
         self.out = Outcome()
         self.x = trial.rest.copy()
@@ -168,7 +169,7 @@ class Torture:
         self.bounds = dict(self.declared)
         self.failures = 0
         self.waited: int | None = None  # samples since the first feasible one after a failure
-        self.planned = False  # the plan comes from a solution
+        self.planned = False  # the plan is that of a solution
 
     # -- what is done to the loop -----------------------------------------------------------------------------------
 
@@ -192,7 +193,7 @@ class Torture:
         return measured
 
     def move_bounds(self) -> None:
-        """Bounds of one row somewhere between the declared pair and the other one, or the declared pair again."""
+        """Set the bounds of one row to a pair between the declared and the other one, or to the declared pair again."""
         name, low, high = self.trial.moved[self.rng.integers(len(self.trial.moved))]
         lower, upper = self.declared[name]
         share = self.rng.choice([0.0, self.rng.random()])
@@ -201,7 +202,7 @@ class Torture:
         self.bounds[name] = pair
 
     def refuse(self) -> None:
-        """Crossed and undefined bounds, references that are no numbers: refused, nothing written."""
+        """Crossed and undefined bounds and NaN references must be refused without any change."""
         before = bytes(self.c._memory)
         row = int(self.rng.integers(len(self.problem.rows)))
         pair = [(1.0, 0.5), (np.nan, 1.0), (0.0, np.nan), (np.inf, np.inf), (-np.inf, -np.inf)][self.rng.integers(5)]
@@ -249,7 +250,7 @@ class Torture:
         c.prepare()
         self.check_shift(before, shifted)
         if rng.random() < 0.3 * EVENTS["bounds"]:
-            self.move_bounds()  # takes effect in this very feedback
+            self.move_bounds()  # takes effect in this feedback
         kept = c.x.copy(), c.u.copy()
         chosen = read_qp(self.problem, self.struct, measured) if rng.random() < 0.02 else None
         u = c.feedback(measured)
@@ -261,7 +262,7 @@ class Torture:
             self.out.rescues += 1
 
     def check_shift(self, before: Array, shifted: bool) -> None:
-        """Controls that prepare() left: the old ones, moved by ``lag`` from the second sample on."""
+        """Controls that prepare() left: the previous ones, shifted by ``lag`` from the second sample on."""
         lag = self.trial.lag if shifted else 0
         if lag is None:
             return
@@ -301,7 +302,7 @@ class Torture:
                 out.violate("infeasible QP called OK", "")
 
     def failed_qp(self, measured: Array, plan: tuple[Array, Array]) -> None:
-        """A measured state without solution: the QP of the plan that was prepared must be infeasible."""
+        """For a measured state without a solution, the QP of the prepared plan must be infeasible."""
         out, status = self.out, self.c.status
         self.failures += 1
         out.longest = max(out.longest, self.failures)
@@ -316,7 +317,7 @@ class Torture:
             self.waited = None
 
     def feasible_afresh(self, measured: Array) -> bool:
-        """The QP of a controller that knows nothing but this measurement has a feasible point."""
+        """True if the QP of a new controller with only this measurement has a feasible point."""
         twin = self.c.copy()
         twin.reset()
         twin.x[:] = measured

@@ -1,6 +1,6 @@
-/* Seam "algorithm", contract: algorithm_reset, API(step).
- * Here: single shooting by projected gradients, for problems with bounds of the controls and no other rows. It calls the
- * integrator and the cost of the nodes, nothing else. */
+/* Component "algorithm". Contract: algorithm_reset, API(step).
+ * Here: single shooting by projected gradients, for problems whose only rows are bounds of the controls. It calls only
+ * the integrator and the cost of the nodes. */
 
 /* States of the plan from x_0 and the controls, and the cost. */
 static real_t simulate_plan(solver_t *s)
@@ -60,7 +60,7 @@ static real_t try_step(solver_t *s)
     return simulate_plan(s);
 }
 
-/* One projected gradient step whose length is halved until the cost falls; 0 if it does not. */
+/* One projected gradient step whose length is halved until the cost decreases. Returns 0 if it does not decrease. */
 static int descend(solver_t *s, real_t *cost)
 {
     differentiate(s);
