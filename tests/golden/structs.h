@@ -149,7 +149,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real p[GOLDEN_N + 1][GOLDEN_NP]; /* parameters */
     golden_real yref_N[GOLDEN_NY_N]; /* reference of the terminal residual */
     golden_real W_N[GOLDEN_NY_N]; /* weight of the terminal residual */
-    /* what the last call found */
+    /* results of the last call */
     golden_kkt_t kkt; /* KKT residuals of the last solve */
     golden_stats_t stats; /* counters */
     int32_t status; /* status of the last call */
