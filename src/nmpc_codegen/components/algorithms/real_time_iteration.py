@@ -57,7 +57,7 @@ class RealTimeIteration(Defaults):
 
     None: not at all. "repeat": by one interval; the last control is repeated and the last state integrated. "periodic":
     by one interval; the first control becomes the last one, the states are integrated again, and accumulators start at
-    0. "resample": the old plan is interpolated ``sampling_time`` (s) later, on any grid. "repeat" and "periodic" are
+    0. "resample": the old plan is evaluated ``sampling_time`` (s) later, on any grid. "repeat" and "periodic" are
     right only if the sampling time equals the first interval.
 
     ``relaxation``: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
