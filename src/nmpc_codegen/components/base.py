@@ -134,7 +134,7 @@ class Component(Protocol):
         ...
 
     def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
-        """Code of another generator: path, in a folder that is named after the component -> text."""
+        """Code of another generator: path (in a folder that is named after the component) -> text."""
         ...
 
 

@@ -182,9 +182,9 @@ def _nodes(ocp: OCP, at: At, path: tuple[int, ...]) -> tuple[int, ...]:
 def _simple_bounds(ocp: OCP, scalars: list[_Scalar]) -> dict[int, tuple[int, ...]]:
     """Position in ``scalars`` of every row that becomes a simple bound -> the nodes of the bound.
 
-    Of a control it is the first hard row over the whole path. For a state, path rows are considered first and the
-    others in the order of statement; a row becomes a bound if none of its nodes has one for this state yet. A hard
-    equality at the end replaces the path row of its state at node N.
+    For a control, the bound is the first hard row over the whole path. For a state, path rows are considered first,
+    then the others in the order of statement; a row becomes a bound if none of its nodes has one for this state yet.
+    A hard equality at the end replaces the path row of its state at node N.
     """
     bounds: dict[int, tuple[int, ...]] = {}
     controls: set[int] = set()

@@ -282,8 +282,8 @@ class OCP:
     def start_least_squares(self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None) -> None:
         """Add 1/2 (y - reference)' W (y - reference) at node 0, y(x, p); never scaled. See least_squares().
 
-        A cost of x_0, e.g. an arrival cost, has an effect only on components of x_0 that are free (free_initial). Its
-        weight and reference are fixed; use parameters for data that change at run time.
+        A cost of x_0, e.g. an arrival cost, affects the solution only if components of x_0 are free (free_initial).
+        Its weight and reference are fixed; use parameters for data that change at run time.
         """
         self._residual("start_least_squares", expr, weight, reference, names, False, "start")
 

@@ -1,4 +1,4 @@
-"""Names for the CasADi types in use: this is the only place that fixes which of its symbolic types they are."""
+"""Type aliases for CasADi objects, so that one place decides which of its symbolic types the compiler uses."""
 
 from __future__ import annotations
 

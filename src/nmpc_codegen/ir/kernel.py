@@ -155,7 +155,7 @@ class Kernel:
 
     @property
     def reads(self) -> tuple[Port, ...]:
-        """The inputs that it loads from, which are the parameters of its C function."""
+        """The inputs that it loads from; only these are parameters of its C function."""
         used = {ins.args[0] for ins in self.instructions if ins.opcode == ca.OP_INPUT}
         return tuple(p for i, p in enumerate(self.inputs) if i in used)
 

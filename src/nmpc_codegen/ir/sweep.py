@@ -246,7 +246,7 @@ class LoopedRoutine:
 
     @property
     def reads(self) -> tuple[Port, ...]:
-        """The inputs that a call loads from, which are the parameters of its C function."""
+        """The inputs that a call loads from; only these are parameters of its C function."""
         return tuple(p for p in self.inputs if p.name in self.touched)
 
     @property

@@ -73,7 +73,7 @@ class Entry:
         raise ControllerError(f"the package description: {self.place or 'the whole'} {what}: export it again")
 
     def members(self, required: Iterable[str], optional: Iterable[str] = ()) -> dict[str, Entry]:
-        """Entries of an object, which must have all required ones and no others than optional ones besides."""
+        """Entries of an object, which has all required ones and possibly optional ones; any other one is refused."""
         required, found = tuple(required), self.object()
         for name in required:
             if name not in found:

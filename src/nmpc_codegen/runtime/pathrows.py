@@ -16,7 +16,7 @@ class PathRows:
     """The general path rows that apply in a closed loop, and their values h(x, u, p_0).
 
     A second controller linearises at x and u and stores the values of node 0. It is reset before, so that it does not
-    shift its plan. Of all data h depends on the parameters only.
+    shift its plan. The parameters are the only run-time data that h depends on.
     """
 
     def __init__(self, ctrl: Controller) -> None:

@@ -104,7 +104,7 @@ class RealTimeIteration(Defaults):
         }
 
     def check(self, problem: Problem) -> None:
-        """Raise OptionError if the plan cannot be shifted: by one interval of several lengths, or between map nodes."""
+        """Raise OptionError for a shift by one interval on a non-uniform grid, or for resampling a discrete map."""
         if self.shift in ("repeat", "periodic") and not problem.uniform:
             raise OptionError(
                 f'RealTimeIteration(shift="{self.shift}") moves the plan by one interval and clashes with a '

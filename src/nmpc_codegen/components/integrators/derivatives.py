@@ -208,7 +208,8 @@ class Derivatives:
     def closed(self, column: int) -> bool:
         """True if this column of d x(t) / d(x, u) depends on time alone.
 
-        It does if the states that it reaches enter F linearly with constant coefficients; they must also be few.
+        This is the case if all states that it reaches enter F linearly with constant coefficients. A column that
+        reaches more than CLOSED_STATES of them is treated as one that does not.
         """
         constant: dict[int, bool] = {}
         rows: dict[int, list[int]] = {}
