@@ -1,11 +1,11 @@
-"""Bioreactor: the most productive periodic feed of a fermentation, found and held by economic NMPC with exact Hessians.
+"""Bioreactor: economic NMPC with exact Hessians finds and tracks the most productive periodic feed of a fermentation.
 
-What it shows: a cost that is a product and not a distance, integrated with the dynamics; averages as states that start
-anew at every sample; a free initial state and coupled rows that close the orbit; a closed loop after jumps.
+What it shows: an economic cost, which is not a distance, integrated with the dynamics; averages as states that are
+reset at every sample; a free initial state and coupled rows that close the orbit; a closed loop after jumps.
 
 The averages of feed and biomass over the horizon of 48 h are limited. The classical problem fixes the average feed,
-Sf_avg(T) = 32.9; as printed in the paper it is only bounded above: then every orbit with X_avg = 5.8 is optimal, and
-its productivity is (2.2 D + 0.2) X_avg = 3.074 g/(L h), as averaging the balances over a period shows.
+Sf_avg(T) = 32.9; as printed in the paper it is only bounded above. In that case every orbit with X_avg = 5.8 is
+optimal, with the productivity (2.2 D + 0.2) X_avg = 3.074 g/(L h), as averaging the balances over a period shows.
 
 Quirynen, Houska, Vallerio, Telen, Logist, Van Impe and Diehl, "Symmetric algorithmic differentiation based exact
 Hessian SQP method and software for economic MPC", CDC 2014, section VI. Time in hours, concentrations in g/L.
@@ -44,15 +44,15 @@ SAMPLING = HORIZON / N
 FEED, X_MAX = 32.9, 5.8
 LOWEST, HIGHEST = 28.7, 40.0
 
-# Where the plans start; x0 of the variant without periodicity.
+# Initial state of the plans, and x0 of the variant without periodicity.
 START = np.array([5.8, 18.0, 20.5, 0.0, 0.0])
 
 
 def build_ocp(reading: str = "b", periodic: bool = True, soft: bool = False, averages: bool = True) -> OCP:
     """One period of 48 h in 20 intervals.
 
-    reading: "b", average feed equal to 32.9; "a", at most that. periodic: x(0) = x(T) for X, S, P, x(0) free; ``soft``:
-    at the price 1 per unit, x(0) measured. averages=False leaves out the limits on the averages.
+    reading: "b", the average feed is equal to 32.9; "a", it is at most 32.9. periodic: x(0) = x(T) for X, S, P with
+    free x(0); ``soft``: with an l1 penalty of 1 and measured x(0). averages=False leaves out the limits on averages.
     """
     if reading not in ("a", "b"):
         raise ValueError(f"reading: {reading!r}; expected 'a' or 'b'")
@@ -87,7 +87,7 @@ def build_ocp(reading: str = "b", periodic: bool = True, soft: bool = False, ave
 
 
 def options(hessian: Any = None, shift: str | None = "periodic") -> Options:
-    """Three RK4 steps per interval, blocks mirrored; one sample per interval, so that the plan moves by one."""
+    """Three RK4 steps per interval and mirrored Hessian blocks; with one sample per interval the plan moves by one."""
     return Options(
         integrator=ExplicitRungeKutta(RK4, steps=STEPS),
         hessian=hessian or ExactHessian(Mirror(level="stage")),
@@ -96,7 +96,7 @@ def options(hessian: Any = None, shift: str | None = "periodic") -> Options:
 
 
 def guess(controller: Controller, periods: int = 6) -> None:
-    """A plan to start from: feed 40 for seven intervals and 28.7 for the others, after some periods of it."""
+    """Write an initial plan: feed 40 for seven intervals and 28.7 for the others, after some periods of this feed."""
     feed = np.where(np.arange(N) < 7, HIGHEST, LOWEST)
     x = START.copy()
     for _ in range(periods):
@@ -108,14 +108,14 @@ def guess(controller: Controller, periods: int = 6) -> None:
 
 
 def orbit(reading: str = "b", hessian: Any = None) -> tuple[Controller, Solution]:
-    """The optimal orbit; its productivity is minus the cost of the solution."""
+    """Compute the optimal orbit; its productivity is minus the cost of the solution."""
     controller = build(build_ocp(reading), options(hessian, shift=None))
     guess(controller)
     return controller, controller.solve(np.append(controller.x[0, :3], [0.0, 0.0]), tol=1e-9)
 
 
 def closed_loop(jump: Sequence[float], samples: int = 120, at: int = 60) -> Log:
-    """288 h on the orbit with soft periodicity; the plant's state is multiplied by ``jump`` before sample ``at``."""
+    """Simulate 288 h from the orbit with soft periodicity; the state is multiplied by ``jump`` before sample ``at``."""
     _, best = orbit()
     controller = build(build_ocp(soft=True), options())
     controller.x[...], controller.u[...], controller.lam[...] = best.x, best.u, best.lam
@@ -130,7 +130,7 @@ def closed_loop(jump: Sequence[float], samples: int = 120, at: int = 60) -> Log:
 
 
 def productivity(log: Log, first: int, last: int, parts: int = 48) -> float:
-    """Mean of D P over samples first .. last - 1, g/(L h): trapezoidal rule on a fine grid."""
+    """Mean of D P over the samples first .. last - 1 in g/(L h), by the trapezoidal rule on a fine grid."""
     controller = build(build_ocp(soft=True), options())
     total = 0.0
     for k in range(first, last):
@@ -143,7 +143,7 @@ def productivity(log: Log, first: int, last: int, parts: int = 48) -> float:
 
 
 def draw(best: Solution, loops: dict[str, Log], picture: str) -> None:
-    """The closed loops over 288 h, and what they should be: the optimal orbit, thin."""
+    """Plot the closed loops over 288 h and, dashed, the optimal orbit that they should follow."""
     names = ("X [g/L]", "S [g/L]", "P [g/L]", "feed Sf [g/L]")
     figure = Figure(figsize=(9, 7), layout="constrained")
     axes = figure.subplots(4, 1, sharex=True)
@@ -171,7 +171,7 @@ def draw(best: Solution, loops: dict[str, Log], picture: str) -> None:
 
 
 def main(picture: str = "out/bioreactor.png") -> dict[str, Log]:
-    """Both readings of the average feed, and two closed loops with a jump."""
+    """Solve both readings of the average feed, and simulate two closed loops with a jump."""
     for reading in ("a", "b"):
         solution = orbit(reading)[1]
         print(f"reading ({reading}): {-solution.cost:.6f} g/(L h) in {solution.iterations} iterations")

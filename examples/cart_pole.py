@@ -1,8 +1,8 @@
 """Cart and pole: swing the pole up within 1 s and keep it up, with a force of at most 80 N.
 
-What it shows: solve(), SQP to convergence with a line search, for a plan that one step per sample would not find from
-nothing; real-time iterations from there on, with shift="repeat" since the sampling time is one interval; a parameter,
-the length of the pole, that is changed in the controller that has been compiled; disturbances.
+What it shows: solve(), SQP to convergence with a line search, for a plan that one step per sample would not find
+without an initial guess; real-time iterations from this plan, with shift="repeat" since the sampling time is one
+interval; a parameter, the length of the pole, that is changed in the compiled controller; disturbances.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SWING_UP = 20  # samples
 
 
 def build_ocp(any_length: bool = False) -> OCP:
-    """20 intervals of 0.05 s from hanging to upright, th = 0; with 0.8 m, or a parameter, as length of the pole."""
+    """20 intervals of 0.05 s from hanging to upright, th = 0; the length of the pole is 0.8 m or a parameter."""
     ocp = OCP("cart_pole", T=1.0, N=20)
     p = ocp.state("p", unit="m")
     th = ocp.state("th", unit="rad", initial=np.pi)
@@ -51,17 +51,17 @@ def build_ocp(any_length: bool = False) -> OCP:
 
 
 def options() -> Options:
-    """Sampled once per interval: the plan moves by one interval."""
+    """With one sample per interval the plan moves by one interval."""
     return Options(algorithm=RealTimeIteration(shift="repeat"))
 
 
 def push(k: int, x: np.ndarray) -> np.ndarray:
-    """simulate() adds it after sample k: a blow at the pole after 2 s."""
+    """The disturbance that simulate() adds after sample k: a blow at the pole after 2 s."""
     return np.array([0.0, 0.0, 0.0, -4.0 if k == 39 else 0.0])
 
 
 def draw(logs: list[Log], picture: str) -> None:
-    """For each length the swing as a stroboscope sees it, then angle and force over time."""
+    """Plot the swing for each length as a stroboscopic picture, and angle and force over time."""
     figure = Figure(figsize=(9, 6.8), layout="constrained")
     poses, curves = figure.subfigures(2, 1, height_ratios=(1.2, 1))
     axes = curves.subplots(2, 1, sharex=True)

@@ -1,10 +1,10 @@
-"""Chain of balls on springs between a wall and a hand: the hand, whose velocity is controlled, stills the chain.
+"""Chain of balls on springs between a wall and a hand: the hand, whose velocity is controlled, brings it to rest.
 
 What it shows: one function that states problems of any size, here n = 3, 5, 7 balls with nx = 9, 21, 33 states;
 expressions that are built in loops, and used again to find the shape at rest by CasADi's Newton method; integrate(),
-the integrator of the package by itself.
+which calls the integrator of the package alone.
 
-n balls, the first fixed, the last in the hand, M = n - 2 free: nx = 6 M + 3, nu = 3.
+Of the n balls the first is fixed, the last is in the hand, and M = n - 2 are free: nx = 6 M + 3, nu = 3.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PUSH = np.array([-1.0, 1.0, 1.0])  # m/s, for five samples
 
 
 def accelerations(free: Any, hand: Any) -> Any:
-    """Accelerations of the free balls, (3 M,), at their positions (3 M,), between the wall at 0 and the hand."""
+    """Accelerations (3 M,) of the free balls at the positions ``free`` (3 M,), between the wall at 0 and the hand."""
     M = free.numel() // 3
     rest, stiffness = 0.033 * 6 / (M + 1), STIFFNESS * (M + 1)
     balls = [ca.SX(3, 1), *ca.vertsplit(free, 3), hand]
@@ -50,7 +50,7 @@ def rest_shape(n: int) -> np.ndarray:
 
 
 def build_ocp(n: int = 5, N: int = 40) -> OCP:
-    """Chain of n balls over N intervals of 0.2 s, initially at rest."""
+    """A chain of n balls over N intervals of 0.2 s, initially at rest."""
     M = n - 2
     shape = rest_shape(n)
     ocp = OCP(f"chain{n}", T=SAMPLING * N, N=N)
@@ -69,7 +69,7 @@ def build_ocp(n: int = 5, N: int = 40) -> OCP:
 
 
 def still(n: int, samples: int = 60) -> Log:
-    """Five pushes with the hand, then the controller."""
+    """Push the chain for five samples with the hand, then run the controller in closed loop."""
     controller = build(build_ocp(n))
     x = controller.x[0].copy()
     for _ in range(5):
@@ -78,7 +78,7 @@ def still(n: int, samples: int = 60) -> Log:
 
 
 def draw(sizes: Sequence[int], logs: Sequence[Log], picture: str) -> None:
-    """Every chain in space, black first, blue last, with the track of its hand; below, how it comes to rest."""
+    """Plot every chain in space, from black to blue over time, with the path of its hand; below, speed and control."""
     figure = Figure(figsize=(3.8 * len(sizes), 7.0), layout="constrained")
     space, curves = figure.subfigures(2, 1, height_ratios=(1.6, 1))
     lower = curves.subplots(2, len(sizes), sharex=True, sharey="row", squeeze=False)
@@ -111,7 +111,7 @@ def draw(sizes: Sequence[int], logs: Sequence[Log], picture: str) -> None:
 
 
 def main(picture: str = "out/chain.png", sizes: Sequence[int] = (3, 5, 7)) -> list[Log]:
-    """Chains of several sizes are pushed and brought to rest."""
+    """Push chains of several sizes, and bring them to rest."""
     logs = [still(n) for n in sizes]
     for log in logs:
         print(log.summary())

@@ -1,7 +1,7 @@
 """Overhead crane: bring the load to rest at the origin in 3 s, |a| <= 1 m/s^2.
 
-What it shows: states, a control, dynamics, least squares, a bound and an equality at the end; the C package, the same
-code in Python, a closed loop and its picture.
+What it shows: states, a control, dynamics, least squares, a bound and a terminal equality; the C package, the same code
+in Python, a closed loop and its plot.
 
 Houska, Ferreau and Diehl, "An auto-generated real-time iteration algorithm for nonlinear MPC in the microsecond range",
 Automatica 47 (2011), section 4.1.
@@ -18,7 +18,7 @@ from nmpc_codegen import OCP, Options, build, export, simulate
 
 
 def build_ocp(terminal_constraint: bool = True) -> OCP:
-    """The problem with x_N = 0; without the terminal constraint, with unit terminal weights instead.
+    """The problem with x_N = 0 or, without the terminal constraint, with unit terminal weights instead.
 
     x0 = (2, 0, 0, 0) is feasible; (1, 0, 0.5, 0) and (0, 0, 1, 0) are not.
     """
@@ -40,7 +40,7 @@ def build_ocp(terminal_constraint: bool = True) -> OCP:
 
 
 def main(folder: str = "out/crane", picture: str = "out/crane.png") -> None:
-    """Write the C package, run 15 s of closed loop with it, and draw them."""
+    """Write the C package, simulate 15 s of the closed loop, and plot them."""
     ocp, options = build_ocp(), Options()
     package = export(ocp, options, folder, name="crane")
     print(f"{package.directory}: {package.report['ram_bytes']:,} bytes of memory")

@@ -1,11 +1,11 @@
-"""Stirred tank reactor with a cooling jacket: three set points in a row, one of them out of reach.
+"""Stirred tank reactor with a cooling jacket: three set points in succession, one of them out of reach.
 
-What it shows: bounds on states, references that change while the controller runs, and a plant that is sampled far more
-often (5 s) than the plan has nodes (150 s), for which shift="resample" reads the old plan 5 s later.
+What it shows: bounds on states, references that change while the controller runs, and a sampling time (5 s) that is far
+shorter than an interval of the plan (150 s), for which shift="resample" evaluates the old plan 5 s later.
 
-The second set point lies below the bounds th >= 98 and thK >= 92: the controller goes to the best point they allow.
-Bounds hold at the nodes of the plan. With 150 s between nodes the reactor dips below them in between, by some 0.03 K;
-on a grid whose first interval is the sampling time, the next sample is a node, and it does not.
+The second set point violates the bounds th >= 98 and thK >= 92: the controller steers to the best admissible point.
+Bounds hold at the nodes of the plan. With 150 s between nodes the reactor violates them in between by some 0.03 K. It
+does not on a grid whose first interval is the sampling time, because the next sample is then a node.
 
 Houska, Ferreau and Diehl, "An auto-generated real-time iteration algorithm for nonlinear MPC in the microsecond range",
 Automatica 47 (2011), section 4.2 and figure 6; the model is that of Klatt and Engell. Time in seconds.
@@ -45,7 +45,7 @@ HOLD = 600  # samples per set point
 def build_ocp(
     set_point: int = 0, N: int = 10, state_bounds: bool = True, intervals: Sequence[float] | None = None
 ) -> OCP:
-    """1500 s in N equal intervals, or in the given ones; reference: one of the set points."""
+    """1500 s in N equal intervals, or in the given ones, with one of the set points as reference."""
     ocp = OCP("cstr", intervals=intervals) if intervals else OCP("cstr", T=1500.0, N=N)
     cA = ocp.state("cA", unit="mol/l", initial=START[0])
     cB = ocp.state("cB", unit="mol/l", initial=START[1])
@@ -78,12 +78,12 @@ def build_ocp(
 
 
 def options() -> Options:
-    """The plan is read one sample later, between its nodes."""
+    """The plan is evaluated one sample later, between its nodes."""
     return Options(algorithm=RealTimeIteration(shift="resample", sampling_time=SAMPLING))
 
 
 def schedule(k: int, controller: Controller) -> None:
-    """simulate() calls it before sample k: the next set point every HOLD samples."""
+    """Set the next set point every HOLD samples; simulate() calls this before sample k."""
     if k % HOLD == 0:
         reference = SET_POINTS[k // HOLD]
         controller.set_reference(reference)
@@ -91,7 +91,7 @@ def schedule(k: int, controller: Controller) -> None:
 
 
 def draw(log: Log, coarse: Log, picture: str) -> None:
-    """States and controls, set points dotted, what the bounds forbid shaded; inset: both grids at the bound of th."""
+    """Plot states and controls with dotted set points and shaded forbidden regions; inset: both grids near th = 98."""
     traces = (*log.states, *log.controls)
     t = log.t / 60
     values = np.hstack([log.x, np.vstack([log.u, log.u[-1:]])]).T
@@ -128,7 +128,7 @@ def draw(log: Log, coarse: Log, picture: str) -> None:
 
 
 def main(picture: str = "out/cstr.png") -> tuple[Log, Log]:
-    """Three set points over 3000 s each, sampled every 5 s, on the refined grid and on the uniform one."""
+    """Simulate three set points for 3000 s each, sampled every 5 s, on the refined grid and on the uniform one."""
     logs = []
     for title, intervals in (("refined grid", REFINED), ("150 s grid", None)):
         controller = build(build_ocp(intervals=intervals), options())

@@ -1,7 +1,7 @@
-"""Quadrotor: fly a figure of eight that leans into the air, previewed by the controller over its whole horizon.
+"""Quadrotor: fly along an inclined figure of eight, which the controller previews over its whole horizon.
 
 What it shows: states and controls that are vectors, options (one RK4 step per interval is enough here), and a
-reference for every node of the horizon, renewed at every sample. Twelve states, four rotor thrusts of 0 to 2.5 N.
+reference for every node of the horizon, updated at every sample. Twelve states, four rotor thrusts of 0 to 2.5 N.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PERIOD = 5.0  # s, of the figure of eight
 
 
 def build_ocp(start: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> OCP:
-    """N = 20 over 1 s; at rest at ``start`` (m), to hover at the origin unless given another reference."""
+    """20 intervals over 1 s, initially at rest at ``start`` (m); the default reference is to hover at the origin."""
     ocp = OCP("quadrotor", T=1.0, N=20)
     ocp.state("pos", size=3, unit="m", initial=start)
     vel = ocp.state("vel", size=3, unit="m/s")
@@ -70,7 +70,7 @@ def path(t: np.ndarray) -> np.ndarray:
 
 
 def preview(k: int, controller: Controller) -> None:
-    """simulate() calls it before sample k: what lies ahead, node by node."""
+    """Set the reference of every node to the path ahead; simulate() calls this before sample k."""
     N = controller.dims.N
     ahead = path(SAMPLING * np.arange(k, k + N + 1))
     controller.set_reference(np.hstack([ahead[:N], np.full((N, 4), HOVER)]))
@@ -78,7 +78,7 @@ def preview(k: int, controller: Controller) -> None:
 
 
 def draw(log: Log, picture: str) -> None:
-    """The flight in space with the arms of the quadrotor every 0.25 s; distance from the path; thrusts."""
+    """Plot the flight in space, with the arms of the quadrotor every 0.25 s, the distance to the path, and thrusts."""
     wanted = path(log.t)
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     space, curves = figure.subfigures(2, 1, height_ratios=(2.1, 1))
@@ -110,7 +110,7 @@ def draw(log: Log, picture: str) -> None:
 
 
 def _turn(axis: int, angle: float) -> np.ndarray:
-    """Rotation about a coordinate axis."""
+    """Matrix of the rotation about a coordinate axis, shape (3, 3)."""
     c, s = np.cos(angle), np.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     R = np.eye(3)
@@ -119,7 +119,7 @@ def _turn(axis: int, angle: float) -> np.ndarray:
 
 
 def main(picture: str = "out/quadrotor.png") -> Log:
-    """Two rounds, from rest at a point beside the path."""
+    """Fly the figure twice, from rest at a point beside the path."""
     start = (-0.5, 0.8, 0.2)
     controller = build(build_ocp(start), options(shift="repeat"))
     log = simulate(controller, controller.x[0], steps=round(2 * PERIOD / SAMPLING), dt=SAMPLING, reference=preview)

@@ -1,6 +1,6 @@
-"""nmpc_codegen: from an optimal control problem in CasADi to self-contained static-memory C99 and back as a controller.
+"""nmpc_codegen compiles optimal control problems in CasADi to self-contained C99 and loads the code as a controller.
 
-What needs CasADi is loaded on first use, so that open_package() runs a controller without importing it.
+Names that need CasADi are loaded on first use, so that open_package() runs a controller without importing it.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def build(
 ) -> Controller:
     """Generate, compile and load a controller; see nmpc_codegen.compiler.build.
 
-    Defined here, not loaded on first use: the module nmpc_codegen.runtime.build would hide it.
+    It is defined here and not loaded on first use, because the module nmpc_codegen.runtime.build would hide it.
     """
     controller: Controller = import_module(f"{__name__}.compiler").build(ocp, options, profile, lanes, name)
     return controller

@@ -1,10 +1,10 @@
 """The compiler on one screen.
 
     OCP --classify--> Problem --linearize--> Model --lower--> CModule --render--> Sources --build--> Controller
-    (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C nouns)  (path -> text)  (NumPy views)
+    (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C names)  (path -> text)  (NumPy views)
 
-Every stage is a pure function from frozen values to a frozen value; only OCP (before) and Controller (after) mutate.
-CasADi ends in linearize, jinja2 lives in render, cffi in build.
+Every stage is a pure function from frozen values to a frozen value; only OCP and Controller, at the ends, are mutable.
+CasADi is used up to linearize, jinja2 only in render, and cffi only in build.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from nmpc_codegen.runtime.seal import sealed
 
 @dataclass(frozen=True)
 class Package:
-    """An exported folder: absolute paths of its files, and the compiler's report.
+    """An exported folder, the absolute paths of its files, and the compiler's report.
 
-    report: ram_bytes, ram_bytes_by_struct, operations per function, choices (what was chosen and why), looped.
+    report: ram_bytes, ram_bytes_by_struct, operations per function, choices (with reasons), looped (routines).
     """
 
     directory: Path
@@ -42,7 +42,7 @@ class Package:
 
 
 def generate(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:
-    """The whole pipeline up to text: path -> contents of every file of the package.
+    """Run the pipeline up to text; return path -> contents of every file of the package.
 
     Raises:
         ProblemError: the problem is stated wrongly.
@@ -53,7 +53,7 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
 
 
 def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
-    """The pipeline up to the last value before text. Raises as generate() does."""
+    """Run the pipeline up to the CModule, the last value before text. It raises the errors of generate()."""
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
     return lower(linearize(classify(ocp), options or Options()), name)
@@ -68,24 +68,25 @@ def export(
     allow_foreign: bool = False,
     force: bool = False,
 ) -> Package:
-    """Write the C package of the problem into a folder, which is created if needed: all files of it, or none.
+    """Write the C package of the problem into a folder, which is created if needed; all files are written, or none.
 
-    Files that export() wrote and nobody has edited are replaced (the seal at their end tells), so that exporting again
-    is safe, and so are several packages in one folder: main.c, CMakeLists.txt and README.md are those of the last one.
-    A file that is somebody else's, has been edited or is read-only is replaced only with ``force=True``. Links, folders
-    and devices in the place of a file are never replaced or followed; ``directory`` itself may be a link to a folder.
+    Files that export() wrote and that have not been edited since are replaced; the seal at their end identifies them.
+    So exporting again is safe, and several packages can share a folder: its main.c, CMakeLists.txt and README.md are
+    those of the last export. A file of other origin, an edited file or a read-only file is replaced only with
+    ``force=True``. Links, folders and devices in the place of a file are never replaced or followed; ``directory``
+    itself may be a link to a folder.
 
-    ``allow_foreign``: code of another generator (OSQP) may stand in a folder of its own beside the package's files.
+    ``allow_foreign``: code of another generator (OSQP) may be written, to a folder of its own beside the files.
 
     Raises:
-        ProblemError, OptionError: see generate(); foreign code that is not allowed.
-        ExportError: a file must not be replaced, or the system refuses to write; the folder is as before.
+        ProblemError, OptionError: see generate(); OptionError also for foreign code that is not allowed.
+        ExportError: a file must not be replaced, or it cannot be written; the folder is left unchanged.
     """
     module = compiled(ocp, options, name)
     foreign = module.folders
     if foreign and not allow_foreign:
         raise OptionError(
-            f"qp {foreign[0]!r} brings foreign code with globals, which export() refuses; "
+            f"qp {foreign[0]!r} adds foreign code with globals, which export() refuses; "
             "choose another solver, or export(..., allow_foreign=True) (--allow-foreign)"
         )
     sources = sealed(render(module), module.name)
@@ -97,11 +98,11 @@ def export(
 def build(
     ocp: OCP, options: Options | None = None, profile: str = "fast", lanes: int | None = None, name: str | None = None
 ) -> Controller:
-    """Generate, compile and load: the same code as export(), as a Python controller, cached by content.
+    """Generate, compile and load the code that export() writes, as a Python controller; builds are cached by content.
 
     Raises:
         ProblemError, OptionError: see generate().
-        BuildError: no compiler, or it refused the code.
+        BuildError: there is no compiler, or it rejected the code.
     """
     sources = generate(ocp, options, name)
     return load(sources, ocp.name if name is None else name, profile, lanes=lanes)

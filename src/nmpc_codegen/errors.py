@@ -1,10 +1,10 @@
-"""Every error and warning that the package raises on purpose."""
+"""All errors and warnings that the package raises on purpose."""
 
 __all__ = ["BuildError", "ControllerError", "ExportError", "NmpcError", "OptionError", "ProblemError", "ProblemWarning"]
 
 
 class NmpcError(Exception):
-    """Base of all errors of this package; its message names the thing and what was expected."""
+    """Base class of all errors of this package; the message names what is wrong and what was expected."""
 
 
 class ProblemError(NmpcError, ValueError):
@@ -16,16 +16,16 @@ class OptionError(NmpcError, ValueError):
 
 
 class BuildError(NmpcError, RuntimeError):
-    """The C compiler is missing or refused the generated code."""
+    """The C compiler is missing or rejected the generated code."""
 
 
 class ExportError(NmpcError, OSError):
-    """A folder cannot be written to, or holds something that export() must not replace."""
+    """A folder cannot be written to, or contains something that export() must not replace."""
 
 
 class ControllerError(NmpcError, RuntimeError):
-    """A controller was called wrongly, or failed while on_failure="raise"."""
+    """A controller was called wrongly, or it failed with on_failure="raise"."""
 
 
 class ProblemWarning(UserWarning):
-    """The problem is legal, but something in it is likely to disappoint."""
+    """The problem is valid, but a part of it is likely to give poor results."""

@@ -1,4 +1,4 @@
-"""How a problem is solved: typed frozen objects that compose and validate themselves."""
+"""Options, which determine how a problem is solved: typed frozen objects that validate themselves."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
 @dataclass(frozen=True)
 class Online:
-    """Which data can be changed at run time, and how they are stored.
+    """Storage of the data that can be changed at run time.
 
-    "fixed": the declared values, a constant table without a setter; "shared": one for all path nodes and one for the
-    terminal node; "node": one for every node. ``dense_weight`` stores the whole matrix of a weight that is declared
-    diagonal, so that one with entries off its diagonal can be set.
+    "fixed": the declared values, in a constant table without a setter; "shared": one value for all path nodes and one
+    for the terminal node; "node": one value for every node. ``dense_weight`` stores the whole matrix of a weight that
+    is declared diagonal, so that a weight with off-diagonal entries can be set.
     """
 
     reference: Layout = option("node", Words(LAYOUTS))
@@ -74,7 +74,7 @@ class Online:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Rule of a seam: one of its components, or, ``optional``, None: the compiler chooses."""
+    """Rule of a seam: one of its components or, if ``optional``, None, which lets the compiler choose."""
 
     seam: Seam
     optional: bool = False
@@ -93,7 +93,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Group:
-    """Rule of a group of options: an object of its class; on the command line its options one by one."""
+    """Rule of a group of options: an object of its class; the command line sets its options one by one."""
 
     cls: type
 
@@ -109,11 +109,14 @@ class Group:
 
 @dataclass(frozen=True)
 class Options:
-    """One component for every seam that the algorithm needs; None is the algorithm's default or chosen from the
-    problem, and the report says why. A component of a seam that the algorithm does not need is refused.
+    """One component for every seam that the algorithm needs.
 
-    ``solve``: whether the package has <name>_solve(), which iterates to convergence; a controller for the real time
-    alone is smaller without.
+    None selects the default of the algorithm or lets the compiler choose a component for the problem; the report gives
+    the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone
+    is smaller without it.
+
+    Raises:
+        OptionError: a value is not allowed, or a component is given for a seam that the algorithm does not need.
     """
 
     integrator: Integrator | None = option(None, Chosen("integrator", optional=True))
@@ -132,13 +135,13 @@ class Options:
             if seam != "algorithm" and given is not None and seam not in self.algorithm.needs:
                 needed = ", ".join(self.algorithm.needs)
                 raise OptionError(
-                    f"{seam} {called(given)} clashes with algorithm {called(self.algorithm)}, which has none; "
+                    f"{seam} {called(given)} clashes with algorithm {called(self.algorithm)}, which takes none; "
                     f"it needs {needed}"
                 )
 
     @property
     def with_defaults(self) -> Options:
-        """With the algorithm's default components for the seams that it needs and that are not given."""
+        """These options with the algorithm's default components for seams that it needs and that are not given."""
         return replace(
             self,
             integrator=_or_default(self.integrator, self.algorithm, "integrator", integrators.REGISTRY),
@@ -149,7 +152,7 @@ class Options:
 
 
 def _or_default(given: C | None, algorithm: Algorithm, seam: Seam, registry: Mapping[str, type[C]]) -> C | None:
-    """What is given, else what the algorithm takes where it needs the seam."""
+    """The given component, else the default of the algorithm if it needs the seam and has one."""
     if given is not None or seam not in algorithm.needs:
         return given
     word = algorithm.default(seam)

@@ -458,7 +458,7 @@ def test_settings_that_are_refused(key: str, text: str, message: str) -> None:
 def test_a_field_that_several_components_have(monkeypatch: pytest.MonkeyPatch) -> None:
     registry = {"first": ExplicitRungeKutta, "second": ExplicitRungeKutta}
     monkeypatch.setattr(settings, "registry", lambda seam: registry)
-    with pytest.raises(OptionError, match="say --set integrator=WORD besides, with one of first, second"):
+    with pytest.raises(OptionError, match="also give --set integrator=WORD, with one of first, second"):
         apply_setting(Options(), "integrator.steps", "3")
 
 

@@ -177,11 +177,11 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
         lambda g: g.ocp.dynamics(
             {"r": ca.solve(ca.cos(ca.MX.sym("r", 2)) @ ca.MX.sym("r", 2).T, ca.MX.sym("r", 2), "qr")}
         ),
-        "cannot be expanded to scalar operations, so it has no C; write it with SX",
+        "cannot be expanded to scalar operations, so it has no C equivalent; write it with SX",
     ),
     "at_end in dynamics": (
         lambda g: g.ocp.dynamics({"x": g.ocp.at_end(g.x)}),
-        "contains at_end(x), which belongs into boundary() only",
+        "contains at_end(x), which is allowed in boundary() only",
     ),
     # cost
     "weight shape": (
@@ -301,9 +301,9 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     ),
     "chained comparison": (
         lambda g: g.ocp.subject_to(-1 <= g.u <= 1),
-        "the truth of '(-1<=u)' is not known before the problem is solved; state a row as subject_to(-1, u, inf)",
+        "the truth value of '(-1<=u)' is not known before the problem is solved; state a row as subject_to(-1, u, inf)",
     ),
-    "chained comparison of a vector": (lambda g: g.ocp.subject_to(-1 <= g.r <= 1), "the truth of '(-1<=r_0)'"),
+    "chained comparison of a vector": (lambda g: g.ocp.subject_to(-1 <= g.r <= 1), "the truth value of '(-1<=r_0)'"),
     "case": (lambda g: 1 if g.u > 0 else 2, "casadi.if_else(condition, then, otherwise)"),
     "two parts": (lambda g: g.ocp.subject_to(-1, g.u), "got '-1', 'u' only; it takes lower, expression, upper"),
     "one part": (lambda g: g.ocp.subject_to(g.u), "got 'u' only; it takes lower, expression, upper"),

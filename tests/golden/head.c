@@ -162,7 +162,7 @@ static const real_t interval_length[2] = { 0.5, 0.5 };
 static const real_t step_length[1] = { 0.5 };
 /* initial values of the states */
 static const real_t initial_state[1] = { 1.0 };
-/* 0 inside the bounds */
+/* 0, clipped to the bounds */
 static const real_t default_control[1] = { 0.0 };
 /* p */
 static const real_t default_parameter[1] = { 0.5 };

@@ -45,12 +45,12 @@ typedef double golden_real;
 #define GOLDEN_NXS 1 /* states of a stage: NX and copies of components of x_0 */
 #define GOLDEN_NZS 3 /* NXS + NUS */
 #define GOLDEN_NV 2 /* variables of the QP */
-#define GOLDEN_NSL 0 /* slacks among them */
+#define GOLDEN_NSL 0 /* slack variables of the QP */
 #define GOLDEN_LDV 4 /* NV rounded up to PANEL */
 #define GOLDEN_PANEL 4 /* columns processed together */
 #define GOLDEN_SOFT_ROWS 0 /* rows with a penalty */
 #define GOLDEN_PARAMS 1 /* parameters by name */
-#define GOLDEN_SIZE_P 1 /* numbers of p */
+#define GOLDEN_SIZE_P 1 /* elements of p */
 #define GOLDEN_STEPS 1 /* Runge-Kutta steps per interval */
 #define GOLDEN_COLUMNS 8 /* columns of G_k that are processed together */
 #define GOLDEN_LDG 8 /* columns of G_k: NX + N NU, rounded up to COLUMNS */
@@ -59,8 +59,8 @@ typedef double golden_real;
 #define GOLDEN_SHIFT 0 /* 1: step() moves the plan before preparing */
 #define GOLDEN_MAX_TRIALS 30 /* halvings of the step in the line search of solve() */
 #define GOLDEN_MEMORY 8 /* merit values that the line search of solve() remembers */
-#define GOLDEN_MANY 1000000 /* counters stop here */
-#define GOLDEN_MAGIC 1313689667 /* a struct that init has seen */
+#define GOLDEN_MANY 1000000 /* maximum value of counters */
+#define GOLDEN_MAGIC 1313689667 /* marks a struct that init has initialised */
 
 enum { GOLDEN_ALL = -1 }; /* all nodes, as argument k of the setters */
 
@@ -102,7 +102,7 @@ typedef enum {
 
 
 
-typedef union { /* memory of phases that never overlap */
+typedef union { /* memory of phases that do not overlap */
     golden_columns_t columns; /* while the QP is formed */
     golden_basis_t basis; /* from qp_factorize to the end of the feedback */
 } golden_work_t;
@@ -123,21 +123,21 @@ typedef union { /* memory of phases that never overlap */
 golden_status_t golden_init(golden_solver_t *s);
 golden_status_t golden_reset(golden_solver_t *s);
 
-/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan as it was; a NUMERICAL_FAILURE
+/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; a NUMERICAL_FAILURE
  * that persists means that the plan itself is unusable: call reset. */
 golden_status_t golden_prepare(golden_solver_t *s);
 
-/* Feedback phase: u0 for the measured xhat; u0 is finite and inside its bounds on every return. */
+/* Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return. */
 golden_status_t golden_feedback(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
 
-/* prepare and feedback. */
+/* Call prepare and feedback. */
 golden_status_t golden_step(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
 
 /* Move the plan by one interval. */
 golden_status_t golden_shift(golden_solver_t *s);
 
-/* Iterate from the present plan to a KKT residual of tol, for at most max_iterations, with globalisation; kkt and
- * stats tell how it went. */
+/* Iterate from the present plan, with globalisation, until the KKT residual is at most tol or max_iterations is
+ * reached; kkt and stats describe the outcome. */
 golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real tol, int max_iterations);
 
 /* Data that can be changed. k is GOLDEN_ALL or one node:

@@ -20,11 +20,11 @@ typedef struct { /* KKT residuals, largest absolute values */
 } golden_kkt_t;
 
 typedef struct { /* Hessian blocks, lower triangles, z = (x, u) */
-    golden_real Q[GOLDEN_NQ][GOLDEN_NZ][GOLDEN_NZ]; /* path blocks; one for all nodes where it is constant */
+    golden_real Q[GOLDEN_NQ][GOLDEN_NZ][GOLDEN_NZ]; /* path blocks; one for all nodes if it is constant */
     golden_real Q_N[GOLDEN_NX][GOLDEN_NX]; /* terminal block */
 } golden_hessian_t;
 
-typedef struct { /* a panel of columns of dx_k = G_k (dx_0, du) + c_k, as long as the QP is formed */
+typedef struct { /* a panel of columns of dx_k = G_k (dx_0, du) + c_k, while the QP is formed */
     golden_real G[GOLDEN_N + 1][GOLDEN_NX][GOLDEN_COLUMNS]; /* columns of G_0 .. G_N */
     golden_real W[GOLDEN_NX][GOLDEN_COLUMNS]; /* W_k of the backward sweep */
     golden_real T[GOLDEN_NU][GOLDEN_COLUMNS]; /* one block row of the condensed Hessian */
@@ -32,7 +32,7 @@ typedef struct { /* a panel of columns of dx_k = G_k (dx_0, du) + c_k, as long a
 
 typedef struct { /* factors of the working set, vectors of an iteration */
     golden_real Q[GOLDEN_LDV][GOLDEN_LDV]; /* rows: orthonormal basis of the normals in the working set */
-    golden_real R[GOLDEN_LDV][GOLDEN_LDV]; /* row j: coefficients of member j in that basis (R transposed) */
+    golden_real R[GOLDEN_LDV][GOLDEN_LDV]; /* row j: coefficients of normal j in that basis (R transposed) */
     golden_real y[GOLDEN_LDV]; /* minimiser on the working set */
     golden_real m[GOLDEN_LDV]; /* normal of the row under consideration, in y */
     golden_real v[GOLDEN_LDV]; /* its part outside the span of the working set */
@@ -48,16 +48,16 @@ typedef struct { /* the condensed QP's dependence on dx_0 */
 } golden_condensed_t;
 
 typedef struct { /* condensed QP and its active-set factorisation */
-    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); then D, L and L' of L D L' */
-    golden_work_t work; /* factors of the working set; before qp_factorize the caller's */
+    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); later D, L and L' of L D L' */
+    golden_work_t work; /* factors of the working set; until qp_factorize the caller's */
     golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
     golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
     golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
-    golden_real lam[GOLDEN_LDV]; /* multipliers of the members */
+    golden_real lam[GOLDEN_LDV]; /* multipliers of the rows in the working set */
     golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
-    golden_real x[GOLDEN_LDV]; /* z of y */
+    golden_real x[GOLDEN_LDV]; /* z that belongs to y */
     golden_real proximal[GOLDEN_LDV]; /* diagonal E added to a semidefinite Hessian */
-    golden_real weight[GOLDEN_LDV]; /* its entries where they are needed */
+    golden_real weight[GOLDEN_LDV]; /* entries of E that are in use */
     golden_real center[GOLDEN_LDV]; /* centre of the proximal term */
     golden_real direction[GOLDEN_LDV]; /* direction of the last proximal step */
     golden_real g[GOLDEN_NV]; /* gradient */
@@ -70,17 +70,17 @@ typedef struct { /* condensed QP and its active-set factorisation */
     golden_real scale; /* |y0|, and the terms that saturated rows add to it */
     golden_real penalty[GOLDEN_NV + GOLDEN_NG]; /* l1 penalty of violating a row; infinite: hard */
     golden_real certificate[GOLDEN_NV + GOLDEN_NG]; /* if INFEASIBLE: weights of a contradiction */
-    golden_real total; /* s'(H + E)s of it; 0: no conjugate direction follows */
+    golden_real total; /* its s'(H + E)s; 0: no conjugate direction follows */
     golden_real step; /* length of the proximal step */
-    int32_t side[GOLDEN_NV + GOLDEN_NG]; /* +-1: member at upper, lower bound; +-2: saturated; else 0 */
-    int32_t snapshot[GOLDEN_NV + GOLDEN_NG]; /* an earlier side, to recognise cycles */
-    int32_t nw; /* members of the working set */
-    int32_t factorized; /* qp_factorize has succeeded */
-    int32_t semidefinite; /* a pivot of H may be zero, E is not zero */
-    int32_t face; /* changes when the direction was set */
-    int32_t elastic; /* a row has a finite penalty */
+    int32_t side[GOLDEN_NV + GOLDEN_NG]; /* +-1: in the set at upper, lower bound; +-2: saturated; or 0 */
+    int32_t snapshot[GOLDEN_NV + GOLDEN_NG]; /* earlier values of side, to detect cycles */
+    int32_t nw; /* number of rows in the working set */
+    int32_t factorized; /* 1: qp_factorize has succeeded */
+    int32_t semidefinite; /* 1: a pivot of H may be zero, E is not zero */
+    int32_t face; /* value of changes when the direction was set */
+    int32_t elastic; /* 1: a row has a finite penalty */
     int32_t iterations; /* active-set iterations of the last qp_solve */
-    int32_t changes; /* rows that entered or left the working set in it */
+    int32_t changes; /* rows that entered or left the working set in that call */
     int32_t dropped; /* equalities left out as redundant */
     int32_t relaxed; /* elastic rows that are violated */
 } golden_qp_t;
@@ -91,9 +91,9 @@ typedef struct { /* counters of the last feedback or solve */
     int32_t dropped_rows; /* redundant rows left out of the working set */
     int32_t relaxed_rows; /* soft or relaxed rows that are violated */
     int32_t sqp_iterations; /* iterations of the last solve */
-    int32_t violated_row; /* hard row that cannot be met (INFEASIBLE) or is relaxed (RELAXED), or -1 */
+    int32_t violated_row; /* hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1 */
     int32_t violated_node; /* its node, or -1 */
-    golden_real violation; /* by how much the last step of the QP violates it */
+    golden_real violation; /* violation of this row by the last step of the QP */
 } golden_stats_t;
 
 typedef struct { /* solution of the QP */
@@ -107,11 +107,11 @@ typedef struct { /* line search of solve() */
     golden_real recent[GOLDEN_MEMORY]; /* last merit values */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls before the step */
     golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
-    golden_real du_full[GOLDEN_N][GOLDEN_NU]; /* likewise */
+    golden_real du_full[GOLDEN_N][GOLDEN_NU]; /* du before the second-order correction */
     golden_real b[GOLDEN_N][GOLDEN_NX]; /* gaps at a trial point */
     golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states before the step */
     golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
-    golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* the same before the second-order correction */
+    golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* dx before the second-order correction */
     golden_real gap_weight; /* weight of the gaps in the merit function */
     golden_real row_weight; /* weight of the rows; penalty of the elastic QP */
     int32_t elastic; /* 1: the last QP was infeasible and relaxed */
@@ -122,7 +122,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
-    int32_t reference_changed; /* 1: the gradients are not those of the references */
+    int32_t reference_changed; /* 1: the references are newer than the gradients */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
@@ -138,7 +138,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real mu_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
     golden_real mu[GOLDEN_N][GOLDEN_NH]; /* multipliers of the general path rows */
     golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states of the plan */
-    golden_real lam[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the dynamics; lam_0 of x_0 = xhat */
+    golden_real lam[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the dynamics; lam_0 belongs to x_0 = xhat */
     golden_real mu_x[GOLDEN_N + 1][GOLDEN_NX]; /* multipliers of the state bounds, > 0 at the upper one */
     golden_real mu_N[GOLDEN_NH_N]; /* multipliers of the general terminal rows */
     /* settings */
@@ -149,7 +149,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real p[GOLDEN_N + 1][GOLDEN_NP]; /* parameters */
     golden_real yref_N[GOLDEN_NY_N]; /* reference of the terminal residual */
     golden_real W_N[GOLDEN_NY_N]; /* weight of the terminal residual */
-    /* what the last call found */
+    /* results of the last call */
     golden_kkt_t kkt; /* KKT residuals of the last solve */
     golden_stats_t stats; /* counters */
     int32_t status; /* status of the last call */

@@ -95,7 +95,7 @@ def test_what_is_read_is_what_was_written(toy_files: Files) -> None:
     ("text", "message"),
     [
         ("[" * 100_000, "too deeply nested"),
-        ('{"format": 1, "format": 1}', "'format' stands there twice"),
+        ('{"format": 1, "format": 1}', "'format' occurs twice"),
         ('{"format": NaN}', "NaN is no number"),
         ('{"format": ' + "9" * 5000 + "}", "integer string conversion"),
         ('{"format": 1.0}', "format 1.0, this version reads 1"),

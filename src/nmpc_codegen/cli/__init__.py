@@ -2,7 +2,7 @@
 
     arguments -> problem_file -> settings -> export -> printing -> check, simulate
 
-Exit status: 0 done; 1 the problem, the options or the check failed, the message says where; 2 wrong usage.
+Exit status: 0 for success, 1 if problem, options or check failed (the message says where), 2 for wrong usage.
 """
 
 from nmpc_codegen.cli.command import main

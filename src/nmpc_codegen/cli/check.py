@@ -1,4 +1,4 @@
-"""--check: the generated code against IPOPT, from the declared initial state."""
+"""--check: compare the generated code with IPOPT, from the declared initial state."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ if TYPE_CHECKING:
     from nmpc_codegen.options import Options
     from nmpc_codegen.runtime.controller import Solution
 
-#: Largest |a - b| / max(1, max|b|) of controls and states per component, and of the cost relatively.
+#: Limits on |a - b| / max(1, max|b|) per component of controls and states, and on the relative error of the cost.
 LIMITS = {"double": {"u": 1e-6, "x": 1e-6, "cost": 1e-8}, "single": {"u": 1e-3, "x": 1e-3, "cost": 1e-4}}
 CHECK_TOLERANCE = {"double": 1e-9, "single": 1e-3}
 CHECK_ITERATIONS = 1000
 CHECK_STEPS = 5000  # of the integrator over the horizon
-COST_FLOOR = 1e-6  # a smaller cost counts as this much, or a problem that starts at its goal could not pass
+COST_FLOOR = 1e-6  # least cost that a relative error refers to, so that a problem that starts at its goal can pass
 
 
 def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer) -> bool:
     """Compile with warnings as errors, solve from the declared initial state, compare with IPOPT.
 
-    IPOPT starts as the generated code does; if it ends elsewhere (another local optimum) it starts once more at the
-    generated code's solution, which it must then return.
+    IPOPT starts from the same point as the generated code. If it ends at another point (another local optimum), it is
+    started again at the solution of the generated code, which it must then return.
     """
     problem = classify(ocp)
     refuse_long(options, len(problem.dt))
     files = {f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")}
     controller = load(files, name, "verify", warnings_as_errors=True)
     if not options.solve:
-        printer.line("--check: the package has no solve(); what is compared is the same package with it")
+        printer.line("--check: the package has no solve(); the same package with solve() is checked instead")
         controller = load(generate(ocp, replace(options, solve=True), name), name, "verify", warnings_as_errors=True)
     solution = controller.solve(problem.x_initial, CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS)
     nlp = Reference(problem, *_tableau(options))
@@ -60,12 +60,12 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
 
 
 def refuse_long(options: Options, intervals: int) -> None:
-    """OptionError if IPOPT would not return within a minute or so."""
+    """Raise OptionError if IPOPT would take more than about a minute."""
     steps = getattr(options.integrator, "steps", 1) * intervals
     if steps > CHECK_STEPS:
         raise OptionError(
             f"--check: IPOPT would take {steps:,} steps of the integrator per evaluation; expected at most "
-            f"{CHECK_STEPS:,}: check it with fewer (--set integrator.steps=..., ExplicitRungeKutta(steps=...))"
+            f"{CHECK_STEPS:,}: check with fewer steps (--set integrator.steps=..., ExplicitRungeKutta(steps=...))"
         )
 
 
@@ -79,7 +79,7 @@ def _tableau(options: Options) -> tuple[Any, ...]:
 
 
 def compare(solution: Solution, reference: Any) -> dict[str, float]:
-    """Errors against a reference: largest |a - b| / max(1, max|b|) of u and x per component; of the cost relatively."""
+    """Largest |a - b| / max(1, max|b|) of all components of u and of x, b the reference; relative error of the cost."""
     errors = {"cost": abs(solution.cost - reference.cost) / max(abs(reference.cost), COST_FLOOR)}
     for key, ours, theirs in (("u", solution.u, reference.u), ("x", solution.x, reference.x)):
         size = np.maximum(1.0, np.abs(theirs).max(axis=0, initial=0.0))
@@ -111,15 +111,17 @@ def _print_check(
 
 
 def _hints(solution: Solution, reference: Any) -> list[str]:
-    """What to do about outcomes that a table of errors does not explain."""
+    """Advice on outcomes that the table of errors does not explain."""
     hints = []
     if solution.status.name == "NUMERICAL_FAILURE" and reference.success:
         hints.append(
             "the condensed Hessian may not be positive definite: weight every control, "
-            "or --set hessian.levenberg_marquardt=1e-8"
+            "or use --set hessian.levenberg_marquardt=1e-8"
         )
     if solution.status.name == "OK" and solution.iterations == 0:
-        hints.append("the declared initial state is optimal already, so little was checked: declare initial= elsewhere")
+        hints.append("the declared initial state is optimal already, so little was checked: declare another initial=")
     if solution.status.name == "INFEASIBLE" and not reference.success:
-        hints.append("both find the problem infeasible from the declared initial state: check initial= and the rows")
+        hints.append(
+            "both solvers find the problem infeasible from the declared initial state: check initial= and the rows"
+        )
     return hints

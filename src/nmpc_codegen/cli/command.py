@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from nmpc_codegen.options import Options
 
 SHOWN_FUNCTIONS = 8
-LONG_SIMULATION = 10_000  # samples of which the user is told beforehand
+LONG_SIMULATION = 10_000  # number of samples from which the simulation is announced
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
+    """Run the command line; return the exit status."""
     try:
         with own_streams(whole_process=argv is None) as printer:
             return _main(argv, printer)
@@ -70,7 +70,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
 
 
 def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Options]:
-    """The problem's file with the options of the command line."""
+    """The problem of the file, and its options with the changes of the command line."""
     import numpy as np
 
     from nmpc_codegen.cli.problem_file import load_problem
@@ -101,7 +101,7 @@ def _simulate(folder: Path, name: str, samples: int, picture: str | None, printe
 
 
 def _print_package(printer: Printer, package: Package, folder: Path, verbose: bool) -> None:
-    """Files with their sizes; what was chosen and why; memory; operations of the largest functions, or of all."""
+    """Print files with sizes, choices with reasons, memory, and operations of the largest functions, or of all."""
     from rich.table import Table
 
     title = one_line(f"{package.name} in {folder}")
@@ -115,7 +115,7 @@ def _print_package(printer: Printer, package: Package, folder: Path, verbose: bo
         printer.line(f"chosen  {choice}")
     if "ram_bytes" in package.report:
         bytes_of_struct = f"{package.report['ram_bytes']:,} bytes of solver struct"
-        printer.line(f"memory  {bytes_of_struct}, all that the code needs but its stack")
+        printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack")
     _print_operations(printer, package.report.get("operations", {}), verbose)
 
 

@@ -1,4 +1,4 @@
-"""--list-options: every component, its options, their defaults and what is allowed."""
+"""--list-options: every component, its options, their defaults and allowed values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nmpc_codegen.options import Options
 
 
 def list_options(printer: Printer) -> None:
-    """Print the components of every variation point, then the other options."""
+    """Print the components of every seam, then the other options."""
     defaults = Options().with_defaults
     for seam in SEAMS:
         chosen = getattr(defaults, seam)
@@ -34,7 +34,7 @@ def list_options(printer: Printer) -> None:
 
 
 def _list(printer: Printer, part: Any, key: str) -> None:
-    """The options of a part, and those inside them."""
+    """Print the options of a part, and those inside them."""
     for name, rule in rules(part).items():
         value = getattr(part, name)
         printer.line(f"      {key}.{name} = {_short(value, rule)}" + (f"; {rule}" if rule is not None else ""))

@@ -1,4 +1,4 @@
-"""One line for any exception: where it was raised, what it is, what it says."""
+"""A message in one line for any exception: where it was raised, its type and its text."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ from pathlib import Path
 
 from nmpc_codegen.errors import NmpcError
 
-#: Longer messages, those of other libraries, are cut.
+#: Longer messages, e.g. of other libraries, are cut.
 LONGEST = 1000
 
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def printable(text: str) -> str:
-    """The text with control characters and what else cannot be printed escaped."""
+    """The text with control characters and other unprintable characters escaped."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def one_line(text: str) -> str:
-    """The text without line ends, printable; only very long ones lose their end."""
+    """The text without line breaks and unprintable characters; very long texts are cut."""
     joined = " ".join(text.split())
     return printable(joined if len(joined) <= LONGEST else joined[:LONGEST] + " ...")
 
 
 def message(error: BaseException, file: str | None) -> str:
-    """The line that is printed for an exception that ended the run; ``file``: the problem's, as the user named it."""
+    """The line to print for an exception that ended the run; ``file``: the problem file as the user named it."""
     try:
         return one_line(_message(error, file))
-    except Exception:  # an exception may refuse even to be looked at
+    except Exception:  # even reading an exception may fail
         return one_line(f"{file}: an exception that cannot be printed (-v shows where)")
 
 
@@ -54,7 +54,7 @@ def _message(error: BaseException, file: str | None) -> str:
 
 
 def _text(error: BaseException) -> str:
-    """What an exception says, or that it says nothing or cannot."""
+    """The text of an exception, or a note that it is empty or cannot be read."""
     try:
         text = str(error)
     except Exception:
@@ -63,6 +63,6 @@ def _text(error: BaseException) -> str:
 
 
 def _stage(frames: list[tuple[str, int]]) -> str:
-    """The module of ours in which it happened."""
+    """The module of this package in which the exception was raised."""
     ours = [Path(name) for name, _ in frames if PACKAGE in Path(name).parents]
     return f", in {ours[-1].relative_to(PACKAGE.parent)}" if ours else ""

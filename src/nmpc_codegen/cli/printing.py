@@ -1,4 +1,4 @@
-"""Where the command line prints: streams that nothing which the problem's file does can spoil, plain text on them."""
+"""Output of the command line: plain text, on streams that the problem file cannot disturb."""
 
 from __future__ import annotations
 
@@ -17,50 +17,50 @@ from nmpc_codegen.cli.messages import message, one_line, printable
 
 
 class ReaderLeftError(Exception):
-    """Nobody reads what is printed: ``nmpc-export ... | head -1``."""
+    """The reader of the output is gone: ``nmpc-export ... | head -1``."""
 
 
 class Printer:
-    """Output and errors. What the stream cannot encode is escaped; markup in names means nothing."""
+    """Output and errors. Characters that the stream cannot encode are escaped; markup in names is not interpreted."""
 
     def __init__(self, output: TextIO, errors: TextIO) -> None:
         self._output = Console(file=output, markup=False, emoji=False, highlight=False)
         self._errors = Console(file=errors, markup=False, emoji=False, highlight=False)
 
     def line(self, text: str, style: str = "") -> None:
-        """A line of output, never wrapped; one for each line of the text."""
+        """Print each line of the text as a line of output, never wrapped."""
         for part in text.split("\n"):
             self._print(self._output, printable(part), style=style, soft_wrap=True)
 
     def table(self, table: Any) -> None:
-        """A rich table."""
+        """Print a rich table."""
         self._print(self._output, table)
 
     def trace(self, error: BaseException) -> None:
-        """The traceback of an exception, on the stream of errors."""
+        """Print the traceback of an exception on the error stream."""
         try:
             text = "".join(traceback.format_exception(error))
-        except Exception:  # of an exception that refuses to be looked at
+        except Exception:  # even reading an exception may fail
             text = "".join(traceback.format_tb(error.__traceback__))
         for line in text.splitlines():
             self._print(self._errors, printable(line), soft_wrap=True)
 
     def error(self, text: str, style: str = "red") -> None:
-        """One line on the stream of errors."""
+        """Print one line on the error stream."""
         self._print(self._errors, one_line(text), style=style, soft_wrap=True)
 
     def _print(self, console: Console, what: Any, **options: Any) -> None:
         try:
             console.print(what, **options)
-        except (BrokenPipeError, SystemExit):  # rich leaves the program when a pipe breaks
+        except (BrokenPipeError, SystemExit):  # rich exits the program when a pipe breaks
             raise ReaderLeftError from None
 
 
 @contextlib.contextmanager
 def own_streams(whole_process: bool) -> Iterator[Printer]:
-    """sys.stdout and sys.stderr are duplicates, which escape what they cannot encode.
+    """Replace sys.stdout and sys.stderr by duplicates, which escape characters that they cannot encode.
 
-    In a process of our own they stay until its end, where the interpreter flushes whatever the problem's file left.
+    If ``whole_process``, they remain until its end, when the interpreter flushes what the problem file left in them.
     """
     before = sys.stdout, sys.stderr, sys.unraisablehook, threading.excepthook
     output, errors = _duplicate(sys.stdout), _duplicate(sys.stderr)
@@ -76,7 +76,7 @@ def own_streams(whole_process: bool) -> Iterator[Printer]:
 
 
 def _duplicate(stream: TextIO | None) -> TextIO:
-    """A stream of its own to where the given one leads; the given one if it leads to no file."""
+    """A separate stream to the same file as the given one; the given one if it has no file."""
     if stream is None:  # the caller has closed it
         return open(os.devnull, "w", encoding="utf-8")
     try:
@@ -87,7 +87,7 @@ def _duplicate(stream: TextIO | None) -> TextIO:
 
 
 def drop_output() -> None:
-    """Let what is still buffered for a reader that has left go nowhere, at the end of the interpreter too."""
+    """Discard what is still buffered for a reader that is gone, also when the interpreter exits."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.stdout, sys.__stdout__):
         with contextlib.suppress(AttributeError, OSError, ValueError):
@@ -97,9 +97,9 @@ def drop_output() -> None:
 
 @contextlib.contextmanager
 def undisturbed(printer: Printer, file: str, verbose: bool) -> Iterator[None]:
-    """Give the problem's file streams of its own, and undo what it does to the interpreter.
+    """Give the problem file streams of its own, and undo its changes to the interpreter.
 
-    Its warnings are printed on one line each; so are exceptions in its threads and finalisers.
+    Its warnings, and exceptions in its threads and finalisers, are printed on one line each.
     """
     ours = sys.stdout, sys.stderr
     saved = sys.stdin, sys.excepthook, sys.displayhook, sys.argv, sys.path

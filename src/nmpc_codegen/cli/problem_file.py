@@ -13,19 +13,19 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
 
-#: Name of the module that a problem's file is while it runs.
+#: Name of the module as which a problem file runs.
 MODULE = "nmpc_problem"
 
 
 def load_problem(path: Path) -> tuple[OCP, Options]:
-    """Run a problem file and take its problem and options.
+    """Run a problem file and return its problem and options.
 
-    Looks for ``problem()``, then ``ocp``, then ``build_ocp()``, then for the only OCP among the file's names; options
-    are those that ``problem()`` returns, else ``options`` or what ``options()`` returns, else the defaults.
+    The problem is that of ``problem()``, else ``ocp``, else that of ``build_ocp()``, else the only OCP in the file. The
+    options are those that ``problem()`` returns, else ``options`` or the result of ``options()``, else the defaults.
 
     Raises:
-        ProblemError: there is no such file, or no problem in it, or several without one called ``ocp``.
-        BaseException: whatever the file raises.
+        ProblemError: there is no such file, or no problem in it, or several of which none is called ``ocp``.
+        BaseException: any exception that the file raises.
     """
     if not path.is_file():
         found = "it is a folder" if path.is_dir() else "there is no such file"
@@ -45,7 +45,7 @@ def load_problem(path: Path) -> tuple[OCP, Options]:
 
 
 def _stated(names: Mapping[str, Any], path: Path) -> tuple[OCP, Options]:
-    """What the file states."""
+    """The problem and the options that the file states."""
     found = _problem(names, path)
     ocp, given = found if isinstance(found, tuple) else (found, names.get("options"))
     if callable(given):
@@ -60,7 +60,7 @@ def _stated(names: Mapping[str, Any], path: Path) -> tuple[OCP, Options]:
 
 
 def _problem(names: Mapping[str, Any], path: Path) -> Any:
-    """An OCP, or a pair of it and what problem() returns with it."""
+    """An OCP, or the pair (OCP, Options) that problem() returns."""
     if callable(names.get("problem")):
         return _checked("problem", _call("problem", names["problem"], path), path)
     if "ocp" in names:
@@ -81,7 +81,7 @@ def _problem(names: Mapping[str, Any], path: Path) -> Any:
 
 
 def _call(name: str, function: Any, path: Path) -> Any:
-    """function() of the file, which must do without arguments."""
+    """Call a function of the file, which must not require arguments."""
     try:
         inspect.signature(function).bind()
     except TypeError as error:

@@ -17,7 +17,7 @@ from nmpc_codegen.options import REGISTRIES, Options
 
 @dataclass
 class Change:
-    """What is set of one option: itself, and options inside it, in one go because they may depend on each other."""
+    """New values for one option and for options inside it, set together because they may depend on each other."""
 
     given: bool = False
     value: Any = None
@@ -25,7 +25,7 @@ class Change:
 
 
 def registry(seam: str) -> Mapping[str, Any]:
-    """Components of a variation point: word -> class."""
+    """Components of a seam: word -> class."""
     return REGISTRIES[seam]
 
 
@@ -40,10 +40,10 @@ def parsed(text: str) -> Any:
 
 
 def apply_settings(options: Options, settings: Sequence[tuple[str, str]]) -> Options:
-    """options with dotted fields replaced, all at once; of two settings of the same option the later one counts.
+    """``options`` with the fields of all settings replaced at once; a later setting overrides an earlier one.
 
     Raises:
-        OptionError: no such field (lists those there are), or a value that the option refuses.
+        OptionError: there is no such field (the message lists those that exist), or a value is not allowed.
     """
     root = Change()
     for key, text in settings:
@@ -56,12 +56,12 @@ def apply_settings(options: Options, settings: Sequence[tuple[str, str]]) -> Opt
 
 
 def apply_setting(options: Options, key: str, text: str) -> Options:
-    """options with one dotted field replaced, see apply_settings()."""
+    """``options`` with one dotted field replaced, see apply_settings()."""
     return apply_settings(options, [(key, text)])
 
 
 def _changed(part: Any, change: Change, where: str) -> Any:
-    """A dataclass of options with what stands inside a change."""
+    """A dataclass of options with the values inside a change."""
     fields = rules(part)
     if where not in ("", *SEAMS) and not any(fields.values()):
         fields = {}  # a value such as a tableau, which is chosen as a whole
@@ -83,7 +83,7 @@ def _changed(part: Any, change: Change, where: str) -> Any:
 
 
 def _component(seam: str, word: Any) -> Any:
-    """A component with its default options, by its word; None leaves the choice to the compiler."""
+    """The component with the given word and default options; None leaves the choice to the compiler."""
     if word is None:
         return None
     words = registry(seam)
@@ -106,6 +106,6 @@ def _first_with(seam: str, names: Mapping[str, Any]) -> Any:
         return next(iter(able.values()))()
     wanted = ", ".join(f"{seam}.{name}" for name in names)
     if able:
-        raise OptionError(f"{wanted}: say --set {seam}=WORD besides, with one of {', '.join(able)}")
+        raise OptionError(f"{wanted}: also give --set {seam}=WORD, with one of {', '.join(able)}")
     there = ", ".join(dict.fromkeys(name for cls in registry(seam).values() for name in rules(cls)))
     raise OptionError(f"{seam} has no option {' with '.join(map(repr, names))}; there is {there} (--set {wanted}=...)")

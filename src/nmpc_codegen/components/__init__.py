@@ -1,1 +1,1 @@
-"""ADD A VARIANT HERE: one folder per seam, one file per variant; base.py states the contracts."""
+"""ADD A VARIANT HERE: one folder per seam, one file per variant; base.py defines the contracts."""

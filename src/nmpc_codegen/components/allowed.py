@@ -1,4 +1,4 @@
-"""What an option may be: one fact beside its field, which validates it, words its refusal and lists it."""
+"""Allowed values of options: one rule per field validates the value, words the error message and lists the choices."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Rule(Protocol):
     """Allowed values of an option; its text completes "expected ..."."""
 
     def converted(self, value: Any) -> Any:
-        """The object that a word stands for; any other value as it is."""
+        """Return the object that a word stands for, and any other value unchanged."""
         ...
 
     def takes(self, value: Any) -> bool:
@@ -31,7 +31,7 @@ class Rule(Protocol):
 
 @dataclass(frozen=True)
 class Words:
-    """One of some words; None may be among them."""
+    """One of the given words; None may be among them."""
 
     words: tuple[str | None, ...]
 
@@ -80,7 +80,7 @@ class Whole:
 
 @dataclass(frozen=True)
 class Number:
-    """A finite number above (or, ``closed``, not below) ``lower`` and below ``upper``."""
+    """A finite number > ``lower`` (>= ``lower`` if ``closed``) and < ``upper``."""
 
     lower: float = 0.0
     upper: float = math.inf
@@ -111,7 +111,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Named:
-    """An object of some classes, or a word that stands for one."""
+    """An object of one of the given classes, or a word that stands for such an object."""
 
     words: Mapping[str, Any]
     classes: tuple[type, ...]
@@ -128,18 +128,18 @@ class Named:
 
 
 def option(default: Any, rule: Rule) -> Any:
-    """Field of a dataclass of options: its default value and what is allowed."""
+    """Dataclass field of an option, with its default value and the rule for its values."""
     return field(default=default, metadata={_KEY: rule})
 
 
 def rules(part: Any) -> dict[str, Rule | None]:
-    """Options of a dataclass or of its class -> what is allowed, None where its author does not say."""
+    """Name of every option of a dataclass or instance -> its rule, or None for a field without one."""
     fields = dataclasses.fields(part) if dataclasses.is_dataclass(part) else ()
     return {f.name: f.metadata.get(_KEY) for f in fields}
 
 
 def check_options(part: Any, key: str) -> None:
-    """Convert words and refuse values that are not allowed; ``key``: where the command line has the part, "" on top.
+    """Convert words and refuse values that are not allowed; ``key``: prefix on the command line, "" at the top level.
 
     Raises:
         OptionError: names the class, the option, its value, what is allowed, and the flag of the command line.
@@ -159,7 +159,7 @@ def _ruled(part: Any) -> Iterator[tuple[str, Rule]]:
 
 
 def shown(value: Any) -> str:
-    """A short repr of any value, one whose repr fails or is very long included."""
+    """A short repr of any value, even if its own repr fails or is very long."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = 120
     try:

@@ -1,8 +1,8 @@
 """The seams of the compiler and the contract that every component fulfils.
 
-A component is a frozen dataclass of its own options. Every seam has one protocol; the compiler asks for nothing
-else, and never which component it holds.
-Seams, in the order in which their sections stand in the generated C: integrator, hessian, condensing, qp, algorithm.
+A component is a frozen dataclass of its own options. Every seam has one protocol; the compiler uses nothing else and
+never tests which component it has. The seams, in the order of their sections in the generated C, are integrator,
+hessian, condensing, qp and algorithm.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
 
 SEAMS: tuple[Seam, ...] = get_args(Seam)
 
-#: What the core has for algorithms that ask for it: the linearisation of every node, the multipliers, products with the
+#: Parts of the core that an algorithm can use: the linearisation of every node, the multipliers, products with the
 #: stage matrices, the KKT residuals.
 Core = Literal["nodes", "multipliers", "products", "kkt"]
 
@@ -49,19 +49,19 @@ class Dims:
     nw_N: Size
     nh: Size  # general path rows
     nh_N: Size  # general terminal rows
-    nr: Size  # scalar rows the user stated
+    nr: Size  # scalar rows that the user stated
     nq: Size  # Hessian blocks of the path: 1 where the block is the same at all nodes, else N
     nf: Size  # free components of x_0
     ne: Size  # coupled rows
     ng: Size  # scalar rows of all nodes besides control bounds
-    condensed: QpDims | None  # sizes of the QP, where there is condensing
+    condensed: QpDims | None  # sizes of the QP, None without condensing
 
     @property
     def qp(self) -> QpDims:
         """Sizes of the QP.
 
         Raises:
-            ValueError: the package has none.
+            ValueError: the package has no QP.
         """
         if self.condensed is None:
             raise ValueError("a package without condensing has no QP")
@@ -70,11 +70,11 @@ class Dims:
 
 @dataclass(frozen=True)
 class QpDims:
-    """The sizes of the QP that condensing makes."""
+    """The sizes of the QP that condensing forms."""
 
     ns: Size  # stages of the QP after condensing
     nus: Size  # controls of such a stage
-    nxs: Size  # states of such a stage: nx and copies of components of x_0
+    nxs: Size  # states of such a stage: nx, and copies of components of x_0
     nzs: Size  # nxs + nus
     nv: Size  # variables of the QP
     nsl: Size  # slacks among them
@@ -83,10 +83,10 @@ class QpDims:
 
 @dataclass(frozen=True)
 class QpShape:
-    """What a condensing component makes of N stages with nu controls each.
+    """Sizes of the QP that a condensing component forms from N stages with nu controls each.
 
-    ``stages`` of ``controls`` controls; ``variables`` of the QP: the controls of all stages, and what else it adds to
-    them; ``slacks`` among the variables; ``copies`` of components of x_0 among the states of a stage.
+    The QP has ``stages`` with ``controls`` each. Its ``variables`` are the controls of all stages and those that the
+    component adds, ``slacks`` of them slack variables. The states of a stage include ``copies`` of components of x_0.
     """
 
     stages: int
@@ -97,13 +97,13 @@ class QpShape:
 
 
 class Component(Protocol):
-    """What the compiler asks of every component, whatever its seam; `Defaults` has empty answers."""
+    """The interface of every component, whatever its seam; `Defaults` implements it with empty results."""
 
     seam: ClassVar[Seam]
-    name: ClassVar[str]  # the word of the command line
-    template: ClassVar[str]  # its part, below templates/
-    needs: ClassVar[tuple[Seam, ...]]  # other seams that a package with it has
-    supports: ClassVar[frozenset[str]]  # problem features it takes
+    name: ClassVar[str]  # its word on the command line
+    template: ClassVar[str]  # path of its part below templates/
+    needs: ClassVar[tuple[Seam, ...]]  # other seams that a package with it must have
+    supports: ClassVar[frozenset[str]]  # problem features that it supports
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError if its options clash with the problem."""
@@ -111,7 +111,7 @@ class Component(Protocol):
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """Names that its part tests in `#if` besides the sizes, 1 or 0; they do not stand in the header."""
+        """Names that its part tests in `#if` besides the sizes -> 1 or 0; the header does not define them."""
         ...
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
@@ -123,23 +123,23 @@ class Component(Protocol):
         ...
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """The structs it owns inside the solver struct."""
+        """The structs that it owns inside the solver struct."""
         ...
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """Exact operation counts of its C functions whose count does not depend on data.
+        """Exact operation counts of those of its C functions whose count does not depend on data.
 
-        ``model`` has what they call: the lifted functions and the stage products.
+        ``model`` provides the functions that they call: the lifted functions and the stage products.
         """
         ...
 
     def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
-        """Code of another generator: path, below a folder of the component's name, -> text."""
+        """Code of another generator: path (in a folder that is named after the component) -> text."""
         ...
 
 
 class Integrator(Component, Protocol):
-    """How the state gets from node to node."""
+    """Computes the state at the next node and its derivatives."""
 
     def longest_step(self, problem: Problem) -> float:
         """Length (s) of the longest integration step."""
@@ -150,29 +150,30 @@ class Integrator(Component, Protocol):
         ...
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` fills g and Q from all inputs but lam, the interval
-        adds its part d(integrated cost) / dz and d2 (lam' Phi + integrated cost) / dz^2, z = (x, u), lower triangle."""
+        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
+        interval adds d(integrated cost) / dz and the lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where
+        z = (x, u)."""
         ...
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more) -> l: what ``start`` leaves in l, plus the integral of the cost rate."""
+        """(x, u, p, dt, more) -> l: the value that ``start`` stores in l, plus the integral of the cost rate."""
         ...
 
     def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more) -> g: what ``start`` leaves in g, plus the gradient of that integral."""
+        """(x, u, p, dt, more) -> g: the value that ``start`` stores in g, plus the gradient of that integral."""
         ...
 
 
 class Hessian(Component, Protocol):
-    """Hessian blocks of every node."""
+    """Provides the Hessian block of every node."""
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
-        """The blocks of all stages; the integrator writes second derivatives of what it integrates."""
+        """The blocks of all stages; the integrator provides the second derivatives of the dynamics."""
         ...
 
 
 class Regularization(Protocol):
-    """What is done about an indefinite Hessian."""
+    """Treatment of an indefinite Hessian."""
 
     @property
     def floor(self) -> float:
@@ -181,58 +182,58 @@ class Regularization(Protocol):
 
     @property
     def level(self) -> str:
-        """Where: "stage", the block of every node, or "reduced", the Hessian after elimination of the states."""
+        """Its level: "stage", the block of every node, or "reduced", the Hessian after elimination of the states."""
         ...
 
     @property
     def mirrors(self) -> bool:
-        """True: negative eigenvalues change their sign; False: they become the floor."""
+        """True: negative eigenvalues change their sign; False: they are raised to the floor."""
         ...
 
 
 class Condensing(Component, Protocol):
-    """Stage QP -> QP of the form ``gives``."""
+    """Converts the stage QP to a QP of the form ``gives``."""
 
     gives: ClassVar[str]  # "condensed" or "stages"
-    columns: ClassVar[bool]  # it calls the products with columns
-    eliminates: ClassVar[bool]  # states, so that it calls state_step()
+    columns: ClassVar[bool]  # it uses the products with panels of columns
+    eliminates: ClassVar[bool]  # it eliminates states, and so uses state_step()
 
     @property
     def label(self) -> str:
-        """Its name with what distinguishes it among the candidates of one problem."""
+        """Its name, with the option that distinguishes it from other candidates for the same problem."""
         ...
 
     def qp_shape(self, problem: Problem) -> QpShape:
-        """Sizes of the QP that it makes."""
+        """Sizes of the QP that it forms."""
         ...
 
     def adapted(self, problem: Problem) -> Condensing:
-        """The component that does the same for this problem, itself as a rule."""
+        """The component to use for this problem: itself, unless the problem needs an equivalent one."""
         ...
 
 
 class QpSolver(Component, Protocol):
-    """Solver of a QP of the form ``takes``."""
+    """Solves a QP of the form ``takes``."""
 
     takes: ClassVar[str]  # "condensed" or "stages"
     automatic: ClassVar[bool]  # qp=None may choose it
 
 
 class Algorithm(Component, Protocol):
-    """How the problem is solved: the entry points of the package.
+    """Solves the problem and defines the entry points of the package.
 
-    ``needs`` are the seams that its packages have; a component of another seam is refused.
+    ``needs`` lists the seams that its packages have; a component of any other seam is refused.
     """
 
-    core: ClassVar[frozenset[Core]]  # what it takes of the core besides plan, data and the cost of the stages
+    core: ClassVar[frozenset[Core]]  # parts of the core that it uses besides plan, data and stage costs
 
     @property
     def shift(self) -> str | None:
-        """How the plan moves before every prepare; None: it stays."""
+        """How the plan is shifted before every prepare; None: it is not."""
         ...
 
     def default(self, seam: Seam) -> str | None:
-        """The word of the component of a seam that it needs if none is given; None: chosen from the problem."""
+        """The name of its default component for a seam that it needs; None: the compiler chooses for the problem."""
         ...
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
@@ -242,7 +243,7 @@ class Algorithm(Component, Protocol):
 
 @dataclass(frozen=True)
 class Parts:
-    """One component for every seam that the algorithm needs, with nothing left to choose."""
+    """One component for every seam that the algorithm needs, after all choices have been made."""
 
     integrator: Integrator
     algorithm: Algorithm
@@ -252,7 +253,7 @@ class Parts:
 
     @property
     def components(self) -> tuple[Component, ...]:
-        """The components that there are, in the order of their sections."""
+        """All components that are present, in the order of their sections."""
         found = (self.integrator, self.hessian, self.condensing, self.qp, self.algorithm)
         return tuple(component for component in found if component is not None)
 
@@ -284,7 +285,7 @@ class Defaults:
 
 
 def called(component: Component | type[Component]) -> str:
-    """A component as its user names it: in Python, and on the command line."""
+    """A component as the user writes it, in Python and on the command line."""
     cls = component if isinstance(component, type) else type(component)
     return f"{cls.__name__}() (--set {cls.seam}={cls.name})"
 
@@ -292,7 +293,7 @@ def called(component: Component | type[Component]) -> str:
 def refuse_unsupported(
     problem: Problem, components: Iterable[Component], registries: Mapping[str, Mapping[str, type[Component]]]
 ) -> None:
-    """Raise OptionError if the problem uses a feature that a chosen component does not take; name those that do."""
+    """Raise OptionError if the problem uses a feature that a component does not support; name those that do."""
     for component in components:
         missing = sorted(problem.features - component.supports)
         if missing:

@@ -1,4 +1,4 @@
-"""What the core has for algorithms that ask for it: linearised nodes and multipliers."""
+"""Structs of the core for algorithms that use them: linearised nodes, multipliers, KKT residuals."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import replace
 from nmpc_codegen.components.base import Core, Dims
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
-#: Word of Core -> the parts of C that belong to it; other words have none of their own.
+#: Word of Core -> the templates that belong to it; the other words have none.
 PARTS: dict[Core, tuple[str, ...]] = {"nodes": ("row_gradient.c",)}
 
 
 def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
-    """The structs of the words in ``core``; members of the solver stand in a struct of that name."""
+    """The structs for the words in ``core``; a struct named "solver" lists further members of the solver struct."""
     wanted = set(core)
     nodes = (_node(dims), _terminal(dims), _coupled(dims), _renewal()) if "nodes" in wanted else ()
     multipliers = (_multipliers(dims),) if "multipliers" in wanted else ()
@@ -60,7 +60,7 @@ def _coupled(dims: Dims) -> Struct:
 
 
 def _renewal() -> Struct:
-    note = Field("reference_changed", (), "1: the gradients are not those of the references", "keep", "int32")
+    note = Field("reference_changed", (), "1: the references are newer than the gradients", "keep", "int32")
     return Struct("solver", "", (replace(note, only="SET_REFERENCE"),))
 
 
@@ -70,7 +70,7 @@ def _multipliers(dims: Dims) -> Struct:
         "solver",
         "",
         (
-            Field("lam", (nodes, dims.nx), "multipliers of the dynamics; lam_0 of x_0 = xhat", "iterate"),
+            Field("lam", (nodes, dims.nx), "multipliers of the dynamics; lam_0 belongs to x_0 = xhat", "iterate"),
             Field("mu_x", (nodes, dims.nx), "multipliers of the state bounds, > 0 at the upper one", "iterate"),
             Field("mu_u", (dims.N, dims.nu), "multipliers of the control bounds", "iterate"),
             Field("mu", (dims.N, dims.nh), "multipliers of the general path rows", "iterate"),

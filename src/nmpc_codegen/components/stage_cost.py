@@ -1,9 +1,9 @@
-"""The cost of a stage as expressions, and the kernels of its value and gradient, which every algorithm has.
+"""The cost of a stage as expressions, and the kernels of its value and gradient, which every algorithm uses.
 
     l = 1/2 (y - yref)' W (y - yref) + general cost,   dl / dz = J' W (y - yref) + gradient of the general cost,
 
-J = dy / dz, z = (x, u). Weights and references are inputs, as they can change at run time. A Hessian component takes
-its blocks from the same expressions.
+J = dy / dz, z = (x, u). Weights and references are inputs, as they can change at run time. Hessian components derive
+their blocks from the same expressions.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from nmpc_codegen.ir.sweep import Call, Slice
 class StageCost:
     """Symbols and expressions of one stage; z = (x, u).
 
-    ``inputs`` and ``ports``: x, u, p, dt, at the terminal stage x, p; ``data_ports``: yref, W. ``weight`` is the matrix
-    that W fills, with rows and columns scaled by dt where the residual says so.
+    ``inputs`` and ``ports``: x, u, p, dt, and only x, p at the start and terminal stages; ``data_ports``: yref, W.
+    ``weight`` is the matrix with the entries W; rows and columns of residuals with scale_with_dt are scaled by dt.
     """
 
     name: str
@@ -56,7 +56,7 @@ class StageCost:
 
     @property
     def value(self) -> Expression:
-        """l."""
+        """The cost l."""
         least_squares = ca.dot(self.residual, self.weight @ self.residual) / 2 if self.ny else ca.SX(1, 1)
         return least_squares if self.general is None else ca.SX(least_squares + self.general)
 
@@ -96,7 +96,7 @@ class StageCost:
         return lift(ca.Function(suffix, symbols, [value]), f"{self.name}_{suffix}", doc, ports, [out])
 
     def cost_kernel(self) -> Kernel:
-        """<stage>_cost -> l, which is not stored where the stage has no cost."""
+        """<stage>_cost -> l, which is not stored if the stage has no cost."""
         doc = "l = 1/2 (y - yref)' W (y - yref)" + ("" if self.general is None else " + general cost")
         return self.kernel("cost", doc, ca.sparsify(self.value), Port("l", 1))
 
@@ -146,7 +146,7 @@ def stage_costs(problem: Problem) -> StageCosts:
 
 
 def stage_model(problem: Problem, integrator: Integrator, cost: StageCost) -> StageModel:
-    """Cost and gradient of a stage; those of an integrated cost come from the scheme of the dynamics."""
+    """Cost and gradient of a stage; the integrator provides them if the cost contains an integral."""
     if cost.name != "path" or problem.path.cost_rate is None:
         return StageModel(cost.cost_kernel(), cost.gradient_kernel())
     arguments, symbols = slices(*cost.ports, *cost.data_ports), [*cost.inputs, cost.yref, cost.W]
@@ -161,12 +161,13 @@ def stage_model(problem: Problem, integrator: Integrator, cost: StageCost) -> St
 
 
 def slices(*ports: Port) -> tuple[Slice, ...]:
-    """The whole of every port."""
+    """One slice per port, which covers the whole port."""
     return tuple(Slice(p.name, p.size) for p in ports)
 
 
 def weight_matrix(stage: Stage) -> tuple[Expression, Expression, int]:
-    """(symbol, matrix, length): a diagonal weight is carried as its diagonal, others row-major; rows scaled by dt."""
+    """(symbol, matrix, length) of the weight: the symbol holds its diagonal if it is diagonal, else all entries row by
+    row; the matrix includes the scaling with dt."""
     ny = stage.ny
     if stage.diagonal_weight:
         symbol = ca.SX.sym("W", ny)

@@ -1,1 +1,1 @@
-"""What is to be solved: what the user states, checked, classified and frozen."""
+"""Front end: check what the user states, classify it and freeze it into a Problem."""

@@ -1,4 +1,4 @@
-"""What the user writes, turned into checked values: names, numbers, CasADi columns. Every failure is a ProblemError."""
+"""Convert user input to checked values: names, numbers, CasADi columns. Every failure raises ProblemError."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nmpc_codegen.runtime.given import checked_weight
 #: Operations of a CasADi SX Function that have a C spelling.
 C_OPERATIONS = frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}
 
-#: Operations whose derivative is zero or jumps somewhere.
+#: Operations whose derivative vanishes or is discontinuous somewhere.
 NONSMOOTH = {
     getattr(ca, f"OP_{name}"): word
     for name, word in {
@@ -28,7 +28,7 @@ NONSMOOTH = {
     }.items()
 }  # fmt: skip
 
-#: Elements of one signal: the matrix d f / d x of a state as long as that is 128 MB at every single node.
+#: Maximum number of elements of one signal: for a state of that size, df/dx takes 128 MB at every node.
 MAX_SIZE = 4_000
 
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -57,7 +57,7 @@ def identifier(name: Any, what: str) -> str:
 
 
 def duplicate(names: Iterable[str]) -> tuple[str, str] | None:
-    """First two names that are equal, or None."""
+    """The first two equal names, or None."""
     seen: dict[str, str] = {}
     for name in names:
         if name in seen:
@@ -67,7 +67,7 @@ def duplicate(names: Iterable[str]) -> tuple[str, str] | None:
 
 
 def integer(value: Any, what: str, minimum: int, maximum: int | None = None) -> int:
-    """A whole number from ``minimum`` to ``maximum``."""
+    """Return ``value`` as an integer between ``minimum`` and ``maximum``, else raise ProblemError."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise ProblemError(f"{what} must be an integer >= {minimum}, got {type(value).__name__} {quote(value)}")
     if value < minimum:
@@ -78,14 +78,14 @@ def integer(value: Any, what: str, minimum: int, maximum: int | None = None) -> 
 
 
 def flag(value: Any, what: str) -> bool:
-    """True or False and nothing else."""
+    """Return ``value`` if it is True or False, else raise ProblemError."""
     if not isinstance(value, (bool, np.bool_)):
         raise ProblemError(f"{what} must be True or False, got {type(value).__name__} {quote(value)}")
     return bool(value)
 
 
 def numbers(value: Any, what: str) -> Array:
-    """A float array of any shape; a CasADi DM becomes dense. NaN is refused, infinities are not."""
+    """A float array of any shape; a CasADi DM becomes dense. Infinities are allowed, NaN raises ProblemError."""
     if isinstance(value, (ca.SX, ca.MX)):
         if isinstance(value, ca.MX) or not value.is_constant():
             raise ProblemError(f"{what} must be numbers, got the expression {quote(value)}")
@@ -119,7 +119,7 @@ def vector(value: Any, size: int, what: str, *, finite: bool = True) -> Array:
 
 
 def weight_matrix(value: Any, size: int, what: str) -> Array:
-    """A symmetric positive semidefinite matrix (size, size), up to rounding; a scalar or vector is its diagonal."""
+    """A symmetric positive semidefinite matrix (size, size), up to rounding; a scalar or vector gives its diagonal."""
     array = numbers(value, what)
     if array.shape != (size, size):
         try:
@@ -138,7 +138,7 @@ def weight_matrix(value: Any, size: int, what: str) -> Array:
 def column(value: Any, what: str, symbols: dict[str, Any]) -> Any:
     """A dense SX column from an SX, DM, number, array, list of these, or MX expression.
 
-    The symbols of an MX expression stand for the declared signals of the same name and size (``symbols``).
+    The symbols of an MX expression are replaced by the declared signals of the same name and size (``symbols``).
     """
     if isinstance(value, np.ndarray) and value.dtype == object:
         value = list(value) if value.ndim == 1 else value
@@ -173,18 +173,19 @@ def _expanded(value: Any, what: str, symbols: dict[str, Any]) -> Any:
         return ca.Function("expression", free, [value]).expand()(*(symbols[s.name()] for s in free))
     except Exception as error:  # CasADi raises RuntimeError, NotImplementedError or worse, depending on the node
         raise ProblemError(
-            f"{what} = {quote(value)} cannot be expanded to scalar operations, so it has no C; write it with SX"
+            f"{what} = {quote(value)} cannot be expanded to scalar operations, so it has no C equivalent; "
+            "write it with SX"
         ) from error
 
 
 def known(names: Iterable[str]) -> str:
-    """List of the declared names, to end an error message with."""
+    """The end of an error message: a list of the declared names."""
     listed = ", ".join(names)
     return f"; declared are: {listed}" if listed else "; nothing is declared yet"
 
 
 def operations(expression: Any) -> set[int]:
-    """CasADi opcodes of an SX expression; also refuses constants that are not finite by returning OP_LOW."""
+    """CasADi opcodes of an SX expression; OP_LOW among them marks a constant that is not finite."""
     f = ca.Function("expression", ca.symvar(expression), [expression])
     found: set[int] = set()
     for i in range(f.n_instructions()):
@@ -196,12 +197,12 @@ def operations(expression: Any) -> set[int]:
 
 
 def check_operations(expression: Any, what: str) -> set[int]:
-    """Raise ProblemError unless every operation has C and every constant is finite; return the opcodes."""
+    """Return the opcodes; raise ProblemError unless every operation has a C spelling and every constant is finite."""
     found = operations(expression)
     if ca.OP_LOW in found:
         raise ProblemError(f"{what} = {quote(expression)} contains a constant that is not finite (inf or nan)")
     foreign = found - C_OPERATIONS
     if foreign:
         word = "a function call (interpolant, callback, external)" if ca.OP_CALL in foreign else "an operation"
-        raise ProblemError(f"{what} = {quote(expression)} contains {word} that has no C; write it with SX operations")
+        raise ProblemError(f"{what} = {quote(expression)} contains {word} that has no C equivalent; use SX operations")
     return found

@@ -1,4 +1,4 @@
-"""OCP -> Problem: what the user stated, classified and frozen."""
+"""OCP -> Problem: classify and freeze what the user stated."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from nmpc_codegen.frontend.statement import At, Element, Soft, StageName
 
 
 def classify(ocp: OCP) -> Problem:
-    """The frozen problem that ``ocp`` states now; the OCP may be changed and analysed again.
+    """Return the problem that ``ocp`` states at present; the OCP may be changed and classified again.
 
     Raises:
-        ProblemError: something is missing (state, control, derivative, cost), or a row constrains a given x_0.
+        ProblemError: a part is missing (state, control, derivative, cost), or a row constrains a measured x_0.
     """
     _require(ocp)
     rows, path_h, terminal_h = _classify_rows(ocp)
@@ -52,7 +52,7 @@ def classify(ocp: OCP) -> Problem:
 
 
 def _require(ocp: OCP) -> None:
-    """Refuse an OCP that lacks a part."""
+    """Raise ProblemError if a part of the OCP is missing or two of its declarations clash."""
     if not ocp.states:
         raise ProblemError(f"OCP '{ocp.name}' has no state; declare one with ocp.state(name)")
     if not ocp.controls:
@@ -76,7 +76,7 @@ def _require(ocp: OCP) -> None:
 
 
 def _no_macro_clash(what: str, names: list[str]) -> None:
-    """C spells enumerators in upper case, so names may not differ in case only."""
+    """Raise ProblemError if two names differ in case only: C enumerators are written in upper case."""
     seen: dict[str, str] = {}
     for name in names:
         key = c_identifier(name).upper()
@@ -101,11 +101,11 @@ def _moved(ocp: OCP, expressions: list[Any], x: Any, u: Any, p: Any) -> list[Any
 
 @dataclass(frozen=True, eq=False)
 class _Scalar:
-    """One stated scalar row, taken apart."""
+    """One scalar row of a statement."""
 
     name: str
     expression: Any
-    element: Element | None  # what it is, if it is a bare symbol
+    element: Element | None  # the state or control, if the expression is a bare symbol
     coupled: bool
     nodes: tuple[int, ...]
     lower: float
@@ -115,7 +115,7 @@ class _Scalar:
 
 
 def _classify_rows(ocp: OCP) -> tuple[tuple[Row, ...], list[Any], list[Any]]:
-    """Rows in the order of their statement, and the general rows of the path and of the terminal stage."""
+    """All rows in the order in which they were stated, and the general rows of the path and of the terminal stage."""
     scalars = [_take_apart(ocp, s, i) for s in ocp.statements for i in range(len(s.names))]
     bound_nodes = _simple_bounds(ocp, scalars)
     rows: list[Row] = []
@@ -162,7 +162,7 @@ def _take_apart(ocp: OCP, statement: Any, i: int) -> _Scalar:
 
 
 def _path_nodes(ocp: OCP, on_states: bool, free: bool) -> tuple[int, ...]:
-    """With a control: 0..N-1. States alone: 1..N, and 0 if one of them is free there."""
+    """Nodes of a path row: 0..N-1 if it contains a control, else 1..N, and 0 too if one of its states is free there."""
     if not on_states:
         return tuple(range(ocp.N))
     return tuple(range(0 if free else 1, ocp.N + 1))
@@ -180,10 +180,11 @@ def _nodes(ocp: OCP, at: At, path: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _simple_bounds(ocp: OCP, scalars: list[_Scalar]) -> dict[int, tuple[int, ...]]:
-    """Which scalars become simple bounds, and at which nodes.
+    """Position in ``scalars`` of every row that becomes a simple bound -> the nodes of the bound.
 
-    Controls: the first hard row over the whole path. States: path rows first, then the others as stated, each if its
-    nodes are still without a bound. A hard equality at the end takes node N away from the path row of its state.
+    For a control, the bound is the first hard row over the whole path. For a state, path rows are considered first,
+    then the others in the order of statement; a row becomes a bound if none of its nodes has one for this state yet.
+    A hard equality at the end replaces the path row of its state at node N.
     """
     bounds: dict[int, tuple[int, ...]] = {}
     controls: set[int] = set()
@@ -271,7 +272,7 @@ def _coupled(ocp: OCP) -> Any:
 
 
 def _control_reference(ocp: OCP) -> tuple[int, ...]:
-    """For every control the position in y of the first residual that is this very control, or -1."""
+    """For every control, the position in y of the first residual that is the bare control, or -1."""
     found = [-1] * ocp.u.numel()
     y = ca.vertcat(ca.SX(0, 1), *(r.y for r in ocp.residuals if r.stage == "path"))
     for i in range(y.numel()):

@@ -9,16 +9,18 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import integer, numbers, quote
 
-#: Intervals: the tables of one row at every node then fill a megabyte of C, and its solution takes milliseconds.
+#: Maximum number of intervals: the tables of one row at every node then take a megabyte of C source, and a solution
+#: takes milliseconds.
 MAX_INTERVALS = 10_000
-#: Lengths of an interval (s): dt^2 and 1 / dt^2 are normal numbers in single precision too.
+#: Allowed lengths of an interval (s): dt^2 and 1 / dt^2 are normal numbers even in single precision.
 SHORTEST, LONGEST = 1e-15, 1e15
-#: Longest over shortest interval: products of two lengths, in one Hessian, still differ by less than 1 / eps.
+#: Maximum ratio of the longest to the shortest interval: products of two lengths, which occur together in a Hessian,
+#: then differ by a factor less than 1 / eps.
 MAX_RATIO = 1e6
 
 
 def grid(name: str, T: Any, N: Any, intervals: Any) -> tuple[int, tuple[float, ...] | None]:
-    """Number of intervals and their lengths; None if only N was given."""
+    """Number of intervals and their lengths (s); the lengths are None if only N was given."""
     what = f"OCP '{name}'"
     if intervals is not None:
         return _stated(what, T, N, intervals)
@@ -36,7 +38,7 @@ def grid(name: str, T: Any, N: Any, intervals: Any) -> tuple[int, tuple[float, .
 
 
 def _stated(what: str, T: Any, N: Any, intervals: Any) -> tuple[int, tuple[float, ...]]:
-    """The grid of intervals=."""
+    """The grid that is given by intervals=."""
     if T is not None:
         raise ProblemError(f"{what}: give T or intervals, not both")
     dt = numbers(intervals, f"{what}: intervals")

@@ -1,4 +1,4 @@
-"""What the user writes: an optimal control problem as CasADi expressions with names. It knows no algorithm."""
+"""The user's description of an optimal control problem: named CasADi expressions, independent of any algorithm."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ class OCP:
 
     Args:
         name: C identifier of at most 60 characters; prefix of the generated C, and name of its files. Keywords,
-            standard headers (string, math), main, README and the like are refused in any case.
+            standard headers (string, math), main, README and the like are refused, in upper or lower case.
         T: length of the horizon (s), divided into N equal intervals.
-        N: number of intervals. Without T and intervals: a discrete map with dt = 1.
+        N: number of intervals. If neither T nor intervals is given, the dynamics are a discrete map with dt = 1.
         intervals: lengths of the intervals (s), instead of T.
 
     Raises:
-        ProblemError: the problem is stated wrongly; the message names the thing and what was expected.
+        ProblemError: the problem is stated wrongly; the message names the wrong input and what was expected.
     """
 
     def __init__(self, name: str, *, T: float | None = None, N: int | None = None, intervals: Any = None) -> None:
@@ -88,7 +88,7 @@ class OCP:
         self._unnamed = 0
 
     def __setattr__(self, attribute: str, value: Any) -> None:
-        """Refuse to assign what a call has stated, which the other statements rely on."""
+        """Refuse to assign public attributes, which the constructor and the methods set and later calls rely on."""
         if not attribute.startswith("_") and (attribute in self.__dict__ or hasattr(type(self), attribute)):
             raise ProblemError(
                 f"OCP '{self.name}': the attribute {attribute} cannot be assigned; "
@@ -98,7 +98,7 @@ class OCP:
 
     @property
     def discrete(self) -> bool | None:
-        """True if the dynamics are a discrete map, None before there are any."""
+        """True if the dynamics are a discrete map, None before the first call of dynamics()."""
         return self._discrete
 
     def __repr__(self) -> str:
@@ -108,11 +108,11 @@ class OCP:
     # Signals ---------------------------------------------------------------------------------------------------------
 
     def state(self, name: str, *, size: int | None = None, unit: str = "", initial: Any = 0.0) -> Any:
-        """Declare a state; returns its SX symbol, a scalar, or a column of ``size`` elements name[0], name[1], ...
+        """Declare a state; return its SX symbol, a scalar, or a column of ``size`` elements name[0], name[1], ...
 
-        A symbol, of a vector too, can be a key of a dictionary.
+        Symbols, including those of vectors, can be keys of a dictionary.
 
-        ``initial`` is the x_0 of --check, --simulate, main.c and the test vectors.
+        ``initial`` is the x_0 that --check, --simulate, main.c and the test vectors use.
         """
         symbol = self._declare("state", self.states, name, size, unit, initial, "initial")
         for which, kind in ((self._start, "start"), (self._end, "end")):
@@ -124,11 +124,11 @@ class OCP:
         return symbol
 
     def control(self, name: str, *, size: int | None = None, unit: str = "") -> Any:
-        """Declare a control; returns its SX symbol. Constant on every interval."""
+        """Declare a control, which is constant on every interval; return its SX symbol."""
         return self._declare("control", self.controls, name, size, unit, 0.0, "value")
 
     def parameter(self, name: str, *, value: Any = 0.0, size: int | None = None, unit: str = "") -> Any:
-        """Declare online data that can be changed at run time; returns its SX symbol."""
+        """Declare a parameter, which can be changed at run time; return its SX symbol."""
         return self._declare("parameter", self.parameters, name, size, unit, value, "value")
 
     @property
@@ -148,12 +148,12 @@ class OCP:
 
     @property
     def x_start(self) -> Any:
-        """The symbols of x_0 that at_start() puts in, SX (nx,)."""
+        """The symbols of x_0 that at_start() substitutes for the states, SX (nx,)."""
         return ca.vertcat(ca.SX(0, 1), *self._start)
 
     @property
     def x_end(self) -> Any:
-        """The symbols of x_N that at_end() puts in, SX (nx,)."""
+        """The symbols of x_N that at_end() substitutes for the states, SX (nx,)."""
         return ca.vertcat(ca.SX(0, 1), *self._end)
 
     def _declare(
@@ -233,7 +233,7 @@ class OCP:
         return given
 
     def _components(self, which: Any, what: str) -> list[int]:
-        """Positions in x that a state symbol, a column of state symbols, or a name stands for."""
+        """Positions in x of a state that is given by its symbol, a column of state symbols, or its name."""
         names = self._state_names()
         if isinstance(which, str):
             for d in self.states:
@@ -268,9 +268,9 @@ class OCP:
 
         Args:
             expr: y(x, u, p), column (ny,).
-            weight: W, symmetric positive semidefinite (ny, ny); a vector or scalar is its diagonal.
-            reference: (ny,) or scalar, zero unless given; can be changed at run time.
-            names: one name per element; default the symbol, else y_i.
+            weight: W, symmetric positive semidefinite (ny, ny); a vector or scalar gives its diagonal.
+            reference: (ny,) or scalar, zero by default; it can be changed at run time.
+            names: one name per element; by default the name of a bare symbol, else y_i.
             scale_with_dt: multiply the weight by the length of the interval.
         """
         self._residual("least_squares", expr, weight, reference, names, scale_with_dt, "path")
@@ -282,8 +282,8 @@ class OCP:
     def start_least_squares(self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None) -> None:
         """Add 1/2 (y - reference)' W (y - reference) at node 0, y(x, p); never scaled. See least_squares().
 
-        A cost on x_0 matters where components of x_0 are free (free_initial): an arrival cost. Its weight and reference
-        are fixed; what shall change at run time is a parameter.
+        A cost of x_0, e.g. an arrival cost, affects the solution only if components of x_0 are free (free_initial).
+        Its weight and reference are fixed; use parameters for data that change at run time.
         """
         self._residual("start_least_squares", expr, weight, reference, names, False, "start")
 
@@ -317,8 +317,8 @@ class OCP:
     def stage_cost(self, expr: Any, *, integrate: bool = False, scale_with_dt: bool = True) -> None:
         """Add a general cost l(x, u, p), a scalar.
 
-        At the nodes 0..N-1, multiplied by dt_k if ``scale_with_dt``; or, if ``integrate``, as the integral over every
-        interval by the Runge-Kutta scheme of the dynamics, which is never scaled again.
+        It is evaluated at the nodes 0..N-1 and multiplied by dt_k if ``scale_with_dt``. With ``integrate`` it is
+        integrated over every interval by the Runge-Kutta scheme of the dynamics instead, and not scaled again.
         """
         l = self._scalar(expr, "stage_cost", _NODE)  # noqa: E741
         integrate, scale = flag(integrate, "stage_cost: integrate"), flag(scale_with_dt, "stage_cost: scale_with_dt")
@@ -352,19 +352,20 @@ class OCP:
         soft: Any = None,
         name: str | None = None,
     ) -> None:
-        """Add the rows lower <= expr <= upper. All three are given.
+        """Add the rows lower <= expr <= upper. All three are required.
 
         Args:
-            lower: number, or one per row; -inf allowed; equal to upper: an equality.
-            upper: number, or one per row; +inf allowed.
+            lower: number, or one per row; -inf is allowed; lower = upper states an equality.
+            upper: number, or one per row; +inf is allowed.
             expr: h(x, u, p), column. Elements that are a bare state or control become simple bounds.
-            at: "path": with a control nodes 0..N-1, else 1..N (0 too for free states); "start": node 0; "end": node N;
-                or an iterable of nodes.
-            soft: (l1, l2): slack s >= 0 per side with cost l1 s + 1/2 l2 s^2.
-            name: default the symbol, else row_i; several rows are name[i]; at="start"/"end" appends _start/_end.
+            at: "path": nodes 0..N-1 for a row with a control, else 1..N (and 0 if one of its states is free there);
+                "start": node 0; "end": node N; or an iterable of nodes.
+            soft: (l1, l2): the row may be violated on either side by s >= 0, at the cost l1 s + 1/2 l2 s^2.
+            name: by default the name of a bare symbol, else row_i; several rows are called name[i]; at="start" and
+                at="end" append _start and _end.
 
-        A bare state or control that has a row of this name with the same ``at`` and ``soft`` gets no second one: the
-        bounds of its row become the intersection of both.
+        If a bare state or control already has a row of this name with the same ``at`` and ``soft``, no second row is
+        added: its bounds become the intersection of both.
         """
         what = f"subject_to {quote(name)}" if name is not None else "subject_to"
         _require_three(lower, expr, upper, what, "subject_to")
@@ -390,7 +391,7 @@ class OCP:
     ) -> None:
         """Add the coupled rows lower <= r(x_0, x_N) <= upper, e.g. periodicity: at_start(x) - at_end(x).
 
-        Arguments as in subject_to(); the expression is written with at_start() and at_end().
+        The arguments are those of subject_to(); the expression is written with at_start() and at_end().
         """
         what = f"boundary {quote(name)}" if name is not None else "boundary"
         _require_three(lower, expr, upper, what, "boundary")
@@ -404,11 +405,11 @@ class OCP:
         self._add_rows(lower, r, upper, None, soft, name, "", what)
 
     def at_start(self, expr: Any) -> Any:
-        """The expression in the states at node 0, for boundary()."""
+        """The expression evaluated at the states of node 0, for boundary()."""
         return ca.substitute(self._expression(expr, "at_start", ("state",)), self.x, self.x_start)
 
     def at_end(self, expr: Any) -> Any:
-        """The expression in the states at node N, for boundary()."""
+        """The expression evaluated at the states of node N, for boundary()."""
         return ca.substitute(self._expression(expr, "at_end", ("state",)), self.x, self.x_end)
 
     def _add_rows(
@@ -437,7 +438,7 @@ class OCP:
         self._unnamed += unnamed
 
     def _earlier(self, new: Statement, i: int) -> tuple[Statement, int] | None:
-        """The row of the same name on the same bare state or control, nodes and penalty; None if there is none."""
+        """The earlier row of the same name, bare state or control, nodes and penalty; None if there is none."""
         element = self._element(new.expression[i])
         for s in self.statements:
             if element is None or (s.at, s.soft) != (new.at, new.soft):
@@ -448,7 +449,7 @@ class OCP:
         return None
 
     def _row_names(self, h: Any, name: str | None, suffix: str, what: str) -> tuple[tuple[str, ...], int]:
-        """Names of the rows and how many of them are row_i."""
+        """Names of the rows, and how many of them are default names row_i."""
         n, unnamed = h.numel(), 0
         if name is not None:
             identifier(name, what)
@@ -465,7 +466,7 @@ class OCP:
         return tuple(f"{row}{suffix}" for row in names), unnamed
 
     def _refuse_clashes(self, names: list[str], what: str) -> None:
-        """Raise ProblemError if the name of a new row is taken."""
+        """Raise ProblemError if the name of a new row is already in use."""
         taken = {c_identifier(row).upper(): row for s in self.statements for row in s.names}
         for row in names:
             key = c_identifier(row).upper()
@@ -496,15 +497,15 @@ class OCP:
     # Initial state ---------------------------------------------------------------------------------------------------
 
     def free_initial(self, *states: Any) -> None:
-        """Components of x_0 that the solver chooses; xhat is their initial guess. Symbols or names."""
+        """Let the solver choose these components of x_0 (symbols or names); xhat is their initial guess."""
         self.free.update(self._listed(states, "free_initial"))
 
     def accumulator(self, *states: Any) -> None:
-        """States that are reset to 0 at every sample, e.g. running averages; their xhat is ignored."""
+        """Reset these states to 0 at every sample, e.g. running averages; their entries of xhat are ignored."""
         self.accumulators.update(self._listed(states, "accumulator"))
 
     def cyclic(self, *states: Any) -> None:
-        """States that grow forever, e.g. a position; left out of steady state, semidefinite program and LQR."""
+        """Mark states that grow without bound, e.g. a position; steady state, SDP and LQR leave them out."""
         self.cyclic_states.update(self._listed(states, "cyclic"))
 
     def _listed(self, states: tuple[Any, ...], what: str) -> list[int]:
@@ -515,7 +516,7 @@ class OCP:
     # Inspection of expressions ---------------------------------------------------------------------------------------
 
     def _expression(self, value: Any, what: str, kinds: tuple[Kind, ...]) -> Any:
-        """Checked dense SX column that contains only symbols of the given kinds."""
+        """A dense SX column; raise ProblemError unless it contains only symbols of the given kinds."""
         expression = column(value, what, self._symbols)
         for symbol in ca.symvar(expression):
             element = self._element(symbol)
@@ -531,7 +532,7 @@ class OCP:
         return expression
 
     def _element(self, scalar: Any) -> Element | None:
-        """What a bare symbol is; None for any other expression and for foreign symbols."""
+        """The Element of a bare symbol; None for any other expression and for symbols not declared here."""
         if not scalar.is_scalar() or not scalar.is_symbolic():
             return None
         return self._elements.get(scalar.element_hash())
@@ -545,16 +546,16 @@ class OCP:
 
 
 def _misplaced(element: Element, kinds: tuple[Kind, ...]) -> str:
-    """What is wrong with a symbol that does not belong into this expression."""
+    """Explain why this symbol is not allowed in an expression of the given kinds."""
     if element.kind in ("start", "end"):
-        return f"at_{element.kind}({element.name}), which belongs into boundary() only"
+        return f"at_{element.kind}({element.name}), which is allowed in boundary() only"
     if kinds == ("start", "end"):
         return f"the {element.kind} '{element.name}'; write at_start(...) or at_end(...) of states"
     return f"the {element.kind} '{element.name}'; only these may occur: {', '.join(kinds)}"
 
 
 def _require_three(lower: Any, expr: Any, upper: Any, what: str, method: str) -> None:
-    """Refuse a row that is written as a comparison, or lacks one of its three parts."""
+    """Raise ProblemError if a row is written as a comparison or one of its three parts is missing."""
     for part in (lower, expr, upper):
         call = row_call(part, method)
         if call:
@@ -584,7 +585,7 @@ _ELEMENT = re.compile(r"([^\[\]]*)(\[[0-9]+\])?")
 
 
 def _names(names: Any, size: int, what: str) -> list[str]:
-    """One name per element; a single string for several elements is name[i]."""
+    """One name per element; a single string names several elements name[i]."""
     if isinstance(names, str):
         names = [names] if size == 1 else [f"{names}[{i}]" for i in range(size)]
     if not isinstance(names, (list, tuple)) or len(names) != size:

@@ -1,11 +1,11 @@
-"""IR 1: what is to be solved. Frozen, validated, classified; knows no algorithm and no C.
+"""IR 1: the optimal control problem, frozen, validated and classified. It knows no algorithm and no C.
 
     min   l_0(x_0)  +  sum_{k<N} 1/2 |y_k - yref_k|^2_W  +  1/2 |y_N - yref_N|^2_{W_N}
     s.t.  x_0 = xhat,   x_{k+1} = Phi_k(x_k, u_k, p_k),
           lower <= h_k(x_k, u_k, p_k) <= upper   at the nodes of each row
 
-Start and terminal stage are Stages with nu = 0, so nothing exists in triplicate for start, path and terminal. The start
-stage has a cost alone, with fixed weights and references; its rows are those of the path at node 0.
+The start and terminal stages are Stages with nu = 0, so that start, path and terminal share one type. The start stage
+has only a cost, with fixed weights and references; the rows at node 0 belong to the path.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ def c_identifier(name: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What happens at a node: symbols, least-squares residual, general cost, general rows.
+    """The functions of a node: least-squares residual, general cost, general rows.
 
-    ``x`` (nx), ``u`` (nu, empty at the terminal stage), ``p`` (np), ``dt`` (scalar: length of the interval) are SX
-    symbols; all expressions are in them. ``scale_with_dt`` marks the residuals whose weight is multiplied by dt_k;
-    ``cost`` holds its dt already; ``cost_rate`` is a quadrature along the interval and is never scaled.
+    ``x`` (nx,), ``u`` (nu,), empty at the start and terminal stages, ``p`` (np,) and ``dt``, the length of the interval
+    (s), are SX symbols; all expressions are written in them. ``scale_with_dt`` marks the residuals whose weight is
+    multiplied by dt_k; ``cost`` includes its factor dt; ``cost_rate`` is integrated over the interval and never scaled.
     """
 
     x: Expression
@@ -71,7 +71,7 @@ class Stage:
 
     @property
     def diagonal_weight(self) -> bool:
-        """True if the weight is stored as its diagonal: it has no entry off it, and none can be set."""
+        """True if only the diagonal of the weight is stored: all other entries are zero and cannot be set."""
         return not self.dense_weight and bool(np.count_nonzero(self.weight - np.diag(np.diag(self.weight))) == 0)
 
 
@@ -79,11 +79,10 @@ class Stage:
 class Problem:
     """The whole optimal control problem, validated.
 
-    ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` are the N interval
+    ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` holds the N interval
     lengths (s). ``features`` names what the problem uses beyond the core ("soft rows", "coupled rows",
-    "free initial state", "general cost", "integrated cost", "accumulators"): a component that does not list a feature
-    refuses the problem. ``control_reference[j]`` is the position in y_path whose reference is the reference of
-    control j, or -1.
+    "free initial state", "general cost", "integrated cost", "accumulators"): a component that does not support one of
+    them refuses the problem. ``control_reference[j]`` is the position of control j in the path residual y, or -1.
     """
 
     name: str
@@ -102,8 +101,8 @@ class Problem:
     free_initial: tuple[int, ...]
     control_reference: tuple[int, ...]
     features: frozenset[str]
-    accumulators: tuple[int, ...] = ()  # positions in x that are reset to 0 at every sample
-    cyclic: tuple[int, ...] = ()  # positions in x that grow forever
+    accumulators: tuple[int, ...] = ()  # positions in x of states that are reset to 0 at every sample
+    cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
 
     @property
     def nx(self) -> int:
@@ -136,7 +135,7 @@ class Problem:
     def qp_rows(self) -> tuple[tuple[int, int, int, int], ...]:
         """(node, kind, index, row) of every row of the QP besides the control bounds, sorted by node.
 
-        kind 0: bound of a state, 1: general row, 2: coupled row, which stands at node N. ``row``: position in rows.
+        kind 0: bound of a state, 1: general row, 2: coupled row, assigned to node N. ``row``: position in rows.
         """
         kinds = {"state": 0, "general": 1, "coupled": 2}
         found = []

@@ -1,4 +1,4 @@
-"""What the calls of an OCP leave behind: declared signals, cost terms and rows, as stated."""
+"""Records of the calls of an OCP: declared signals, cost terms and rows, as stated."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Declared:
 
 @dataclass(frozen=True)
 class Element:
-    """One scalar symbol: what it is, its position in the stacked vector of its kind, its name."""
+    """One scalar symbol: its kind, its position in the stacked vector of that kind, its name."""
 
     kind: Kind
     index: int
@@ -33,7 +33,7 @@ class Element:
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """1/2 (y - reference)' weight (y - reference) at node 0, at every path node, or at the terminal node."""
+    """The cost 1/2 (y - reference)' weight (y - reference) at node 0, at every path node, or at the terminal node."""
 
     y: Any
     names: tuple[str, ...]
@@ -66,7 +66,11 @@ class Statement:
 
 
 def intersection(new: Statement, i: int, old: Statement, j: int, what: str) -> tuple[float, float]:
-    """Bounds that satisfy row i of the new and row j of the old statement, which are of the same name."""
+    """The intersection of the bounds of row i of ``new`` and row j of ``old``, two rows of the same name.
+
+    Raises:
+        ProblemError: the intersection is empty.
+    """
     lower, upper = max(new.lower[i], old.lower[j]), min(new.upper[i], old.upper[j])
     if lower > upper:
         raise ProblemError(

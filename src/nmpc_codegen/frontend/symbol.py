@@ -1,6 +1,6 @@
-"""The symbols that an OCP hands out: SX that can be keys of a dictionary, and comparisons that explain themselves.
+"""The symbols that an OCP returns: SX that can be keys of a dictionary, with comparisons that raise a clear error.
 
-Python sees a row written as a comparison before the OCP does: ``-1 <= p <= 1`` asks for the truth of ``-1 <= p``.
+Python evaluates a chained comparison before the OCP sees it: ``-1 <= p <= 1`` asks for the truth value of ``-1 <= p``.
 """
 
 from __future__ import annotations
@@ -16,26 +16,27 @@ COMPARISONS = {ca.OP_LE: "<=", ca.OP_LT: "<", ca.OP_EQ: "==", ca.OP_NE: "!="}
 
 
 class Comparison(ca.SX):
-    """The SX of ``p <= 1``; asked for its truth, it says how a row is stated."""
+    """The SX of ``p <= 1``; asking for its truth value raises a ProblemError that says how to state a row."""
 
     __hash__ = ca.SX.__hash__
 
     def __bool__(self) -> bool:
         try:
             return bool(super().__bool__())
-        except Exception as error:  # CasADi raises RuntimeError; a comparison of constants has a truth
+        except Exception as error:  # CasADi raises RuntimeError; a comparison of constants has a truth value
             first = self if self.is_scalar() else self[0]
             raise ProblemError(
-                f"the truth of {quote(first)} is not known before the problem is solved; state a row as "
+                f"the truth value of {quote(first)} is not known before the problem is solved; state a row as "
                 f"{row_call(self, 'subject_to') or 'subject_to(lower, expression, upper)'}, "
-                "both sides of it in one call, and a case as casadi.if_else(condition, then, otherwise)"
+                "with both bounds in one call, and a case distinction as casadi.if_else(condition, then, otherwise)"
             ) from error
 
 
 class Symbol(ca.SX):
-    """The SX symbol of a declared signal. It hashes by identity, so vectors are keys too; what is made of it is SX.
+    """The SX symbol of a declared signal. It hashes by identity, so that vectors can be keys of a dictionary too.
 
-    Dictionaries compare keys only if their hashes are equal, so two symbols are never compared symbolically there.
+    A dictionary compares keys only if their hashes are equal, so it never compares two symbols symbolically.
+    Expressions formed from a Symbol are plain SX.
     """
 
     __hash__ = object.__hash__
@@ -64,7 +65,7 @@ def is_comparison(expression: Any) -> bool:
 
 
 def row_call(expression: Any, method: str) -> str | None:
-    """The call lower, expression, upper that states a comparison as a row; None for what is no comparison."""
+    """The text of the call that states a comparison as a row; None if the expression is not a comparison."""
     if not isinstance(expression, ca.SX) or expression.numel() == 0 or not is_comparison(expression):
         return None
     first = ca.densify(expression)[0]

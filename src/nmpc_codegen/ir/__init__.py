@@ -1,1 +1,1 @@
-"""The languages between the stages of the compiler: kernels, sweeps, stage products, C nouns."""
+"""The intermediate representations of the compiler: kernels, sweeps, stage products, C modules."""

@@ -1,4 +1,4 @@
-"""The types of CasADi under one set of names: the only place that says which of its symbols are used."""
+"""Type aliases for CasADi objects, so that one place decides which of its symbolic types the compiler uses."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import casadi as ca
 #: A symbolic scalar, vector or matrix.
 Expression: TypeAlias = ca.SX
 
-#: A program from expressions to expressions.
+#: A function from expressions to expressions.
 Function: TypeAlias = ca.Function
 
-#: Where a matrix may have entries that are not zero.
+#: The sparsity pattern of a matrix.
 Sparsity: TypeAlias = ca.Sparsity
 
 
 def elements(matrix: Expression) -> list[Expression]:
-    """All entries, column by column; CasADi declares a type for them that it does not have."""
+    """All entries, column by column; the cast is needed because CasADi's stubs declare a type that does not exist."""
     return cast("list[Expression]", matrix.elements())
 
 

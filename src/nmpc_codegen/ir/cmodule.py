@@ -1,6 +1,6 @@
-"""IR 3: the C nouns. Every size and every C name of a package is decided here, once.
+"""IR 3: the C module. It holds every size and every C name of a package, once.
 
-Header, struct, initialisation, cffi declarations, README table and NumPy views all derive from the same Field.
+Header, struct, initialisation, cffi declarations, README table and NumPy views are all derived from the same Field.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from nmpc_codegen.runtime.package_description import Size as Size
 from nmpc_codegen.runtime.package_description import Struct as Struct
 from nmpc_codegen.runtime.status import Status
 
-#: What members of the solver are for, by their role.
+#: Purpose of the members of the solver struct, by role.
 WORK = "work"
 PURPOSES: Mapping[Role, str] = {
     "iterate": "plan",
     "setting": "settings",
-    "result": "what the last call found",
+    "result": "results of the last call",
 }
 
 # Bytes of the C types; "real" depends on the precision.
@@ -52,7 +52,7 @@ class Enum:
 
 @dataclass(frozen=True)
 class Table:
-    """``static const`` array in the .c; ``ctype`` "real" or "int"."""
+    """A ``static const`` array in the .c; ``ctype`` is "real" or "int"."""
 
     name: str
     ctype: str
@@ -64,8 +64,8 @@ class Table:
 class Setting:
     """Data that init() copies from the table of declared values into a member of the solver.
 
-    ``copies`` of ``entries`` numbers each: 1 or N for data of the path; 2 or N + 1, the last one terminal, for data of
-    all nodes; 1 for data of the terminal node alone.
+    The member holds ``copies`` blocks of ``entries`` numbers: 1 or N blocks for data of the path; 2 or N + 1 for data
+    of all nodes, where the last one is terminal; 1 for data of the terminal node alone.
     """
 
     field: Field
@@ -81,14 +81,17 @@ class Setting:
 
 @dataclass(frozen=True)
 class Setter:
-    """Functions that change one kind of data (a word of Online) at run time; ``nodes``: what k may be besides ALL."""
+    """Functions that change one kind of data (a field of Online) at run time.
+
+    ``nodes``: the values of the node k that are allowed besides ALL.
+    """
 
     option: Kind
     nodes: str
 
     @property
     def template(self) -> str:
-        """Their definitions."""
+        """Template of their definitions."""
         return f"settings/{self.option}.c.jinja"
 
     @property
@@ -99,7 +102,7 @@ class Setter:
 
 @dataclass(frozen=True)
 class Section:
-    """One section of the .c: its title, part, exact operation count (None: depends on data) and bytes of RAM."""
+    """One section of the .c: its title, template, exact operation count (None if it depends on data), bytes of RAM."""
 
     title: str
     template: str
@@ -109,7 +112,7 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class CModule:
-    """Everything the templates print; no decision is left to them."""
+    """Everything that the templates print; they take no decisions."""
 
     description: PackageDescription
     macros: tuple[Macro, ...]
@@ -119,17 +122,17 @@ class CModule:
     setters: tuple[Setter, ...]
     routines: tuple[Routine, ...]
     products: Products
-    core_parts: tuple[str, ...]  # parts that the algorithm takes of the core
-    switches: Mapping[str, int]  # what `#if` in the parts may test besides the sizes
+    core_parts: tuple[str, ...]  # templates of the core that the algorithm uses
+    switches: Mapping[str, int]  # names that `#if` in the parts may test besides the sizes
     sections: tuple[Section, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
     diagonal_weight: bool
     diagonal_weight_N: bool
-    foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text of code that another generator writes
+    foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 
     @property
     def name(self) -> str:
-        """Prefix of functions and types, stem of the files."""
+        """Prefix of functions and types, and stem of the files."""
         return self.description.name
 
     @property
@@ -139,7 +142,7 @@ class CModule:
 
     @property
     def structs(self) -> tuple[Struct, ...]:
-        """A struct stands after those that it holds, "solver" last."""
+        """All structs; each one follows the structs that it contains, and "solver" is last."""
         return self.description.structs
 
     @property
@@ -152,22 +155,22 @@ class CModule:
 
     @property
     def core_products(self) -> tuple[str, ...]:
-        """The generated file of the stage products, if the algorithm takes them."""
+        """The generated file of the stage products, if the algorithm uses them."""
         return ("generated/products.c",) if self.switches["PRODUCTS"] else ()
 
     @property
     def entry_points(self) -> tuple[EntryPoint, ...]:
-        """What the algorithm offers."""
+        """The C functions of the algorithm."""
         return self.description.entry_points
 
     @property
     def layouts(self) -> Layouts:
-        """How what can be changed at run time is stored."""
+        """How the data that can be changed at run time are stored."""
         return self.description.online
 
     @property
     def statuses(self) -> tuple[Status, ...]:
-        """What its functions return, in the order of their values."""
+        """The status codes that its functions return, in the order of their values."""
         return tuple(Status)
 
     @property
@@ -185,12 +188,12 @@ class CModule:
         return self.description.sizes[macro]
 
     def table(self, name: str) -> Table:
-        """The table of that name."""
+        """The table with the given name."""
         return next(t for t in self.tables if t.name == name)
 
     @property
     def sizes(self) -> Mapping[str, int]:
-        """What `#if` in the parts may test: the size macros and the switches."""
+        """Names that `#if` in the parts may test, the size macros and the switches, with their values."""
         return {**{m.name: m.value for m in self.macros}, **self.switches}
 
     @property
@@ -214,7 +217,7 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
     return layout
 
 
-#: Prefixes whose API would bear the name of an internal function: integrator_step, path_cost, qp_init, ...
+#: Package names with which an API function would get the name of an internal one: integrator_step, path_cost, qp_init.
 TAKEN_PREFIXES = (
     "adjoint",
     "algorithm",
@@ -241,7 +244,7 @@ TAKEN_PREFIXES = (
 
 
 def check_prefix(name: str) -> None:
-    """A package name is fit for files, in lower case, and no prefix of internal functions."""
+    """Raise ProblemError unless the package name is valid for files, in lower case, and free of name clashes in C."""
     check_package_name(name, "name")
     if name in TAKEN_PREFIXES:
         raise ProblemError(f"name {name!r}: taken by functions of the package itself; choose another")

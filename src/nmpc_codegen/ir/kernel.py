@@ -1,7 +1,7 @@
 """Kernels: straight-line programs lifted from CasADi SX Functions, with exact operation counts.
 
-lift() is the only way from CasADi to C. One table says for every CasADi opcode how it is spelled in C and in which
-class it is counted; an opcode that is not in the table is an error that names it.
+lift() is the only way from CasADi to C. One table gives the C spelling and the count class of every CasADi opcode; an
+opcode that is not in the table raises an error that names it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from nmpc_codegen.runtime.package_description import OpCount as OpCount
 
 @dataclass(frozen=True)
 class Operation:
-    """How one CasADi opcode is spelled and counted: ``c`` has {0} and {1}, ``function`` names one of math.h."""
+    """C spelling ``c`` of a CasADi opcode, with operands {0} and {1}, and its count class.
+
+    ``function`` names the function of math.h that it calls, if any.
+    """
 
     c: str
     count: str
@@ -113,7 +116,7 @@ class Port:
 
 @dataclass(frozen=True)
 class Instruction:
-    """value[i] = op(value[args]); opcode OP_CONST holds ``constant``, OP_INPUT ``args`` = (port, element)."""
+    """value[i] = op(value[args]); for OP_CONST it is ``constant``, for OP_INPUT ``args`` is (port, element)."""
 
     opcode: int
     args: tuple[int, ...]
@@ -124,8 +127,8 @@ class Instruction:
 class Kernel:
     """A straight-line C function: all inputs are loaded before the first store, so outputs may alias inputs.
 
-    ``stores`` are (output port, row-major element, value index) of the structural nonzeros; structurally zero elements
-    of an output are never written, their memory must hold zeros.
+    ``stores`` lists (output port, row-major element, value index) of the structural nonzeros. Structurally zero
+    elements are never written, so the memory of an output must hold zeros there.
     """
 
     name: str
@@ -152,18 +155,18 @@ class Kernel:
 
     @property
     def reads(self) -> tuple[Port, ...]:
-        """The inputs that it loads from: the ones that its C function takes."""
+        """The inputs that it loads from; only these are parameters of its C function."""
         used = {ins.args[0] for ins in self.instructions if ins.opcode == ca.OP_INPUT}
         return tuple(p for i, p in enumerate(self.inputs) if i in used)
 
     @property
     def writes(self) -> tuple[Port, ...]:
-        """The outputs that it stores to; none: it computes nothing and is not printed."""
+        """The outputs that it stores to; a kernel without any computes nothing and is not printed."""
         stored = {o for o, _, _ in self.stores}
         return tuple(p for o, p in enumerate(self.outputs) if o in stored)
 
     def nonzero_values(self, inputs: Sequence[Sequence[bool]]) -> list[bool]:
-        """Which values are not structurally zero, given which input elements are not."""
+        """For every value, False if it is structurally zero; ``inputs`` holds these marks for all input elements."""
         marks: list[bool] = []
         for ins in self.instructions:
             if ins.opcode == ca.OP_INPUT:
@@ -179,7 +182,7 @@ class Kernel:
         return marks
 
     def with_zeros(self, port: str, entries: Sequence[tuple[int, int]]) -> Kernel:
-        """The same kernel, storing zeros in those of the (row, column) entries of an output that it does not write."""
+        """This kernel with stores of zero to those (row, column) ``entries`` of an output that it does not write."""
         output = next(i for i, p in enumerate(self.outputs) if p.name == port)
         written = {e for o, e, _ in self.stores if o == output}
         missing = [r * self.outputs[output].cols + c for r, c in entries]
@@ -193,7 +196,7 @@ class Kernel:
 
 
 class _ValueNumbering:
-    """Gives equal expressions one number; commutative operands are sorted first."""
+    """Gives equal expressions the same number; commutative operands are sorted first."""
 
     def __init__(self) -> None:
         self.instructions: list[Instruction] = []
@@ -212,7 +215,10 @@ def lift(function: Function, name: str, doc: str, inputs: Sequence[Port], output
     """Lift a CasADi SX Function into a Kernel.
 
     The function takes one dense vector per input port and returns one vector or matrix per output port, of the port's
-    rows x cols (cols = 0: a column). Raises ProblemError for an operation that has no C, naming it.
+    rows x cols (cols = 0: a column).
+
+    Raises:
+        ProblemError: an operation has no C spelling, or a constant is not finite.
     """
     for number, port in enumerate(inputs):
         assert not port.cols, f"{name}: input {port.name} is a matrix"
@@ -252,9 +258,9 @@ def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
 def _reciprocals(
     instructions: Sequence[Instruction], stores: Sequence[tuple[int, int, int]]
 ) -> tuple[list[Instruction], list[tuple[int, int, int]]]:
-    """Divisions by a constant, and by a value that is divided by more than once, become products with its reciprocal.
+    """Replace divisions by constants, and by values that are divisors more than once, by products with reciprocals.
 
-    A division takes as long as ten products; derivatives of a quotient have several by one denominator.
+    A division takes as long as ten products; derivatives of a quotient contain several by the same denominator.
     """
     divisors: dict[int, int] = {}
     for ins in instructions:
@@ -281,7 +287,7 @@ def _reciprocals(
 def _live(
     instructions: Sequence[Instruction], stores: Sequence[tuple[int, int, int]]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
-    """Drop values that no output needs and number the rest anew."""
+    """Drop values that no output needs and renumber the rest."""
     live = [False] * len(instructions)
     for _, _, value in stores:
         live[value] = True

@@ -1,4 +1,4 @@
-"""The functions that a package evaluates, lifted from CasADi, by what they are for; operation counts hang on them."""
+"""The functions that a package evaluates, lifted from CasADi and grouped by purpose; they have operation counts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Interval:
     """The dynamics between two nodes.
 
     linearize: (x, u, p, dt) -> x_next, S = d x_next / d(x, u); step: (x, u, p, h) -> x_next, one integration step;
-    curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians that need second derivatives of them.
+    curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians with second derivatives of the dynamics.
     """
 
     linearize: Routine
@@ -28,7 +28,7 @@ class Interval:
 class Block:
     """The Hessian block Q of a stage: its nonzeros (lower triangle), and the routine that fills it.
 
-    ``hessian`` is None if the block comes with the interval; ``curvature``: sum_i mu_i d2 h_i where it is added apart.
+    ``hessian`` is None if Interval.curved computes the block; ``curvature``: sum_i mu_i d2 h_i if added separately.
     """
 
     Q: Pattern = frozenset()
@@ -40,7 +40,7 @@ class Block:
 class StageModel:
     """Cost and rows of a stage: l, g = dl / dz, h and dh / dz, and the Hessian block if there is a Hessian.
 
-    ``integrated``: the cost has an integral along the interval.
+    ``integrated``: the cost contains an integral over the interval.
     """
 
     cost: Routine
@@ -56,20 +56,21 @@ class StageModel:
 
     @property
     def hessian(self) -> Routine | None:
-        """The Hessian block where it is evaluated by itself."""
+        """The routine of the Hessian block, if it is evaluated separately from the dynamics."""
         return self.block.hessian
 
     @property
     def curvature(self) -> Routine | None:
-        """The curvature of the rows where it is added apart."""
+        """The routine of the curvature of the rows, if it is added separately."""
         return self.block.curvature
 
 
 @dataclass(frozen=True, eq=False)
 class HessianModel:
-    """What a Hessian contributes: the blocks of the stages.
+    """The Hessian blocks of all stages.
 
-    ``start`` is added to the first path block; ``initial``: what coupled rows add to it; ``curved``: see Interval.
+    ``start``, the block of the start cost, and ``initial``, that of the coupled rows, are added to the first path
+    block; ``curved``: see Interval.
     """
 
     start: Routine | None
@@ -83,8 +84,8 @@ class HessianModel:
 class ModelFunctions:
     """All functions of a package that are lifted from CasADi.
 
-    ``start``: the cost at node 0 besides that of the path; its Hessian block is added to the first one of the path, as
-    is ``initial``, that of coupled rows; ``coupled``: r(x_0, x_N) and its Jacobians.
+    ``start``: the cost of node 0 in addition to that of the path. Its Hessian block and ``initial``, that of the
+    coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians.
     """
 
     interval: Interval
@@ -96,7 +97,7 @@ class ModelFunctions:
 
     @property
     def routines(self) -> tuple[Routine, ...]:
-        """In the order in which C has them: of nodes before those that integrate, rows last."""
+        """All routines in the order of the C text: functions of nodes before those that integrate, rows last."""
         path, terminal = self.path, self.terminal
         cost = (path.cost, path.gradient)
         at_nodes, along_intervals = ((), cost) if path.integrated else (cost, ())
@@ -113,7 +114,7 @@ class ModelFunctions:
 
     @cached_property
     def products(self) -> Products:
-        """Products with the stage matrices; their patterns are what the routines store."""
+        """Products with the stage matrices; the patterns are the elements that the routines store."""
         S = self.interval.linearize.outputs[-1]
         return Products(S.rows, S.cols - S.rows, pattern(self.interval.linearize, "S"), self.path.Q, self.terminal.Q)
 
@@ -123,5 +124,5 @@ def _present(*routines: Routine | None) -> Iterator[Routine]:
 
 
 def operations(*routines: Routine | None) -> OpCount:
-    """Operations of one run of each of the routines that there are."""
+    """Operations of one run of each routine; None is skipped."""
     return sum((routine.count for routine in _present(*routines)), OpCount())

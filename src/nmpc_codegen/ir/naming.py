@@ -1,4 +1,4 @@
-"""Names that a package may bear: what its files are called and what its C names begin with."""
+"""Allowed names of a package: the name is the stem of its files and the prefix of its C names."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _HEADERS = """
     alloca byteswap dirent endian features fcntl glob libintl malloc memory poll pthread regex sched search semaphore
     strings syslog termios unistd values windows intrin immintrin arm_acle arm_neon arm_math cmsis_gcc python"""
 
-#: <name>.h would stand before a header of the C library, the system or the processor.
+#: <name>.h would hide a header of the C library, the system or the processor.
 HEADERS = frozenset(_HEADERS.split())
 
-#: Files and folders that stand beside <name>.c, or are made of it when it is compiled.
+#: Files and folders next to <name>.c, and those that a build creates.
 NEIGHBOURS = frozenset({"main", "readme", "cmakelists", "makefile", "license", "osqp", "wrapper"})
 
 #: Windows opens a device instead of <name>.c.
@@ -36,11 +36,11 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def check_package_name(name: object, what: str) -> None:
-    """Refuse a name whose files would hide or replace others, on any file system, whatever its case.
+    """Refuse a name whose files would hide or replace others; case is ignored, as some file systems ignore it.
 
     Raises:
-        ProblemError: no string; no ASCII identifier of at most 60 characters; a keyword of C or C++, a header, a file
-            that stands beside the package's, or a device.
+        ProblemError: the name is not a string, not an ASCII identifier of at most 60 characters, or it is a keyword of
+            C or C++, a header, a file next to the package's, or a device.
     """
     if not isinstance(name, str):
         raise ProblemError(f"{what}: {name!r}; expected a string")

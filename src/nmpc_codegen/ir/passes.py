@@ -1,6 +1,6 @@
 """Passes on sweeps: fuse or expand the loops over steps, fix or shift the step of a node.
 
-A loop over steps has the index ``step``; what belongs to one step is at an offset that is linear in it.
+A loop over steps has the index ``step``; the data of one step are at an offset that is linear in it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def copy(name: str, n: int) -> Function:
 
 
 def fuse_steps(sweep: Sweep) -> Sweep:
-    """The same with the body of every loop over steps unrolled into a leaf of its own."""
+    """The sweep with the body of every loop over steps unrolled into one leaf."""
     sizes = dict(sweep.locals) | {p.name: p.size for p in (*sweep.inputs, *sweep.outputs)}
     users = [_slices(node) for node in sweep.body]
     body: list[Node] = []
@@ -37,14 +37,14 @@ def fuse_steps(sweep: Sweep) -> Sweep:
 
 
 def _slices(node: Node) -> list[tuple[Slice, bool]]:
-    """(slice, written) of all calls of a node, in their order."""
+    """(slice, written) of all calls of a node, in the order of execution."""
     if not isinstance(node, Call):
         return [found for inner in node.body for found in _slices(inner)]
     return [(s, False) for s in node.ins] + [(s, True) for s in node.outs]
 
 
 def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: dict[str, int], number: int) -> Call:
-    """One pass of the loop as a leaf on what the rest of the sweep sees: whole buffers, or their part of a step."""
+    """One iteration of the loop as a leaf on the buffers that are visible outside, whole or their part of a step."""
     written = dict.fromkeys(s.buffer for s, out in own if out)
     first: dict[str, bool] = {}
     for s, out in own:
@@ -68,7 +68,7 @@ def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: di
 
 
 def expand_steps(sweep: Sweep) -> Sweep:
-    """The same with loops over steps written out and every leaf printed in its place; loops over columns stay."""
+    """The sweep with loops over steps unrolled and every leaf printed inline; loops over columns remain."""
     body: list[Node] = []
     for node in sweep.body:
         if isinstance(node, For) and node.index == "step":
@@ -84,7 +84,7 @@ def _at_step(node: Node, step: int) -> Node:
 
 
 def fixed(node: Node, step: int, inline: bool = False) -> Node:
-    """The node at one step; ``inline`` prints all of its leaves in their place."""
+    """The node at one step; ``inline`` prints all of its leaves inline."""
 
     def at(s: Slice) -> Slice:
         terms = tuple(t for t in s.offset.terms if t[0] != "step")
@@ -95,7 +95,7 @@ def fixed(node: Node, step: int, inline: bool = False) -> Node:
 
 
 def shifted(node: Node, by: int) -> Node:
-    """The node as it is ``by`` steps later."""
+    """The node with all offsets moved forward ``by`` steps."""
 
     def later(s: Slice) -> Slice:
         constant = s.offset.constant + by * dict(s.offset.terms).get("step", 0)

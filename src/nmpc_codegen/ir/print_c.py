@@ -1,4 +1,4 @@
-"""Prints Kernels and numbers as C, in the working precision."""
+"""Print kernels and numbers as C, in the working precision."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CStyle:
-    """Spelling of types, literals and functions: ``real`` is the typedef, ``single`` picks 0.5F and sinf."""
+    """Spelling of types, literals and functions: ``real`` is the typedef, ``single`` selects 0.5F and sinf."""
 
     real: str
     single: bool
@@ -50,7 +50,7 @@ def comment(doc: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], extra
 
 
 def print_kernel(kernel: Kernel, style: CStyle) -> str:
-    """The whole C function; it takes the ports that it reads or writes, no others."""
+    """The whole C function; its parameters are the ports that it reads or writes."""
     count = ", ".join(f"{v} {k}" for k, v in kernel.count.as_dict().items() if v) or "no operations"
     lines = [comment(kernel.doc, kernel.reads, kernel.writes, count)]
     lines += [signature(kernel.name, kernel.reads, kernel.writes, style), "{"]
@@ -94,10 +94,10 @@ def _expression(ins: Instruction, names: Sequence[str] | Mapping[int, str], styl
 
 
 class Expressions:
-    """A kernel as nested expressions: what is used once stands where it is used.
+    """A kernel as nested expressions: a value that is used once is printed where it is used.
 
     Attributes:
-        statements: constants ``t<n>`` of the values that are used more than once.
+        statements: definitions of constants ``t<n>`` for the values that are used more than once.
     """
 
     def __init__(self, kernel: Kernel, style: CStyle, load: Callable[[int, int], str]) -> None:
@@ -135,7 +135,7 @@ class Expressions:
         return _expression(self._in_order(ins), operands, self._style)
 
     def _in_order(self, ins: Instruction) -> Instruction:
-        """Loads that may be exchanged stand in the order of the inputs."""
+        """Sort the operands of a commutative operation on loads in the order of the inputs."""
         loads = [self._kernel.instructions[a] for a in ins.args]
         if not OPERATIONS[ins.opcode].commutative or any(load.opcode != ca.OP_INPUT for load in loads):
             return ins
@@ -147,7 +147,7 @@ _PRODUCTS = (ca.OP_MUL, ca.OP_SQ, ca.OP_DIV)
 
 
 def _uses(kernel: Kernel) -> list[int]:
-    """How often the text of a kernel would have every value."""
+    """Number of occurrences of every value in the text of a kernel."""
     uses = [0] * len(kernel.instructions)
     for ins in kernel.instructions:
         if ins.opcode in OPERATIONS:

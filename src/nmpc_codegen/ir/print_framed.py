@@ -1,8 +1,8 @@
-"""Prints sweeps whose buffers are members of structs: one C function that names them where they stand.
+"""Print sweeps whose buffers are members of structs: one C function that accesses the members directly.
 
-Every leaf is printed in its place, as nested expressions. What it stores may be what it reads, so either all loads or
-all results get a name first: loads in a loop, those that are the same in all of its runs in front of it; results
-elsewhere. A direct call needs neither.
+Every leaf is printed inline, as nested expressions. Its outputs may alias its inputs, so either all loads or all
+results are first held in named constants: in a loop the loads, with loop-invariant ones in front of it; elsewhere the
+results. A direct call needs neither.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.print_c import CStyle, Expressions
 from nmpc_codegen.ir.sweep import Affine, Block, Call, Entries, For, Frame, If, LoopedRoutine, Node, Slice, calls
 
-#: Columns of a line.
+#: Maximum length of a line.
 WIDTH = 120
 
-#: Text of a load -> name of the constant that has it.
+#: Text of a load -> name of the constant that holds it.
 Names = dict[str, str]
 
 
@@ -35,7 +35,7 @@ def print_framed(routine: LoopedRoutine, style: CStyle) -> str:
 
 
 def call(routine: LoopedRoutine, style: CStyle) -> tuple[tuple[str, ...], str]:
-    """Names of all parameters of a product, and its call with those of them that it reads or writes."""
+    """Names of all parameters of a product, and the text of its call, which passes those that it reads or writes."""
     frame = routine.sweep.frame
     assert frame is not None
     names = tuple(named(frame))
@@ -60,7 +60,7 @@ def _names(lines: list[str]) -> set[str]:
 
 
 def _declarations(routine: LoopedRoutine, frame: Frame, style: CStyle) -> list[str]:
-    """Local arrays; scalars are declared where they get their first value."""
+    """Declarations of the local arrays; scalars are declared at their first assignment."""
     arrays = [frame.places[name] for name, _ in routine.sweep.locals if name in routine.touched]
     return [f"    {style.real} {a.text}{''.join(f'[{n}]' for n in a.shape)};" for a in arrays if a.shape]
 
@@ -73,7 +73,7 @@ class _Printer:
         self._stored = {s.buffer for call in calls(routine.sweep.body) for s in call.outs}
 
     def block(self, nodes: tuple[Node, ...], indent: str, names: Names, scalars: set[str]) -> list[str]:
-        """The statements of a block; what it declares is known to the end of it."""
+        """The statements of a block; its declarations are in scope until its end."""
         names, scalars = dict(names), set(scalars)
         lines: list[str] = []
         for node in nodes:
@@ -84,7 +84,7 @@ class _Printer:
         return lines
 
     def _nested(self, node: Block, indent: str, names: Names, scalars: set[str]) -> list[str]:
-        """A loop or condition, after the loads that are the same in all runs of an innermost loop."""
+        """A loop or condition; an innermost loop is preceded by its loop-invariant loads."""
         inner, lines = indent + "    ", []
         if isinstance(node, For) and len(node.body) == 1 and isinstance(node.body[0], Call):
             call = node.body[0]
@@ -100,7 +100,7 @@ class _Printer:
         return self._stores(call, indent, names, scalars, not call.direct)
 
     def _loads(self, call: Call, indent: str, names: Names, index: str | None) -> list[str]:
-        """Constants with loads: those that do not depend on a loop index and are never stored, or all."""
+        """Constants that hold loads: all of them, or, given a loop ``index``, those that the loop does not change."""
         lines: list[str] = []
         for port, element in sorted(_loaded(self._leaves[call.leaf.name()])):
             s = call.ins[port]
@@ -112,7 +112,7 @@ class _Printer:
         return lines
 
     def _stores(self, call: Call, indent: str, names: Names, scalars: set[str], named: bool) -> list[str]:
-        """What the leaf computes; ``named``: constants first, which are stored when all are known."""
+        """Statements that compute and store the results; ``named``: all are computed as constants before any store."""
         kernel = self._leaves[call.leaf.name()]
 
         def load(port: int, element: int) -> str:
@@ -145,11 +145,11 @@ class _Printer:
         along = tuple((i, c // columns) for i, c in s.offset.terms if c % columns == 0)
         across = tuple((i, c) for i, c in s.offset.terms if c % columns)
         row, column = divmod(constant, columns)
-        column = constant if row == 0 else column  # with its name, if it has one
+        column = constant if row == 0 else column  # a Size keeps its macro name
         return f"{place.text}[{Affine(row, along).c()}][{Affine(column, across).c()}]"
 
     def _name(self, s: Slice, element: int) -> str:
-        """Name of a constant that has the element."""
+        """Name of the constant that holds the element."""
         place = self._places[s.buffer]
         if len(place.shape) == 2 and not s.offset.terms:
             return "_".join(map(str, (s.buffer, *divmod(s.offset.constant + s.stride * element, int(place.shape[1])))))
@@ -177,7 +177,7 @@ def _bindings(node: Entries) -> str:
 
 
 def _wrapped(indent: str, line: str) -> list[str]:
-    """The statement in lines of WIDTH columns, broken in front of a plus."""
+    """The statement in lines of at most WIDTH columns, broken in front of plus signs."""
     glued = re.sub(r" (?!\+ )", "\0", line)
     lines = wrap(
         glued,

@@ -1,4 +1,4 @@
-"""Prints routines as C: one function, preceded by its leaves where it is looped."""
+"""Print routines as C: one function, preceded by its leaves if it contains loops."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _head(loop: For) -> str:
 
 
 def _print_call(call: Call, routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:
-    """A call of a static leaf; a leaf on strided slices is written out, so that the loop around it vectorises."""
+    """A call of a static leaf; a leaf on strided slices is printed inline, so that the loop around it vectorises."""
     kernel = routine.leaves[call.leaf.name()]
     if not call.written_out:
         arguments = (f"&{s.buffer}[{s.offset.c()}]" for s in passed(call, kernel))

@@ -1,6 +1,6 @@
-"""The products with the stage matrices as C functions: names, formulas, parameters, and where their operands stand.
+"""The products with the stage matrices as C functions: names, formulas, parameters, and places of their operands.
 
-z = (dx, du), S = [A B], Q and Q_N lower triangles; G, W, T: panels of columns of the sensitivities and adjoints.
+z = (dx, du), S = [A B]; Q and Q_N are lower triangles; G, W, T are panels of columns of sensitivities and adjoints.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from dataclasses import dataclass, field
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, Node, Place, Size, Sweep, looped
 
-# Columns of a dense matrix that are processed together; leading dimensions are rounded up to it.
+# Number of columns of a dense matrix that are processed together; leading dimensions are rounded up to a multiple.
 PANEL = 4
 
-# Columns of G_k that condensing processes together: more than PANEL, so that S and Q are loaded less often.
+# Number of columns of G_k that condensing processes together: more than PANEL, so that S and Q are loaded less often.
 COLUMNS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Interface:
-    """What a product is in C: its name, formula, parameters, and where its buffers stand."""
+    """A product as a C function: its name, formula, parameters, and the places of its buffers."""
 
     name: str
     doc: str
@@ -33,7 +33,7 @@ class Interface:
     locals: Mapping[str, Place] = field(default_factory=dict)
 
     def routine(self, *body: Node) -> LoopedRoutine:
-        """The product with its statements."""
+        """The product with ``body`` as its statements."""
         frame = Frame(self.parameters, {**self.places, **self.locals}, self.inline)
         ports = {name: Port(name, math.prod(place.shape)) for name, place in self.places.items()}
         inputs, outputs = (tuple(ports[name] for name in names) for names in (self.inputs, self.outputs))
@@ -42,7 +42,7 @@ class Interface:
 
 
 class Interfaces:
-    """Those of all products, for given numbers of states and controls."""
+    """The interfaces of all products, for given numbers of states and controls."""
 
     def __init__(self, nx: int, nu: int) -> None:
         self.nx, self.nu, self.nz = Size(nx, "NX"), Size(nu, "NU"), Size(nx + nu, "NZ")

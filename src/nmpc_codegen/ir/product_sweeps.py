@@ -1,4 +1,4 @@
-"""The products with the stage matrices as sweeps: written out over structural nonzeros, or dense loops."""
+"""The products with the stage matrices as sweeps: straight-line code over structural nonzeros, or loops."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Pattern = frozenset[tuple[int, int]]
 #: (stored row, stored column, j) of a nonzero (i, j) of a symmetric matrix.
 Entry = tuple[int, int, int]
 
-# So many products are added up before their sum goes to the total of a row.
+# Number of products that are summed before the sum is added to the total of a row.
 TERMS = 4
 
 
 class StageSweeps(Protocol):
-    """One spelling of all products; vectors first, then those with a panel of columns."""
+    """One implementation of all products: first those with a vector, then those with a panel of columns."""
 
     def state_step(self) -> LoopedRoutine: ...
     def adjoint_step(self) -> LoopedRoutine: ...
@@ -33,7 +33,7 @@ class StageSweeps(Protocol):
 
 
 def entries(lower: Pattern, i: int) -> list[Entry]:
-    """The nonzeros in row i of a symmetric matrix that is kept as its lower triangle, by column."""
+    """The nonzeros in row i of a symmetric matrix that is stored as its lower triangle, sorted by column."""
     found = [(r, c, c) for r, c in lower if r == i] + [(r, c, r) for r, c in lower if c == i and r != i]
     return sorted(found, key=lambda e: e[2])
 
@@ -90,7 +90,7 @@ class WrittenOut:
 
 
 class _Operands:
-    """Symbols of the operands of a product: matrices by row and column, of a panel one column."""
+    """Symbols of the operands of a product; a panel is represented by one of its columns."""
 
     def __init__(self, interface: Interface, panel: bool = False) -> None:
         self._interface, self._panel = interface, panel
@@ -103,12 +103,12 @@ class _Operands:
         return ca.reshape(symbol, int(shape[1]), int(shape[0])).T
 
     def vectors(self, rows: list[Expression], direct: bool = False) -> LoopedRoutine:
-        """The product that yields these rows, inline."""
+        """The product with these rows as its result, as an inline function."""
         (name,) = self._interface.outputs
         return replace(self._interface, inline=True).routine(self._call({name: rows}, direct))
 
     def columns(self, rows: dict[str, list[Expression]], direct: bool = False) -> LoopedRoutine:
-        """The product that yields these rows of every column of a panel."""
+        """The product with these rows as its result for every column of a panel."""
         return self._interface.routine(For("l", 0, Size(COLUMNS, "COLUMNS"), (self._call(rows, direct),)))
 
     def _call(self, rows: dict[str, list[Expression]], direct: bool) -> Call:
@@ -143,7 +143,7 @@ class Loops:
 
     @property
     def tables(self) -> dict[str, list[int]]:
-        """Structural nonzeros (row, column) of Q and Q_N, if they have any: C name -> values."""
+        """Rows and columns of the structural nonzeros of Q and Q_N, if they have any: C name -> values."""
         named = {"Q": self.Q, "Q_N": self.Q_N}
         of = {name: entries for name, entries in named.items() if entries}
         return {f"{n}_{part}": [e[i] for e in of[n]] for n in of for i, part in enumerate(("row", "column"))}
@@ -224,7 +224,7 @@ class Loops:
     def _symmetric(
         self, matrix: str, ld: int, first: int, last: int, out: str, factor: str, panel: bool = False
     ) -> list[Node]:
-        """out += Q factor, a symmetric Q, over the nonzeros (a, b) of its lower triangle from the first to the last."""
+        """out += Q factor for a symmetric Q, over the nonzeros (a, b) first .. last - 1 of its lower triangle."""
         value = _at("Q", a=ld, b=1)
 
         def product(row: str, column: str) -> Node:
@@ -237,7 +237,7 @@ class Loops:
         return self._entries(matrix, first, last, body)
 
     def _mixed(self, first: int) -> list[Node]:
-        """T += the rows of Q of the controls, its columns of the states, times G."""
+        """T += Q_ux G, the block of Q with the rows of the controls and the columns of the states."""
         target = _at("T", -self.nx * COLUMNS, a=COLUMNS, l=1)
         product = For("l", 0, self.panel, (_add(target, _at("Q", a=self.nz, b=1), _at("G", b=COLUMNS, l=1)),))
         some = any(c < self.nx for _, c in self.Q[first:])
@@ -262,7 +262,7 @@ def _at(buffer: str, constant: int = 0, **terms: int) -> Slice:
 
 
 def _along(start: Slice, size: int, stride: int) -> Slice:
-    """The j-th ``size`` elements of a row or column."""
+    """The j-th block of ``size`` elements of a row or column."""
     return Slice(start.buffer, size, Affine(start.offset.constant, (*start.offset.terms, ("j", size * stride))), stride)
 
 
@@ -284,7 +284,7 @@ def _add(target: Slice, a: Slice, b: Slice) -> Call:
 
 
 def _dot(target: Slice, a: Slice, b: Slice) -> Call:
-    """target += sum of a b; pairs of products first."""
+    """target += a' b, summed pairwise."""
     s, x, y = ca.SX.sym("s"), ca.SX.sym("x", a.size), ca.SX.sym("y", a.size)
     sums = [x[i] * y[i] for i in range(a.size)]
     while len(sums) > 1:

@@ -1,4 +1,4 @@
-"""Products with the stage matrices: written out over structural nonzeros for small models, dense loops else.
+"""Products with the stage matrices: straight-line code over structural nonzeros for small models, loops otherwise.
 
 The patterns come from the stores of the lifted kernels, so they are structural and exact.
 """
@@ -15,13 +15,13 @@ from nmpc_codegen.ir.product_sweeps import Loops, StageSweeps, WrittenOut
 from nmpc_codegen.ir.product_sweeps import Pattern as Pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine, nonzeros
 
-# Largest number of nonzeros of S and Q together that is written out.
+# Largest number of nonzeros of S, Q and Q_N together for which straight-line code is written.
 WRITTEN_OUT = 256
 
 
 @dataclass(frozen=True)
 class Products:
-    """Structural nonzeros (row, column) of S = [A B], and of the lower triangles Q and Q_N."""
+    """The products for given structural nonzeros (row, column) of S = [A B] and of the lower triangles Q and Q_N."""
 
     nx: int
     nu: int
@@ -31,12 +31,12 @@ class Products:
 
     @property
     def written_out(self) -> bool:
-        """True: over the structural nonzeros; False: dense loops."""
+        """True: straight-line code over the structural nonzeros; False: loops."""
         return len(self.S) + len(self.Q) + len(self.Q_N) <= WRITTEN_OUT
 
     @property
     def spelling(self) -> str:
-        """Name of the way in which they are written."""
+        """The word for their form: "nonzeros" or "loops"."""
         return "nonzeros" if self.written_out else "loops"
 
     @cached_property
@@ -47,12 +47,12 @@ class Products:
 
     @cached_property
     def panels(self) -> Mapping[str, LoopedRoutine]:
-        """The products with a panel of columns; without a Hessian of the last node none is with it."""
+        """The products with a panel of columns; if node N has no Hessian, there is no product with it."""
         s = self._sweeps
         return _by_name(s.forward_panel(), *((s.terminal_panel(),) if self.Q_N else ()), s.backward_panel())
 
     def called_vectors(self, with_state_step: bool) -> Mapping[str, LoopedRoutine]:
-        """The products with a vector in a package that needs state_step() or not."""
+        """The products with a vector that a package contains, with or without state_step()."""
         return {name: routine for name, routine in self.vectors.items() if with_state_step or name != "state_step"}
 
     @property
@@ -133,7 +133,7 @@ def _by_name(*routines: LoopedRoutine) -> Mapping[str, LoopedRoutine]:
 
 
 def pattern(routine: Routine, port: str) -> Pattern:
-    """Structural nonzeros of an output matrix; all of it if a looped routine has many."""
+    """Structural nonzeros of an output matrix; all entries if the matrix of a looped routine is large."""
     index = next(i for i, p in enumerate(routine.outputs) if p.name == port)
     rows, cols = routine.outputs[index].rows, routine.outputs[index].cols
     if isinstance(routine, LoopedRoutine):

@@ -1,7 +1,7 @@
-"""Sweeps: programs of calls to small CasADi Functions inside counted loops, as data.
+"""Sweeps: programs of calls to small CasADi Functions inside counted loops, represented as data.
 
 Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; print_sweep.py, which
-writes C loops; and count. What rewrites sweeps is in passes.py.
+writes C loops; and LoopedRoutine.count, which counts operations. Transformations of sweeps are in passes.py.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
 
 
 class Size(int):
-    """A number that C text has by the name of its macro."""
+    """A number that is printed in C as the name of its macro."""
 
     def __new__(cls, value: int, name: str) -> Size:
-        """The number ``value``, called ``name``."""
+        """The number ``value`` with the macro ``name``."""
         size = super().__new__(cls, value)
         size.name = name
         return size
@@ -68,9 +68,9 @@ class Slice:
 
 @dataclass(frozen=True, eq=False)
 class Call:
-    """outs = leaf(ins). The leaf is an SX Function of dense vectors; equal names are one C function.
+    """outs = leaf(ins). The leaf is an SX Function of dense vectors; leaves of equal names are one C function.
 
-    inline: it is printed in its place, whatever its slices are.
+    inline: the leaf is printed inline, whatever its slices are.
     direct: a result may be stored before the next one is computed, as none is an operand of a later one.
     """
 
@@ -82,7 +82,7 @@ class Call:
 
     @property
     def written_out(self) -> bool:
-        """True if the leaf is printed inside its loop instead of being called: its slices are columns of matrices."""
+        """True if the leaf is printed inline instead of being called: ``inline`` is set, or its slices are columns."""
         return self.inline or any(s.stride != 1 and s.size > 1 for s in (*self.ins, *self.outs))
 
 
@@ -97,19 +97,19 @@ class For:
     down: bool = False
 
     def values(self, indices: Mapping[str, int]) -> range:
-        """Index values in the order of the loop."""
+        """Index values in the order of execution."""
         count = self.count if isinstance(self.count, int) else self.count.at(indices)
         values = range(self.start, self.start + count)
         return values[::-1] if self.down else values
 
     def passes(self, indices: Mapping[str, int]) -> Iterator[Mapping[str, int]]:
-        """What every run of the body adds to the indices."""
+        """The index that each iteration of the body sets, by name."""
         return ({self.index: value} for value in self.values(indices))
 
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """For every entry n = first .. last - 1 of the tables: the names take its values, then the body.
+    """Run the body for every entry n = first .. last - 1 of the tables, with the names bound to its values.
 
     tables: (name, C name of the table, its values), all of one length.
     """
@@ -121,14 +121,14 @@ class Entries:
     body: tuple[Node, ...]
 
     def passes(self, indices: Mapping[str, int]) -> Iterator[Mapping[str, int]]:
-        """What every run of the body adds to the indices."""
+        """The indices that each iteration of the body sets, by name."""
         for n in range(self.first, self.last):
             yield {self.index: n, **{name: values[n] for name, _, values in self.tables}}
 
 
 @dataclass(frozen=True, eq=False)
 class If:
-    """The body, if the index ``left`` is ``relation`` ("<" or "!=") to ``right``, an index or a number."""
+    """Run the body if ``left relation right``: ``left`` is an index, ``right`` an index or a number."""
 
     left: str
     relation: Literal["<", "!="]
@@ -136,7 +136,7 @@ class If:
     body: tuple[Node, ...]
 
     def passes(self, indices: Mapping[str, int]) -> Iterator[Mapping[str, int]]:
-        """One run of the body or none."""
+        """One run of the body, which sets no index, or none."""
         left, right = indices[self.left], indices[self.right] if isinstance(self.right, str) else self.right
         if left < right if self.relation == "<" else left != right:
             yield {}
@@ -148,7 +148,7 @@ Node = Call | Block
 
 @dataclass(frozen=True)
 class Place:
-    """Where a buffer stands in C: text of a scalar (shape ()), a vector or a matrix (rows, columns)."""
+    """The C text of a buffer that is a scalar (shape ()), a vector or a matrix (rows, columns)."""
 
     text: str
     shape: tuple[int, ...] = ()
@@ -179,7 +179,7 @@ class Sweep:
 def unroll(sweep: Sweep) -> Function:
     """Run the sweep on SX: one CasADi Function with the sweep's ports; matrices lose their structural zeros.
 
-    What is changed in place is the input <name> and the output <name>_out.
+    A port that is changed in place becomes the input <name> and the output <name>_out.
     """
     symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
     buffers: dict[str, list[Expression]] = {p.name: [ca.SX(0)] * p.size for p in sweep.outputs}
@@ -218,7 +218,7 @@ def straight(sweep: Sweep) -> Kernel:
 
 @dataclass(frozen=True, eq=False)
 class LoopedRoutine:
-    """A Sweep ready for C: its leaves lifted into Kernels, named after the sweep."""
+    """A Sweep that is printed as loops; its leaves are lifted into Kernels that are named after the sweep."""
 
     sweep: Sweep
     leaves: Mapping[str, Kernel]
@@ -241,12 +241,12 @@ class LoopedRoutine:
 
     @property
     def count(self) -> OpCount:
-        """Operations of one run, loops multiplied out."""
+        """Operations of one run, over all iterations of the loops."""
         return _count(self.sweep.body, self.leaves, {})
 
     @property
     def reads(self) -> tuple[Port, ...]:
-        """The inputs that a call loads from: the ones that its C function takes."""
+        """The inputs that a call loads from; only these are parameters of its C function."""
         return tuple(p for p in self.inputs if p.name in self.touched)
 
     @property
@@ -256,12 +256,12 @@ class LoopedRoutine:
 
     @cached_property
     def touched(self) -> frozenset[str]:
-        """Buffers that its text names."""
+        """Buffers that occur in its C text."""
         return frozenset(b for c in calls(self.sweep.body) for b in _touched(c, self.leaves[c.leaf.name()]))
 
     @property
     def statements(self) -> int:
-        """Instructions of all calls as they are written, loops once: the size of the code if every leaf is inlined."""
+        """Number of instructions of all calls, each loop counted once: the code size if all leaves are inlined."""
         return sum(len(self.leaves[c.leaf.name()].instructions) for c in calls(self.sweep.body))
 
     @property
@@ -274,7 +274,7 @@ Routine = Kernel | LoopedRoutine
 
 
 def nonzeros(routine: LoopedRoutine) -> dict[str, list[int]]:
-    """Elements of every output that are not structurally zero, by running the loops on zero and nonzero alone."""
+    """Elements of every output that are not structurally zero, found by running the loops on zero-or-not marks."""
     sweep = routine.sweep
     buffers = {p.name: [False] * p.size for p in sweep.outputs}
     buffers |= {p.name: [True] * p.size for p in sweep.inputs}
@@ -293,7 +293,7 @@ def _mark(
                 before = {name: list(marks) for name, marks in buffers.items()} if alike else None
                 _mark(node.body, leaves, buffers, {**indices, **more})
                 if buffers == before:
-                    break  # every further run would be the same
+                    break  # further iterations would change nothing either
             continue
         ins = [[buffers[s.buffer][e] for e in s.elements(indices)] for s in node.ins]
         outs = [s.elements(indices) for s in node.outs]
@@ -304,7 +304,7 @@ def _mark(
 
 
 def _reads(nodes: tuple[Node, ...], index: str) -> bool:
-    """True if what the nodes do depends on a loop index."""
+    """True if the effect of the nodes depends on a loop index."""
     for node in nodes:
         if isinstance(node, Block):
             offsets = [node.count] if isinstance(node, For) and isinstance(node.count, Affine) else []
@@ -318,10 +318,10 @@ def _reads(nodes: tuple[Node, ...], index: str) -> bool:
 
 
 def looped(sweep: Sweep) -> LoopedRoutine:
-    """Lift the leaves of a sweep that is to be emitted as loops.
+    """Lift the leaves of a sweep that will be printed as loops.
 
-    Leaves store into buffers that are reused, so every output element is stored, structural zeros too. What no later
-    node reads is not computed.
+    Leaves store into buffers that are reused, so every output element is stored, structural zeros too. Results that no
+    later node reads are not computed.
     """
     sweep = sweep if sweep.frame else _without_unread(sweep)
     leaves: dict[str, Kernel] = {}
@@ -336,7 +336,7 @@ def looped(sweep: Sweep) -> LoopedRoutine:
 
 
 def _without_unread(sweep: Sweep) -> Sweep:
-    """The same without loops of no trip and results in local buffers that no later node reads."""
+    """The sweep without empty loops, and without results in local buffers that no later node reads."""
     read = {p.name for p in sweep.outputs}
     body: list[Node] = []
     for node in reversed(sweep.body):
@@ -350,7 +350,7 @@ def _without_unread(sweep: Sweep) -> Sweep:
 
 
 def _read_results(call: Call, read: Collection[str]) -> Call | None:
-    """The call with those of its results that stand in the buffers ``read``; None if there are none."""
+    """The call with only its results in the buffers ``read``; None if there are none."""
     kept = [o for o, s in enumerate(call.outs) if s.size and s.buffer in read]
     if len(kept) == len(call.outs):
         return call
@@ -376,7 +376,7 @@ def _dense(leaf: Function) -> Function:
 
 
 def calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
-    """All calls, in the order of the text."""
+    """All calls, in the order of the C text."""
     for node in nodes:
         if isinstance(node, Block):
             yield from calls(node.body)
@@ -400,7 +400,7 @@ def _count(nodes: tuple[Node, ...], leaves: Mapping[str, Kernel], indices: Mappi
 
 
 def _touched(call: Call, leaf: Kernel) -> Iterator[str]:
-    """Buffers that the text of a call names: those that its leaf loads or stores."""
+    """Buffers that occur in the text of a call: those that its leaf loads or stores."""
     yield from (s.buffer for s in passed(call, leaf))
 
 

@@ -1,1 +1,1 @@
-"""Problem and options -> text: linearise, choose, decide every size and name, render."""
+"""Problem and options -> text: linearise, choose components, determine every size and name, render."""

@@ -1,4 +1,4 @@
-"""Which QP solver: the exact operations of every candidate on this problem, and the one with the fewest."""
+"""Choice of condensing and QP solver: the candidate that takes the fewest operations, counted exactly."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.options import Options
 
-#: Blocks of partial condensing that are looked at.
+#: Block lengths of partial condensing that are considered.
 BLOCKS = (2, 3, 4, 5, 8, 10)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A condensing with a solver of its form, and what one warm-started sample takes whose working set is empty."""
+    """A condensing, a solver for its QP, and the operations of a warm-started sample with an empty working set."""
 
     condensing: Condensing
     qp: QpSolver
@@ -31,16 +31,16 @@ class Candidate:
         return f"{self.condensing.label} + {self.qp.name}: {self.operations:,}"
 
 
-#: Condensing, QP solver, and why they were chosen.
+#: Condensing, QP solver, and the reasons for the choice.
 Choice = tuple[Condensing, QpSolver, tuple[str, ...]]
 
 
 def choose_qp(problem: Problem, options: Options, constant_hessian: bool, model: ModelFunctions) -> Choice:
-    """Condensing and QP solver: what is given, adapted to the problem, or what takes the fewest operations, with the
-    table of all candidates.
+    """Condensing and QP solver: those that are given, adapted to the problem, completed by the choice that takes the
+    fewest operations. The reason for this choice is the table of all candidates.
 
     Raises:
-        OptionError: the two that are given clash, or nothing that is left supports the problem.
+        OptionError: the two that are given clash.
     """
     given = options.condensing
     if given is not None and options.qp is not None:
@@ -56,7 +56,7 @@ def choose_qp(problem: Problem, options: Options, constant_hessian: bool, model:
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
             candidates.append(Candidate(condensing, qp, sum(counts, OpCount()).total))
     if not candidates:
-        return *pairs[0], ()  # the component that refuses says why
+        return *pairs[0], ()  # the checks of this pair raise the error that says why
     best = min(candidates, key=lambda c: c.operations)
     table = "; ".join(map(str, sorted(candidates, key=lambda c: c.operations)))
     why = f"fewest operations of a warm-started sample ({table})"
@@ -66,14 +66,14 @@ def choose_qp(problem: Problem, options: Options, constant_hessian: bool, model:
 
 
 def _instead(stated: Condensing | None, condensing: Condensing) -> tuple[str, ...]:
-    """Why it is not the stated one, if it is not."""
+    """The reason if a component other than the stated one is used."""
     if stated is None or condensing is stated:
         return ()
     return (f"condensing: {condensing} instead of {stated.name}; coupled rows read free components of x_0",)
 
 
 def _pairs(condensing: Condensing | None, qp: QpSolver | None) -> Iterator[tuple[Condensing, QpSolver]]:
-    """Candidates that agree with what is given."""
+    """All pairs that are consistent with the given components."""
     forms: tuple[Condensing, ...] = (FullCondensing(), NoCondensing(), *(PartialCondensing(block) for block in BLOCKS))
     for c in forms if condensing is None else (condensing,):
         for q in _solvers(c.gives) if qp is None else (qp,):
@@ -82,7 +82,7 @@ def _pairs(condensing: Condensing | None, qp: QpSolver | None) -> Iterator[tuple
 
 
 def _solvers(form: str) -> list[QpSolver]:
-    """Solvers of a form that may be chosen."""
+    """Solvers for QPs of a form that the compiler may choose."""
     return [cls() for cls in REGISTRY.values() if cls.takes == form and cls.automatic]
 
 

@@ -11,7 +11,7 @@ from nmpc_codegen.ir.stage_products import PANEL
 
 
 def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool) -> Dims:
-    """Every shared size; ``constant_hessian``: one path block serves all nodes; without a QP it has no shape."""
+    """All shared sizes; ``shape`` is None without a QP; ``constant_hessian``: one path block serves all nodes."""
     p = problem
     sizes = {
         "N": p.N,

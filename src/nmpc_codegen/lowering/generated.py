@@ -1,4 +1,4 @@
-"""What parts include as ``generated/<name>.c``: the products with the stage matrices, and tables of their structure."""
+"""Text that parts include as ``generated/<name>.c``: products with the stage matrices, tables of their structure."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def product_columns(module: CModule, style: CStyle) -> str:
 
 
 def hessian_blocks(module: CModule, style: CStyle) -> str:
-    """Irreducible blocks of Q and Q_N: their rows, and where each begins among these."""
+    """Irreducible blocks of Q and Q_N: a table of the rows of all blocks, and of where each block begins in it."""
     blocks = {"Q": module.products.Q_blocks, "Q_N": module.products.Q_N_blocks}
     numbers = ", ".join(f"{name}_BLOCKS = {len(found)}" for name, found in blocks.items())
     tables: dict[str, Iterable[int]] = {}
     for name, found in blocks.items():
         tables[f"{name}_block_row"] = [i for block in found for i in block]
         tables[f"{name}_block_first"] = [0, *accumulate(map(len, found))]
-    heading = "/* Irreducible blocks of Q and Q_N: their rows, and where each begins among these. */"
+    heading = "/* Irreducible blocks of Q and Q_N: the rows of all blocks, and where each block begins among them. */"
     return "\n".join([heading, f"enum {{ {numbers} }};", _tables(tables)])
 
 

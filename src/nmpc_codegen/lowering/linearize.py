@@ -1,4 +1,4 @@
-"""IR 2: which functions are evaluated. Chooses what the options leave open; CasADi ends here."""
+"""IR 2: the functions that a package evaluates, and the choices that the options leave open. CasADi ends here."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from nmpc_codegen.runtime.package_description import Precision
 
 @dataclass(frozen=True, eq=False)
 class Model(ModelFunctions):
-    """The problem, the components that solve it and why they were chosen, and every function of the package.
+    """The problem, the components that solve it with the reasons for their choice, and every function of the package.
 
     ``constant_hessian``: the path Hessian block is the same at all nodes.
     """
@@ -37,7 +37,7 @@ class Model(ModelFunctions):
 
     @property
     def options(self) -> Options:
-        """The options with which nothing is left to choose."""
+        """The options after all choices have been made."""
         parts = self.parts
         return Options(
             *(parts.integrator, parts.hessian, parts.condensing, parts.qp, parts.algorithm),
@@ -48,7 +48,11 @@ class Model(ModelFunctions):
 
 
 def linearize(problem: Problem, options: Options) -> Model:
-    """Problem -> Model. Raises OptionError for a combination that no component supports."""
+    """Problem -> Model.
+
+    Raises:
+        OptionError: a component does not support the problem, or options clash.
+    """
     options = options.with_defaults
     online = options.online
     path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
@@ -76,7 +80,7 @@ def linearize(problem: Problem, options: Options) -> Model:
 
 
 def _check(problem: Problem, *components: Component | None) -> None:
-    """Refuse what a component does not take, or what clashes with its options."""
+    """Raise OptionError if a component does not support the problem or its options clash with it."""
     present = [component for component in components if component is not None]
     refuse_unsupported(problem, present, REGISTRIES)
     for component in present:
@@ -84,7 +88,7 @@ def _check(problem: Problem, *components: Component | None) -> None:
 
 
 def _functions(problem: Problem, integrator: Integrator, hessian: Hessian | None) -> ModelFunctions:
-    """Everything that is lifted from CasADi."""
+    """All functions that are lifted from CasADi."""
     interval = integrator.interval(problem)
     costs = stage_costs(problem)
     start, path, terminal = (stage_model(problem, integrator, c) for c in (costs.start, costs.path, costs.terminal))
@@ -106,7 +110,7 @@ def _functions(problem: Problem, integrator: Integrator, hessian: Hessian | None
 
 
 def _with_start(blocks: HessianModel) -> Block:
-    """The block of the path, where that of the start is added to."""
+    """The block of the path, with zeros stored in the entries to which the block of the start is added."""
     path, start = blocks.path, blocks.start
     if path.hessian is None or start is None:
         return path
@@ -115,7 +119,7 @@ def _with_start(blocks: HessianModel) -> Block:
 
 
 def _elements(vector: Routine) -> Pattern:
-    """(0, element) of everything that a routine with one vector as output stores."""
+    """(0, element) of every element that a routine with one output vector stores."""
     return frozenset((0, e) for _, e, _ in vector.stores) if isinstance(vector, Kernel) else frozenset()
 
 
@@ -123,12 +127,12 @@ R = TypeVar("R", Routine, Routine | None)
 
 
 def _with_zeros(routine: R, port: str, entries: Pattern) -> R:
-    """A routine that stores zeros in entries that something is added to; one that is looped stores all of them."""
+    """The routine with zeros stored in ``entries``, to which terms are added; a looped one stores all entries."""
     return routine.with_zeros(port, sorted(entries)) if isinstance(routine, Kernel) else routine
 
 
 def _constant_hessian(problem: Problem, online: Online, functions: ModelFunctions) -> bool:
-    """The path Hessian reads nothing that differs from node to node, and nothing is added to the first block."""
+    """True if the path Hessian reads nothing that differs between nodes and nothing is added to its first block."""
     path, start = functions.path, functions.start.hessian
     if start is not None and start.writes:
         return False
@@ -173,7 +177,7 @@ def _coupled(problem: Problem) -> Kernel:
 
 
 def _inputs_read(routine: Routine) -> set[str]:
-    """Names of the input ports that a routine really reads."""
+    """Names of the input ports that a routine reads."""
     if isinstance(routine, LoopedRoutine):
         return {p.name for p in routine.inputs}
     return {routine.inputs[i.args[0]].name for i in routine.instructions if i.opcode == ca.OP_INPUT}

@@ -1,4 +1,4 @@
-"""Model -> CModule: all sizes and all C names. Loops over components and never asks which one it holds."""
+"""Model -> CModule: all sizes and all C names. It loops over the components and never tests which one it has."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ from nmpc_codegen.lowering.placement import placed
 from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report
 from nmpc_codegen.runtime.status import Status
 
-# Counters stop here, and integrate() takes at most so many steps.
+# Maximum value of counters, and maximum number of steps of integrate().
 MANY = 1_000_000
-# A solver struct that init() has seen.
+# Marks a solver struct that init() has initialised.
 MAGIC = 0x4E4D5043
 
 
 def lower(model: Model, name: str | None = None) -> CModule:
-    """Decide every size and name of the package ``name`` (default: the problem's)."""
+    """Determine every size and name of the package ``name`` (default: the name of the problem)."""
     problem = model.problem
     name = problem.name if name is None else name
     check_prefix(name)
@@ -96,7 +96,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
     )
 
 
-#: Kernels that a package may lack; where there is none HAS_<NAME> is 0.
+#: Kernels that a package may lack; HAS_<NAME> is then 0.
 KERNELS = (
     *(
         f"{stage}_{part}"
@@ -110,12 +110,12 @@ KERNELS = (
 
 
 def _printed(model: Model) -> tuple[Routine, ...]:
-    """The routines that compute anything: a problem without terminal cost has no terminal_cost()."""
+    """The routines that have results: a problem without terminal cost has no terminal_cost()."""
     return tuple(r for r in model.routines if r.writes)
 
 
 def _switches(model: Model) -> dict[str, int]:
-    """What `#if` in the parts may test besides the sizes: features of the problem and of the options, 1 or 0."""
+    """Names that `#if` in the parts may test besides the sizes -> 1 or 0: features of the problem and the options."""
     p, layouts = model.problem, model.online.layouts
     kinds = {kind for _, kind, _, _ in p.qp_rows}
     computing = {r.name for r in model.routines if r.writes}
@@ -178,7 +178,7 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
         "NXS": "states of a stage: NX and copies of components of x_0",
         "NZS": "NXS + NUS",
         "NV": "variables of the QP",
-        "NSL": "slacks among them",
+        "NSL": "slack variables of the QP",
         "NG": "scalar rows of all nodes besides control bounds",
         "LDV": "NV rounded up to PANEL",
     }
@@ -189,11 +189,11 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in model.problem.rows), "rows with a penalty"))
     macros.append(Macro("PARAMS", len(model.problem.parameters), "parameters by name"))
-    macros += [Macro(f"SIZE_{s.name.upper()}", s.size, f"numbers of {s.name}") for s in model.problem.parameters]
+    macros += [Macro(f"SIZE_{s.name.upper()}", s.size, f"elements of {s.name}") for s in model.problem.parameters]
     for component in model.parts.components:
         macros += [Macro(*entry) for entry in component.sizes(dims)]
-    macros.append(Macro("MANY", MANY, "counters stop here"))
-    macros.append(Macro("MAGIC", MAGIC, "a struct that init has seen"))
+    macros.append(Macro("MANY", MANY, "maximum value of counters"))
+    macros.append(Macro("MAGIC", MAGIC, "marks a struct that init has initialised"))
     return tuple(macros)
 
 
@@ -239,7 +239,7 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
 
 
 def _inner_structs(owned: list[Struct]) -> list[Struct]:
-    """The structs that the solver holds, every one after those that are its members; unions of one name are one."""
+    """The structs that the solver contains, each one after its members; unions of the same name are merged."""
     stated = {s.name: s for s in owned if s.name != "solver"}
     for name in (s.name for s in owned if s.union):
         alternatives = [f for s in owned if s.name == name for f in s.fields]
@@ -258,7 +258,7 @@ def _inner_structs(owned: list[Struct]) -> list[Struct]:
 
 
 def _settings(model: Model, dims: Dims) -> tuple[Setting, ...]:
-    """Members that hold what can be changed at run time; fixed data have none."""
+    """Members for the data that can be changed at run time; fixed data have none."""
     p, layouts = model.problem, model.online.layouts
     weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
     weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
@@ -297,7 +297,7 @@ def _settings(model: Model, dims: Dims) -> tuple[Setting, ...]:
     )
 
 
-#: What k may be besides ALL, for every kind of data that a package lets change.
+#: Values of k that are allowed besides ALL, for every kind of data that can be changed at run time.
 _NODES: Mapping[Kind, Mapping[Layout, str]] = {
     "reference": {"shared": "no node", "node": "0 .. N - 1"},
     "weight": {"shared": "no node", "node": "0 .. N - 1"},
@@ -307,7 +307,7 @@ _NODES: Mapping[Kind, Mapping[Layout, str]] = {
 
 
 def _setters(model: Model, switches: Mapping[str, int]) -> tuple[Setter, ...]:
-    """The setters of data that there are and that may change."""
+    """The setters of all data that exist in the problem and can be changed."""
     layouts = model.online.layouts
     return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if switches[f"SET_{n.upper()}"])
 
@@ -329,12 +329,12 @@ def _tables(model: Model) -> tuple[Table, ...]:
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
         real("initial_state", p.x_initial, "initial values of the states"),
-        real("default_control", _default_controls(p), "0 inside the bounds"),
+        real("default_control", _default_controls(p), "0, clipped to the bounds"),
         real("default_parameter", p.p_value, "p"),
         real("default_reference", p.path.reference, "yref"),
         real("default_terminal_reference", p.terminal.reference, "yref_N"),
         real("default_start_reference", p.start.reference, "reference of the residual at the start"),
-        real("default_start_weight", _weight_values(p.start), "its weight"),
+        real("default_start_weight", _weight_values(p.start), "weight of the residual at the start"),
         real("default_weight", _weight_values(p.path), "W"),
         real("default_terminal_weight", _weight_values(p.terminal), "W_N"),
         real("default_lower", [r.lower for r in p.rows], "lower bounds of the rows"),
@@ -375,7 +375,7 @@ def _default_controls(p: Problem) -> list[float]:
 def _description(
     model: Model, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...], report: Report
 ) -> PackageDescription:
-    """What Controller and open_package() need besides the C text."""
+    """The data that Controller and open_package() need besides the C text."""
     p = model.problem
     return PackageDescription(
         name=name,
@@ -406,7 +406,7 @@ def _report(
     structs: tuple[Struct, ...],
     layout: Mapping[str, tuple[int, int]],
 ) -> Report:
-    """Memory, exact operation counts, and what was chosen and why."""
+    """Memory, exact operation counts, and the choices with their reasons."""
     counts = {r.name: r.count for r in _printed(model)}
     if switches["PRODUCTS"]:
         called = model.products.called_vectors(bool(switches["HAS_STATE_STEP"]))

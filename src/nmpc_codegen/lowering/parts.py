@@ -1,8 +1,8 @@
 """Plain C parts: `#include "part.c"` is inlined and `#if` over sizes is resolved; nothing else is rewritten.
 
-A part is C that compiles as it stands once its preamble is there (preamble.py), so what is linted is what ships. A
-condition is an integer expression of C in the sizes and switches of the package (0: absent); a name that the package
-does not define is an error, as it is for a compiler under -Wundef.
+A part compiles unchanged after its preamble (preamble.py), so that linters check the code that is shipped. A condition
+is an integer expression of C in the sizes and switches of the package (0: absent); a name that the package does not
+define is an error, as it is for a compiler with -Wundef.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def template_directory() -> Path:
 
 
 def read_part(path: str, generated: Callable[[str], str]) -> str:
-    """Text of a part below templates/, with the parts that it includes; ``generated`` has those of this package."""
+    """Text of a part below templates/ with the parts that it includes; ``generated`` returns the generated ones."""
     lines = (template_directory() / path).read_text(encoding="utf-8").splitlines()
     return "\n".join(text for line in lines for text in _inlined(line, generated)) + "\n"
 
@@ -58,7 +58,7 @@ def _inlined(line: str, generated: Callable[[str], str]) -> Iterator[str]:
 
 @dataclass
 class _Open:
-    """An `#if` that is open: whether its branch counts, one has counted, `#else` came, and the braces around it."""
+    """An open `#if`: is its present branch kept, was one kept, did `#else` occur; depth of the braces around it."""
 
     counts: bool
     done: bool
@@ -67,11 +67,11 @@ class _Open:
 
 
 def resolve(text: str, sizes: Mapping[str, int]) -> str:
-    """The text with every `#if` decided: lines that a compiler would skip are gone, and so are the directives.
+    """The text with every `#if` resolved: the directives and all lines that a compiler would skip are removed.
 
     Raises:
-        ValueError: a condition that is no integer expression, a name without a value, directives that do not match or
-            are others than `#if`, `#elif`, `#else`, `#endif`, a branch that opens a brace without closing it or closes
+        ValueError: a condition is not an integer expression; a name has no value; conditional directives other than
+            `#if`, `#elif`, `#else`, `#endif` occur or do not match; a branch opens a brace without closing it or closes
             one that it has not opened.
     """
     kept: list[str] = []
@@ -130,7 +130,7 @@ def _decide(line: str, stack: list[_Open], depth: int, sizes: Mapping[str, int])
 def evaluate(condition: str, sizes: Mapping[str, int]) -> bool:
     """Value of an integer expression of C with the operators + - * == != < <= > >= ! && || and parentheses.
 
-    It is read by Python, where `!` is spelled `~`: that binds as tightly, and C's own `~` is not allowed here.
+    Python parses it, with `!` replaced by `~`, which binds as tightly; C's own `~` is not allowed here.
     """
     text = re.sub(r"/\*.*?\*/", "", condition).strip()
     if "~" in text or _WORDS.search(text):

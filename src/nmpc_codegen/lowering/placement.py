@@ -1,8 +1,8 @@
-"""Where members stand in their structs: vectors whose size is a multiple of a cache line first.
+"""Order of the members in structs: those whose size is a multiple of a cache line come first.
 
-What has such a size leaves the alignment of what follows as it is, so that vector registers are not loaded across cache
-lines (2 % of a step of the crane, 10 % of the quadrotor). The memory as a whole is the caller's; a static object or one
-of Controller is aligned.
+A member of such a size preserves the alignment of the next one, so that vector registers are not loaded across cache
+lines (this saves 2 % of a step of the crane, 10 % of the quadrotor). The caller provides the memory of the whole
+struct; static objects and the memory of Controller are aligned.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from dataclasses import replace
 
 from nmpc_codegen.ir.cmodule import PURPOSES, WORK, Field, Struct, struct_layout
 
-#: Sizes (bytes) in the order of preference: a cache line, and what it is made of.
+#: Sizes (bytes) in the order of preference: a cache line, and fractions of it.
 UNITS = (64, 32, 16)
 
-#: Members of the solver by what they are for: first what is computed with.
+#: Purposes of the members of the solver in their order: working data first.
 ORDER = (WORK, PURPOSES["iterate"], PURPOSES["setting"], PURPOSES["result"])
 
 
 def placed(structs: Iterable[Struct], precision: str) -> tuple[Struct, ...]:
-    """The structs with their members in a good order; a struct stands after those that it holds."""
+    """The structs with their members reordered; each struct follows those that it contains."""
     known: list[Struct] = []
     for struct in structs:
         layout = struct_layout(known, precision)

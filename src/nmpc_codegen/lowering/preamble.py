@@ -1,4 +1,4 @@
-"""The preamble of a package's .c: short names for what the header declares, where run-time data stand, kernel calls.
+"""The preamble of a package's .c: short names for declarations of the header, access to run-time data, kernel calls.
 
 Inside the one translation unit everything is static, so names need no prefix: NX is CRANE_NX, solver_t is
 crane_solver_t. Only names that the unit uses are defined.
@@ -21,7 +21,7 @@ from nmpc_codegen.runtime.package_description import Kind
 FUNCTIONS = ("sqrt", "fabs", "ceil")
 
 
-#: Columns of a line, its continuation apart.
+#: Maximum length of a line without its continuation mark.
 WIDTH = 114
 
 #: A number in the working precision: R(0.5).
@@ -33,7 +33,7 @@ Definition = tuple[str, str | None, str]
 
 
 def unit_style(precision: str) -> CStyle:
-    """How numbers and functions are spelled inside the translation unit."""
+    """Spelling of numbers and functions inside the translation unit."""
     return CStyle("real_t", precision == "single")
 
 
@@ -51,7 +51,7 @@ def preamble(module: CModule, body: str) -> str:
 
 
 def definitions(module: CModule, body: str) -> list[Definition]:
-    """The macros that ``body`` uses, and those that these use."""
+    """The macros that ``body`` uses, directly or through other macros."""
     known = _definitions(module)
     used = names_in(body)
     found: set[str] = set()
@@ -92,10 +92,10 @@ def arithmetic(precision: str) -> list[tuple[str, str]]:
 
 
 def accessors(module: CModule) -> list[Definition]:
-    """(macro, arguments, text): where references, weights, parameters and bounds of a node stand.
+    """(macro, arguments, text): access to references, weights, parameters and bounds of a node.
 
-    Data that may change are members of the solver ``s``, once, once per node, or once and for the terminal node;
-    fixed data are tables.
+    Data that can be changed are members of the solver ``s``: one copy, one per node, or one for the path and one for
+    the terminal node. Fixed data are tables.
     """
     layouts = module.layouts
 
@@ -126,7 +126,7 @@ def accessors(module: CModule) -> list[Definition]:
 def rows(module: CModule) -> list[Definition]:
     """(macro, arguments, text): bounds and references of control j at node k, bounds and penalties of QP row m.
 
-    What the user left out is a constant: infinite bounds, reference 0, an infinite penalty.
+    Data that the user left out are constants: infinite bounds, reference 0, an infinite penalty.
     """
     layout, sizes = module.layouts["bounds"], module.sizes
     copy = {"fixed": "", "shared": "row_node[m] == N", "node": "row_node[m]"}[layout]
@@ -186,24 +186,25 @@ def rows(module: CModule) -> list[Definition]:
 
 
 def _row_kinds(sizes: Mapping[str, int]) -> dict[str, int]:
-    """Kinds of rows of the QP, and whether there are any."""
+    """Kind of rows of the QP -> nonzero if the QP has such rows."""
     return {"state": sizes["STATE_ROWS"], "general": sizes["GENERAL_ROWS"], "coupled": sizes["NE"]}
 
 
 def _general(sizes: Mapping[str, int], path: str, terminal: str) -> str:
-    """The array of a general row of the node of row m."""
+    """The array of general rows at the node of row m."""
     if path == terminal or not sizes["NH_N"]:
         return path
     return f"(row_node[m] == N) ? {terminal} : {path}" if sizes["NH"] else terminal
 
 
 def product_call(routine: LoopedRoutine, style: CStyle) -> Definition:
-    """(macro, arguments, text): call of a product with the stage matrices, which takes what it reads and writes."""
+    """(macro, arguments, text): call of a product with the stage matrices; it passes what is read or written."""
     names, text = call(routine, style)
     return routine.name.upper(), ", ".join(names), text
 
 
-#: Where an input of a kernel stands at node k of the solver s, and what differs at the terminal node and at the start.
+#: C text of the kernel inputs at node k of the solver s; two tables with those that differ at the terminal node and at
+#: the start.
 PLACES = {
     "x": "(s)->x[k]",
     "u": "(s)->u[k]",
@@ -236,10 +237,10 @@ START_PLACES = {
 
 
 def kernel_call(routine: Routine) -> Definition:
-    """(macro, arguments, text): call of a printed kernel, which takes what it reads and writes, nothing else.
+    """(macro, arguments, text): call of a printed kernel; it passes what is read or written, nothing else.
 
     The arguments of the macro are always the same: the solver, the node of a path kernel, the outputs;
-    INTEGRATOR_STEP is told the state, the control and the step length.
+    INTEGRATOR_STEP also takes the state, the control and the step length.
     """
     if routine.name == "integrator_step":
         places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h"}

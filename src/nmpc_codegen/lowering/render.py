@@ -1,4 +1,7 @@
-"""CModule -> Sources: the only importer of jinja2. Byte-deterministic: no dates, no paths, numbers by repr."""
+"""CModule -> Sources, with jinja2. The text is the same to the byte in every run: no dates, no paths, numbers by repr.
+
+No other module imports jinja2.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +21,11 @@ from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
 from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble, unit_style
 from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
 
-#: Columns of a comment in the header, its margin apart.
+#: Maximum length of a comment line in the header without its margin.
 WIDTH = 116
 
-#: -f options that GCC 12 needs: with these optimisations it drops calls, takes the stack of leaf functions for aligned,
-#: and inlines loops into functions where it no longer vectorises them.
+#: -f options that GCC 12 needs: with these optimisations it drops calls, assumes an aligned stack in leaf functions,
+#: and inlines loops into functions in which it does not vectorise them.
 GCC_12 = ("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
 
 # path -> text of one package
@@ -31,7 +34,7 @@ Sources = dict[str, str]
 
 @cache
 def environment() -> jinja2.Environment:
-    """StrictUndefined: a name that a template misspells is an error."""
+    """The jinja2 environment; with StrictUndefined a misspelt name in a template raises an error."""
     return jinja2.Environment(
         loader=jinja2.FileSystemLoader(template_directory()),
         undefined=jinja2.StrictUndefined,
@@ -43,13 +46,13 @@ def environment() -> jinja2.Environment:
 
 
 def context(prefix: str, precision: str) -> dict[str, Any]:
-    """Names every template may use: prefixes, type of the header, and spelling of literals in the unit."""
+    """Names that every template may use: prefixes, type of the header, and spelling of literals in the unit."""
     style = unit_style(precision)
     return {"p": prefix, "P": prefix.upper(), "real": f"{prefix}_real", "lit": style.literal}
 
 
 def render(module: CModule, resolved: bool = True) -> Sources:
-    """All files of the package. Not ``resolved``: the `#if`s of the parts are left to the compiler, for comparison."""
+    """All files of the package. Unless ``resolved``, the `#if`s of the parts are left to the compiler, for tests."""
     names = _names(module)
     body = render_unit(module, names, resolved)
     tables = render_tables(module, names, body if resolved else render_unit(module, names))
@@ -90,7 +93,7 @@ def _names(module: CModule) -> dict[str, Any]:
 
 
 def render_tables(module: CModule, names: dict[str, Any], body: str) -> str:
-    """The tables that the body reads, by itself or by what the preamble defines for it."""
+    """The tables that the body reads, directly or through macros of the preamble."""
     used = names_in(body, *(text for _, _, text in definitions(module, body)))
     tables = [t for t in module.tables if t.name in used and t.values]
     return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
@@ -127,7 +130,7 @@ def _member(field: Field, module: CModule) -> str:
 
 
 def _by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:
-    """(heading, members) of a struct; those of the solver stand by what they are for."""
+    """(heading, members) of a struct; those of the solver are grouped by purpose."""
     if struct.name != "solver":
         return [("", struct.fields)]
     groups = groupby(struct.fields, key=lambda member: PURPOSES.get(member.role, WORK))
@@ -135,7 +138,7 @@ def _by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:
 
 
 def _comment(text: str) -> str:
-    """A block comment of full lines."""
+    """The text as a block comment in filled lines."""
     lines = wrap(text, WIDTH, break_long_words=False)
     return "/* " + "\n * ".join(lines) + " */"
 

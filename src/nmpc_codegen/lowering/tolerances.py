@@ -1,4 +1,4 @@
-"""Every tolerance of the generated code, as a named multiple of the machine epsilon of the working precision."""
+"""All tolerances of the generated code, as named multiples of the machine epsilon of the working precision."""
 
 EPS = {"double": 2.0**-52, "single": 2.0**-23}
 
@@ -13,9 +13,9 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "qp_proximal_stagnation": (2.0**12, "the same if the step does not decrease any more"),
     "riccati_pivot": (2.0**5, "rounding of a pivot of the Riccati recursion, relative to its diagonal entry"),
     "riccati_feasibility": (2.0**6, "violation of a bound that is taken as rounding, relative to |a|'|z| + |bound|"),
-    "riccati_sign": (2.0**8, "wrong sign of a multiplier that is taken as rounding, relative to the terms of it"),
+    "riccati_sign": (2.0**8, "wrong sign of a multiplier that is taken as rounding, relative to its terms"),
     "riccati_refined": (2.0**2, "residual on a working set that is taken as rounding, relative to its terms"),
-    "riccati_rounding": (2.0**20, "the same if it does not fall any more"),
+    "riccati_rounding": (2.0**20, "the same if it does not decrease any more"),
     "ipm_dual_regularization": (2.0**22, "compliance of an active row, relative to that of the cost along it"),
     "ipm_equation_regularization": (2.0**22, "the same for an equation"),
     "ipm_dynamics": (2.0**8, "gap of the dynamics, relative to its terms"),

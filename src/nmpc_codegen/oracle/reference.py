@@ -1,7 +1,7 @@
 """The optimal control problem as a nonlinear program, solved by IPOPT: the oracle of --check, tests and benchmarks.
 
-Direct multiple shooting in CasADi, written apart from the code generator. Signs of multipliers, data of the nodes, and
-the KKT residuals that judge a solution without IPOPT: trajectory.py.
+Direct multiple shooting in CasADi, implemented independently of the code generator. trajectory.py defines the signs of
+multipliers and the data of the nodes, and computes the KKT residuals of a solution without IPOPT.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSolution(Point):
-    """A point returned by IPOPT."""
+    """A solution returned by IPOPT."""
 
     cost: float
     success: bool
@@ -63,7 +63,7 @@ class ReferenceSolution(Point):
 
 # The nonlinear program ------------------------------------------------------------------------------------------------
 
-#: What IPOPT says when it stands at a solution but cannot reach its own tolerance because of round-off.
+#: Statuses of IPOPT at a solution where round-off prevents it from reaching its own tolerance.
 _AT_ROUND_OFF = frozenset({"Search_Direction_Becomes_Too_Small", "Solved_To_Acceptable_Level", "Restoration_Failed"})
 
 
@@ -155,8 +155,8 @@ class Reference:
 
         Args:
             data: see node_data().
-            x: initial guess (N+1, nx) or (nx,); default x_k = x0.
-            u: initial guess (N, nu) or (nu,); default the control reference, 0 where there is none.
+            x: initial guess (N+1, nx) or (nx,); by default x_k = x0.
+            u: initial guess (N, nu) or (nu,); by default the control reference, or 0 without one.
         """
         problem = self.problem
         lbx, ubx, lbg, ubg = self._bounds(data)
@@ -230,7 +230,7 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class _Symbols:
-    """Data as symbols of the program."""
+    """The data as symbols of the nonlinear program."""
 
     x0: Any
     p: list[Any]
@@ -246,7 +246,7 @@ class _Symbols:
 
     @staticmethod
     def values(problem: Problem, data: Data) -> Array:
-        """Numbers in the order of ``stacked``; W is symmetric, so rows and columns need no care."""
+        """The numbers in the order of ``stacked``; as W is symmetric, row-major and column-major order are the same."""
         W = [scaled_weight(problem, data.W[k], k).ravel() for k in range(problem.N)]
         return np.concatenate(
             [data.x0, data.p.ravel(), data.yref.ravel(), data.yref_N, *W, data.W_N.ravel()], dtype=float
@@ -267,7 +267,7 @@ def _symbolic_data(problem: Problem) -> _Symbols:
 
 
 def control_start(problem: Problem, data: Data) -> Array:
-    """Controls of the plain start, (N, nu): the control reference, 0 where there is none."""
+    """Controls of the initial plan, shape (N, nu): the control reference, or 0 without one."""
     u = np.zeros((problem.N, problem.nu))
     for j, at in enumerate(problem.control_reference):
         if at >= 0:

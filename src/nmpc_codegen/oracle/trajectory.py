@@ -1,11 +1,11 @@
-"""Data of every node, and what a trajectory is worth: cost, rows, KKT residuals.
+"""Data of every node, and evaluation of a trajectory: cost, rows, KKT residuals.
 
-Evaluates a Problem with CasADi Functions of single nodes and NumPy sums, apart from the code generator and from IPOPT:
-its own Runge-Kutta from a tableau given as plain arrays, residuals from Jacobians stage by stage.
+A Problem is evaluated with CasADi Functions of single nodes and NumPy sums, independently of the code generator and of
+IPOPT: the Runge-Kutta method is written here, for a tableau of plain arrays, and residuals come from stage Jacobians.
 
-    L = sum l_k + lam_0'(xhat - x_0) + lam_{k+1}'(Phi_k - x_{k+1}) + mu_k'h_k + mu_N'h_N + mu_x'x + mu_u'u + eta'r,
+    L = sum l_k + lam_0'(xhat - x_0) + lam_{k+1}'(Phi_k - x_{k+1}) + mu_k'h_k + mu_N'h_N + mu_x'x + mu_u'u + eta'r
 
-multipliers of bounded quantities positive at the upper bound, negative at the lower.
+Multipliers of bounded quantities are positive at the upper bound and negative at the lower one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 
 @dataclass(frozen=True, eq=False)
 class Tableau:
-    """Explicit Runge-Kutta scheme: A (s, s) strictly lower triangular, b (s,), equal ``steps`` per interval."""
+    """Explicit Runge-Kutta scheme: A (s, s) strictly lower triangular, b (s,), ``steps`` equal steps per interval."""
 
     A: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
@@ -36,7 +36,7 @@ CLASSICAL = Tableau(((0, 0, 0, 0), (0.5, 0, 0, 0), (0, 0.5, 0, 0), (0, 0, 1, 0))
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Everything that may change at run time, given for every node."""
+    """All data that may change at run time, given for every node."""
 
     x0: Array  # (nx,)
     p: Array  # (N+1, np)
@@ -44,7 +44,7 @@ class Data:
     yref_N: Array  # (ny_N,)
     W: Array  # (N, ny, ny), not yet scaled by dt
     W_N: Array  # (ny_N, ny_N)
-    lower: Array  # (N+1, rows); of a coupled row entry 0
+    lower: Array  # (N+1, rows); a coupled row uses entry 0
     upper: Array
 
 
@@ -73,7 +73,7 @@ class Residuals:
 
     @property
     def worst(self) -> float:
-        """The largest of the four; NaN if one is."""
+        """The largest of the four; NaN if one of them is NaN."""
         return float(np.max([self.stationarity, self.equality, self.inequality, self.complementarity]))
 
 
@@ -88,7 +88,7 @@ def node_data(
     W_N: Any = None,
     bounds: Mapping[str, tuple[Any, Any]] | None = None,
 ) -> Data:
-    """Data of every node; what is not given is what the problem declares.
+    """Data of every node; data that are not given have the values that the problem declares.
 
     Args:
         problem: the problem.
@@ -192,7 +192,7 @@ def node_cost(stage: Stage) -> Any:
 
 
 def start_cost(problem: Problem) -> Any:
-    """Function (x, p) -> cost at node 0 besides that of the path, with its declared weight and reference."""
+    """Function (x, p) -> cost at node 0 in addition to that of the path, with its declared weight and reference."""
     stage = problem.start
     l = node_cost(stage)(stage.x, stage.u, stage.p, 0.0, stage.reference, stage.weight)  # noqa: E741
     return ca.Function("l_0", [stage.x, stage.p], [l])
@@ -230,7 +230,7 @@ def evaluate_cost(problem: Problem, x: Any, u: Any, data: Data, integrator: Tabl
 
 
 def row_nodes(row: Row) -> tuple[int, ...]:
-    """Nodes at which a row stands in the program; a coupled row stands there once."""
+    """Nodes at which a row occurs in the nonlinear program; a coupled row occurs once, as node 0."""
     return (0,) if row.kind == "coupled" else row.nodes
 
 
@@ -253,7 +253,7 @@ def _row_values(problem: Problem, data: Data) -> Callable[[Row, int, Array, Arra
 
 
 def multiplier_of(problem: Problem, point: Point, row: Row, k: int) -> tuple[Array, tuple[int, ...]]:
-    """Where the multiplier of a row at node k lives."""
+    """The array that holds the multiplier of a row at node k, and its index there."""
     if row.kind == "control":
         return point.mu_u, (k, row.index)
     if row.kind == "state":
@@ -267,7 +267,7 @@ def multiplier_of(problem: Problem, point: Point, row: Row, k: int) -> tuple[Arr
 
 
 def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tableau = CLASSICAL) -> Residuals:
-    """KKT residuals of a point, stage by stage; IPOPT takes no part.
+    """KKT residuals of a point, computed stage by stage without IPOPT.
 
     stationarity: gradients of L in x_k, u_k (and lam_0 of free components of x_0, which must vanish);
     equality: gaps, x_0 - xhat included; inequality: violation of hard rows, equalities included;
@@ -317,7 +317,7 @@ def _norm(values: Array) -> float:
 
 @lru_cache(maxsize=8)
 def _jacobians(problem: Problem, integrator: Tableau) -> tuple[tuple[Any, Any], ...]:
-    """(value, Jacobian) of interval map, cost and rows of path and terminal stage, cost at the start, coupled rows."""
+    """(value, Jacobian) of interval map, cost and rows of path and terminal stage, start cost, coupled rows."""
     nodes = [f(stage) for stage in (problem.path, problem.terminal) for f in (node_cost, node_rows)]
     nodes.append(node_cost(problem.start))
     coupled = (None, None) if problem.coupled is None else _with_jacobian(problem.coupled)
@@ -325,7 +325,7 @@ def _jacobians(problem: Problem, integrator: Tableau) -> tuple[tuple[Any, Any], 
 
 
 def _with_jacobian(f: Any) -> tuple[Any, Any]:
-    """A Function and the Function of the Jacobians of its outputs in its first two inputs."""
+    """A Function, and the Function of the Jacobians of its outputs with respect to its first two inputs."""
     inputs = [ca.SX.sym(f.name_in(i), f.sparsity_in(i)) for i in range(f.n_in())]
     outputs = f.call(inputs)
     z = ca.vertcat(inputs[0], inputs[1])
@@ -352,7 +352,7 @@ def _row_residuals(problem: Problem, point: Point, data: Data) -> tuple[float, f
 
 
 def _product(m: float, distance: float) -> float:
-    """|m distance|; a multiplier of a bound at infinity counts itself."""
+    """|m distance|; for an infinite bound, the multiplier itself."""
     if m == 0.0:
         return 0.0
     return m if np.isinf(distance) else abs(m * distance)

@@ -1,1 +1,1 @@
-"""Compile, load and run C packages; knows neither CasADi nor jinja2."""
+"""Compile, load and run C packages, without CasADi and jinja2."""

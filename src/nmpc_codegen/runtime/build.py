@@ -1,12 +1,12 @@
-"""Compile a C package and load it: compiler profiles and cffi. The only importer of cffi.
+"""Compile a C package and load it: compiler profiles and cffi. No other module imports cffi.
 
     texts of <name>.h, <name>.c, <name>.json  --cffi, two compilations side by side-->  module  -->  Controller
 
-The module is kept in the cache (cache.py) under a key that holds everything it depends on: the texts, the profile's
-flags, the compiler with its version, its target and what -march=native means on this machine, cffi and Python.
+The module is kept in the cache (cache.py) under a key that is computed from everything it depends on: the texts, the
+flags of the profile, the compiler with its version and target, the meaning of -march=native here, cffi and Python.
 
-What is compiled runs in this process with the rights of the user: to open a package is to trust its C. Its description,
-<name>.json, needs no trust: whatever disagrees with the compiled code is refused.
+The compiled code runs in this process with the rights of the user, so open only packages whose C you trust. The
+description, <name>.json, need not be trusted: it is refused if it disagrees with the compiled code.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ PROFILES: dict[str, Profile] = {
 
 
 def get_profile(profile: str | Profile) -> Profile:
-    """The profile of that name; a Profile passes through.
+    """The profile with the given name; a Profile is returned unchanged.
 
     Raises:
         OptionError: there is no such profile.
@@ -77,7 +77,7 @@ def get_profile(profile: str | Profile) -> Profile:
 
 
 def check_lanes(lanes: int | None) -> None:
-    """Refuse a number of SIMD lanes other than 1 (None: chosen, 1)."""
+    """Raise OptionError unless the number of SIMD lanes is 1 or None, which selects 1."""
     if lanes not in (None, 1) or isinstance(lanes, bool):
         raise OptionError(f"lanes is {lanes!r}; only one shooting node at a time is supported: None or 1")
 
@@ -93,16 +93,16 @@ def load(
     """Compile a package (or take it from the cache) and return an initialised controller.
 
     Args:
-        files: path -> text; <name>.h, <name>.c, <name>.json and foreign code in folders are used, others ignored.
+        files: path -> text; <name>.h, <name>.c, <name>.json and foreign code in folders are used, others are ignored.
         name: name and C prefix of the package.
         profile: name of a profile in PROFILES, or a Profile.
         lanes: shooting nodes evaluated at once; None or 1.
-        warnings_as_errors: compile the package's .c with every warning that the project forbids.
+        warnings_as_errors: compile the package's .c with all warnings of the project as errors.
 
     Raises:
-        OptionError: no such profile or number of lanes.
-        BuildError: no compiler, no Python.h, or the compiler refuses the code.
-        ControllerError: <name>.json is no description of a package, or not of this C code.
+        OptionError: there is no such profile, or the number of lanes is not supported.
+        BuildError: there is no compiler or no Python.h, or the compiler rejects the code.
+        ControllerError: <name>.json is not a package description, or it does not describe this C code.
     """
     check_lanes(lanes)
     chosen = get_profile(profile)
@@ -119,7 +119,7 @@ def load(
 
 
 def _check_names(name: str, files: Mapping[str, str]) -> None:
-    """A name that is no C identifier would be an option of the compiler, a path that leaves the folder a trap."""
+    """Refuse names that the compiler could take for an option, and paths that lead out of the folder."""
     if not (name.isascii() and name.isidentifier()):
         raise BuildError(f"the package is named {name!r}; expected a C identifier")
     for path in files:
@@ -128,7 +128,7 @@ def _check_names(name: str, files: Mapping[str, str]) -> None:
 
 
 def compile_module(files: Mapping[str, str], name: str, flags: Sequence[str]) -> Path:
-    """Path of the extension module for these texts and flags, compiled unless the cache holds it."""
+    """Path of the extension module for these texts and flags; it is compiled unless it is in the cache."""
     compiler = find_compiler()
     module = f"_nmpc_{name}_{_key(files, name, flags, compiler)}"
     return cached(f"{module}{_suffix()}", lambda folder: _compile(files, name, flags, compiler, module, folder))
@@ -138,7 +138,7 @@ def find_compiler() -> tuple[str, ...]:
     """The C compiler as a command: $CC, else gcc, cc or clang on the path.
 
     Raises:
-        BuildError: there is none; says what to install.
+        BuildError: there is none; the message says what to install.
     """
     wanted = shlex.split(os.environ.get("CC", ""))
     if wanted:
@@ -170,7 +170,8 @@ def _key(files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tu
 def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> str:
     """Version and target of the compiler, and its flags with -march=native resolved for this machine.
 
-    ``-###`` prints the command that the driver would run; gcc and clang both know it. ``path`` keys the cache only.
+    ``-###`` prints the command that the driver would run; gcc and clang both support it. ``path`` is only a key of
+    lru_cache.
     """
     command = [*compiler, *flags, "-###", "-E", "-x", "c", os.devnull]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -186,7 +187,7 @@ def _suffix() -> str:
 def _compile(
     files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], module: str, folder: Path
 ) -> None:
-    """Compile package and wrapper side by side in an empty folder, and link them to its file "module"."""
+    """Compile package and wrapper side by side in an empty folder, and link them into the file "module" there."""
     includes = _python_includes()
     for path, text in files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
@@ -231,14 +232,14 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
 
 
 def _environment(folder: Path) -> dict[str, str]:
-    """The compiler's own temporary files go where a killed build is cleaned up."""
+    """Environment of the compiler: its temporary files go to the build folder, which is removed after killed builds."""
     return {**os.environ, "TMPDIR": str(folder)}
 
 
 def _compile_foreign(
     files: Mapping[str, str], flags: Sequence[str], compiler: tuple[str, ...], folder: Path
 ) -> list[str]:
-    """Object files of the code in subfolders, without our warnings."""
+    """Compile the code in subfolders without the project's warnings; return the object files."""
     includes = sorted({f"-I{Path(path).parent}" for path in files if "/" in path})
     allowed = [flag for flag in flags if not flag.startswith(("-W", "-pedantic", "-std"))]
     objects = []
@@ -267,7 +268,7 @@ def _link_flags() -> list[str]:
 
 
 def _write_wrapper(header: str, name: str, module: str, path: Path) -> None:
-    """The C file that makes the package a Python module, from the declarations of its header."""
+    """Write the C file that makes the package a Python module, from the declarations of its header."""
     ffi = cffi.FFI()
     try:
         ffi.cdef(declarations(header, name))
@@ -287,7 +288,7 @@ def declarations(header: str, name: str) -> str:
 
 
 def _refused(compiler: tuple[str, ...], what: str, output: str, folder: Path) -> str:
-    """Keep the sources of a failed compilation and say where they are."""
+    """Keep the sources of a failed compilation; return the error message, which says where they are."""
     return f"{' '.join(compiler)} refuses {what} (sources kept in {keep_failed(folder)}):\n{_head(output)}"
 
 

@@ -1,14 +1,14 @@
-"""The folder of compiled controllers: private to its owner, verified before use, cleaned of what killed builds left.
+"""The folder of compiled controllers: private to its owner, verified before use, cleaned of remains of killed builds.
 
     <cache>/_nmpc_<name>_<key>.so        a module; loaded only if its checksum is right
     <cache>/_nmpc_<name>_<key>.sha256    its checksum, as sha256sum writes it
-    <cache>/locks/<xx>.lock              at most 256, never deleted: a lock that is deleted can be held twice
-    <cache>/<module>.building-<random>/  a build under way; without the holder of its lock it is garbage
+    <cache>/locks/<xx>.lock              at most 256, never deleted: a deleted lock file could be locked twice
+    <cache>/<module>.building-<random>/  a build in progress; it is removed if nobody holds its lock
     <cache>/failed/<module>/             sources of the last builds that failed
 
-A module is code that runs in the process that loads it. Hence the cache and its entries have to belong to the user who
-runs (or to root), and nobody else may write to them; a cache is not to be shared between users. On systems without
-POSIX owners this check is left out.
+A module is code that runs in the process that loads it. Hence the cache and its entries must belong to the current user
+(or to root), and nobody else may have write access; users must not share a cache. Systems without POSIX owners skip
+this check.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 def cache_directory() -> Path:
-    """Where compiled controllers are kept: $NMPC_CODEGEN_CACHE, else the user's cache directory."""
+    """The folder of compiled controllers: $NMPC_CODEGEN_CACHE, else the user's cache directory."""
     override = os.environ.get(CACHE_VARIABLE)
     return Path(override).absolute() if override else Path(user_cache_dir("nmpc_codegen"))
 
 
 def cached(filename: str, make: Callable[[Path], None]) -> Path:
-    """Path of the intact entry of that name; ``make(folder)`` is called for a missing or damaged one.
+    """Path of an entry of the cache; ``make(folder)`` is called if it is missing or damaged.
 
     Args:
-        filename: name of the entry; what stands before its first dot names its lock and folders.
-        make: leaves the file "module" in the folder that it is given.
+        filename: name of the entry; the part before the first dot names its lock and folders.
+        make: writes the file "module" to the folder that it is given.
 
     Raises:
-        BuildError: the cache is not private or cannot be written, or what ``make`` raises.
+        BuildError: the cache is not private or cannot be written to. Errors of ``make`` are passed on.
     """
     folder = _private_folder()
     target = folder / filename
@@ -66,7 +66,7 @@ def cached(filename: str, make: Callable[[Path], None]) -> Path:
 
 
 def keep_failed(workplace: Path) -> Path:
-    """Move the folder of a failed build to where it can be looked at; only the last few are kept."""
+    """Move the folder of a failed build to FAILED, where it can be inspected; only the last few are kept."""
     failed = workplace.parent / FAILED
     kept = failed / _module(workplace.name)
     failed.mkdir(exist_ok=True)
@@ -87,7 +87,7 @@ def _unwritable(folder: Path, error: BaseException) -> BuildError:
 
 
 def _private_folder() -> Path:
-    """The cache directory, made if needed; refused if another user could put code into it."""
+    """The cache directory, created if needed; it is refused if another user could put code into it."""
     folder = cache_directory()
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -108,7 +108,7 @@ def _user() -> int:
 
 
 def _distrust(info: os.stat_result) -> str:
-    """Why a file or folder may hold the code of somebody else; empty if it may not. Root is trusted as it is anyway."""
+    """The reason why a file or folder may contain code of another user, or "". Root can do anything and is trusted."""
     if not hasattr(os, "geteuid"):
         return ""
     if info.st_uid not in (0, os.geteuid()):
@@ -119,15 +119,15 @@ def _distrust(info: os.stat_result) -> str:
 
 
 def _is_intact(target: Path) -> bool:
-    """True for a trusted module whose checksum is the recorded one. To load a truncated one may kill the process."""
+    """True for a trusted module with the recorded checksum. Loading a truncated module may kill the process."""
     recorded, content = _read_trusted(_checksum_file(target)), _read_trusted(target)
     return content is not None and recorded == _checksum(content, target)
 
 
 def _read_trusted(path: Path) -> bytes | None:
-    """Contents of a regular file that nobody else can have written; None for anything else."""
+    """Contents of a regular file that no other user can have written; None for anything else."""
     try:
-        # What is not a file is not waited for (a named pipe), what is a link is not followed.
+        # Do not wait for a named pipe, and do not follow a link.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
         with os.fdopen(descriptor, "rb") as stream:
             info = os.fstat(descriptor)
@@ -164,7 +164,7 @@ def _lock_file(folder: Path, module: str) -> Path:
 
 @contextmanager
 def _lock(folder: Path, module: str) -> Iterator[None]:
-    """One build at a time of this module."""
+    """Allow one build of this module at a time."""
     path = _lock_file(folder, module)
     path.parent.mkdir(mode=0o700, exist_ok=True)
     with FileLock(path, mode=0o600):
@@ -173,7 +173,7 @@ def _lock(folder: Path, module: str) -> Iterator[None]:
 
 @contextmanager
 def _workplace(target: Path) -> Iterator[Path]:
-    """A folder for one build, which only the holder of the module's lock has; gone afterwards."""
+    """A folder for one build, used only by the holder of the module's lock and removed afterwards."""
     workplace = Path(tempfile.mkdtemp(prefix=f"{_module(target.name)}{BUILDING}", dir=target.parent))
     try:
         yield workplace
@@ -182,7 +182,7 @@ def _workplace(target: Path) -> Iterator[Path]:
 
 
 def _sweep(folder: Path, held: str) -> None:
-    """Remove the folders of builds that were killed: those whose lock nobody holds. The lock of ``held`` is ours."""
+    """Remove the folders of killed builds, whose lock nobody holds; the caller holds the lock of ``held``."""
     for left in folder.glob(f"*{BUILDING}*"):
         path = _lock_file(folder, _module(left.name))
         if path == _lock_file(folder, held):

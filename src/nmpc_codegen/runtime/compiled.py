@@ -1,6 +1,6 @@
 """A compiled C package: its functions, and its solver struct as a NumPy type.
 
-What the description says is compared with what was compiled before any memory is laid out by it.
+The description is compared with the compiled code before it determines the layout of any memory.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ COUNTERS = (
 
 @dataclass(frozen=True, eq=False)
 class CompiledPackage:
-    """A compiled package: its texts, their description, its cffi module, and how to make it again (for pickle)."""
+    """A compiled package: its texts, their description, its cffi module, and a function to load it again (pickle)."""
 
     name: str
     files: Mapping[str, str]
@@ -38,7 +38,7 @@ class CompiledPackage:
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """NumPy type of the solver struct, once the whole description agrees with the compiled code."""
+        """NumPy type of the solver struct; ControllerError unless the description agrees with the compiled code."""
         try:
             self._check_names()
             self._check_sizes()
@@ -68,7 +68,7 @@ class CompiledPackage:
 
     @cached_property
     def _functions(self) -> dict[str, Any]:
-        """The C functions by their names without the prefix: looked up once, for they are called at every sample."""
+        """The C functions by their names without the prefix: looked up once, as they are called at every sample."""
         prefix = f"{self.name}_"
         return {n.removeprefix(prefix): getattr(self.lib, n) for n in dir(self.lib) if n.startswith(prefix)}
 
@@ -78,7 +78,7 @@ class CompiledPackage:
         raise ControllerError(f"{self.name}: {what}: export the package again")
 
     def _same(self, what: str, ours: object, theirs: object) -> None:
-        """Refuse a description that says something else than the compiled code."""
+        """Raise ControllerError if description and compiled code differ."""
         if ours != theirs:
             self._refuse(f"{what} is {ours} in the description, {theirs} in the compiled code")
 
@@ -94,7 +94,7 @@ class CompiledPackage:
         self._same("the type of real numbers", C_REAL[self.description.precision], real.cname)
 
     def _check_sizes(self) -> None:
-        """Macros, and the length of every parameter, which no array shows."""
+        """Compare the macros, and the lengths of all parameters, which no array shape shows."""
         for name, value in self.description.sizes.items():
             self._same(f"the size {name}", value, self._constant(name))
         for parameter in self.description.parameters:
@@ -102,7 +102,7 @@ class CompiledPackage:
             self._same(f"the size of the parameter {parameter.name!r}", parameter.size, self._constant(macro))
 
     def _check_enumerations(self) -> None:
-        """Numbers of statuses, rows and parameters."""
+        """Compare the numbers of statuses, rows and parameters."""
         statuses = tuple(Status.__members__)
         if self.description.statuses != statuses:
             self._refuse(f"its status values are {self.description.statuses}, those of this version {statuses}")
@@ -117,7 +117,7 @@ class CompiledPackage:
             self._same(f"the number of the {kind} {name!r}", number, self._constant(constant))
 
     def _check_entry_points(self) -> None:
-        """Every entry point is there, with arguments and result of the types that are described."""
+        """Check that every entry point exists, with arguments of the described types."""
         words = {"real": self.ffi.typeof(f"{self.name}_real").cname, "int": "int"}
         for entry in self.description.entry_points:
             arguments = [self.ffi.typeof(f"{self.name}_solver_t *").cname]
@@ -126,7 +126,7 @@ class CompiledPackage:
             self._same(f"{entry.name}(): the arguments", arguments, [a.cname for a in compiled.args])
 
     def _check_members(self, struct: Struct) -> None:
-        """Names, element types and shapes, one by one."""
+        """Compare names, element types and shapes of all members."""
         compiled = self.ffi.typeof(f"{self.name}_{struct.name}_t")
         self._same(f"{struct.name}: the kind", "union" if struct.union else "struct", compiled.kind)
         fields = dict(compiled.fields or ())
@@ -150,7 +150,7 @@ class CompiledPackage:
         return str(self.ffi.typeof(f"{word}_t").cname)
 
     def _check_roles(self) -> None:
-        """The members that the Controller reads are there, with the shapes that follow from sizes and layouts."""
+        """Check that all members that the Controller reads exist, with the shapes that sizes and layouts imply."""
         for name, allowed in self._roles().items():
             member = self.description.members("solver").get(name)
             found = None if member is None else (member.ctype, member.values)
@@ -192,7 +192,7 @@ class CompiledPackage:
         return {name: shape for name, shape in shapes.items() if not all(shape)}
 
     def _settings(self) -> dict[str, tuple[tuple[str, tuple[int, ...]] | None, ...]]:
-        """The same of what can be set: absent where it is fixed, else of the shape that its layout says."""
+        """The same for settings: a member is absent if its data are fixed, else its layout implies its shape."""
         d, layouts = self.description.dims, self.description.online
         path, every = {"shared": 1, "node": d.N}, {"shared": 2, "node": d.N + 1}
 

@@ -2,8 +2,8 @@
 
     u0 = step(xhat) = prepare(); feedback(xhat)
 
-Everything a controller knows stands in the struct, which lives in a 64-byte aligned byte array owned here: copying,
-pickling and saving are copies of bytes. One controller per thread; C calls release the GIL.
+The whole state of a controller is in the struct, a 64-byte aligned byte array that the Controller owns: copying,
+pickling and saving copy these bytes. Use one controller per thread; C calls release the GIL.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from nmpc_codegen.runtime.status import Kkt, Solution, Stats, Status
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
-#: What stats are of an algorithm that counts nothing.
+#: Stats of an algorithm without counters.
 _NO_COUNTS = {**dict.fromkeys(COUNTERS, 0), "violation": 0.0}
 
 EVERY_NODE = -1  # <NAME>_ALL of the C package
@@ -37,9 +37,9 @@ OnFailure = Literal["status", "raise"]
 
 
 class Controller:
-    """One controller with its memory. Made by build() or open_package(), initialised and ready to step.
+    """A controller with its memory, which build() or open_package() creates initialised and ready to step.
 
-    The arrays x, u, lam, mu_x, mu_u, mu, mu_N are views on the current iterate and may be written: an initial guess.
+    The arrays x, u, lam, mu_x, mu_u, mu, mu_N are views on the current iterate; write an initial guess to them.
     """
 
     def __init__(self, package: CompiledPackage) -> None:
@@ -61,14 +61,14 @@ class Controller:
     # -- the real-time iteration ------------------------------------------------------------------------------------
 
     def step(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """prepare() and feedback(xhat); an algorithm without these phases takes the whole sample at once.
+        """Call prepare() and feedback(xhat); an algorithm without these phases computes the sample in one call.
 
         Args:
-            xhat: measured state, shape (nx,). A NaN is not an error here: the status is NOT_FINITE, the control safe.
-            on_failure: "status" leaves the outcome in ``status``; "raise" raises unless it is OK.
+            xhat: measured state, shape (nx,). NaN is not an error here: the status is NOT_FINITE, the control is safe.
+            on_failure: "status" stores the outcome in ``status``; "raise" raises ControllerError unless it is OK.
 
         Returns:
-            Control to apply, shape (nu,): a fresh array, finite and inside its bounds whatever the status.
+            Control to apply, shape (nu,): a new array, finite and inside its bounds whatever the status.
         """
         self._measure(xhat)
         start = perf_counter_ns()
@@ -90,14 +90,14 @@ class Controller:
         return self._u0.copy()
 
     def prepare(self, on_failure: OnFailure = "status") -> Status:
-        """Everything that can be done before the state is known: linearise, condense, factorise."""
+        """Perform all operations that do not depend on the measured state: linearise, condense, factorise."""
         start = perf_counter_ns()
         status = self._call("prepare", self._s)
         self._prepare_ns = perf_counter_ns() - start
         return self._judge(status, "prepare", on_failure)
 
     def feedback(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """Solve the prepared problem for the measured state (nx,); the control (nu,), as step() returns it."""
+        """Solve the prepared problem for the measured state (nx,); return the control (nu,) as step() does."""
         self._measure(xhat)
         start = perf_counter_ns()
         status = self._call("feedback", self._s, self._xhat_c, self._u0_c)
@@ -110,8 +110,8 @@ class Controller:
 
         Args:
             xhat: initial state, shape (nx,).
-            tol: largest KKT residual that counts as solved, > 0.
-            max_iterations: SQP iterations, >= 1.
+            tol: KKT residual up to which the problem counts as solved, > 0.
+            max_iterations: maximum number of SQP iterations, >= 1.
         """
         if not is_positive(tol):
             raise ControllerError(f"tol is {tol!r}; expected a positive number")
@@ -138,21 +138,21 @@ class Controller:
         )
 
     def reset(self) -> None:
-        """Back to the plain start; references, weights, parameters and bounds stay."""
+        """Return to the initial plan; references, weights, parameters and bounds are kept."""
         self._expect(self._call("reset", self._s), "reset")
 
     def shift(self) -> None:
-        """Move the plan one interval ahead."""
+        """Shift the plan by one interval."""
         self._expect(self._call("shift", self._s), "shift")
 
     # -- what is solved ---------------------------------------------------------------------------------------------
 
     def set_reference(self, y: ArrayLike | Mapping[str, float], node: int | None = None) -> None:
-        """Reference of the path residual.
+        """Set the reference of the path residual.
 
         Args:
-            y: (ny,); or (N, ny), one row per node; or {name of a residual: value}, which leaves the others as they are.
-            node: 0..N-1, or None for every node. With Online(reference="shared") only None, and no (N, ny).
+            y: (ny,); or (N, ny), one row per node; or {name of a residual: value}, which does not change the others.
+            node: 0..N-1, or None for every node. Online(reference="shared") allows only None, and no (N, ny).
         """
         call, shape = "set_reference", (self.dims.ny,)
         each = self._each_node("reference", "the reference", node)
@@ -170,7 +170,7 @@ class Controller:
             self._send(call, self._array("reference", y, shape), node)
 
     def set_terminal_reference(self, y: ArrayLike | Mapping[str, float]) -> None:
-        """Reference of the terminal residual: (ny_N,), or {name: value}."""
+        """Set the reference of the terminal residual: (ny_N,), or {name: value}."""
         self._each_node("reference", "the terminal reference")
         self._expect_some(self.dims.ny_N, "terminal residual")
         if isinstance(y, Mapping):
@@ -180,12 +180,12 @@ class Controller:
         self._expect(self._call("set_terminal_reference", self._s, self._pointer(value)), "set_terminal_reference")
 
     def set_weight(self, W: ArrayLike, node: int | None = None) -> None:
-        """Weight of the path residual, symmetric positive semidefinite up to rounding (stored as (W + W') / 2).
+        """Set the weight of the path residual, symmetric positive semidefinite up to rounding; (W + W') / 2 is stored.
 
         Args:
-            W: its diagonal (ny,) or the matrix (ny, ny); or (N, ny, ny), one matrix per node. Entries off the diagonal
-                need a weight that is declared with some, or Online(dense_weight=True).
-            node: 0..N-1, or None for every node. With Online(weight="shared") only None, and no (N, ny, ny).
+            W: its diagonal (ny,) or the matrix (ny, ny); or (N, ny, ny), one matrix per node. Off-diagonal entries
+                require a weight that was declared with some, or Online(dense_weight=True).
+            node: 0..N-1, or None for every node. Online(weight="shared") allows only None, and no (N, ny, ny).
         """
         each, ny = self._each_node("weight", "the weight", node), self.dims.ny
         self._expect_some(ny, "path residual")
@@ -199,19 +199,19 @@ class Controller:
             self._send("set_weight", self._weight("weight", W, ny, dense), node)
 
     def set_terminal_weight(self, W: ArrayLike) -> None:
-        """Weight of the terminal residual: (ny_N,) or (ny_N, ny_N)."""
+        """Set the weight of the terminal residual: (ny_N,) or (ny_N, ny_N)."""
         self._each_node("weight", "the terminal weight")
         self._expect_some(self.dims.ny_N, "terminal residual")
         value = self._weight("terminal weight", W, self.dims.ny_N, self._view("W_N").ndim == 2)
         self._expect(self._call("set_terminal_weight", self._s, self._pointer(value)), "set_terminal_weight")
 
     def set_parameter(self, name: str, value: ArrayLike, node: int | None = None) -> None:
-        """Value of an online parameter.
+        """Set the value of an online parameter.
 
         Args:
-            name: as declared; a vector parameter is set as a whole.
+            name: the declared name; a vector parameter is set as a whole.
             value: a number, or (size,); or one row per node, (N+1, size), with node=None.
-            node: 0..N, or None for every node. With Online(parameter="shared") None or N, and no (N+1, size).
+            node: 0..N, or None for every node. Online(parameter="shared") allows None and N, and no (N+1, size).
         """
         signals = self.description.parameters
         index = self._lookup(name, [p.name for p in signals], "parameter")
@@ -227,13 +227,13 @@ class Controller:
         self._send("set_parameter", self._array(what, one, (size,)), node, index)
 
     def set_bounds(self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None = None) -> None:
-        """Bounds of a row, or of all rows of a vector by its base name.
+        """Set the bounds of a row, or of all rows of a vector by its base name.
 
         Args:
             name: name of the row, e.g. "swing" or "r[1]"; or "r" for r[0], r[1], ...
-            lower: a number or one per row; -inf: none.
-            upper: likewise; +inf: none.
-            node: a node of the row, or None for all of them. With Online(bounds="shared") None or N.
+            lower: a number or one per row; -inf: no bound.
+            upper: a number or one per row; +inf: no bound.
+            node: a node of the row, or None for all of them. Online(bounds="shared") allows None and N.
         """
         rows = self._rows(name)
         self._each_node("bounds", f"the bounds of {name!r}", node, terminal=True)
@@ -246,7 +246,7 @@ class Controller:
             self._expect(status, "set_bounds", f"row {self.names.rows[row]!r}, node {node}")
 
     def path_bounds(self, row: int) -> tuple[float, float]:
-        """Smallest lower and largest upper bound of scalar row number ``row`` over its path nodes, as they are now."""
+        """Smallest lower and largest upper bound of scalar row number ``row`` over its path nodes at present."""
         info, layout = self.description.rows[row], self.description.online["bounds"]
         if layout == "fixed":
             return info.lower, info.upper
@@ -315,7 +315,7 @@ class Controller:
 
     @property
     def stats(self) -> Stats:
-        """Counts, residuals and times of the last call; counts that the algorithm does not have are 0."""
+        """Counters, residuals and times of the last call; counters that the algorithm does not have are 0."""
         members = self.description.members("solver")
         counts = self._struct["stats"] if "stats" in members else _NO_COUNTS
         kkt = self._struct["kkt"] if "kkt" in members else dict.fromkeys(Kkt.__dataclass_fields__, math.nan)
@@ -335,7 +335,7 @@ class Controller:
 
     @property
     def cost(self) -> float:
-        """Cost of the current plan, with the references and weights of now."""
+        """Cost of the current plan, with the present references and weights."""
         return float(self._call("cost", self._s))
 
     def kkt(self) -> Kkt:
@@ -346,7 +346,7 @@ class Controller:
         return Kkt(*(float(getattr(out, part)) for part in Kkt.__dataclass_fields__))
 
     def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
-        """State (nx,) after dt from x (nx,) under constant u (nu,), by the package's own integrator."""
+        """State (nx,) after the time dt (s) from x (nx,) under constant u (nu,), by the integrator of the package."""
         start = self._array("x", x, (self.dims.nx,), finite=False)
         control = self._array("u", u, (self.dims.nu,), finite=False)
         out, out_c = self._buffer(self.dims.nx)
@@ -354,7 +354,7 @@ class Controller:
         return out[: self.dims.nx]
 
     def view(self, path: str) -> Array:
-        """View on any member of the solver struct, in its true shape; dots reach into inner structs ("qp.g")."""
+        """View on any member of the solver struct, in its true shape; dots access inner structs ("qp.g")."""
         return self._view(path)
 
     @property
@@ -364,7 +364,7 @@ class Controller:
 
     @property
     def nbytes(self) -> int:
-        """Size of the solver struct in bytes: all the memory the C package uses, stack apart."""
+        """Size of the solver struct in bytes: all memory that the C package uses except the stack."""
         return self._package.dtype.itemsize
 
     def __repr__(self) -> str:
@@ -390,7 +390,7 @@ class Controller:
         return _restore, (package.reload, dict(package.files), package.name, package.profile, self._memory.tobytes())
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
-        """Write the state (the bytes of the struct and what package they belong to) as an .npz archive."""
+        """Write the state, the bytes of the struct and the fingerprint of its package, as an .npz archive."""
         content = {"package": np.array(self._package.fingerprint), "state": np.asarray(self._memory)}
         if isinstance(file, str | os.PathLike):
             with Path(file).open("wb") as stream:
@@ -399,7 +399,7 @@ class Controller:
             np.savez(file, allow_pickle=False, **content)
 
     def load(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
-        """Take over a state that save() wrote; it must come from the same C package, the profile may differ."""
+        """Load a state that save() wrote; it must come from the same C package, but the profile may differ."""
         with np.load(file, allow_pickle=False) as archive:
             if not {"package", "state"} <= set(archive):
                 raise ControllerError(f"{file} is not a state that Controller.save() wrote")
@@ -411,7 +411,7 @@ class Controller:
     # -- inner ------------------------------------------------------------------------------------------------------
 
     def _functions(self, *names: str) -> tuple[Any, ...] | None:
-        """The entry points of these names, looked up once; None if one of them is not there."""
+        """The entry points of these names, looked up once; None if one of them does not exist."""
         if not all(map(self.description.offers, names)):
             return None
         return tuple(map(self._package.function, names))
@@ -435,7 +435,7 @@ class Controller:
         raise ControllerError(f"{self._package.name}.{call}{subject}: {status}{self._details(status)}")
 
     def _details(self, status: Status) -> str:
-        """Which row or state is at fault, in the user's names."""
+        """The row or state that caused the failure, by its user name."""
         row = self._violated_row()
         if status in (Status.INFEASIBLE, Status.RELAXED) and row:
             stats = self.stats
@@ -465,24 +465,24 @@ class Controller:
         return self._package.ffi.from_buffer(f"{self._package.name}_real[]", contiguous)
 
     def _measure(self, xhat: ArrayLike) -> None:
-        """Copy the measured state to where C reads it. NaN passes: the C code answers it."""
+        """Copy the measured state to the buffer that C reads. NaN is passed on, as the C code handles it."""
         if type(xhat) is np.ndarray and xhat.dtype == self._real and xhat.shape == self._xhat.shape:
             self._xhat[:] = xhat
         else:
             self._xhat[:] = self._array("xhat", xhat, (self.dims.nx,), finite=False)
 
     def _array(self, what: str, value: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Array:
-        """value as an array of that shape in the working precision."""
+        """``value`` as an array of the given shape in the working precision."""
         return checked_array(value, what, self._real, shape, finite)
 
     def _each_node(self, option: Kind, what: str, node: int | None = None, terminal: bool = False) -> bool:
-        """True if this kind of data is stored for every node; an error if ``node`` has none of its own.
+        """True if this kind of data is stored for every node; ControllerError if ``node`` cannot be set.
 
         Args:
-            option: the word of Online.
-            what: is to be set.
-            node: as the caller was given it.
-            terminal: shared data of this kind have a copy for node N.
+            option: the kind of data, a field of Online.
+            what: name of the data, for the message.
+            node: the node that the user gave.
+            terminal: True if shared data of this kind have a copy for node N.
         """
         layout, k = self.description.online[option], self._node(node)
         if layout == "fixed":
@@ -502,7 +502,7 @@ class Controller:
             raise ControllerError(f"{self._package.name} has no {what}")
 
     def _weight(self, what: str, W: ArrayLike, size: int, matrix: bool) -> Array:
-        """W checked and in the form in which the struct stores it: diagonal (size,) or matrix (size, size)."""
+        """The checked weight in the form that the struct stores: diagonal (size,) or matrix (size, size)."""
         given = self._array(what, W, (size,) if ndim(W) == 1 else (size, size))
         square = np.diag(given) if given.ndim == 1 else given
         dense = checked_weight(square, what, ControllerError, float(np.finfo(self._real).eps))
@@ -511,7 +511,7 @@ class Controller:
             return dense
         if np.any(dense != np.diag(diagonal)):
             raise ControllerError(
-                f"{what} has entries off its diagonal; only the diagonal is stored, without Online(dense_weight=True)"
+                f"{what} has entries off its diagonal, which only Online(dense_weight=True) stores for this weight"
             )
         return diagonal
 
@@ -523,7 +523,7 @@ class Controller:
         return array.astype(np.float64)
 
     def _node(self, node: int | None) -> int:
-        """Node number for C; None: every node. The range is checked by C, which knows what may be set."""
+        """Node number for C; None: every node. The C code checks whether data of this node can be set."""
         if node is None:
             return EVERY_NODE
         if not is_integer(node) or not 0 <= node <= self.dims.N:
@@ -540,7 +540,7 @@ class Controller:
         return known.index(name)
 
     def _rows(self, name: str) -> list[int]:
-        """Rows of that name, or all rows name[i]."""
+        """The row of that name, or all rows name[i]."""
         known = self.names.rows
         members = [i for i, row in enumerate(known) if row.rpartition("[")[0] == name]
         return members or [self._lookup(name, known, "row")]
@@ -569,7 +569,7 @@ class Controller:
         return here
 
     def _optional(self, name: str) -> Array:
-        """A member that only some algorithms and problems have; empty if it is not there."""
+        """A member that only some algorithms and problems have; empty if it does not exist."""
         try:
             return self._view(name)
         except AttributeError:
@@ -581,7 +581,7 @@ class Controller:
 
 
 def _restore(reload: Callable[..., Controller], files: Mapping[str, str], name: str, profile: Any, state: bytes) -> Any:
-    """Unpickle: compile again (or take it from the cache) and put the state back."""
+    """Unpickle: load the package again, from the cache if possible, and restore the state."""
     controller = reload(files, name, profile)
     controller._memory[:] = np.frombuffer(state, dtype=np.uint8)
     return controller

@@ -1,8 +1,8 @@
-"""The folder of a package: whose files are in it, and how new ones appear there, all of them or none.
+"""The folder of a package: which files in it may be replaced, and how new ones are written, all of them or none.
 
-New texts and second names of the old files are collected in STAGING inside the folder; then each file is renamed onto
-its place, which is atomic. A failure puts the old files back. If the process is killed between two renames, every file
-is whole, old or new; STAGING stays and is removed by the next export.
+New files and hard links to the old ones are first created in STAGING inside the folder; then each new file is renamed
+to its final name, which is atomic. After a failure the old files are put back. If the process is killed between two
+renames, every file is complete, old or new; STAGING is left behind, and the next export removes it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if sys.platform != "win32":
 
 STAGING = ".nmpc_codegen-export"
 PATIENCE = 10.0  # seconds that an export waits for another one into the same folder
-LARGEST = 1 << 28  # bytes; a larger file is not one of ours, and is not read
+LARGEST = 1 << 28  # bytes; a larger file cannot be a generated one, and is not read
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class Change:
 
 
 def write(directory: str | os.PathLike[str], files: Mapping[str, str], *, force: bool = False) -> Path:
-    """Write ``files`` (relative path -> text) into the folder, which is created if needed; returns its absolute path.
+    """Write ``files`` (relative path -> text) into the folder, which is created if needed; return its absolute path.
 
-    Files that are as wanted already are not touched. Files that are no unchanged generated ones, or read-only, are
-    replaced only with ``force``; links, folders and devices in the place of a file never.
+    Files that already have the right content are not touched. Files that are not generated, have been edited or are
+    read-only are replaced only with ``force``; links, folders and devices in the place of a file are never replaced.
 
     Raises:
-        OptionError: ``directory`` or ``force`` is of a wrong type.
-        ExportError: something is in the way, or the system refuses to write; the folder is as before.
+        OptionError: ``directory`` or ``force`` has a wrong type.
+        ExportError: a file must not be replaced, or it cannot be written; the folder is left unchanged.
     """
     if force is not True and force is not False:
         raise OptionError(f"force: {force!r}; expected True or False")
@@ -73,7 +73,7 @@ def write(directory: str | os.PathLike[str], files: Mapping[str, str], *, force:
 
 @contextmanager
 def _naming(path: Path, what: str) -> Iterator[None]:
-    """Turn an error of the operating system into one that names the path."""
+    """Turn an error of the operating system into an ExportError that names the path."""
     try:
         yield
     except ExportError:
@@ -86,7 +86,7 @@ def _naming(path: Path, what: str) -> Iterator[None]:
 
 
 def _resolved(directory: str | os.PathLike[str]) -> Path:
-    """The absolute path of the folder: links on the way are followed here, once, as the caller named them."""
+    """The absolute path of the folder. Links in the path are followed only here, because the caller named them."""
     if not isinstance(directory, str | os.PathLike) or not isinstance(os.fspath(directory), str):
         raise OptionError(f"directory: {directory!r}; expected the path of a folder")
     text = os.fspath(directory)
@@ -113,7 +113,7 @@ def _make(folder: Path, made: list[Path]) -> None:
                 break
             missing.append(path)
         for path in reversed(missing):
-            made.append(path)  # before: a folder that was made in spite of an error must go, too
+            made.append(path)  # recorded first: a folder that exists despite an error must be removed, too
             try:
                 path.mkdir()
             except FileExistsError:  # another process was faster
@@ -126,7 +126,7 @@ def _make(folder: Path, made: list[Path]) -> None:
 def _alone(folder: Path) -> Iterator[None]:
     """Keep other exports out of the folder: a lock on the folder itself leaves no file and ends with the process.
 
-    Some network file systems and Windows have no such lock; two exports at once are not kept apart there.
+    Some network file systems and Windows have no such lock; concurrent exports are not prevented there.
     """
     if sys.platform == "win32":
         yield
@@ -152,7 +152,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _clear(staging: Path, trouble: str = "cannot be removed") -> None:
-    """Remove STAGING, and nothing in it that export() has not put there."""
+    """Remove STAGING; raise ExportError if it contains anything that export() did not write."""
     mode = _mode(staging)
     if mode is None:
         return
@@ -168,11 +168,11 @@ def _clear(staging: Path, trouble: str = "cannot be removed") -> None:
         staging.rmdir()
 
 
-# -- whose files ------------------------------------------------------------------------------------------------------
+# -- files that may be replaced ---------------------------------------------------------------------------------------
 
 
 def _changes(folder: Path, files: Mapping[str, str], force: bool) -> list[Change]:
-    """Files that differ from what is wanted. Raises ExportError if something is in the way."""
+    """The files to write, whose content differs. Raises ExportError if one of them must not be replaced."""
     changes, refused = [], []
     for path, text in files.items():
         target, data = folder / _checked(path), text.encode()
@@ -206,7 +206,7 @@ def _checked(path: str) -> str:
 
 
 def _check_way(folder: Path, target: Path) -> None:
-    """Refuse a link, or anything else that is no folder, between the folder and a file in it."""
+    """Refuse a link, or anything else that is not a folder, between the folder and a file in it."""
     for path in reversed(target.parents):
         if folder in path.parents:
             mode = _mode(path)
@@ -215,7 +215,7 @@ def _check_way(folder: Path, target: Path) -> None:
 
 
 def _mode(path: Path) -> int | None:
-    """Kind and permissions of what is there, links not followed; None for nothing."""
+    """Type and permissions of the file, folder or link at a path, without following links; None if there is none."""
     try:
         return path.lstat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -230,7 +230,7 @@ def _kind(mode: int) -> str:
 
 
 def _read(target: Path) -> bytes | None:
-    """The bytes of a plain file; None if they cannot be read, or are too many to be ours."""
+    """The bytes of a plain file; None if they cannot be read, or are too many for a generated file."""
     try:
         return target.read_bytes() if target.stat().st_size <= LARGEST else None
     except OSError:
@@ -238,7 +238,7 @@ def _read(target: Path) -> bytes | None:
 
 
 def _objection(old: bytes | None, mode: int) -> str | None:
-    """Why a file must not be replaced, or None."""
+    """The reason why a file must not be replaced, or None."""
     if old is None or not has_seal(old):
         return "not written by export(), or by an older version"
     if not intact(old):
@@ -252,7 +252,7 @@ def _objection(old: bytes | None, mode: int) -> str | None:
 
 
 def _replace(staging: Path, changes: Sequence[Change]) -> None:
-    """Write all new files aside, then rename them onto their places; on failure put the old ones back."""
+    """Write all new files to STAGING, then rename them to their final names; after a failure put the old ones back."""
     try:
         with _naming(staging.parent, "the folder cannot be written to"):
             staging.mkdir()
@@ -275,7 +275,7 @@ def _replace(staging: Path, changes: Sequence[Change]) -> None:
 
 
 def _stage(change: Change) -> None:
-    """The new file, safe on the disk, and a second name (or copy) of the old one."""
+    """Write the new file, flushed to the disk, and create a hard link to (or copy of) the old one."""
     with open(change.new, "xb") as file:
         file.write(change.data)
         file.flush()
@@ -289,12 +289,12 @@ def _stage(change: Change) -> None:
 
 
 def _is_lost(change: Change) -> bool:
-    """True if an old file is to be found in STAGING only."""
+    """True if an old file exists in STAGING only."""
     return not change.new.exists() and change.old.exists()
 
 
 def _put_back(staging: Path, changes: Sequence[Change], error: BaseException) -> None:
-    """Undo the renames that have happened: those whose new file has left STAGING."""
+    """Undo the renames that have been done: those of new files that are not in STAGING."""
     stuck = []
     for change in (c for c in changes if not c.new.exists()):
         try:

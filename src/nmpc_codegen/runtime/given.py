@@ -1,4 +1,4 @@
-"""What a caller gives: when it is a number, an array of the expected shape, a weight."""
+"""Checks of values that a caller gives: numbers, arrays of an expected shape, weights."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError, NmpcError
 
-#: Asymmetry |W - W'| and negative eigenvalues that are rounding of a product like A' Q A: multiples of eps max|W|.
+#: Asymmetry |W - W'| and negative eigenvalues up to this multiple of eps max|W| are rounding of products like A' Q A.
 ROUNDING = 2.0**12
 
 
@@ -21,8 +21,8 @@ def checked_weight(
 
     Args:
         W: (n, n).
-        what: what it is, for the message.
-        error: what to raise if it is not symmetric or has a negative eigenvalue.
+        what: name of the weight, for the message.
+        error: class of the error that is raised if W is not symmetric or has a negative eigenvalue.
         eps: machine epsilon of the numbers that W was computed with.
     """
     array = W.astype(np.float64)
@@ -48,10 +48,10 @@ def checked_weight(
 def checked_array(
     value: ArrayLike, what: str, real: np.dtype[Any], shape: tuple[int, ...], finite: bool = True
 ) -> NDArray[Any]:
-    """value as an array of the given type and shape.
+    """``value`` as an array of the given type and shape.
 
     Raises:
-        ControllerError: it is none, or, with ``finite``, holds a NaN or an infinity.
+        ControllerError: it is not such an array, or, with ``finite``, it contains a NaN or an infinity.
     """
     try:
         given = np.asarray(value)
@@ -75,7 +75,7 @@ def is_positive(value: object) -> bool:
 
 
 def ndim(value: ArrayLike) -> int:
-    """Number of dimensions; -1 for what is no array, which is then refused where its shape is checked."""
+    """Number of dimensions; -1 if ``value`` is not an array, which the check of its shape then refuses."""
     try:
         return np.ndim(value)
     except ValueError:

@@ -1,6 +1,6 @@
-"""Exported folders, read back without CasADi.
+"""Open exported folders, without CasADi.
 
-The C of a folder is compiled and runs with the rights of the user: only a folder that is trusted is to be opened.
+The C code of a folder is compiled and runs with the rights of the user, so open only folders that you trust.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ MAX_BYTES = 2**26  # of one file
 def open_package(
     directory: str | Path, profile: str = "fast", lanes: int | None = None, name: str | None = None
 ) -> Controller:
-    """Compile and load an exported folder; ``name`` picks one of several packages in it.
+    """Compile and load an exported folder; ``name`` selects one of several packages in it.
 
-    The C code of the folder runs in this process: open what you trust. A description that is not that of the C code is
-    an error, whatever it says.
+    The C code of the folder runs in this process, so open only folders that you trust. A description that does not
+    match the C code raises an error.
 
     Raises:
-        BuildError: the folder does not hold that package, or not exactly one <name>.json with <name>.h and <name>.c;
-            the three come from different exports; a file cannot be read; or the compiler refuses the code.
-        ControllerError: <name>.json is no description of a package, or not of this C code.
+        BuildError: the folder does not contain that package, or not exactly one <name>.json with <name>.h and <name>.c;
+            the three come from different exports; a file cannot be read; or the compiler rejects the code.
+        ControllerError: <name>.json is not a package description, or it does not describe this C code.
     """
     folder = Path(directory)
     found = [j for j in sorted(folder.glob("*.json")) if j.with_suffix(".h").exists() and name in (None, j.stem)]

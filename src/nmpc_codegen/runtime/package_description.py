@@ -1,7 +1,7 @@
-"""What is known about a C package besides its text: sizes, names, rows, the layout of the solver struct, the report.
+"""Description of a C package: sizes, names, rows, the layout of the solver struct, the report.
 
-One class serves both ends: lowering makes a PackageDescription and to_json() writes <name>.json, from_json() reads it
-for everything that runs a package. Nothing here needs CasADi or a compiler.
+Lowering creates a PackageDescription, and to_json() yields the text of <name>.json; from_json() reads it wherever a
+package is run. Nothing here needs CasADi or a compiler.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Precision = Literal["double", "single"]
 Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
 RowKind = Literal["control", "state", "general", "coupled"]
 
-#: What can be changed at run time, and how it is stored: a table of declared values, once, or once per node.
+#: Data that can be changed at run time, and how they are stored: as a table of declared values, once, or once per node.
 Kind = Literal["reference", "weight", "bounds", "parameter"]
 Layout = Literal["fixed", "shared", "node"]
 Layouts = Mapping[Kind, Layout]
@@ -29,7 +29,7 @@ Layouts = Mapping[Kind, Layout]
 REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 INTEGERS: dict[str, type[np.integer[Any]]] = {"int32": np.int32, "int64": np.int64}
 
-#: Largest number of operations that is believed.
+#: Largest number of operations that is accepted.
 MAX_COUNT = 2**63 - 1
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
@@ -77,7 +77,7 @@ class Dimensions:
     ny_N: int
     nh: int
     nh_N: int
-    nr: int  # scalar rows the user stated
+    nr: int  # scalar rows that the user stated
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ class Size:
 
 @dataclass(frozen=True)
 class Field:
-    """A member of a C struct. A description may state members of size 0, which are padded to 1 in C.
+    """A member of a C struct. A description may contain members of size 0, which are padded to 1 in C.
 
-    ``only``: name of a switch; where it is 0 the member does not exist, nor does one of size 0.
+    ``only``: name of a switch; if it is 0, lowering drops the member, as it does with members of size 0.
     """
 
     name: str
@@ -123,12 +123,12 @@ class Field:
 
 @dataclass(frozen=True)
 class Struct:
-    """A C struct <prefix>_<name>_t and the member ``name`` of the given shape that holds it in the solver.
+    """A C struct <prefix>_<name>_t, and the member ``name`` of the solver with this type and the given shape.
 
-    The solver itself is the struct "solver"; a component adds members to it by a Struct of that name. A struct that
-    another one has as a member has none of its own in the solver. ``only``: name of a switch; where it is 0 the struct
-    does not exist. ``union``: its members share their memory, for phases that never overlap; every component that
-    states a union of that name adds its members to it.
+    The solver itself is the struct "solver"; a component adds members to it with a Struct of that name. A struct that
+    is a member of another one is not a member of the solver. ``only``: name of a switch; if it is 0, the struct does
+    not exist. ``union``: its members share memory, for phases that do not overlap; all components that define a union
+    of the same name add their members to it.
     """
 
     name: str
@@ -140,7 +140,7 @@ class Struct:
 
     @property
     def count(self) -> int:
-        """How many of it the solver holds."""
+        """Number of these structs in the solver."""
         return math.prod(size.value for size in self.shape)
 
 
@@ -186,12 +186,12 @@ class Signal:
 
 @dataclass(frozen=True)
 class Row:
-    """One scalar row lower <= value <= upper, holding at ``nodes``, with the bounds it was declared with.
+    """One scalar row lower <= value <= upper that holds at ``nodes``, with its declared bounds.
 
     kind "control": value = u[index], a hard simple bound at every node 0..N-1;
-    kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaced the row altogether (N = 1);
+    kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaces the whole row (N = 1);
     kind "general": value = h[index] of the path stage (nodes < N) and h[index_terminal] of the terminal stage (node N),
-    -1 where the row does not exist there;
+    -1 if the row does not hold there;
     kind "coupled": r[index](x_0, x_N), ``nodes`` is (0, N). ``soft`` is (l1, l2) or None. Equality: lower == upper.
     """
 
@@ -219,11 +219,12 @@ class Names:
 
 @dataclass(frozen=True)
 class Report:
-    """What the compiler found out about a package.
+    """The compiler's report on a package.
 
-    ``ram_bytes``: the solver struct, and ``ram_bytes_by_struct`` what is in it; ``operations`` of one call of every C
-    function whose number does not depend on data, and ``linearization_operations`` of all nodes; ``choices``: what was
-    chosen and why; ``looped``: functions that are loops instead of straight-line code.
+    ``ram_bytes``: size of the solver struct; ``ram_bytes_by_struct``: sizes of the structs in it; ``operations``: of
+    one call of every C function for which they do not depend on data; ``linearization_operations``: of all nodes
+    together; ``choices``: the chosen components and the reasons; ``looped``: functions with loops instead of
+    straight-line code.
     """
 
     ram_bytes: int = 0
@@ -234,7 +235,7 @@ class Report:
     looped: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """The report in dictionaries, lists and numbers, as <name>.json has it."""
+        """The report as dictionaries, lists and numbers, as in <name>.json."""
         return {
             "ram_bytes": self.ram_bytes,
             "ram_bytes_by_struct": dict(self.ram_bytes_by_struct),
@@ -247,7 +248,7 @@ class Report:
 
 @dataclass(frozen=True)
 class PackageDescription:
-    """A whole package; a struct stands after those that it holds, "solver", which holds all others, last."""
+    """Description of a whole package; each struct follows those that it contains, so that "solver" is last."""
 
     name: str
     precision: Precision
@@ -296,7 +297,7 @@ class PackageDescription:
         )
 
     def offers(self, name: str) -> bool:
-        """Whether the algorithm has an entry point of that name."""
+        """True if the algorithm has an entry point of that name."""
         return any(entry.name == name for entry in self.entry_points)
 
     def members(self, struct: str) -> Mapping[str, Field]:
@@ -317,7 +318,7 @@ class PackageDescription:
         return self.dtype(member.ctype)
 
     def to_json(self) -> str:
-        """The text of <name>.json; from_json() of it is equal to this."""
+        """The text of <name>.json, from which from_json() restores an equal description."""
         entries: dict[str, Any] = {"format": FORMAT} | {f.name: getattr(self, f.name) for f in fields(self)}
         entries |= {
             "structs": [_struct_entry(s) for s in self.structs],
@@ -331,11 +332,11 @@ class PackageDescription:
 
     @classmethod
     def from_json(cls, text: str) -> PackageDescription:
-        """Read the text of <name>.json. It is data of unknown origin: every entry is checked, its type, its range and
-        that it fits the others; compiled.py checks that it describes the compiled code as well.
+        """Read the text of <name>.json. As its origin is unknown, type, range and consistency of all entries are
+        checked here; compiled.py also compares them with the compiled code.
 
         Raises:
-            ControllerError: the text is no package description, one of another format, or one that contradicts itself.
+            ControllerError: the text is not a package description, has another format, or contradicts itself.
         """
         raw = read(text).members(("format", *(f.name for f in fields(cls))), ("seal",))
         sizes = raw["sizes"].members(DIMENSIONS, raw["sizes"].object())
@@ -424,7 +425,7 @@ def _interval(entry: Entry) -> float:
 
 
 def _unique(entry: Entry, read: Callable[[Entry], str], count: int | None = None) -> tuple[str, ...]:
-    """Names of a list, no two alike."""
+    """The names in a list, which must be distinct."""
     names: dict[str, None] = {}
     for item in entry.items(count):
         if read(item) in names:
@@ -434,7 +435,8 @@ def _unique(entry: Entry, read: Callable[[Entry], str], count: int | None = None
 
 
 def _structs(entry: Entry) -> tuple[Struct, ...]:
-    """A member's type is known before, so that no struct contains itself; what holds it in the solver has its shape."""
+    """The structs. The type of a member must be defined before, so that no struct contains itself; the shape of a
+    struct is that of its member in the solver."""
     structs: dict[str, Struct] = {}
     for item in entry.items():
         raw = item.members(("name", "doc", "fields"), ("union",))
@@ -478,7 +480,7 @@ def _signals(entry: Entry, total: int) -> tuple[Signal, ...]:
         if scalar and size != 1:
             raw["size"].fail("1, as it is a scalar")
         if raw["offset"].integer() != offset:
-            raw["offset"].fail(f"{offset}, where the one before ends")
+            raw["offset"].fail(f"{offset}, where the previous signal ends")
         if any(s.name == raw["name"].identifier() for s in signals):
             raw["name"].fail("a name that no other one has")
         value = tuple(v.number() for v in raw["value"].items(size))
@@ -522,7 +524,7 @@ def _penalties(entry: Entry) -> tuple[float, float]:
 
 
 def _nodes(entry: Entry, kind: str, N: int) -> tuple[int, ...]:
-    """Nodes of a row; those of controls and of coupled rows are always the same."""
+    """Nodes of a row; the kinds "control" and "coupled" determine them."""
     nodes = tuple(node.integer(0, N) for node in entry.items())
     expected = {"control": tuple(range(N)), "coupled": (0, N)}.get(kind, tuple(sorted(set(nodes))))
     if nodes != expected:
@@ -550,7 +552,7 @@ def _layouts(entry: Entry) -> Layouts:
 
 
 def _report(entry: Entry) -> Report:
-    """The report; a package that was written by hand may leave out what is not known."""
+    """The report; the description of a hand-written package may leave out any of its entries."""
     raw = entry.members((), [f.name for f in fields(Report)])
     empty = Entry("", {})
     sizes = raw.get("ram_bytes_by_struct", empty).object()

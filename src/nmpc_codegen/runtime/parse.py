@@ -1,6 +1,6 @@
-"""Strict reading of <name>.json: its entries, each with the place where it stands and checks of its type and range.
+"""Strict parser of <name>.json: every entry knows its place in the file and checks its own type and range.
 
-The text is data of unknown origin: whatever is wrong with it is one ControllerError that names the entry.
+As the origin of the text is unknown, everything that is wrong with it raises a ControllerError that names the entry.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Word = TypeVar("Word", bound=str)
 
 
 def read(text: str) -> Entry:
-    """The whole of <name>.json.
+    """The whole text of <name>.json as an Entry.
 
     Raises:
-        ControllerError: the text is too long, no JSON, or a description of another format.
+        ControllerError: the text is too long, is not JSON, or has another format.
     """
     if len(text) > MAX_CHARACTERS:
         raise ControllerError(f"the package description has {len(text)} characters; expected at most {MAX_CHARACTERS}")
@@ -49,7 +49,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):
         names = [name for name, _ in pairs]
-        raise ValueError(f"the entry {reprlib.repr(next(n for n in names if names.count(n) > 1))} stands there twice")
+        raise ValueError(f"the entry {reprlib.repr(next(n for n in names if names.count(n) > 1))} occurs twice")
     return found
 
 
@@ -59,21 +59,21 @@ def _constant(text: str) -> NoReturn:
 
 @dataclass(frozen=True)
 class Entry:
-    """A value of the description and where it stands: ``rows[2].nodes``."""
+    """A value of the description and its place, e.g. ``rows[2].nodes``."""
 
     place: str
     value: Any
 
     def fail(self, expected: str) -> NoReturn:
-        """The one error for everything that is wrong with an entry."""
+        """Raise ControllerError for an entry with a wrong value."""
         self.refuse(f"is {reprlib.repr(self.value)}; expected {expected}")
 
     def refuse(self, what: str) -> NoReturn:
-        """An error about this place."""
+        """Raise ControllerError about this place."""
         raise ControllerError(f"the package description: {self.place or 'the whole'} {what}: export it again")
 
     def members(self, required: Iterable[str], optional: Iterable[str] = ()) -> dict[str, Entry]:
-        """Entries of an object that has exactly these."""
+        """Entries of an object, which has all required ones and possibly optional ones; any other one is refused."""
         required, found = tuple(required), self.object()
         for name in required:
             if name not in found:
@@ -93,7 +93,7 @@ class Entry:
         return f"{self.place}.{name}" if self.place else name
 
     def items(self, count: int | None = None) -> tuple[Entry, ...]:
-        """Entries of a list, of that length if one is given."""
+        """Entries of a list, of the length ``count`` if it is given."""
         if not isinstance(self.value, list):
             self.fail("a list")
         if count is not None and len(self.value) != count:
@@ -101,7 +101,7 @@ class Entry:
         return tuple(Entry(f"{self.place}[{i}]", value) for i, value in enumerate(self.value))
 
     def integer(self, low: int = 0, high: int = MAX_INTEGER) -> int:
-        """An integer in low..high; True is none."""
+        """An integer in low..high; True and False are refused."""
         if type(self.value) is not int or not low <= self.value <= high:
             self.fail(f"an integer in {low}..{high}")
         return int(self.value)
@@ -137,13 +137,13 @@ class Entry:
         return self.text()
 
     def element(self) -> str:
-        """The name of an element, ``v`` or ``r[0]``, or of a row that holds at one end alone, ``r[0]_end``."""
+        """The name of an element, ``v`` or ``r[0]``, or of a row that holds at one end only, ``r[0]_end``."""
         if ELEMENT.fullmatch(self.text()) is None:
             self.fail("a name like v or r[0]")
         return self.text()
 
     def word(self, allowed: tuple[Word, ...]) -> Word:
-        """One of a few words."""
+        """One of the allowed words."""
         for word in allowed:
             if isinstance(self.value, str) and self.value == word:
                 return word

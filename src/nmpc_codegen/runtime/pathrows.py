@@ -1,4 +1,4 @@
-"""Values of the general path rows h(x, u, p) where a controller is, by the package's own code."""
+"""Values of the general path rows h(x, u, p) along a closed loop, computed by the package."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ Array = NDArray[Any]
 
 
 class PathRows:
-    """The general path rows that a closed loop meets, and their values h(x, u, p_0).
+    """The general path rows that apply in a closed loop, and their values h(x, u, p_0).
 
-    A second controller linearises at x and u; what it stores for node 0 is the value. It is reset before, so that
-    nothing is shifted. Parameters are the only data that h depends on.
+    A second controller linearises at x and u and stores the values of node 0. It is reset before, so that it does not
+    shift its plan. The parameters are the only run-time data that h depends on.
     """
 
     def __init__(self, ctrl: Controller) -> None:
         self._ctrl, self._twin = ctrl, ctrl.copy()
         try:
             self._h = self._twin.view("node.h")
-        except AttributeError:  # an algorithm that keeps no linearisation
+        except AttributeError:  # an algorithm that stores no linearisation
             self._h = np.zeros((ctrl.dims.N, 0))
         self.numbers = tuple(i for i in range(len(ctrl.description.rows)) if self._shown(i))
 
     def _shown(self, number: int) -> bool:
-        """True for a row that a sample meets: one that holds at node 0, or at several nodes before the end."""
+        """True for a row that applies to a sample: it holds at node 0, or at several nodes before the end."""
         row = self._ctrl.description.rows[number]
         path = [k for k in row.nodes if k < self._ctrl.dims.N]
         return row.kind == "general" and 0 <= row.index < self._h.shape[1] and (0 in path or len(path) > 1)

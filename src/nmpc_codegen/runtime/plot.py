@@ -1,4 +1,4 @@
-"""The picture of a closed loop: one axis per state, control and general path row, bounds dashed."""
+"""The plot of a closed loop: one axis per state, control and general path row, with dashed bounds."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ BOUND_COLOR, FAILURE_COLOR = "0.45", "#b3202c"
 
 @dataclass(frozen=True)
 class Trace:
-    """One plotted quantity: its name, unit, and declared or current bounds (+-inf: none)."""
+    """One plotted quantity: its name, unit, and declared or current bounds (+-inf: no bound)."""
 
     name: str
     unit: str
@@ -49,7 +49,7 @@ class Trace:
 
     @property
     def label(self) -> str:
-        """Axis label with the powers of its unit raised: ``a [m/s²]``."""
+        """Axis label, with powers in the unit as superscripts: ``a [m/s²]``."""
         unit = re.sub(r"\^(-?\d+)", lambda power: power[1].translate(SUPERSCRIPTS), self.unit)
         return f"{self.name} [{unit}]" if unit else self.name
 
@@ -69,8 +69,8 @@ class Curve:
 def draw(
     curves: Sequence[Curve], title: str, time_label: str, failed: bool, file: str | os.PathLike[str] | None
 ) -> Any:
-    """Figure with one axis per curve. Written to a file it needs no display and no pyplot."""
-    import matplotlib as mpl  # here, so that a loop without a picture does not load it
+    """Figure with one axis per curve. If it is written to a file, neither a display nor pyplot is needed."""
+    import matplotlib as mpl  # imported here, so that it is loaded only for a plot
     from matplotlib.figure import Figure
 
     columns = math.ceil(len(curves) / COLUMN_LIMIT)
@@ -100,7 +100,7 @@ def draw(
 
 
 def _finish(figure: Any, grid: Any, time_label: str, t: Array) -> None:
-    """Time axis below the lowest axis of each column, common label positions."""
+    """Add the time axis below the lowest axis of each column, and align the labels."""
     for column in grid.T:
         lowest = [axis for axis in column if axis.get_visible()][-1]
         lowest.set_xlabel(time_label)
@@ -110,7 +110,7 @@ def _finish(figure: Any, grid: Any, time_label: str, t: Array) -> None:
 
 
 def _decorate(axis: Any, trace: Trace, values: Array) -> None:
-    """Label, limits with room to breathe, and those bounds that the trace comes near."""
+    """Add the label, limits with a margin, and those bounds that the trace comes near."""
     axis.set_ylabel(trace.label)
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)

@@ -1,11 +1,11 @@
-"""The seal: a comment in every generated file that tells whether the file is still as it was generated.
+"""The seal: a comment in every generated file that shows whether the file has been edited.
 
-It holds a digest of the file, and one of the package's C that all files of one export have in common:
+It contains a digest of the file, and a digest of the package's C, which all files of one export share:
 
     nmpc_codegen package <16 hex digits>, sha256 <64 hex digits>
 
-The digest of the file is taken with zeros in its own place. No key is needed to seal a text: the seal protects from
-mistakes, not from malice.
+The digest of the file is computed with zeros in its own place. Sealing a text needs no key: the seal protects against
+mistakes, not against malice.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ def _sealed(path: str, text: str, package: str) -> str:
 
 
 def has_seal(data: bytes) -> bool:
-    """True if the bytes hold a seal, intact or not."""
+    """True if the bytes contain a seal, intact or not."""
     return _SEAL.search(data) is not None
 
 
 def intact(data: bytes) -> bool:
-    """True if the bytes are a generated file of any package and version, and not one of them has changed since."""
+    """True if the bytes are an unchanged generated file, of any package and version."""
     found = list(_SEAL.finditer(data))
     if len(found) != 1:
         return False
@@ -54,6 +54,6 @@ def intact(data: bytes) -> bool:
 
 
 def package_of(text: str) -> str | None:
-    """The digest of the package's C in the seal of a file, which survives an edit; None without a seal."""
+    """The digest of the package's C in the seal of a file, which an edit of the file preserves; None without a seal."""
     found = _SEAL.search(text.encode(errors="replace"))
     return found.group(1).decode() if found else None

@@ -1,4 +1,4 @@
-"""Closed loops: a controller, a plant, and a log that can be looked at.
+"""Closed loops of a controller and a plant, and their log.
 
 u_k = step(x_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance(k, x_k)
 """
@@ -27,19 +27,19 @@ Plant = Callable[[Array, Array, float], ArrayLike]
 Disturbance = Callable[[int, Array], ArrayLike]
 Reference = Callable[[int, Controller], None]
 
-LOG_BYTES = 2**31  # a log beyond it may not fit into memory, and the run would take hours
+LOG_BYTES = 2**31  # a larger log may not fit into memory, and the run would take hours
 LOG_COLUMNS = 4  # status, cost, time and t
-LONG_RUN = 200  # steps from which a progress bar is worth its lines
-SAME = 1e-6  # relative: a row whose values are those of a signal, in single precision too
-STEP_SLACK = 1e-9  # relative: dt = 3 intervals written as a sum of floats is 3 steps, not 4
+LONG_RUN = 200  # number of steps from which a progress bar is shown
+SAME = 1e-6  # relative tolerance within which a row equals a signal, in single precision too
+STEP_SLACK = 1e-9  # relative tolerance: dt = 3 intervals, computed as a sum of floats, is 3 steps, not 4
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Log:
-    """What happened. ``cost[k]`` is the cost of the plan that the controller made at sample k.
+    """The record of a closed loop. ``cost[k]`` is the cost of the plan that the controller computed at sample k.
 
-    ``h[k]`` holds the values of the general path rows ``rows`` at x[k], u[k]: those that hold at node 0 or at several
-    nodes before the end.
+    ``h[k]`` contains the values at x[k], u[k] of the general path rows ``rows``: those that hold at node 0 or at
+    several nodes before the end.
     """
 
     name: str
@@ -67,7 +67,7 @@ class Log:
         return bool(np.all(self.status == Status.OK))
 
     def summary(self) -> str:
-        """A few lines for a person: length, statuses, times, last state."""
+        """A summary in a few lines: length, statuses, times, last state."""
         counts = {Status(s).name: int(np.sum(self.status == s)) for s in np.unique(self.status)}
         outcome = ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
         last = ", ".join(f"{trace.name} = {value:.6g}" for trace, value in zip(self.states, self.x[-1], strict=True))
@@ -80,10 +80,10 @@ class Log:
         return "\n".join(lines)
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Draw states, controls and general path rows over time, bounds dashed where the trace comes near.
+        """Plot states, controls and general path rows over time, with dashed bounds where a curve comes near.
 
         Args:
-            file: where to write the picture (.png, .pdf, .svg); None: only return it, for plt.show().
+            file: file for the picture (.png, .pdf, .svg); None: only return the figure, for plt.show().
 
         Returns:
             The matplotlib figure.
@@ -110,21 +110,21 @@ def simulate(
     disturbance: Disturbance | None = None,
     reference: Reference | None = None,
 ) -> Log:
-    """Run a controller in closed loop. The controller is left in its last state; copy() it to keep the first.
+    """Run a controller in closed loop. The controller is left in its last state; copy() it to keep the initial one.
 
     Args:
         ctrl: the controller.
         x0: initial state of the plant, shape (nx,).
         steps: number of samples, >= 0.
-        dt: sampling time (s); default the first interval of the controller. A discrete map has its own.
-        plant: plant(x, u, dt) -> next x; default the package's own integrator, in equal steps no longer than the
+        dt: sampling time (s); by default the first interval of the controller. Leave it out for a discrete map.
+        plant: plant(x, u, dt) -> next x; by default the integrator of the package, in equal steps no longer than the
             controller's first interval.
-        disturbance: disturbance(k, x) -> what is added to the state after sample k, x being the state before it.
-        reference: called as reference(k, ctrl) before sample k: set references, parameters or bounds there.
+        disturbance: disturbance(k, x) -> value added to the state after sample k; x is the state before this sample.
+        reference: called as reference(k, ctrl) before sample k, to set references, parameters or bounds.
 
     Raises:
-        ControllerError: wrong shapes or numbers, more steps than a log holds, or a plant that returns something else
-            than a finite state.
+        ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
+            something other than a finite state.
     """
     rows = PathRows(ctrl)
     _check_steps(steps, ctrl, len(rows.numbers))
@@ -175,7 +175,7 @@ def _interval(ctrl: Controller, dt: float | None) -> float:
 
 
 def _own_plant(ctrl: Controller) -> Plant:
-    """The package's integrator, in equal steps no longer than the first interval."""
+    """The integrator of the package, in equal steps no longer than the first interval."""
     longest = ctrl.description.dt[0]
 
     def integrate(x: Array, u: Array, dt: float) -> Array:
@@ -225,7 +225,7 @@ def _own_axes(
 
 
 def _traces(ctrl: Controller, soft: dict[str, tuple[float, float]]) -> tuple[tuple[Trace, ...], tuple[Trace, ...]]:
-    """Names, units and the present simple bounds of states and controls, or those of the soft row of that name."""
+    """Names, units and present simple bounds of states and controls, or the bounds of the soft row of that name."""
     bounds: dict[tuple[RowKind, int], tuple[float, float]] = {
         (row.kind, row.index): ctrl.path_bounds(i)
         for i, row in enumerate(ctrl.description.rows)

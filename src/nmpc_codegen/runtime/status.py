@@ -1,4 +1,4 @@
-"""What a call of a controller reports: status, residuals, counts, solution."""
+"""Results of the calls of a controller: status, residuals, counters, solution."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Array = NDArray[Any]
 
 
 class Status(IntEnum):
-    """What a call of the C package returns; the values are those of <name>_status_t.
+    """The status that a call of the C package returns; the values are those of <name>_status_t.
 
-    ``text`` is what <name>_status_text() says in C, ``meaning`` one line for a person at a controller. Printed it is
-    ``OK: solved``; it compares, converts and formats with ``d`` as the integer it is.
+    ``text`` is the result of <name>_status_string() in C, ``meaning`` an explanation in one line. It prints as
+    ``OK: solved``, and it compares, converts and formats with ``d`` as an integer.
     """
 
     text: str
@@ -46,7 +46,7 @@ class Status(IntEnum):
     NOT_FINITE = (
         5,
         "the measured state is not finite",
-        "the state, the data or the iterate holds a NaN or an infinity; the control is a safe one",
+        "the state, the data or the iterate contains a NaN or an infinity; the control is a safe one",
     )
     NOT_PREPARED = (
         6,
@@ -54,7 +54,7 @@ class Status(IntEnum):
         "feedback() was called without prepare(); the control is a safe one",
     )
     NOT_INITIALIZED = 7, "init was not called", "the struct was never initialised"
-    BAD_INDEX = 8, "no such node, row or parameter", "the node does not exist, or may not be set by itself"
+    BAD_INDEX = 8, "no such node, row or parameter", "the node does not exist, or its data cannot be set separately"
     BAD_BOUNDS = 9, "lower bound above upper bound", "lower bound above upper bound"
     BAD_ARGUMENT = 10, "argument out of range or not finite", "an argument is out of range"
     STALLED = 11, "no further progress", "no further progress was possible before the tolerance was reached"
@@ -87,10 +87,10 @@ class Kkt:
 
 @dataclass(frozen=True)
 class Stats:
-    """What the last call did. Times (ns) are those of the C calls alone.
+    """Statistics of the last call. Times (ns) are those of the C calls alone.
 
-    ``violated_row``, ``violated_node``, ``violation``: after INFEASIBLE or RELAXED the hard row (the user's name) that
-    the last step of the QP violates most, its node, and by how much; else None, None and 0.
+    ``violated_row``, ``violated_node``, ``violation``: after INFEASIBLE or RELAXED the hard row (by the user's name)
+    that the last step of the QP violates most, its node, and the violation; else None, None and 0.
     """
 
     qp_iterations: int
@@ -122,7 +122,7 @@ class Stats:
 class Solution:
     """Result of solve(); arrays are copies. Multipliers are positive at upper and negative at lower bounds.
 
-    Printed it is a few lines: status, cost, iterations, time, KKT residuals, first control, shapes.
+    It prints in a few lines: status, cost, iterations, time, KKT residuals, first control, shapes.
     """
 
     status: Status

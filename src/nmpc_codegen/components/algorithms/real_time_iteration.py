@@ -1,7 +1,9 @@
 """Gauss-Newton / SQP real-time iteration: one QP per sample, split into preparation and feedback phase.
 
-prepare(): (shift,) linearise, Hessian, condense, factorise. feedback(xhat): embed, solve, expand, full step, u_0
-([H11] section 2.2, [Q14] algorithm 3, algorithms.md 4). solve() iterates the same pieces to convergence.
+prepare(): (shift,) linearise, Hessian, condense, factorise. feedback(xhat): embed, solve, expand, full step, u_0.
+solve() iterates these operations to convergence.
+
+Houska, Ferreau and Diehl, Automatica 47 (2011), section 2.2; Quirynen et al., CDC 2014, algorithm 3.
 """
 
 from __future__ import annotations
@@ -25,22 +27,22 @@ _U0 = Argument("u0", "real", ("NU",))
 PHASES = (
     EntryPoint(
         "prepare",
-        "Preparation phase: linearise, condense, factorise. A call that fails leaves the plan as it was; a "
+        "Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; a "
         "NUMERICAL_FAILURE that persists means that the plan itself is unusable: call reset.",
     ),
     EntryPoint(
         "feedback",
-        "Feedback phase: u0 for the measured xhat; u0 is finite and inside its bounds on every return.",
+        "Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return.",
         (_XHAT,),
         (_U0,),
     ),
-    EntryPoint("step", "prepare and feedback.", (_XHAT,), (_U0,)),
+    EntryPoint("step", "Call prepare and feedback.", (_XHAT,), (_U0,)),
     EntryPoint("shift", "Move the plan by one interval."),
 )
 SOLVE = EntryPoint(
     "solve",
-    "Iterate from the present plan to a KKT residual of tol, for at most max_iterations, with globalisation; kkt and "
-    "stats tell how it went.",
+    "Iterate from the present plan, with globalisation, until the KKT residual is at most tol or max_iterations is "
+    "reached; kkt and stats describe the outcome.",
     (_XHAT, Argument("tol", "real"), Argument("max_iterations", "int")),
 )
 
@@ -51,15 +53,15 @@ MEMORY = 8
 
 @dataclass(frozen=True)
 class RealTimeIteration(Defaults):
-    """One QP per sample, full step. ``shift``: how the plan moves before every prepare but the first.
+    """One QP per sample, with a full step. ``shift``: how the plan moves before every prepare but the first.
 
-    None: it stays. "repeat": by one interval, the last control is repeated and the tail integrated. "periodic": by one
-    interval, the first control becomes the last, states are integrated anew, accumulators start at 0. "resample": the
-    old plan is read ``sampling_time`` (s) later, on any grid. "repeat" and "periodic" are right only if the sampling
-    time equals the first interval.
+    None: not at all. "repeat": by one interval; the last control is repeated and the last state integrated. "periodic":
+    by one interval; the first control becomes the last one, the states are integrated again, and accumulators start at
+    0. "resample": the old plan is evaluated ``sampling_time`` (s) later, on any grid. "repeat" and "periodic" are
+    right only if the sampling time equals the first interval.
 
-    ``relaxation``: l1 weight at which hard rows on states are relaxed at a sample whose QP is infeasible; the status is
-    RELAXED then. None: the status is INFEASIBLE and the plan stays.
+    ``relaxation``: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
+    is then RELAXED. None: the status is INFEASIBLE, and the plan does not change.
     """
 
     shift: str | None = option(None, Words(SHIFTS))
@@ -80,20 +82,20 @@ class RealTimeIteration(Defaults):
         if (self.sampling_time is not None) != (self.shift == "resample"):
             raise OptionError(
                 f'RealTimeIteration.sampling_time: {self.sampling_time!r} with shift={self.shift!r}; shift="resample" '
-                "needs it, others not (--set algorithm.shift=... --set algorithm.sampling_time=...)"
+                "requires it, no other shift allows it (--set algorithm.shift=... --set algorithm.sampling_time=...)"
             )
 
     def default(self, seam: Seam) -> str | None:
-        """Gauss-Newton; integrator, condensing and QP solver follow from the problem."""
+        """Gauss-Newton; the compiler chooses integrator, condensing and QP solver for the problem."""
         return "gauss_newton" if seam == "hessian" else None
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
-        """The two phases of a sample, both in one call, the move of the plan, and the iteration to convergence."""
+        """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
         return (*PHASES, *((SOLVE,) if solve else ()))
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """How shift() moves the plan, without an option by one interval; whether infeasible QPs are relaxed."""
+        """How shift() moves the plan (all 0: by one interval), and whether infeasible QPs are relaxed."""
         return {
             "SHIFT_RESAMPLE": int(self.shift == "resample"),
             "INTEGRATE_PLAN": int(self.shift == "resample"),
@@ -102,7 +104,7 @@ class RealTimeIteration(Defaults):
         }
 
     def check(self, problem: Problem) -> None:
-        """Moving by an interval needs intervals of one length, reading between nodes a differential equation."""
+        """Raise OptionError for a shift by one interval on a non-uniform grid, or for resampling a discrete map."""
         if self.shift in ("repeat", "periodic") and not problem.uniform:
             raise OptionError(
                 f'RealTimeIteration(shift="{self.shift}") moves the plan by one interval and clashes with a '
@@ -116,17 +118,17 @@ class RealTimeIteration(Defaults):
             )
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Which components of x_0 are measured, which accumulate; times of the nodes for shift="resample"."""
+        """Flags of accumulators and measured components of x_0, the relaxation, node times for shift="resample"."""
         flags = tuple(int(i in problem.accumulators) for i in range(problem.nx))
         measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
         accumulators = (
             Table("is_accumulator", "int", flags, "1: the state starts at 0 at every sample"),
-            Table("is_measured", "int", measured, "1: x_0 is what is measured"),
+            Table("is_measured", "int", measured, "1: x_0 is the measured state"),
             Table(
                 "relaxation_weight",
                 "real",
                 (math.inf if self.relaxation is None else float(self.relaxation),),
-                "l1 penalty of hard rows whose QP is infeasible; infinite: they stay hard",
+                "l1 penalty of hard rows if the QP is infeasible; infinite: they stay hard",
             ),
         )
         if self.shift == "resample":
@@ -134,7 +136,7 @@ class RealTimeIteration(Defaults):
             return (
                 *accumulators,
                 Table("node_time", "real", times, "t_k"),
-                Table("sampling_time", "real", (float(self.sampling_time or 0.0),), "the plan is read so much later"),
+                Table("sampling_time", "real", (float(self.sampling_time or 0.0),), "shift of the plan in time"),
             )
         return accumulators
 
@@ -146,7 +148,7 @@ class RealTimeIteration(Defaults):
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Solution of the QP, counters, what is kept between samples."""
+        """Solution of the QP, counters, and data that are kept between samples."""
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
@@ -174,7 +176,7 @@ class RealTimeIteration(Defaults):
 
 
 def _stats() -> Struct:
-    """What the last sample took, and what it could not meet."""
+    """Counters of the last sample, and the row that it could not satisfy."""
 
     def count(name: str, doc: str) -> Field:
         return Field(name, (), doc, "result", "int32")
@@ -188,9 +190,9 @@ def _stats() -> Struct:
             count("dropped_rows", "redundant rows left out of the working set"),
             count("relaxed_rows", "soft or relaxed rows that are violated"),
             count("sqp_iterations", "iterations of the last solve"),
-            count("violated_row", "hard row that cannot be met (INFEASIBLE) or is relaxed (RELAXED), or -1"),
+            count("violated_row", "hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1"),
             count("violated_node", "its node, or -1"),
-            Field("violation", (), "by how much the last step of the QP violates it", "result"),
+            Field("violation", (), "violation of this row by the last step of the QP", "result"),
         ),
     )
 
@@ -221,8 +223,8 @@ def _line_search(dims: Dims) -> Struct:
             Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
             Field("dx", (nodes, dims.nx), "step of the states", "scratch"),
             Field("du", (dims.N, dims.nu), "step of the controls", "scratch"),
-            Field("dx_full", (nodes, dims.nx), "the same before the second-order correction", "scratch"),
-            Field("du_full", (dims.N, dims.nu), "likewise", "scratch"),
+            Field("dx_full", (nodes, dims.nx), "dx before the second-order correction", "scratch"),
+            Field("du_full", (dims.N, dims.nu), "du before the second-order correction", "scratch"),
             Field("b", (dims.N, dims.nx), "gaps at a trial point", "scratch"),
             Field("gap_weight", (), "weight of the gaps in the merit function", "scratch"),
             Field("row_weight", (), "weight of the rows; penalty of the elastic QP", "scratch", only="HARD_ROWS"),

@@ -1,7 +1,7 @@
-"""THE CONDENSING: a component that fulfils `Condensing` of base.py and turns the stage QP into the QP of the qp seam.
+"""ADD A CONDENSING HERE: a component that fulfils `Condensing` of base.py: it converts the stage QP for the QP solver.
 
 C contract: condense_init, condense_prepare, condense_gradient, condense_rows, condense_solve, condense_shift.
-``gives`` says which form of QP it hands on, "condensed" or "stages"; a QP solver of the same ``takes`` follows it.
+``gives`` is the form of the resulting QP, "condensed" or "stages"; the QP solver must have the same ``takes``.
 """
 
 from collections.abc import Mapping

@@ -1,9 +1,9 @@
-"""Full condensing in O(N^2): eliminates dx_1 .. dx_N, keeps dx_0 apart.
+"""Full condensing in O(N^2): eliminates dx_1 .. dx_N and keeps the dependence on dx_0 separate.
 
     dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k
 
-A panel of columns at a time is propagated forward, a backward sweep forms the lower triangle of the condensed Hessian
-(algorithms.md 3).
+The columns of G_k are propagated forward panel by panel, and a backward sweep forms the lower triangle of the condensed
+Hessian.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def _panels(width: int) -> int:
 
 
 def _slacks(problem: Problem) -> tuple[int, ...]:
-    """Variable that is the slack of every QP row, or -1: rows with a quadratic penalty have one."""
+    """For every QP row the variable that is its slack, or -1; rows with a quadratic penalty have one."""
     first = problem.N * problem.nu + len(problem.free_initial)
     soft = [problem.rows[row].soft for _, _, _, row in problem.qp_rows]
     needs = [penalty is not None and penalty[1] > 0 for penalty in soft]
@@ -61,11 +61,11 @@ class FullCondensing(Defaults):
         return QpShape(1, controls, controls + len(problem.free_initial) + slacks, slacks)
 
     def adapted(self, problem: Problem) -> FullCondensing:
-        """It takes every problem of its features."""
+        """Itself: it handles every problem with features that it supports."""
         return self
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """The slack of every row, if there is one."""
+        """The slack variable of every row, if any row has one."""
         slacks = _slacks(problem)
         none = all(slack < 0 for slack in slacks)
         return () if none else (Table("row_slack", "int", slacks, "slack variable of QP row m, or -1"),)
@@ -77,12 +77,12 @@ class FullCondensing(Defaults):
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Sensitivities of the condensed states and what the feedback phase needs."""
+        """Sensitivities of the condensed states, and the data that the feedback phase needs."""
         panel, nodes = Size("COLUMNS", COLUMNS), Size("N + 1", dims.N.value + 1)
         return (
             Struct(
                 "columns",
-                "a panel of columns of dx_k = G_k (dx_0, du) + c_k, as long as the QP is formed",
+                "a panel of columns of dx_k = G_k (dx_0, du) + c_k, while the QP is formed",
                 (
                     Field("G", (nodes, dims.nx, panel), "columns of G_0 .. G_N", "scratch"),
                     Field("W", (dims.nx, panel), "W_k of the backward sweep", "scratch"),
@@ -109,7 +109,7 @@ class FullCondensing(Defaults):
         )
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """All but condense_rows, which leaves out zeros of the row gradients; columns are padded to COLUMNS."""
+        """All functions but condense_rows, which skips zeros of the row gradients; columns are padded to COLUMNS."""
         N, nx, nu, nf, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf, dims.ng))
 
         def panels(first: int, step: int, nodes: int) -> int:

@@ -34,7 +34,7 @@ class NoCondensing(Defaults):
         return self.name
 
     def qp_shape(self, problem: Problem) -> QpShape:
-        """N stages with the controls of one interval each."""
+        """N stages, each with the controls of one interval."""
         return QpShape(problem.N, problem.nu, problem.N * problem.nu)
 
     @property
@@ -43,13 +43,13 @@ class NoCondensing(Defaults):
         return {"BLOCK_ROWS": 0}
 
     def adapted(self, problem: Problem) -> NoCondensing | PartialCondensing:
-        """Where stages need copies of components of x_0: blocks of one interval, which have a place for them."""
+        """Itself, or PartialCondensing(1) if the stages need copies of components of x_0, which it can hold."""
         return PartialCondensing(1) if copied_states(problem) else self
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Where the rows stand in the stages."""
+        """Positions of the rows in the stages."""
         return stage_tables(problem, 1)
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """Bounds relative to the iterate; the rest is copied."""
+        """Computing bounds relative to the iterate; all other data are copied."""
         return {"condense_embed": embed_cost(dims)}

@@ -1,4 +1,4 @@
-"""Partial condensing: blocks of intervals become one stage of the QP (algorithms.md 3).
+"""Partial condensing: every block of intervals becomes one stage of the QP.
 
 dx_{kB+j} = G_j (dx_kB, du_kB, ..., du_{kB+B-1}) + c_j,   j = 0 .. B
 """
@@ -22,7 +22,7 @@ from nmpc_codegen.ir.model import ModelFunctions
 class PartialCondensing(Defaults):
     """Eliminate all states but every ``block``-th: ceil(N / block) stages with block nu controls each.
 
-    A block longer than the horizon is the horizon; a shorter last one is padded with controls that stay 0.
+    A block is at most as long as the horizon; a shorter last block is padded with controls that stay 0.
     """
 
     block: int = option(2, Whole())
@@ -49,7 +49,7 @@ class PartialCondensing(Defaults):
         return f"{self.name}({self.block})"
 
     def qp_shape(self, problem: Problem) -> QpShape:
-        """ceil(N / block) stages with the controls of a block each."""
+        """ceil(N / block) stages, each with the controls of a block."""
         block = self._block(problem.N)
         stages = -(-problem.N // block)
         return QpShape(stages, block * problem.nu, stages * block * problem.nu, copies=len(copied_states(problem)))
@@ -60,11 +60,11 @@ class PartialCondensing(Defaults):
         return {"BLOCK_ROWS": 1}
 
     def adapted(self, problem: Problem) -> PartialCondensing:
-        """It takes every problem of its features."""
+        """Itself: it handles every problem with features that it supports."""
         return self
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Where the rows stand in the stages."""
+        """Positions of the rows in the stages."""
         return stage_tables(problem, self._block(problem.N))
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -102,7 +102,7 @@ class PartialCondensing(Defaults):
         )
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """Everything but the gradients and values of the rows."""
+        """All operations except those on gradients and values of the rows."""
         N, nx, nxs, nu, nz = (size.value for size in (dims.N, dims.nx, dims.qp.nxs, dims.nu, dims.nz))
         block = self._block(N)
         forward, hessian = OpCount(), OpCount()

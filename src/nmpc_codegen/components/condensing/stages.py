@@ -1,7 +1,7 @@
-"""What the condensing components that keep stages share: where QP rows stand in them, and the embedding of bounds.
+"""Common parts of the condensing components that keep stages: positions of the QP rows, and embedding of the bounds.
 
-A coupled row stands at x_N. What is given of x_0 moves its bounds; what is free is a state of every stage besides x: a
-copy that does not move (algorithms.md 3).
+A coupled row is a row of x_N. The given components of x_0 shift its bounds; the free ones are additional states of
+every stage, which are constant copies.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from nmpc_codegen.ir.kernel import OpCount
 
 
 def copied_states(problem: Problem) -> tuple[int, ...]:
-    """Free components of x_0 that are carried to x_N, where the coupled rows stand: all if there are coupled rows."""
+    """Free components of x_0 that are carried to x_N for the coupled rows: all of them if there are coupled rows."""
     return problem.free_initial if problem.coupled_rows else ()
 
 
 def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
-    """Tables of the QP rows for stages of ``block`` intervals, those that the problem needs.
+    """Tables of the QP rows for stages of ``block`` intervals; tables that the problem does not need are left out.
 
     A bound of the first state of a block, or of x_N, is a bound of the stage's state; every other row is general.
     """
@@ -38,7 +38,7 @@ def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
         table("stage_of_row", stage, "stage of QP row m"),
         table("stage_state", bounds, "state that QP row m bounds, or -1: general row"),
     )
-    copies = (table("copied_state", list(copied_states(problem)), "state that copy c is the first value of"),)
+    copies = (table("copied_state", list(copied_states(problem)), "state whose value in x_0 is copy c"),)
     free = [int(i in problem.free_initial) for i in range(problem.nx)]
     given = (table("is_free", free, "1: x_0 is not given"),)
     return (
@@ -49,7 +49,7 @@ def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
 
 
 def embed_cost(dims: Dims) -> OpCount:
-    """Two bounds per control and row, and E_0 dx_0 of the coupled rows."""
+    """Operations on two bounds per control and row, and on E_0 dx_0 of the coupled rows."""
     rows = dims.N.value * dims.nu.value + dims.ng.value
     coupled = dims.ne.value * dims.nx.value
     return OpCount(add=2 * rows + coupled, mul=coupled)

@@ -1,8 +1,8 @@
 """ADD A HESSIAN HERE: a component that fulfils `Hessian` of base.py.
 
-quadratic_model() has the functions of both stages. Its C functions are ``expand_node(solver, k, x_next)``, which
-linearises a node, and ``hessian(solver)``; when both are done the blocks Q[k] and Q_N are filled (lower triangles,
-z = (x, u)). Its ``switches`` have REGULARIZE_REDUCED: an indefinite reduced Hessian is changed.
+blocks() returns the routines of all stages. The C functions of a Hessian are ``expand_node(solver, k, x_next)``, which
+linearises a node, and ``hessian(solver)``; after both have run, the blocks Q[k] and Q_N are filled (lower triangles,
+z = (x, u)). Its ``switches`` include REGULARIZE_REDUCED, 1 if an indefinite reduced Hessian is changed.
 """
 
 from collections.abc import Mapping

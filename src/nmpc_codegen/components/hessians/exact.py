@@ -2,9 +2,9 @@
 
     Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k) / d(x_k, u_k)^2,   Q_N = d2 (l_N + mu_N' h_N + eta' r) / dx_N^2
 
-Q_0 has d2 (eta' r) / dx_0^2 too; mixed derivatives of r in x_0 and x_N are left out. l_k holds least squares, general
-costs and the integral of cost rates. x_next, [A_k B_k], the gradient and Q_k come from one sweep ([Q14]
-section IV). The first time an adjoint pass gives lam.
+Q_0 includes d2 (eta' r) / dx_0^2; mixed derivatives of r in x_0 and x_N are left out. l_k is the sum of least squares,
+general costs and the integral of cost rates. x_next, [A_k B_k], the gradient and Q_k come from one sweep (Quirynen et
+al., CDC 2014, section IV). Before the first QP an adjoint pass computes lam.
 """
 
 from __future__ import annotations
@@ -30,27 +30,33 @@ from nmpc_codegen.ir.sweep import Call, Routine, Slice
 #: Switch of the parts, and the level of a regularisation that sets it.
 LEVELS = (("STAGES", "stage"), ("REDUCED", "reduced"))
 
-# Sweeps of Jacobi rotations, and QL iterations per eigenvalue, before a decomposition is taken as it is.
+# Limits on sweeps of Jacobi rotations and on QL iterations per eigenvalue; the decomposition is then used as it is.
 MAX_SWEEPS = 12
 MAX_QL = 30
 
-# Shifts of the Hessian on stages, each four times the one before.
+# Maximum number of shifts of the Hessian on stages; each shift is four times the previous one.
 MAX_SHIFTS = 24
 
-# Blocks decomposed at once: for a small one, as many as fill vector registers.
+# (largest size, number) of blocks that are decomposed at once, so that small blocks fill vector registers.
 LANES = ((8, 8), (16, 4))
 
 
 @dataclass(frozen=True)
 class Symmetric:
-    """Three sweeps: forward, adjoint, forward with a symmetric recursion of the Hessian ([Q14] algorithm 2)."""
+    """Three sweeps: forward, adjoint, and forward with a symmetric recursion of the Hessian.
+
+    Source: Quirynen et al., CDC 2014, algorithm 2.
+    """
 
     scheme: ClassVar[str] = "symmetric"
 
 
 @dataclass(frozen=True)
 class ForwardOverAdjoint:
-    """Forward mode over the adjoint, the stages' sensitivities stored ([Q14] algorithm 1)."""
+    """Forward mode over the adjoint; the sensitivities of all stages are stored.
+
+    Source: Quirynen et al., CDC 2014, algorithm 1.
+    """
 
     scheme: ClassVar[str] = "forward_over_adjoint"
 
@@ -63,8 +69,8 @@ _SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {cls.scheme: cls() for cls 
 class ExactHessian(Defaults):
     """Exact second derivatives; ``levenberg_marquardt`` >= 0 is added to the diagonal of every block.
 
-    regularization: Project(floor, level), Mirror(floor, level) or None: what is done if the QP would not be convex.
-    sweep: Symmetric() or ForwardOverAdjoint(), how second derivatives of the dynamics are propagated.
+    regularization: Project(floor, level), Mirror(floor, level) or None, applied if the QP would not be convex.
+    sweep: Symmetric() or ForwardOverAdjoint(), the propagation of second derivatives of the dynamics.
     """
 
     regularization: Regularization | None = option(Project(), Named(_REGULARIZATIONS, (Project, Mirror)))
@@ -84,12 +90,12 @@ class ExactHessian(Defaults):
 
     @property
     def level(self) -> str:
-        """Where it regularises: "stage", "reduced" or "nowhere"."""
+        """Level of the regularisation: "stage", "reduced" or "nowhere"."""
         return "nowhere" if self.regularization is None else self.regularization.level
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
-        """The terminal block, what the cost at the start and coupled rows add to the first block, and
-        path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q), which has the blocks of the path."""
+        """The terminal block, the contributions of start cost and coupled rows to the first block, and
+        path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q), which computes the blocks of the path."""
         cost = costs.path
         more = (*cost.data_ports, cost.mu_port)
         last, first = self._ends(problem, costs.terminal)
@@ -102,12 +108,12 @@ class ExactHessian(Defaults):
         return HessianModel(start, Block(Q), Block(Q_N, last), first, curved)
 
     def _start_block(self, cost: StageCost) -> Kernel:
-        """Second derivatives of the cost at the start."""
+        """Second derivatives of the start cost."""
         doc = "Q = d2 l_0 / dx_0^2, lower triangle"
         return cost.kernel("hessian", doc, cost.hessian, Port("Q", cost.nz, cost.nz))
 
     def _ends(self, problem: Problem, cost: StageCost) -> tuple[Routine, Routine]:
-        """The terminal block, and what the coupled rows add to the first one."""
+        """The terminal block, and the contribution of the coupled rows to the first one."""
         nx, nz, ne = problem.nx, problem.nx + problem.nu, problem.coupled_rows
         x_0, eta, Q_0 = ca.SX.sym("x_0", nx), ca.SX.sym("eta", ne), ca.SX.sym("Q_0", nz * nz)
         x_N = cost.inputs[0]
@@ -143,24 +149,24 @@ class ExactHessian(Defaults):
         return Call(leaf, slices(*cost.ports, *cost.data_ports, cost.mu_port), outs)
 
     def _damping(self, n: int) -> Expression:
-        """The Levenberg-Marquardt term, unless it follows after a regularisation of the block."""
+        """The Levenberg-Marquardt term; zero if it is added after a regularisation of the block."""
         if self.level == "stage" or not self.levenberg_marquardt:
             return ca.SX(n, n)
         return self.levenberg_marquardt * ca.SX.eye(n)
 
     def _completed(self, routine: Routine, more: Pattern = frozenset()) -> Routine:
-        """With zeros stored in the entries ``more``, and in all that a regularisation of the block may fill."""
+        """The routine with zeros stored in the entries ``more`` and in all that a regularisation may fill."""
         if not isinstance(routine, Kernel):
             return routine
         return routine.with_zeros("Q", sorted(self._block(pattern(routine, "Q") | more, routine.outputs[-1].rows)))
 
     def _block(self, lower: Pattern, n: int) -> Pattern:
-        """What is nonzero after the regularisation."""
+        """Nonzeros of a block after its regularisation."""
         return filled(lower, n) if self.level == "stage" else lower
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """Where an indefinite Hessian is changed: block by block, or the reduced one."""
+        """Which indefinite Hessian is changed: the block of every stage, or the reduced one."""
         return {f"REGULARIZE_{where}": int(self.level == level) for where, level in LEVELS}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
@@ -168,7 +174,7 @@ class ExactHessian(Defaults):
         if self.regularization is None:
             return ()
         values = (float(self.regularization.floor), float(self.levenberg_marquardt))
-        return (Table("regularization", "real", values, "smallest eigenvalue, relative; what is added to all of them"),)
+        return (Table("regularization", "real", values, "relative floor of the eigenvalues; Levenberg-Marquardt term"),)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         if self.regularization is None:
@@ -176,7 +182,7 @@ class ExactHessian(Defaults):
         mirror = (
             "MIRROR",
             int(self.regularization.mirrors),
-            "1: negative eigenvalues change sign, 0: become the floor",
+            "1: negative eigenvalues change sign, 0: they are raised to the floor",
         )
         if self.level == "stage":
             return (
@@ -225,5 +231,5 @@ def _lanes(nz: int) -> int:
 
 
 def filled(lower: Pattern, n: int) -> Pattern:
-    """Lower triangles of the irreducible blocks, full, the diagonal everywhere."""
+    """The full lower triangles of all irreducible blocks, with the whole diagonal."""
     return frozenset((r, c) for block in irreducible_blocks(lower, n) for r in block for c in block if r >= c)

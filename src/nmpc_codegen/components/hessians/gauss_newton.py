@@ -2,7 +2,7 @@
 
     l = 1/2 (y - yref)' W (y - yref),   gradient J' W (y - yref),   Hessian J' W J,   J = dy / d(x, u)
 
-([H11] section 2.2, algorithms.md 3). Only the lower triangle of the Hessian is formed.
+(Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). Only the lower triangle of the Hessian is formed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class GaussNewton(Defaults):
     """Gauss-Newton Hessian; ``levenberg_marquardt`` >= 0 is added to its diagonal.
 
     ``convex_rows`` adds sum_i mu_i d2 h_i of the general rows at every node where it is positive semidefinite, with the
-    multipliers of the last QP: discs and other convex rows need it to converge.
+    multipliers of the last QP; with discs and other convex rows solve() needs this to converge.
     """
 
     convex_rows: bool = option(False, Flag())
@@ -44,14 +44,14 @@ class GaussNewton(Defaults):
         check_options(self, self.seam)
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
-        """J' W J of every stage, with the curvature of its rows apart."""
+        """J' W J of every stage, and the curvature of its rows as a routine of its own."""
         start = self._block(costs.start)
         return HessianModel(start.hessian, self._block(costs.path), self._block(costs.terminal))
 
     def _block(self, cost: StageCost) -> Block:
         damping = 0.0 if cost.name == "start" else self.levenberg_marquardt
         Q = ca.sparsify(cost.gauss_newton + damping * ca.DM.eye(cost.nz))
-        if self.convex_rows:  # entries that only the rows have are stored as zeros, for add_rows() to add to
+        if self.convex_rows:  # nonzeros of the rows alone are stored as zeros, to which add_rows() adds
             Q = ca.project(Q, Q.sparsity().unite(cost.curvature.sparsity()))
         kernel = cost.kernel("hessian", "Q = J' W J, lower triangle", Q, Port("Q", cost.nz, cost.nz))
         curvature = self._curvature(cost) if self.convex_rows else None
@@ -63,7 +63,7 @@ class GaussNewton(Defaults):
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """Whether the curvature of rows is added; the Hessian is never indefinite."""
+        """Whether the curvature of rows is added; the Hessian is never indefinite, so nothing is regularised."""
         return {"CONVEX_ROWS": int(self.convex_rows), "REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -73,9 +73,7 @@ class GaussNewton(Defaults):
                 "hessian",
                 "Hessian blocks, lower triangles, z = (x, u)",
                 (
-                    Field(
-                        "Q", (dims.nq, dims.nz, dims.nz), "path blocks; one for all nodes where it is constant", "data"
-                    ),
+                    Field("Q", (dims.nq, dims.nz, dims.nz), "path blocks; one for all nodes if it is constant", "data"),
                     Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
                 ),
             ),

@@ -19,7 +19,7 @@ from nmpc_codegen.ir.stage_products import pattern
 
 @dataclass(frozen=True)
 class IdentityHessian(Defaults):
-    """Q_k = I, Q_N = I: no curvature at all. For any cost; convergence is that of steepest descent, if any."""
+    """Q_k = I, Q_N = I, for any cost; if the iterations converge, they converge like steepest descent."""
 
     seam: ClassVar[Seam] = "hessian"
     name: ClassVar[str] = "identity"
@@ -30,13 +30,13 @@ class IdentityHessian(Defaults):
     )
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
-        """The constant blocks; the cost at the start adds nothing."""
+        """The constant blocks; the start cost does not contribute."""
         path, terminal = _identity("path", problem.nx + problem.nu), _identity("terminal", problem.nx)
         return HessianModel(None, Block(pattern(path, "Q"), path), Block(pattern(terminal, "Q"), terminal))
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """The Hessian is never indefinite."""
+        """The Hessian is never indefinite, so nothing is regularised."""
         return {"REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -48,7 +48,7 @@ class IdentityHessian(Defaults):
         return (Struct("hessian", "Hessian blocks, lower triangles, z = (x, u)", fields),)
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """Nothing is computed."""
+        """No operations, since the blocks are constant."""
         return {"hessian": operations(model.path.hessian) * dims.nq.value + operations(model.terminal.hessian)}
 
 

@@ -1,13 +1,13 @@
-"""What is done about an indefinite Hessian: its eigenvalues, of every stage block or of the reduced one, are changed.
+"""Regularisation of an indefinite Hessian: eigenvalues of every stage block or of the reduced Hessian are changed.
 
-    V max(|Lambda|, floor) V'   (mirror, [Q14] equation 4)      V max(Lambda, floor) V'   (project)
+    V max(|Lambda|, floor) V'   (mirror; Quirynen et al., CDC 2014, eq. 4)      V max(Lambda, floor) V'   (project)
 
-floor = ``floor`` times the largest |Lambda| of the block; a zero block takes the largest entry of all blocks
-for it. On stages the reduced Hessian is not formed: its diagonal is shifted, in units D of the variables,
+floor = ``floor`` times the largest |Lambda| of the block; for a zero block, the largest entry of all blocks replaces
+|Lambda|. On stages the reduced Hessian is not formed: its diagonal is shifted, in units D of the variables,
 
     H + 9/8 s D   (project)      H + 2 s D   (mirror)      s: the smallest of 1e-3 4^n with H + s D positive definite
 
-while the controls of the predicted working set are given (templates/riccati/convexify.c).
+with the controls in the predicted working set held fixed (templates/riccati/convexify.c).
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ LEVELS = ("reduced", "stage")
 
 @dataclass(frozen=True)
 class EigenvalueFloor:
-    """``floor``: smallest eigenvalue, relative to the largest absolute one; ``level``: "reduced" changes nothing unless
-    the condensed Hessian is not positive definite, "stage" treats the block of every node."""
+    """``floor``: smallest eigenvalue, relative to the largest absolute one; ``level``: "reduced" changes the reduced
+    Hessian, and only if it is not positive definite; "stage" treats the block of every node."""
 
     floor: float = option(1e-8, Number(upper=1.0))
     level: str = option("reduced", Words(LEVELS))
@@ -36,13 +36,13 @@ class EigenvalueFloor:
 
 @dataclass(frozen=True)
 class Project(EigenvalueFloor):
-    """Eigenvalues below the floor become the floor."""
+    """Raises eigenvalues below the floor to the floor."""
 
     mirrors: ClassVar[bool] = False
 
 
 @dataclass(frozen=True)
 class Mirror(EigenvalueFloor):
-    """Negative eigenvalues change their sign, small ones become the floor."""
+    """Changes the sign of negative eigenvalues, and raises small ones to the floor."""
 
     mirrors: ClassVar[bool] = True

@@ -1,6 +1,6 @@
 """ADD AN INTEGRATOR HERE: a component that fulfils `Integrator` of base.py.
 
-interval() has integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next).
+interval() returns the routines integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next).
 """
 
 from collections.abc import Mapping

@@ -1,9 +1,10 @@
-"""Derivatives of a right-hand side as leaves of sweeps, and what is structurally zero or known in them.
+"""Derivatives of a right-hand side as leaves of sweeps, with their structural zeros and constants.
 
-    F = (f, l)(x, u, p): the dynamics, and below them the rate of an integrated cost, if there is one
+    F = (f, l)(x, u, p): the dynamics, followed by the rate of an integrated cost, if there is one
     F_z = dF / d(x, u),   H(kappa) = d2 (kappa' F) / d(x, u)^2, lower triangle
 
-What F_z and H share is evaluated once per stage point and kept ("tape"); H is finished as soon as kappa is known.
+Intermediate values of F_z and H are evaluated once per stage point and stored (the "tape"); H is completed when kappa
+is known.
 """
 
 from __future__ import annotations
@@ -22,22 +23,22 @@ Entry = tuple[int, int]
 #: Number of an instruction -> its value.
 Values = Callable[[int], Expression]
 
-# A tape of at most so many numbers per component of (x, u) is kept at every stage; a longer one is evaluated anew.
+# Maximum length, per component of (x, u), of a tape that is stored for every stage; a longer one is evaluated again.
 TAPE_PER_COMPONENT = 8
 
-# A column of S is written as a function of time alone if it reaches at most so many components.
+# Maximum number of components that a column of S may reach if it is written as a function of time alone.
 CLOSED_STATES = 3
 
 
 class Derivatives:
-    """F, F_z and H of one problem with their zero patterns.
+    """F, F_z and H of one problem with their sparsity patterns.
 
     Attributes:
         nF: rows of F, nx or nx + 1.
         jacobian: nonzeros (i, j) of F_z, in the order of its values.
-        hessian: nonzeros (r, c), r >= c, of H, each with the position of its value among ``values`` different ones.
-        curved: rows of F that are not linear in (x, u).
-        tape: numbers kept per stage point; the first ``slopes`` of them are those that F_z needs.
+        hessian: nonzeros (r, c), r >= c, of H -> position of the value among ``values`` distinct ones.
+        curved: rows of F that are nonlinear in (x, u).
+        tape: number of values stored per stage point; F_z needs the first ``slopes`` of them.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -66,7 +67,7 @@ class Derivatives:
         self._split()
 
     def _cheapest(self, z: Expression) -> tuple[Expression, Kernel]:
-        """Three ways to write H; the one whose program with f and F_z has the fewest operations."""
+        """H as that one of three expressions whose program, together with f and F_z, has the fewest operations."""
         L = ca.dot(self._kappa, self.F)
         terms = [self._kappa[i] * ca.tril(ca.hessian(self.F[i], z)[0]) for i in range(self.nF)]
         forward = ca.jacobian(ca.jacobian(self.F, z).T @ self._kappa, z)
@@ -79,7 +80,7 @@ class Derivatives:
         return min(found, key=lambda c: c[1].count.total)
 
     def _split(self) -> None:
-        """Which values of the program are kept: what F_z consists of, and what is known before kappa is."""
+        """Select the values of the program to store: those of F_z, and inputs of H that do not depend on kappa."""
         k = self._kernel
         late: list[bool] = []
         kept: dict[int, None] = dict.fromkeys(v for o, _, v in k.stores if o == 1)
@@ -96,7 +97,7 @@ class Derivatives:
 
     @property
     def keeps_tape(self) -> bool:
-        """True if the tape of every stage is stored, False if it is evaluated anew from the stage point."""
+        """True if the tape of every stage is stored, False if it is evaluated again from the stage point."""
         return self.tape <= TAPE_PER_COMPONENT * self.nz
 
     def _values(self, inputs: Sequence[Expression], preset: dict[int, Expression]) -> Values:
@@ -135,7 +136,7 @@ class Derivatives:
 
     @cached_property
     def functions(self) -> list[int]:
-        """Values of functions of math.h that the tape consists of: what compilers do not evaluate in vectors."""
+        """Calls of math.h functions that the tape depends on, which compilers do not vectorise."""
         found, todo = set(), list(self._kept)
         while todo:
             index = todo.pop()
@@ -152,7 +153,7 @@ class Derivatives:
         return ca.Function("f", [self.x, self.u, self.p], [self._K(entry), values], ["x", "u", "p"], ["K", "m"])
 
     def leaf_tape_of_functions(self) -> Function:
-        """The tape from the values of ``functions``: arithmetic alone."""
+        """The tape, computed from the values of ``functions`` by arithmetic alone."""
         values = ca.SX.sym("m", len(self.functions))
         preset = {v: values[n] for n, v in enumerate(self.functions)}
         entry = self._values([self.x, self.u, self.p], preset)
@@ -196,18 +197,19 @@ class Derivatives:
 
     @cached_property
     def curved_states(self) -> list[int]:
-        """States that enter F not linearly: rows of H."""
+        """States in which F is nonlinear, which are rows of H."""
         return sorted({j for e in self.hessian for j in e if j < self.nx})
 
     @cached_property
     def curved_controls(self) -> list[int]:
-        """Controls (0 .. nu - 1) that do."""
+        """Controls (0 .. nu - 1) in which F is nonlinear."""
         return sorted({j - self.nx for e in self.hessian for j in e if j >= self.nx})
 
     def closed(self, column: int) -> bool:
-        """True if that column of d x(t) / d(x, u) depends on time alone.
+        """True if this column of d x(t) / d(x, u) depends on time alone.
 
-        All that it sets in motion is linear with constant coefficients, and few.
+        This is the case if all states that it reaches enter F linearly with constant coefficients. A column that
+        reaches more than CLOSED_STATES of them is treated as one that does not.
         """
         constant: dict[int, bool] = {}
         rows: dict[int, list[int]] = {}

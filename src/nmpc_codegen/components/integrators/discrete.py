@@ -1,4 +1,4 @@
-"""Discrete maps x+ = Phi(x, u, p) pass through; their Jacobian is one straight-line kernel."""
+"""Discrete maps x+ = Phi(x, u, p), which need no integration: map and Jacobian are one straight-line kernel."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nmpc_codegen.ir.sweep import Call, Routine
 
 @dataclass(frozen=True)
 class Discrete(Defaults):
-    """The dynamics are already a map from node to node; nothing to choose."""
+    """For dynamics that are already a map from node to node; it has no options."""
 
     seam: ClassVar[Seam] = "integrator"
     name: ClassVar[str] = "discrete"
@@ -28,7 +28,7 @@ class Discrete(Defaults):
     )
 
     def check(self, problem: Problem) -> None:
-        """The dynamics have to be a map."""
+        """Raise OptionError unless the dynamics are a discrete map."""
         if not problem.discrete:
             raise OptionError(
                 f"integrator: {problem.name} is an ordinary differential equation; expected ExplicitRungeKutta(...) "
@@ -36,7 +36,7 @@ class Discrete(Defaults):
             )
 
     def longest_step(self, problem: Problem) -> float:
-        """One evaluation of the map per interval."""
+        """Length (s) of the longest interval; the map is evaluated once per interval."""
         return max(problem.dt)
 
     def interval(self, problem: Problem) -> Interval:
@@ -61,8 +61,8 @@ class Discrete(Defaults):
         )
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` fills g and Q from all inputs but lam, and
-        d2 (lam' Phi) / d(x, u)^2 is added, lower triangle. A map has no steps, so every ``scheme`` is the same.
+        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
+        lower triangle of d2 (lam' Phi) / d(x, u)^2 is added. A map has no steps, so ``scheme`` makes no difference.
         """
         x, u, p, lam, dt = problem.path.x, problem.path.u, problem.path.p, ca.SX.sym("lam", problem.nx), ca.SX.sym("dt")
         z, nz = ca.vertcat(x, u), problem.nx + problem.nu
@@ -81,11 +81,11 @@ class Discrete(Defaults):
         )
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """Refused: a map has no time to integrate over."""
+        """Raise OptionError: a map has no continuous time to integrate over."""
         raise OptionError(_no_time(problem))
 
     def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """Refused: a map has no time to integrate over."""
+        """Raise OptionError: a map has no continuous time to integrate over."""
         raise OptionError(_no_time(problem))
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:

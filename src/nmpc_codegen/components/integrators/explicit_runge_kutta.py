@@ -3,7 +3,8 @@
     X_i = x + h sum_j a_ij K_j,   K_i = f(X_i, u, p),   x+ = x + h sum_i b_i K_i
     S = d x / d(x_k, u_k):        K_i' = f_x(X_i) S_i + [0 f_u(X_i)],  same tableau, S = [I 0] at the start
 
-([H11] section 3.1; algorithms.md 2). All are written as Sweeps: straight-line or looped code from one description.
+(Houska, Ferreau and Diehl, Automatica 47, 2011, section 3.1). All are written as Sweeps, so that one description yields
+straight-line code or loops.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ from nmpc_codegen.ir.sweep import (
 
 Unroll = Literal["auto", "all", "step", "none"]
 
-# Steps per interval, and operations of a straight-line program, beyond which nobody waits for the code.
+# Limits on the steps per interval and on the operations of a straight-line program: more take too long to compile.
 MAX_STEPS = 100_000
 MAX_STRAIGHT = 100_000
 
-# The same for steps of a backward sweep, and numbers that it may keep of all of them: they stand on the stack.
+# Limits on the steps of a backward sweep and on the numbers that it stores, which are on the stack.
 MAX_BACKWARD_STEPS = 200
 MAX_KEPT = 1 << 16
 
@@ -81,7 +82,7 @@ class ExplicitRungeKutta(Defaults):
         check_options(self, self.seam)
 
     def check(self, problem: Problem) -> None:
-        """The dynamics have to be a differential equation."""
+        """Raise OptionError unless the dynamics are a differential equation."""
         if problem.discrete:
             raise OptionError(
                 f"integrator: {problem.name} is a discrete map; expected Discrete() (--set integrator=discrete) "
@@ -89,7 +90,7 @@ class ExplicitRungeKutta(Defaults):
             )
 
     def longest_step(self, problem: Problem) -> float:
-        """The longest interval in ``steps`` equal ones."""
+        """Length (s) of a step in the longest interval."""
         return max(problem.dt) / self.steps
 
     def interval(self, problem: Problem) -> Interval:
@@ -98,8 +99,9 @@ class ExplicitRungeKutta(Defaults):
         return Interval(self._spelled(interval), straight(step_sweep(problem, self.tableau)))
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` fills g and Q from all inputs but lam, the interval
-        adds its part d(integrated cost) / dz and d2 (lam' Phi + integrated cost) / dz^2, z = (x, u), lower triangle.
+        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
+        interval adds d(integrated cost) / dz and the lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where
+        z = (x, u).
 
         scheme: "symmetric" (three sweeps) or "forward_over_adjoint".
         """
@@ -127,17 +129,17 @@ class ExplicitRungeKutta(Defaults):
         return expanded if small or self.unroll == "all" else rolled
 
     def _refuse_long(self, name: str, buffers: Sequence[tuple[str, int]]) -> None:
-        """A backward sweep keeps stages of all steps, on the stack."""
+        """Raise OptionError if a backward sweep, which stores the stages of all steps, would need too much stack."""
         kept = sum(size for _, size in buffers)
         if self.steps > MAX_BACKWARD_STEPS or kept > MAX_KEPT:
             raise OptionError(
-                f"ExplicitRungeKutta.steps: {self.steps}; {name} goes backward over all steps and keeps numbers "
-                f"of them on the stack; expected at most {MAX_BACKWARD_STEPS} steps (--set integrator.steps=...) and "
+                f"ExplicitRungeKutta.steps: {self.steps}; {name} goes backward over all steps and stores numbers "
+                f"of each on the stack; expected at most {MAX_BACKWARD_STEPS} steps (--set integrator.steps=...) and "
                 f"{MAX_KEPT:,} numbers" + (f" instead of {kept:,}" if kept else "")
             )
 
     def _refuse_straight(self, rolled: LoopedRoutine) -> None:
-        """A straight-line program of all steps would be too long to be made and compiled."""
+        """Raise OptionError if a straight-line program of all steps would be too long to generate and compile."""
         if self.unroll == "all" and rolled.count.total > MAX_STRAIGHT:
             raise OptionError(
                 f'ExplicitRungeKutta(steps={self.steps}, unroll="all"): {rolled.name} would be about '
@@ -146,12 +148,12 @@ class ExplicitRungeKutta(Defaults):
             )
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more) -> l: what ``start`` leaves in l, plus the integral of the cost rate."""
+        """(x, u, p, dt, more) -> l: the value that ``start`` stores in l, plus the integral of the cost rate."""
         doc = "l = cost of the node + integral of the cost rate over dt"
         return self._backward(Quadrature(problem, self.tableau, self.steps).value(name, doc, start, more))
 
     def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more) -> g: what ``start`` leaves in g, plus the gradient of the integral, by its adjoint."""
+        """(x, u, p, dt, more) -> g: the value that ``start`` stores in g, plus the adjoint gradient of the integral."""
         doc = "g = d (cost of the node + integral of the cost rate over dt) / d(x, u)"
         return self._backward(Quadrature(problem, self.tableau, self.steps).gradient(name, doc, start, more))
 
@@ -160,14 +162,14 @@ class ExplicitRungeKutta(Defaults):
         return self._spelled(sweep)
 
     def _spelled(self, sweep: Sweep) -> Routine:
-        """Straight-line or looped, as ``unroll`` says."""
+        """The sweep as straight-line code or loops, according to ``unroll``."""
         if self.unroll == "step":
             return looped(fuse_steps(sweep))
         rolled = looped(sweep)
         self._refuse_straight(rolled)
         if self.unroll == "all":
             return straight(sweep)
-        # Straight-line code takes at most as many operations as the loops do: a bound known before unrolling.
+        # Straight-line code takes at most as many operations as the loops; this bound is known before unrolling.
         if self.unroll == "auto" and rolled.count.total <= 10 * AUTO_INSTRUCTIONS:
             program = straight(sweep)
             if len(program.instructions) <= AUTO_INSTRUCTIONS:

@@ -120,7 +120,7 @@ class Sensitivities:
         )
 
     def _column(self, buffer: str, rows: int, block: int = 0) -> Slice:
-        """Column c of a matrix of padded columns."""
+        """Column c of a matrix with padded rows."""
         return Slice(buffer, rows, Affine(block * rows * self.ld, (("c", 1),)), self.ld)
 
     def _slope(self, stage: int) -> Slice:

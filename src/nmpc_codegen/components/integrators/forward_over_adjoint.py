@@ -1,5 +1,5 @@
-"""Forward over adjoint (FOA, [Q14] algorithm 1): the sensitivities of all stages are stored, and the derivative of the
-adjoint recursion is propagated backward, unsymmetric.
+"""Forward over adjoint (Quirynen et al., CDC 2014, algorithm 1): the sensitivities of all stages are stored, and the
+derivative of the adjoint recursion is propagated backward without using its symmetry.
 
     Kbar_i' = h b_i lam' + h sum_j a_ji Xbar_j',   Xbar_i' = F_x' Kbar_i' + H_x Z_i,   lam' += sum_i Xbar_i',
     ubar' += F_u' Kbar_i' + H_u Z_i,   Z_i = [S_i; 0 I];   the result is [lam'; ubar'].
@@ -16,10 +16,10 @@ from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
 
 
 class AdjointSweep(Builder):
-    """The reference in cost, memory and result."""
+    """The scheme with which ThreeSweeps is compared in cost, memory and result."""
 
     def body(self) -> list[Node]:
-        """All nodes, from the inputs x, u, p, dt, lam to x_next, S, and what is added to g and Q."""
+        """All nodes, which compute x_next and S from x, u, p, dt, lam and add to g and Q."""
         nodes = self.start()
         first = [node for i in range(self.stages) for node in (*self.evaluate(i), *self._slope(i))]
         nodes.append(For("step", 0, self.steps, (*first, self.rk.update_state(), self.update_columns())))
@@ -36,7 +36,7 @@ class AdjointSweep(Builder):
         return nodes + self._results()
 
     def _stored(self, stage: int) -> Slice:
-        """Column c of the curved rows of Z, kept for every stage of every step."""
+        """Column c of the curved rows of Z, stored for every stage of every step."""
         size = len(self.d.curved_states) * self.ld
         terms = (("step", self.stages * size), ("c", 1))
         return Slice("Zs", len(self.d.curved_states), Affine(stage * size, terms), self.ld)

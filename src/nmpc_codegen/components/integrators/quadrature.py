@@ -17,7 +17,7 @@ from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep
 
 
 class Quadrature:
-    """Sweeps that add the integral to a buffer ``l``, or its gradient to ``g``, which ``start`` has filled."""
+    """Sweeps that add the integral to a buffer ``l``, or its gradient to ``g``, which ``start`` initialises."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
         stage = problem.path
@@ -62,7 +62,7 @@ class Quadrature:
         return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
     def _stage(self, stage: int, point: Slice, rate: bool = True) -> list[Node]:
-        """Stage point, K_i and the rate there."""
+        """The stage point, and K_i and the rate at it."""
         leaf = ca.Function("f_and_rate", [self.x, self.u, self.p], [self.f, self.rate])
         outs: tuple[Slice, ...] = (self.rk.slope(stage), Slice("L", 1, Affine(stage)))
         if not rate:

@@ -1,8 +1,8 @@
-"""What every Runge-Kutta sweep is composed of: steps of any vector by one tableau, and the adjoint of a step.
+"""Building blocks of all Runge-Kutta sweeps: steps of any vector by one tableau, and the adjoint of a step.
 
     y = x + h sum_j c_j K_j;   kappa_i = h b_i lam + h sum_j a_ji Xbar_j over later stages j;   lam += sum_i Xbar_i
 
-Buffers: h the length of a step, X the state, K the slopes of all stages.
+The buffers are h, the length of a step, X, the state, and K, the slopes of all stages.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LENGTH = Slice("h", 1)
 
 
 class RungeKutta:
-    """Calls of the sweeps of one problem, scheme and number of steps."""
+    """Calls for sweeps of one problem, scheme and number of steps."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int = 1) -> None:
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
@@ -34,11 +34,11 @@ class RungeKutta:
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """What an interval is given."""
+        """The input ports of an interval."""
         return Port("x", self.nx), Port("u", self.nu), Port("p", self.np), Port("dt", 1)
 
     def start(self) -> list[Call]:
-        """The length of a step, X = x."""
+        """h = dt / steps, X = x."""
         dt = ca.SX.sym("dt")
         h = dt / self.steps if self._fixed_length is None else ca.SX(self._fixed_length)
         return [
@@ -66,7 +66,7 @@ class RungeKutta:
         return self.combined(f"{name}_{stage}", self.tableau.a[stage], self.state, self.slope, target)
 
     def update(self, name: str, x: Slice, slope: Callable[[int], Slice], target: Slice | None = None) -> Call:
-        """target = x + h sum_i b_i K_i; in place if it is left out."""
+        """target = x + h sum_i b_i K_i; without a target, x is updated in place."""
         return self.combined(name, self.tableau.b, x, slope, target or x)
 
     def update_state(self, target: Slice | None = None) -> Call:

@@ -1,11 +1,11 @@
-"""What the schemes for second-order sensitivities of explicit Runge-Kutta methods share.
+"""Common parts of the schemes for second-order sensitivities of explicit Runge-Kutta methods.
 
     H = d2 (lam' Phi + integral of the cost rate) / d(x, u)^2
 
-Both add to buffers Q (nz x nz, lower triangle) and g (nz), which the node's own cost has filled, and yield x_next and
-S = d x_next / d(x, u) by the way. Stage i of a step has the adjoint kappa_i = h b_i lam + h sum_j a_ji Xbar_j,
-Xbar_i = F_x' kappa_i, where lam += sum_i Xbar_i from step to step. Columns of S that depend on time alone are written
-out; the others are kept packed, in rows of a multiple of PANEL.
+They add to buffers Q (nz x nz, lower triangle) and g (nz), which the cost of the node has initialised, and also compute
+x_next and S = d x_next / d(x, u). Stage i of a step has the adjoint kappa_i = h b_i lam + h sum_j a_ji Xbar_j,
+Xbar_i = F_x' kappa_i, and each step performs lam += sum_i Xbar_i. Columns of S that depend on time alone are written in
+closed form; the others are stored packed, in rows whose length is a multiple of PANEL.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from nmpc_codegen.ir.passes import copy, fixed, shifted
 from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
 
-# Longest tape with which the sweeps are staggered: the code of their loops is written two times.
+# Longest tape for which the sweeps are staggered, because staggering doubles the code of their loops.
 STAGGERED_TAPE = 32
 
 Local = tuple[str, int]
@@ -37,7 +37,7 @@ class Builder:
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int, staggered: bool = True) -> None:
         self.d = d = Derivatives(problem)
-        # Calls of functions take more than staggering would hide; with a long tape there is work enough in one step.
+        # Calls of math.h take longer than staggering can hide; with a long tape one step has enough independent work.
         self.staggered = staggered and steps > 1 and not d.functions and d.tape <= STAGGERED_TAPE
         self.rk = RungeKutta(problem, tableau, steps)
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
@@ -61,11 +61,11 @@ class Builder:
 
     @property
     def wide(self) -> bool:
-        """Stages of a step side by side, component by component: tapes and curvatures are evaluated in vectors."""
+        """True if the stages of a step are interleaved in memory, so that tapes and curvatures are vectorised."""
         return False
 
     def kept(self, buffer: str, stage: int, size: int, kept: bool = True, length: int | None = None) -> Slice:
-        """What belongs to one stage of one step, in a buffer over all of them or in a single place."""
+        """The data of one stage of one step, in a buffer over all steps if ``kept``, else in one that is reused."""
         if self.wide:
             offset = Affine(stage, (("step", self.stages * size),) if kept else ())
             return Slice(buffer, size if length is None else length, offset, self.stages)
@@ -83,7 +83,7 @@ class Builder:
 
     @property
     def keeps_kappa(self) -> bool:
-        """The adjoints of all stages are stored: a later sweep uses them."""
+        """True if the adjoints of all stages are stored, because a later sweep uses them."""
         return False
 
     def kappa(self, stage: int) -> Slice:
@@ -95,15 +95,15 @@ class Builder:
         return Slice("kappa", size, Affine(stage * size, terms))
 
     def column(self, buffer: str, rows: int, block: int = 0, index: str = "c") -> Slice:
-        """Column ``index`` of a matrix of packed columns; ``block``: of the block-th matrix of so many rows."""
+        """Column ``index`` of a matrix of packed columns; ``block`` selects one of several matrices in the buffer."""
         return Slice(buffer, rows, Affine(block * rows * self.ld, ((index, 1),)), self.ld)
 
     def columnwise(self, leaf: Function, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
-        """The leaf for every packed column."""
+        """A loop that calls the leaf for every packed column."""
         return For("c", 0, self.ld, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
 
     def locals(self) -> tuple[Local, ...]:
-        """Buffers of both schemes."""
+        """The buffers that both schemes use."""
         n, d, s = self.steps * self.stages, self.d, self.stages
         once = s if self.wide else 1
         return (
@@ -131,11 +131,11 @@ class Builder:
 
     @property
     def forcing_varies(self) -> bool:
-        """F_u depends on the stage point."""
+        """True if F_u depends on the stage point."""
         return any(j >= self.nx and not c for (_, j), c in zip(self.d.jacobian, self.d.constants, strict=True))
 
     def linear_forcing(self) -> Expression:
-        """Constant entries of [0 F_u], rows ``forced`` and packed columns, which leave out closed forms."""
+        """Constant entries of [0 F_u], in the rows ``forced`` and the packed columns (none in closed form)."""
         rows = ca.SX.zeros(len(self.forced), self.ld)
         for (i, j), constant, value in zip(self.d.jacobian, self.d.constants, self.d.Fz_values, strict=True):
             if j in self.controls and constant:
@@ -143,7 +143,7 @@ class Builder:
         return ca.vec(rows.T)
 
     def forcing(self, Fu: Expression, tape: Expression, units: Expression) -> Expression:
-        """One column of [0 F_u]: constant entries from a table, the others times the unit rows of the controls."""
+        """One column of [0 F_u]: constant entries are read from a table, others multiply unit rows of the controls."""
         column = ca.SX(self.nF, 1)
         for n, i in enumerate(self.forced):
             column[i] = Fu[n]
@@ -159,7 +159,7 @@ class Builder:
         return column
 
     def curvature_forcing(self, H: Expression, units: Expression) -> Expression:
-        """One column of [0 H_u]: rows of H."""
+        """One column of [0 H_u], in the rows of H."""
         terms: dict[tuple[int, int], Expression] = {}
         for (r, c), n in self.d.hessian.items():
             for row, j in {(r, c), (c, r)}:
@@ -172,7 +172,7 @@ class Builder:
         return column
 
     def full_hessian(self, values: Expression) -> Expression:
-        """H as a symmetric matrix of its values."""
+        """H as a symmetric matrix, from its distinct values."""
         full = ca.SX(self.nz, self.nz)
         for (r, c), n in self.d.hessian.items():
             full[r, c] = full[c, r] = values[n]
@@ -181,7 +181,7 @@ class Builder:
     # Parts of the sweeps ---------------------------------------------------------------------------------------------
 
     def start(self) -> list[Node]:
-        """h, X = x, S = [I 0], constant forcing."""
+        """Initialise h, X = x, S = [I 0] and the constant forcing."""
         identity = ca.SX.zeros(self.nF * self.ld)
         for c, j in enumerate(self.columns[: self.state_columns]):
             identity[j * self.ld + c] = 1
@@ -199,7 +199,7 @@ class Builder:
         return nodes
 
     def evaluate(self, stage: int) -> list[Node]:
-        """Stage point and K_i, with the tape where it is kept."""
+        """The stage point and K_i, and the tape if it is stored."""
         point, K = self.point(stage), self.rk.slope(stage)
         start = Call(copy("copy_x", self.nx), (self.rk.state,), (point,))
         nodes: list[Node] = [self.rk.point(stage, point) if any(self.tableau.a[stage]) else start]
@@ -213,7 +213,7 @@ class Builder:
         return nodes
 
     def slope(self, stage: int, rows: list[int], target: Slice) -> For:
-        """Columns of K_i' = F_x Z + [0 F_u]; the given rows of Z go to ``target``."""
+        """Columns of K_i' = F_x Z + [0 F_u]; the given rows of Z are stored in ``target``."""
         d, coefficients = self.d, self.tableau.a[stage]
         tape, s, h = ca.SX.sym("t", d.slopes), ca.SX.sym("s", self.nF), ca.SX.sym("h")
         Fu, units = ca.SX.sym("Fu", len(self.forced)), ca.SX.sym("E", len(self.controls))
@@ -233,7 +233,7 @@ class Builder:
         return self.columnwise(update.leaf, update.ins, update.outs)
 
     def again(self, stage: int, length: int) -> list[Node]:
-        """The first ``length`` numbers of a tape that is not kept."""
+        """Evaluate the first ``length`` values of the tape again if it is not stored."""
         if self.d.keeps_tape or not length:
             return []
         return [
@@ -241,7 +241,7 @@ class Builder:
         ]
 
     def backward(self) -> list[Node]:
-        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i; one leaf where the tapes are kept."""
+        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i; a single leaf if tapes are stored."""
         stages = range(self.stages)
         adj, h = ca.SX.sym("adj", self.nx), ca.SX.sym("h")
         if not self.d.keeps_tape:
@@ -266,22 +266,22 @@ class Builder:
         return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
     def stagewise(self, leaf: Function, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
-        """The leaf for every stage of a step."""
+        """A loop that calls the leaf for every stage of a step."""
         return For("s", 0, self.stages, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
 
     def lane(self, buffer: str, size: int, kept: bool = True) -> Slice:
-        """What belongs to stage s."""
+        """The data of stage s, the loop index."""
         terms = (("s", 1), ("step", self.stages * size)) if kept else (("s", 1),)
         return Slice(buffer, size, Affine(0, terms), self.stages)
 
     def tapes(self) -> For:
-        """The tapes of a step."""
+        """Evaluate the tapes of all stages of a step."""
         d = self.d
         ins = (self.lane("Xs", d.nx, self.keeps_points), *self.rk.up, self.lane("M", len(d.functions), self.staggered))
         return self.stagewise(d.leaf_tape_of_functions(), ins, (self.lane("tape", d.tape),))
 
     def curvatures(self) -> For:
-        """The values of H of a step."""
+        """Evaluate the values of H for all stages of a step."""
         d = self.d
         ins = (self.lane("Xs", d.nx, self.keeps_points), *self.rk.up, self.lane("tape", d.tape))
         kappa = self.lane("kappa", len(d.curved), self.keeps_kappa)
@@ -292,16 +292,16 @@ class Builder:
         return self.kept("Hs", stage, self.d.values, kept=False)
 
     def curvature(self, stage: int) -> Call:
-        """The values of H_i."""
+        """Evaluate the values of H_i."""
         d, H = self.d, Slice("Hs", self.d.values)
         point = self.point(stage) if self.keeps_points else Slice("X", self.nx)
         return Call(d.leaf_hessian(), (point, *self.rk.up, self.tape(stage), self.kappa(stage)), (H,))
 
     def loop(self, first: Groups, second: Groups = (), down: bool = False) -> list[Node]:
-        """``first`` and ``second``, groups of nodes, for every step. Staggered: ``second`` follows one step behind.
+        """A loop over steps of the groups of nodes ``first`` and ``second``; staggered, ``second`` is one step behind.
 
-        ``first`` is a chain of operations that wait for each other; what it leaves idle ``second`` of the step before
-        fills, group by group, for processors do not look further ahead.
+        The operations of ``first`` wait for each other and leave execution units idle. They are interleaved group by
+        group with ``second`` of the previous step, since a processor looks only a few instructions ahead.
         """
         if not (self.staggered and second):
             return [For("step", 0, self.steps, tuple(n for group in (*first, *second) for n in group), down)]
@@ -319,7 +319,7 @@ class Builder:
 
     @property
     def runs(self) -> list[tuple[int, int, int]]:
-        """(packed column, column, length) of runs of neighbours, states and controls apart."""
+        """(packed column, column, length) of runs of adjacent columns; states and controls are in separate runs."""
         found: list[list[int]] = []
         for c, j in enumerate(self.columns):
             if found and found[-1][1] + found[-1][2] == j and j != self.nx:
@@ -329,7 +329,7 @@ class Builder:
         return [(c, j, n) for c, j, n in found]
 
     def results(self) -> list[Node]:
-        """x_next, S, and the gradient of the integrated cost, which is added to g."""
+        """Store x_next and S, and add the gradient of the integrated cost to g."""
         nz, runs = self.nz, self.runs
         nodes: list[Node] = [Call(copy("copy_x", self.nx), (Slice("X", self.nx),), (Slice("x_next", self.nx),))]
         rows = tuple(
@@ -346,7 +346,7 @@ class Builder:
         return nodes
 
     def _closed_column(self, j: int) -> list[Node]:
-        """Column j of S, a function of h alone."""
+        """Column j of S in closed form, a function of h alone."""
         h, h_slice = ca.SX.sym("h"), Slice("h", 1)
         Fx = self.d.Fz(ca.SX.sym("t", self.d.slopes))[:, : self.nx]
         forcing = ca.SX(self.nF, 1) if j < self.nx else self.d.Fz(ca.SX.sym("t", self.d.slopes))[:, j]

@@ -1,5 +1,5 @@
-"""Three sweeps with a symmetric third one (TSP, [Q14] algorithm 2): only the lower triangle is formed, nothing of size
-nz x nz is stored per stage.
+"""Three sweeps with a symmetric third one (Quirynen et al., CDC 2014, algorithm 2): only the lower triangle is formed,
+and no matrix of size nz x nz is stored per stage.
 
     H = sum over stages of Z_i' d2(kappa_i' F) Z_i,   Z_i = [S_i; 0 I]
 """
@@ -14,42 +14,42 @@ from nmpc_codegen.ir.passes import copy
 from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
 
-# Up to so many panels of rows have a loop each, with its own bounds.
+# Up to this number of panels of rows, each panel has a loop of its own with constant bounds.
 WRITTEN_PANELS = 3
 
-# Tapes of up to so many numbers are evaluated for all stages of a step at once; f is written out at every stage then.
+# Longest tape that is evaluated for all stages of a step at once; f is then printed inline at every stage.
 LONGEST_TAPE = 128
 
-# So many factors of the rows of one panel are held in registers.
+# Number of factors of the rows of one panel that are held in registers.
 FACTORS = 12
 
 
 class ThreeSweeps(Builder):
-    """Points forward, adjoints backward, sensitivities and Hessian forward.
+    """Stage points forward, adjoints backward, sensitivities and Hessian forward.
 
-    Where the curved rows of S of all stages are few, they are kept as the first sweep passes, which then propagates S
-    too; what is left of the third sweep joins the second, for the order of the sum is arbitrary. Tapes and H depend on
-    one stage alone: where they are worth it, those of a step are evaluated in one loop over its stages, which compilers
-    turn into vector instructions, as they do with loops over columns.
+    If S has few curved rows, the first sweep propagates S too and stores these rows for all stages; the rest of the
+    third sweep is then merged into the second, since the terms of H can be summed in any order. Tape and H of a stage
+    do not depend on other stages: for tapes of medium length those of a step are evaluated in one loop over its stages,
+    which compilers vectorise like the loops over columns.
     """
 
     @property
     def wide(self) -> bool:
-        """The terms of the sum do not depend on each other: those of a step are evaluated together."""
+        """True if the terms of the sum that belong to one step, which are independent, are evaluated together."""
         return self.d.keeps_tape and self.nz < self.d.tape <= LONGEST_TAPE
 
     @property
     def merged(self) -> bool:
-        """True: two sweeps that keep the curved rows of Z."""
+        """True if there are two sweeps, which store the curved rows of Z."""
         return self.d.keeps_tape and len(self.d.curved_states) * self.ld <= TAPE_PER_COMPONENT * self.nz
 
     @property
     def keeps_kappa(self) -> bool:
-        """The adjoints of all stages are stored for the third sweep."""
+        """True if the adjoints of all stages are stored for the third sweep."""
         return not self.merged or self.staggered
 
     def body(self) -> list[Node]:
-        """All nodes, from the inputs x, u, p, dt, lam to x_next, S, and what is added to g and Q."""
+        """All nodes, which compute x_next and S from x, u, p, dt, lam and add to g and Q."""
         loops = self._two() if self.merged else self._three()
         nodes = [*self.start(), *loops, *self.results()]
         if self.rows:
@@ -81,7 +81,7 @@ class ThreeSweeps(Builder):
         return [*nodes, *self.loop([(*third, self.update_columns())])]
 
     def _points(self) -> list[list[Node]]:
-        """Stage points and slopes, stage by stage, and the end of the step."""
+        """Stage points and slopes, one group per stage, and the update of the state in the last group."""
         groups = [self.evaluate(i) for i in range(self.stages)]
         groups[-1].append(self.rk.update_state())
         return groups
@@ -106,7 +106,7 @@ class ThreeSweeps(Builder):
         return self.slope(stage, self.d.curved_states, self._curved(stage))
 
     def _bend(self, stage: int) -> list[Node]:
-        """HZ = H [Z; 0 I], curved rows, and what it adds to the result as soon as its group of stages is complete."""
+        """HZ = H [Z; 0 I], curved rows; once its group of stages is complete, their terms are added to the result."""
         d = self.d
         H, Z, units = ca.SX.sym("H", d.values), ca.SX.sym("Z", len(d.curved_states)), ca.SX.sym("E", len(self.controls))
         value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
@@ -120,11 +120,11 @@ class ThreeSweeps(Builder):
 
     @property
     def group(self) -> int:
-        """Stages whose terms are added up together: as many factors as fit into registers."""
+        """Number of stages whose terms are summed together: as many as have factors that fit into registers."""
         return max(1, min(self.stages, FACTORS // max(1, len(self.d.curved_states))))
 
     def _accumulate(self, stages: range) -> list[Node]:
-        """H += sum_i Z_i' (HZ)_i, every row in panels of PANEL columns up to the diagonal; the rows of the controls."""
+        """H += sum_i Z_i' (HZ)_i, each row in panels of PANEL columns up to the diagonal; then rows of the controls."""
         states, n = len(self.d.curved_states), len(stages)
         nodes: list[Node] = []
         if states:

@@ -1,4 +1,4 @@
-"""Butcher tableaus of explicit Runge-Kutta schemes: values that check themselves."""
+"""Butcher tableaus of explicit Runge-Kutta schemes, which validate themselves."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class ButcherTableau:
 
 
 def combine(x: Expression, h: Expression, slopes: Sequence[Expression], coefficients: Sequence[Fraction]) -> Expression:
-    """x + h sum_j c_j K_j over the nonzero c_j; ``slopes`` are the K_j of these, equal coefficients share a product."""
+    """x + h sum_j c_j K_j; ``slopes`` are the K_j with nonzero c_j, and equal coefficients share a product."""
     values = [c for c in coefficients if c]
     for c in dict.fromkeys(values):
         same = [k for k, v in zip(slopes, values, strict=True) if v == c]

@@ -2,8 +2,8 @@
 
     min 1/2 z'Hz + g'z   s.t.  lower <= (z, A z) <= upper
 
-Goldfarb and Idnani (1983) in the coordinates of H = C C', with an orthonormal basis of the working set. The
-factorisation at the predicted working set belongs to the preparation phase, two substitutions to the feedback phase.
+The method of Goldfarb and Idnani (1983) in the coordinates of H = C C', with an orthonormal basis of the working set.
+The preparation phase factorises at the predicted working set; the feedback phase needs two substitutions.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class DenseActiveSet(Defaults):
     """Options of the dense active-set solver.
 
-    ``max_iterations``: changes of the working set allowed in one feedback phase; None: 10 (NV + NG) + 50.
+    ``max_iterations``: maximum number of working-set changes in one feedback phase; None: 10 (NV + NG) + 50.
     """
 
     seam: ClassVar[Seam] = "qp"
@@ -61,7 +61,7 @@ class DenseActiveSet(Defaults):
                 "qp",
                 "condensed QP and its active-set factorisation",
                 (
-                    Field("H", (ld, ld), "Hessian (lower triangle); then D, L and L' of L D L'", "scratch"),
+                    Field("H", (ld, ld), "Hessian (lower triangle); later D, L and L' of L D L'", "scratch"),
                     Field("A", (ng, ld), "general rows", "scratch"),
                     Field("g", (nv,), "gradient", "scratch"),
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
@@ -69,35 +69,33 @@ class DenseActiveSet(Defaults):
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("inverse", (ld,), "D^{-1/2}", "scratch"),
-                    Field(
-                        "work", (), "factors of the working set; before qp_factorize the caller's", "scratch", "work"
-                    ),
+                    Field("work", (), "factors of the working set; until qp_factorize the caller's", "scratch", "work"),
                     Field("R_inverse", (ld,), "inverse diagonal of R", "scratch"),
-                    Field("lam", (ld,), "multipliers of the members", "scratch"),
+                    Field("lam", (ld,), "multipliers of the rows in the working set", "scratch"),
                     Field("y0", (ld,), "unconstrained minimiser, y = D^{1/2} L'z", "scratch"),
-                    Field("x", (ld,), "z of y", "scratch"),
+                    Field("x", (ld,), "z that belongs to y", "scratch"),
                     Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
                     Field("scale", (), "|y0|, and the terms that saturated rows add to it", "scratch"),
                     Field("penalty", (rows,), "l1 penalty of violating a row; infinite: hard", "keep", only="ELASTIC"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result", only="SOLVE"),
                     Field("proximal", (ld,), "diagonal E added to a semidefinite Hessian", "scratch"),
-                    Field("weight", (ld,), "its entries where they are needed", "scratch"),
+                    Field("weight", (ld,), "entries of E that are in use", "scratch"),
                     Field("center", (ld,), "centre of the proximal term", "scratch"),
                     Field("direction", (ld,), "direction of the last proximal step", "scratch"),
-                    Field("total", (), "s'(H + E)s of it; 0: no conjugate direction follows", "scratch"),
+                    Field("total", (), "its s'(H + E)s; 0: no conjugate direction follows", "scratch"),
                     Field("step", (), "length of the proximal step", "scratch"),
                     Field("row", (ld,), "rows in the working set, in the order of the basis", "scratch", "int32"),
                     Field(
-                        "side", (rows,), "+-1: member at upper, lower bound; +-2: saturated; else 0", "keep", "int32"
+                        "side", (rows,), "+-1: in the set at upper, lower bound; +-2: saturated; or 0", "keep", "int32"
                     ),
-                    Field("snapshot", (rows,), "an earlier side, to recognise cycles", "scratch", "int32"),
-                    Field("nw", (), "members of the working set", "scratch", "int32"),
-                    Field("factorized", (), "qp_factorize has succeeded", "scratch", "int32"),
-                    Field("semidefinite", (), "a pivot of H may be zero, E is not zero", "scratch", "int32"),
-                    Field("face", (), "changes when the direction was set", "scratch", "int32"),
-                    Field("elastic", (), "a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
+                    Field("snapshot", (rows,), "earlier values of side, to detect cycles", "scratch", "int32"),
+                    Field("nw", (), "number of rows in the working set", "scratch", "int32"),
+                    Field("factorized", (), "1: qp_factorize has succeeded", "scratch", "int32"),
+                    Field("semidefinite", (), "1: a pivot of H may be zero, E is not zero", "scratch", "int32"),
+                    Field("face", (), "value of changes when the direction was set", "scratch", "int32"),
+                    Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
-                    Field("changes", (), "rows that entered or left the working set in it", "result", "int32"),
+                    Field("changes", (), "rows that entered or left the working set in that call", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "elastic rows that are violated", "result", "int32"),
                 ),
@@ -121,10 +119,10 @@ class DenseActiveSet(Defaults):
 
 
 def _working_memory(dims: Dims) -> tuple[Struct, ...]:
-    """Factors of the working set, and the union through which the caller may use their memory before there are any."""
+    """Factors of the working set, and the union through which the caller may use their memory before they exist."""
     basis = (
         Field("Q", (dims.qp.ld, dims.qp.ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
-        Field("R", (dims.qp.ld, dims.qp.ld), "row j: coefficients of member j in that basis (R transposed)", "scratch"),
+        Field("R", (dims.qp.ld, dims.qp.ld), "row j: coefficients of normal j in that basis (R transposed)", "scratch"),
         Field("y", (dims.qp.ld,), "minimiser on the working set", "scratch"),
         Field("m", (dims.qp.ld,), "normal of the row under consideration, in y", "scratch"),
         Field("v", (dims.qp.ld,), "its part outside the span of the working set", "scratch"),
@@ -133,18 +131,18 @@ def _working_memory(dims: Dims) -> tuple[Struct, ...]:
     alternatives = (Field("basis", (), "from qp_factorize to the end of the feedback", "scratch", "basis"),)
     return (
         Struct("basis", "factors of the working set, vectors of an iteration", basis),
-        Struct("work", "memory of phases that never overlap", alternatives, union=True),
+        Struct("work", "memory of phases that do not overlap", alternatives, union=True),
     )
 
 
 def _factorization(dims: Dims) -> OpCount:
-    """L D L' of a positive definite H, panel by panel."""
+    """Operations of L D L' of a positive definite H, panel by panel."""
     n, ld = dims.qp.nv.value, dims.qp.ld.value
     total = OpCount(sqrt=ld)
     for b in range(0, ld, 4):
         total += OpCount(add=10, mul=20, div=4)
         total += OpCount(add=6, mul=10) * (ld - b - 4)
-        below = max(0, n - b - 4)  # row j of them works on 4 ceil(j / 4) entries
+        below = max(0, n - b - 4)  # the j-th row below takes 4 ceil(j / 4) entries
         whole, rest = divmod(below, 4)
         lanes = 4 * (whole + 1) * (2 * whole + rest)
         total += OpCount(add=4, mul=4) * lanes + OpCount(mul=4) * below

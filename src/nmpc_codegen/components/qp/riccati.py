@@ -1,4 +1,4 @@
-"""Python side of the Riccati recursion (templates/riccati) that the Riccati QP solvers share: struct, sizes, counts.
+"""Structs, sizes and operation counts of the Riccati recursion (templates/riccati) that the Riccati QP solvers share.
 
 M_k = Q_k + diag(0, diagonal) + sum_m weight_m a_m a_m' + S_k'P_{k+1}S_k,   K = -M_uu^{-1} M_ux,   P_k = M_xx + M_ux'K
 """
@@ -13,7 +13,7 @@ from nmpc_codegen.ir.kernel import OpCount
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
 
-#: Rows of a product that are computed together.
+#: Number of rows of a product that are computed together.
 BLOCK = 4
 
 
@@ -36,10 +36,10 @@ def riccati_sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
 def riccati_structs(
     dims: Dims, scratch: tuple[Field, ...] = (), corrected: tuple[Field, ...] = ()
 ) -> tuple[Struct, ...]:
-    """The struct ``riccati`` of the solver, data and factors of the recursion, and the structs that it holds.
+    """The struct ``riccati`` of the solver, data and factors of the recursion, and the structs that it contains.
 
-    Its member ``work`` is a union: a stage of the factorisation, the vectors of a substitution, and what else is read
-    by neither, ``scratch``. ``corrected``: what goes with the vectors while a minimiser is corrected.
+    Its member ``work`` is a union of a stage of the factorisation, the vectors of a substitution, and ``scratch``,
+    which neither of them reads. ``corrected``: fields beside the vectors that correcting a minimiser needs.
     """
     ldx, ldu, ldz, _, _ = (Size(name, value) for name, value, _ in riccati_sizes(dims))
     stages, nodes = dims.qp.ns, Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
@@ -50,8 +50,8 @@ def riccati_structs(
             "Riccati recursion on the stage QP",
             (
                 Field("diagonal", (stages, dims.qp.nus), "added to the diagonal of M_uu", "scratch"),
-                Field("diagonal_free", (dims.nf,), "added to that of P_0", "scratch"),
-                Field("weight", (dims.ng,), "of a a' for the rows of the QP", "scratch"),
+                Field("diagonal_free", (dims.nf,), "added to the diagonal of P_0", "scratch"),
+                Field("weight", (dims.ng,), "weights of a a' for the rows of the QP", "scratch"),
                 Field("b", (stages, dims.qp.nxs), "gaps of the dynamics", "scratch"),
                 Field("du", (dims.qp.nv,), "values of the fixed controls", "scratch"),
                 Field("P", (nodes, ldx, ldx), "cost to go, symmetric", "scratch"),
@@ -62,14 +62,14 @@ def riccati_structs(
                 Field("p", (nodes, ldx), "linear part of the cost to go", "scratch"),
                 Field("h", (stages, dims.qp.nus), "gradient of the controls at z = 0", "scratch"),
                 Field("feed", (stages, dims.qp.nus), "controls at x = 0", "scratch"),
-                Field("work", (), "of one phase", "scratch", "riccati_work"),
-                Field("regularize_zero", (), "the least that is added to a pivot that may be zero", "scratch"),
+                Field("work", (), "memory of one phase", "scratch", "riccati_work"),
+                Field("regularize_zero", (), "least value added to a pivot that may be zero", "scratch"),
                 Field("shift", (), "last shift that made the Hessian convex", "keep", only="REGULARIZE_REDUCED"),
-                Field("hold", (), "last hold on a working set's controls", "keep", only="REGULARIZE_REDUCED"),
-                Field("fixed", (dims.qp.nv,), "1: the control is given", "scratch", "int32"),
-                Field("raised", (nodes,), "1: a pivot of the stage was raised, of x_0 the last", "scratch", "int32"),
+                Field("hold", (), "last extra shift of controls in the set", "keep", only="REGULARIZE_REDUCED"),
+                Field("fixed", (dims.qp.nv,), "1: the control is fixed", "scratch", "int32"),
+                Field("raised", (nodes,), "1: a pivot of the stage was raised; last: of x_0", "scratch", "int32"),
                 Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),
-                Field("failed", (), "stage whose pivot was not positive; -1: x_0", "scratch", "int32"),
+                Field("failed", (), "stage with a pivot that was not positive; -1: x_0", "scratch", "int32"),
             ),
         ),
     )
@@ -84,35 +84,35 @@ def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) 
             "recursion",
             "one stage of the factorisation",
             (
-                Field("W", (ldt, ldw), "S_k, then -D^{-1}V", "scratch"),
-                Field("T", (ldt, ldz), "P_{k+1}S_k, then V", "scratch"),
+                Field("W", (ldt, ldw), "S_k, later -D^{-1}V", "scratch"),
+                Field("T", (ldt, ldz), "P_{k+1}S_k, later V", "scratch"),
             ),
         ),
         Struct(
             "direction",
-            "minimiser of the recursion for residuals on its right-hand side",
+            "minimiser that the recursion yields for residuals as its right-hand side",
             (
-                Field("dx", (nodes, dims.qp.nxs), "of the states", "scratch"),
-                Field("du", (dims.qp.nv,), "of the controls", "scratch"),
+                Field("dx", (nodes, dims.qp.nxs), "states", "scratch"),
+                Field("du", (dims.qp.nv,), "controls", "scratch"),
             ),
         ),
         Struct(
             "rhs",
-            "the gradient is read before the direction is written",
+            "gradient, which is read before the direction is written",
             (
                 Field("g", (nodes, dims.qp.nzs), "gradient", "scratch"),
-                Field("direction", (), "what follows from it", "scratch", "direction"),
+                Field("direction", (), "direction for this gradient", "scratch", "direction"),
             ),
             union=True,
         ),
         Struct(
             "vectors",
             "vectors of a substitution",
-            (Field("rhs", (), "gradient, then direction", "scratch", "rhs"), *corrected),
+            (Field("rhs", (), "gradient, later direction", "scratch", "rhs"), *corrected),
         ),
         Struct(
             "riccati_work",
-            "memory of phases that never overlap",
+            "memory of phases that do not overlap",
             (
                 Field("recursion", (), "while a stage is factorised", "scratch", "recursion"),
                 Field("vectors", (), "while vectors are substituted", "scratch", "vectors"),
@@ -124,9 +124,9 @@ def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) 
 
 
 def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
-    """The struct ``units`` of the solver, (a_c'H^{-1}a_c)^{1/2} of every row, and what it is computed with.
+    """The struct ``units`` of the solver, which holds (a_c'H^{-1}a_c)^{1/2} of every row, and the struct ``noise``.
 
-    That is the struct ``noise``, which the second value puts into the scratch of the recursion.
+    The latter is memory to compute it with; the second value is the field that places it in the recursion's scratch.
     """
     sizes = {name: Size(name, value) for name, value, _ in riccati_sizes(dims)}
     ldx, ldu = sizes["LDX"], sizes["LDU"]
@@ -136,7 +136,7 @@ def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
             "noise",
             "a stage under unit noise",
             (
-                Field("covariance", (ldx, ldx), "of the states", "scratch"),
+                Field("covariance", (ldx, ldx), "covariance of the states", "scratch"),
                 Field("product", (ldx, ldx), "covariance times (A + B K)'", "scratch"),
                 Field("closed", (ldx, ldx), "(A + B K)'", "scratch"),
                 Field("push", (ldu, ldx), "(B G)'", "scratch"),
@@ -146,14 +146,14 @@ def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
         Struct(
             "units",
             "units of the rows of the stage QP",
-            (Field("reach", (rows,), "how far one half unit of cost moves a row", "keep"),),
+            (Field("reach", (rows,), "distance by which half a unit of cost moves a row", "keep"),),
         ),
     )
     return structs, Field("noise", (), "while units of the rows are computed", "scratch", "noise")
 
 
 def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
-    """Bounds, penalties and results: what every solver of the stage QP has in its struct ``qp``."""
+    """Bounds, penalties and results, which every solver of the stage QP has in its struct ``qp``."""
     nv, ng = dims.qp.nv, dims.ng
     rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
     nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
@@ -170,7 +170,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         *(certificate if ng.value else ()),
         Field("side", (rows,), "+-1: at the upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"),
         Field("iterations", (), "iterations, or changes of the working set, of the last qp_solve", "result", "int32"),
-        Field("changes", (), "rows that became active or inactive in it", "result", "int32"),
+        Field("changes", (), "rows that became active or inactive in that call", "result", "int32"),
         Field("dropped", (), "equalities left out as redundant", "result", "int32"),
         Field("relaxed", (), "soft rows that are violated", "result", "int32"),
     )
@@ -179,7 +179,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
 def riccati_cost(dims: Dims) -> dict[str, OpCount]:
     """Operations of one recursion, one backward and one forward substitution over all stages.
 
-    No row has a weight, no control is fixed, no pivot is regularised, and the dynamics have gaps.
+    The counts are for dynamics with gaps, when no row has a weight, no control is fixed and no pivot is regularised.
     """
     ns, nx, nus, nf = (size.value for size in (dims.qp.ns, dims.qp.nxs, dims.qp.nus, dims.nf))
     ldx, nz, copies = _padded(nx), nx + nus, nx - dims.nx.value
@@ -217,15 +217,15 @@ def _free_factor(nf: int) -> OpCount:
 
 
 def _block(width: int, n: int) -> OpCount:
-    """Four rows of a product of n terms each."""
+    """Operations of BLOCK rows of a product, with n terms per entry."""
     return OpCount(add=BLOCK * width * (n + 1), mul=BLOCK * width * n)
 
 
 def _combined(width: int, n: int) -> OpCount:
-    """A row plus a combination of n rows."""
+    """Operations of a row plus a linear combination of n rows."""
     return OpCount(add=width * (n + 1), mul=width * n)
 
 
 def _dot(n: int) -> OpCount:
-    """A scalar product in partial sums."""
+    """Operations of a scalar product that is computed in partial sums."""
     return OpCount(add=n + 8, mul=n)

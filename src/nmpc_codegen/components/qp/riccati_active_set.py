@@ -1,9 +1,9 @@
-"""Active-set solver on the Riccati recursion: time linear in the horizon, warm-started.
+"""Warm-started active-set solver based on the Riccati recursion; its time is linear in the length of the horizon.
 
     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + 1/2 x_NS'Q_NS x_NS + g_NS'x_NS   s.t.  x_{k+1} = S_k z_k + b_k,
     lower <= (u, rows) <= upper
 
-The recursion at the predicted working set belongs to the preparation phase; if the set holds, the feedback phase is one
+The preparation phase runs the recursion at the predicted working set; if this set is right, the feedback phase is one
 forward substitution.
 """
 
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from nmpc_codegen.ir.model import ModelFunctions
 
 
-#: Working sets that are tried where no cap is given.
+#: Default cap on the number of working sets that are tried.
 MAX_ITERATIONS = 50
 
 
-# The fall-back follows attempts from other working sets, so nothing is known that it could start from.
+# The fall-back runs after other working sets have failed, so no good starting point is known.
 _COLD = RiccatiInteriorPoint(warm_start=False)
 _FALLBACKS: dict[str, RiccatiInteriorPoint | None] = {"riccati_interior_point": _COLD, "None": None}
 
@@ -43,9 +43,9 @@ _FALLBACKS: dict[str, RiccatiInteriorPoint | None] = {"riccati_interior_point": 
 class RiccatiActiveSet(Defaults):
     """Options of the Riccati active-set solver.
 
-    ``max_iterations``: working sets that are tried in one feedback phase; None: 50. ``fallback``: the method that
-    solves a QP for which no working set is found, with its options, or None: such a QP, an infeasible one included,
-    then ends with ITERATION_LIMIT (crossed bounds still with INFEASIBLE), and the package is smaller.
+    ``max_iterations``: maximum number of working sets that are tried in one feedback phase; None: 50. ``fallback``: the
+    method, with its options, that solves a QP for which no working set is found. With None such a QP, even an
+    infeasible one, ends with ITERATION_LIMIT (crossed bounds with INFEASIBLE), and the package is smaller.
     """
 
     seam: ClassVar[Seam] = "qp"
@@ -87,8 +87,8 @@ class RiccatiActiveSet(Defaults):
             return ()
         return (
             ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
-            ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on its iterations"),
-            ("IPM_WARM_START", int(self.fallback.warm_start), "1: it starts near the multipliers of the QP before"),
+            ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on the interior point iterations of one QP"),
+            ("IPM_WARM_START", int(self.fallback.warm_start), "1: start near the multipliers of the previous QP"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -107,22 +107,22 @@ class RiccatiActiveSet(Defaults):
                 "working set of the stage QP",
                 (
                     *stage_qp_fields(dims),
-                    Field("target", (ng,), "bounds of the members that the vectors were made with", "scratch"),
-                    Field("center", (ng,), "multipliers of the members that the vectors were made with", "scratch"),
+                    Field("target", (ng,), "bounds of rows in the set when the vectors were formed", "scratch"),
+                    Field("center", (ng,), "multipliers of rows in the set when the vectors were formed", "scratch"),
                     Field("value", (ng,), "values of the rows", "scratch"),
                     Field("root", (ng,), "root of the curvature of the cost along a row", "scratch"),
-                    Field("weight", (ng,), "weight of a row as a member", "scratch"),
+                    Field("weight", (ng,), "weight of a row while it is in the set", "scratch"),
                     Field("scale", (dims.qp.nzs,), "largest entry of every component of (x, u)", "scratch"),
                     Field("size", (dims.qp.nzs,), "largest terms of the components of the gradient", "scratch"),
-                    Field("residual", (), "what is left on the working set, relative", "scratch"),
-                    Field("raised", (ng,), "how often the weight was raised", "keep", "int32"),
+                    Field("residual", (), "relative residual on the working set", "scratch"),
+                    Field("raised", (ng,), "number of times that the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
                     *((Field("scaled", (), "1: root is known", "keep", "int32"),) if ng.value else ()),
-                    Field("rough", (), "1: it has errors beyond rounding", "scratch", "int32"),
+                    Field("rough", (), "1: the minimiser has errors beyond rounding", "scratch", "int32"),
                     Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
                     Field("stale_vectors", (), "last stage whose vectors are out of date, or -1", "scratch", "int32"),
-                    Field("factorized", (), "what of the recursion stands", "scratch", "int32"),
+                    Field("factorized", (), "state of the recursion's factors", "scratch", "int32"),
                     Field("refinements", (), "corrections in the last qp_solve", "result", "int32"),
                     Field("exact", (), "1: the result is the minimiser on side[], to rounding", "result", "int32"),
                 ),
@@ -130,5 +130,5 @@ class RiccatiActiveSet(Defaults):
         )
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """The recursion and its substitutions: a warm-started sample takes one of each."""
+        """The recursion and its substitutions; a warm-started sample needs one of each."""
         return riccati_cost(dims)

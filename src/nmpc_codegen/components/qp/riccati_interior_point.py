@@ -2,8 +2,8 @@
 
     min sum_k 1/2 z_k'Q_k z_k + g_k'z_k   s.t.  x_{k+1} = S_k z_k + b_k,   lower <= (u, J z) <= upper,   z = (x, u)
 
-Mehrotra (1992) predictor-corrector; every iteration is one Riccati recursion and two substitutions, so its cost is
-linear in the number of stages.
+The predictor-corrector method of Mehrotra (1992); every iteration is one Riccati recursion and two substitutions, so
+its cost is linear in the number of stages.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from nmpc_codegen.ir.cmodule import Field, Size, Struct
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
 
-#: Cap on the iterations where none is given.
+#: Default cap on the iterations.
 MAX_ITERATIONS = 80
 
 
@@ -30,7 +30,7 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
     rows, sides = _rows_and_sides(dims)
     soft = Size(f"2 * {ng.text}", 2 * ng.value)
     nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
-    before = Field("before", (rows,), "multipliers of the QP before", "scratch")
+    before = Field("before", (rows,), "multipliers of the previous QP", "scratch")
     return Struct(
         "ipm",
         "interior point iterate of the stage QP",
@@ -46,19 +46,19 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
             Field(
                 "proximal", (dims.qp.nzs,), "share of the diagonal of a singular Hessian that is added to it", "scratch"
             ),
-            Field("force", (rows,), "multipliers after a step that leaves v as it is", "scratch"),
+            Field("force", (rows,), "multipliers after a step that leaves v unchanged", "scratch"),
             Field("t", (sides,), "distance to the bound", "scratch"),
             Field("lam", (sides,), "multiplier", "scratch"),
             Field("r", (sides,), "residual of the distance", "scratch"),
             Field("omega", (sides,), "weight", "scratch"),
-            Field("dt", (sides,), "correction of the products t lam, then the direction of t", "scratch"),
-            Field("dlam", (sides,), "constant part of the direction of lam, then the direction", "scratch"),
+            Field("dt", (sides,), "correction of the products t lam, later the direction of t", "scratch"),
+            Field("dlam", (sides,), "constant part of the direction of lam, later the direction", "scratch"),
             Field("e", (soft,), "violation of a soft side", "scratch"),
             Field("kappa", (soft,), "multiplier of e >= 0", "scratch"),
             Field("r_e", (soft,), "residual of l1 + l2 e = lam + kappa", "scratch"),
             Field("compliance", (soft,), "1 / (l2 + kappa / e)", "scratch"),
             Field("de", (soft,), "direction of e", "scratch"),
-            Field("dkappa", (soft,), "correction of the products e kappa, then the direction of kappa", "scratch"),
+            Field("dkappa", (soft,), "correction of the products e kappa, later the direction of kappa", "scratch"),
             *_progress(dims, options.warm_start),
         ),
     )
@@ -71,9 +71,9 @@ def _rows_and_sides(dims: Dims) -> tuple[Size, Size]:
 
 
 def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
-    """What the struct ``ipm`` has besides vectors of numbers."""
+    """The fields of the struct ``ipm`` that are not vectors of real numbers."""
     rows, sides = _rows_and_sides(dims)
-    stretched = Field("stretched", (), "the next step is stretched towards the equations", "scratch", "int32")
+    stretched = Field("stretched", (), "1: the next step is stretched towards the equations", "scratch", "int32")
     return (
         Field("mu", (), "mean of t lam and e kappa", "scratch"),
         Field("unit", (), "largest cost of a single row", "scratch"),
@@ -82,20 +82,20 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("slope", (), "gradient of the Lagrangian, relative to its tolerance", "scratch"),
         Field("step", (), "length of the last step", "scratch"),
         *((Field("slow", (), "primal when the last step was stretched", "scratch"),) if dims.ng.value else ()),
-        Field("stiffening", (), "by how much the regularisation of the rows is divided", "scratch"),
-        Field("stiffest", (), "limit of it", "scratch"),
+        Field("stiffening", (), "divisor of the regularisation of the rows", "scratch"),
+        Field("stiffest", (), "upper limit of stiffening", "scratch"),
         Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
-        Field("least_pivot", (), "added to pivots that are zero", "scratch"),
-        Field("place", (sides,), "twice the row of a side, and 1 if it is the upper one", "scratch", "int32"),
+        Field("least_pivot", (), "value added to pivots that are zero", "scratch"),
+        Field("place", (sides,), "twice the row of a side, plus 1 if it is the upper one", "scratch", "int32"),
         Field("kind", (rows,), "inequality, equation or given control", "scratch", "int32"),
-        Field("sides", (), "finite bounds of inequalities", "scratch", "int32"),
-        Field("hard", (), "hard ones among them, which come first", "scratch", "int32"),
-        *((Field("warm", (), "the multipliers of the QP before are used", "scratch", "int32"),) if warm else ()),
-        *((Field("solved", (), "the last QP was solved", "keep", "int32"),) if warm else ()),
-        Field("closed_gaps", (), "how often the gaps of the dynamics have been closed", "scratch", "int32"),
+        Field("sides", (), "number of finite bounds of inequalities", "scratch", "int32"),
+        Field("hard", (), "number of hard ones among them, which come first", "scratch", "int32"),
+        *((Field("warm", (), "1: the multipliers of the previous QP are used", "scratch", "int32"),) if warm else ()),
+        *((Field("solved", (), "1: the last QP was solved", "keep", "int32"),) if warm else ()),
+        Field("closed_gaps", (), "number of times that the gaps of the dynamics were closed", "scratch", "int32"),
         *((stretched,) if dims.ng.value else ()),
-        Field("probing", (), "violated inequalities end the iterations", "scratch", "int32"),
-        Field("ready", (), "the first factorisation stands", "scratch", "int32"),
+        Field("probing", (), "1: violated inequalities end the iterations", "scratch", "int32"),
+        Field("ready", (), "1: the first factorisation is done", "scratch", "int32"),
     )
 
 
@@ -103,8 +103,8 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
 class RiccatiInteriorPoint(Defaults):
     """Options of the interior point solver.
 
-    ``max_iterations``: factorisations allowed in one feedback phase. ``warm_start``: begin near the multipliers of the
-    previous QP.
+    ``max_iterations``: maximum number of factorisations in one feedback phase. ``warm_start``: start near the
+    multipliers of the previous QP.
     """
 
     max_iterations: int = option(MAX_ITERATIONS, Whole())
@@ -125,7 +125,7 @@ class RiccatiInteriorPoint(Defaults):
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """The method is in the package."""
+        """INTERIOR_POINT: the method is in the package."""
         return {"INTERIOR_POINT": 1}
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
