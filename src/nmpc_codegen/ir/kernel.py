@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 
@@ -111,8 +113,7 @@ class Port:
         return self.rows * self.cols if self.cols else self.rows
 
 
-@dataclass(frozen=True)
-class Instruction:
+class Instruction(NamedTuple):
     """value[i] = op(value[args]); opcode OP_CONST holds ``constant``, OP_INPUT ``args`` = (port, element)."""
 
     opcode: int
@@ -135,7 +136,7 @@ class Kernel:
     instructions: tuple[Instruction, ...]
     stores: tuple[tuple[int, int, int], ...]
 
-    @property
+    @cached_property
     def count(self) -> OpCount:
         """Operations of one evaluation."""
         tally: dict[str, int] = {}
