@@ -7,6 +7,9 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+# The matrices of the tests are small: further threads of NumPy's BLAS would only spin, at the expense of other workers.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import settings
 
@@ -103,6 +106,11 @@ def _toy(toy_files: Files, compiler: tuple[str, ...]) -> Controller:
 def toy(_toy: Controller) -> Controller:
     """A fresh toy controller."""
     return _toy.copy()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """A warning about a problem fails the test. In pyproject.toml it would load NumPy before this file is read."""
+    config.addinivalue_line("filterwarnings", "error::nmpc_codegen.errors.ProblemWarning")
 
 
 @pytest.hookimpl(optionalhook=True)
