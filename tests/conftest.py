@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 # The matrices of the tests are small: further threads of NumPy's BLAS would only spin, at the expense of other workers.
@@ -79,6 +79,15 @@ def compiler() -> tuple[str, ...]:
     except BuildError as error:
         missing(str(error), "cc")
         raise
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _both_compilers_run(request: pytest.FixtureRequest) -> Iterator[None]:
+    """The C that the tests of components run is clang's if there is a clang, that of all others gcc's."""
+    with pytest.MonkeyPatch.context() as patch:
+        if "components" in request.path.parts and "CC" not in os.environ and shutil.which("clang"):
+            patch.setenv("CC", "clang")
+        yield
 
 
 @pytest.fixture(scope="session")

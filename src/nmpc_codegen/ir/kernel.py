@@ -238,8 +238,10 @@ def lift(function: Function, name: str, doc: str, inputs: Sequence[Port], output
             work[o[0]] = numbering.number(Instruction(opcode, tuple(work[a] for a in args)))
         else:
             raise ProblemError(f"{name}: {opcode_name(opcode)} has no C code; use elementary operations only")
-    live, live_stores = _live(numbering.instructions, stores)
-    return Kernel(name, doc, tuple(inputs), tuple(outputs), *_live(*_reciprocals(live, live_stores)))
+    program = _live(numbering.instructions, stores)
+    if any(ins.opcode in (ca.OP_DIV, ca.OP_INV) for ins in program[0]):
+        program = _live(*_reciprocals(*program))
+    return Kernel(name, doc, tuple(inputs), tuple(outputs), *program)
 
 
 def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
@@ -291,6 +293,8 @@ def _live(
         if live[index] and ins.opcode in OPERATIONS:
             for a in ins.args:
                 live[a] = True
+    if all(live):
+        return tuple(instructions), tuple(stores)
     new: dict[int, int] = {}
     kept: list[Instruction] = []
     for index, ins in enumerate(instructions):
