@@ -28,6 +28,8 @@ DATA = Path(__file__).parent / "data"
 
 Files = dict[str, str]
 
+#: Folders and files whose tests run what clang compiles.
+SECOND_COMPILER = frozenset({"components", "test_online.py", "test_start_cost.py"})
 
 #: Word of NMPC_REQUIRE -> programs, any of which will do.
 TOOLS = {
@@ -83,9 +85,9 @@ def compiler() -> tuple[str, ...]:
 
 @pytest.fixture(scope="module", autouse=True)
 def _both_compilers_run(request: pytest.FixtureRequest) -> Iterator[None]:
-    """The C that the tests of components run is clang's if there is a clang, that of all others gcc's."""
+    """The C that the tests of SECOND_COMPILER run is clang's if there is a clang, that of all others gcc's."""
     with pytest.MonkeyPatch.context() as patch:
-        if "components" in request.path.parts and "CC" not in os.environ and shutil.which("clang"):
+        if SECOND_COMPILER.intersection(request.path.parts) and "CC" not in os.environ and shutil.which("clang"):
             patch.setenv("CC", "clang")
         yield
 
