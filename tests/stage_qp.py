@@ -42,7 +42,6 @@ from tests.oracles.stage_qp import (
 )
 from tests.oracles.stage_qp_random import SEMIDEFINITE, condensed_rows
 
-
 MAIN = """
 #include "stage.c"
 #if defined(__clang__)
@@ -179,7 +178,18 @@ def _compile(sources: Any, folder: Path) -> Path:
     compiler = find_compiler()
     # gcc leaves out all that is not called from main.c before it is compiled: most of a package.
     alone = () if "clang" in compiler[0] else ("-fwhole-program",)
-    command = [*compiler, *PROFILES["test"].flags, *alone, "-w", "-shared", "-fPIC", "main.c", "-o", "library.so", "-lm"]
+    command = [
+        *compiler,
+        *PROFILES["test"].flags,
+        *alone,
+        "-w",
+        "-shared",
+        "-fPIC",
+        "main.c",
+        "-o",
+        "library.so",
+        "-lm",
+    ]
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     return folder / "library.so"

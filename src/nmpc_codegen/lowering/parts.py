@@ -149,12 +149,18 @@ def evaluate(condition: str, sizes: Mapping[str, int]) -> bool:
 
     It is read by Python, where `!` is spelled `~`: that binds as tightly, and C's own `~` is not allowed here.
     """
+    return bool(_value(_expression(condition), sizes))
+
+
+@lru_cache(maxsize=1024)
+def _expression(condition: str) -> ast.expr:
+    """The condition as Python reads it; most conditions are the same in every package."""
     text = re.sub(r"/\*.*?\*/", "", condition).strip()
     if "~" in text or _WORDS.search(text):
         raise ValueError(f"#if {condition}: not an integer expression")
     text = re.sub(r"!(?!=)", "~", text).replace("&&", " and ").replace("||", " or ")
     try:
-        return bool(_value(ast.parse(text, mode="eval").body, sizes))
+        return ast.parse(text, mode="eval").body
     except SyntaxError as error:
         raise ValueError(f"#if {condition}: not an integer expression") from error
 
