@@ -55,12 +55,12 @@ class Products:
         """The products with a vector that a package contains, with or without state_step()."""
         return {name: routine for name, routine in self.vectors.items() if with_state_step or name != "state_step"}
 
-    @property
+    @cached_property
     def counts(self) -> Mapping[str, OpCount]:
         """Operations of one run of every product with a vector, by C function."""
         return {name: routine.count for name, routine in self.vectors.items()}
 
-    @property
+    @cached_property
     def column_counts(self) -> Mapping[str, OpCount]:
         """Operations on one panel of columns, by C function."""
         return {name: routine.count for name, routine in self.panels.items()}
