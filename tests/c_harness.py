@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import functools
-import re
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -27,8 +26,6 @@ from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.runtime.build import PROFILES, WARNINGS, find_compiler
 from nmpc_codegen.runtime.package_description import union_dtype
 
-#: Options of the optimiser alone, which take gcc a fifth of its time without it.
-PRAGMA = re.compile(r"^#pragma GCC optimize.*$", re.MULTILINE)
 SCALARS = {"double": np.float64, "single": np.float32}
 
 
@@ -42,7 +39,7 @@ def shared_library(files: Mapping[str, str], main: str, warnings: Sequence[str] 
     """Compile the file ``main`` among ``files`` and load it."""
     folder = Path(tempfile.mkdtemp(dir=build_directory().name))
     for path, text in files.items():
-        (folder / path).write_text(PRAGMA.sub("", text), encoding="utf-8")
+        (folder / path).write_text(text, encoding="utf-8")
     flags = [*PROFILES["test"].flags, *warnings]
     command = [*find_compiler(), *flags, "-shared", "-fPIC", main, "-o", "library.so", "-lm"]
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)

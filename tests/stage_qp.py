@@ -28,7 +28,7 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.runtime.build import PROFILES, find_compiler
 from nmpc_codegen.runtime.status import Status
-from tests.c_harness import PRAGMA, memory_layout, module_of
+from tests.c_harness import memory_layout, module_of
 from tests.oracles.stage_qp import (
     Array,
     Point,
@@ -173,7 +173,7 @@ def _sources(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any]]:
 
 def _compile(sources: Any, folder: Path) -> Path:
     for name in ("stage.h", "stage.c"):
-        (folder / name).write_text(PRAGMA.sub("", sources[name]), encoding="utf-8")
+        (folder / name).write_text(sources[name], encoding="utf-8")
     (folder / "main.c").write_text(MAIN, encoding="utf-8")
     compiler = find_compiler()
     # gcc leaves out all that is not called from main.c before it is compiled: most of a package.
