@@ -10,13 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from nmpc_codegen.ir.kernel import OpCount
-from nmpc_codegen.ir.product_interfaces import PANEL as PANEL
 from nmpc_codegen.ir.product_sweeps import Loops, StageSweeps, WrittenOut
 from nmpc_codegen.ir.product_sweeps import Pattern as Pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine, nonzeros
-
-# Largest number of nonzeros of S, Q and Q_N together for which straight-line code is written.
-WRITTEN_OUT = 256
+from nmpc_codegen.ir.tuning import WRITTEN_OUT
 
 
 @dataclass(frozen=True)
