@@ -12,9 +12,13 @@ import time
 from collections.abc import Callable
 
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import qps
+from benchmarks.lib.robustness import episodes, qps, returns
 
-PARTS: dict[str, Callable[[Report, float], None]] = {"qps": qps.measure}
+PARTS: dict[str, Callable[[Report, float], None]] = {
+    "qps": qps.measure,
+    "returns": returns.measure,
+    "episodes": episodes.measure,
+}
 
 
 def main() -> None:

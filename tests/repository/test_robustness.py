@@ -11,10 +11,12 @@ from conftest import require_tool
 
 from benchmarks.lib.qp.torture import least_violation
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import qps
+from benchmarks.lib.robustness import episodes, qps, returns
 from benchmarks.lib.robustness.draw import CLASSES, SHAPES, draw, multipliers_of_dynamics
+from benchmarks.lib.robustness.hostile import Data
 from benchmarks.lib.robustness.judge import LIMITS, judge
 from benchmarks.lib.robustness.stage_package import SCALARS, SOLVERS, Answer, options, rounded, stage_ocp
+from benchmarks.lib.robustness.subjects import Candidate, candidates
 from nmpc_codegen import Controller, Status, build
 from tests.oracles.stage_qp import StageQP, distance, row_values
 from tests.oracles.stage_qp_random import condensed_rows
@@ -113,10 +115,13 @@ def test_a_row_that_is_barely_violated_is_seen() -> None:
     value = row_values(qp, qp.optimum.dx, qp.optimum.du)
     m = int(np.argmin(np.abs(value - qp.lower)))
     for factor, wrong in ((10.0, True), (0.1, False)):
-        lower = qp.lower.copy()
-        lower[m] = value[m] + factor * LIMITS["double"] * (1 + np.max(np.abs(value)))
-        moved = dataclasses.replace(qp, lower=lower, upper=np.maximum(lower, qp.upper))
-        assert (judge(moved, qp.optimum, lam, LIMITS["double"]).violation > LIMITS["double"]) is wrong
+        off = factor * LIMITS["double"] * (1 + np.max(np.abs(value)))
+        for side in (1.0, -1.0):
+            lower, upper = qp.lower.copy(), qp.upper.copy()
+            lower[m] = value[m] + off if side > 0 else -np.inf
+            upper[m] = np.inf if side > 0 else value[m] - off
+            moved = dataclasses.replace(qp, lower=lower, upper=upper)
+            assert (judge(moved, qp.optimum, lam, LIMITS["double"]).violation > LIMITS["double"]) is wrong
     nothing = dataclasses.replace(qp.optimum, du=np.full_like(qp.optimum.du, np.nan))
     assert judge(qp, nothing, lam, LIMITS["double"]).wrong(LIMITS["double"])
 
@@ -161,3 +166,77 @@ def test_replay_prints_the_data_and_the_residuals(capsys: pytest.CaptureFixture[
     text = capsys.readouterr().out
     assert "lower_u =" in text
     assert "answer: Verdict" in text
+
+
+# Bad data -------------------------------------------------------------------------------------------------------------
+
+
+@functools.cache
+def subject() -> tuple[Candidate, Controller]:
+    """The cart with a parameter and its default options."""
+    require_tool("cc")
+    chosen = next(c for c in candidates() if c.subject.name == "parameters")
+    return chosen, build(chosen.subject.make(), chosen.options, profile="fast")
+
+
+def job(count: int) -> tuple[Controller, np.ndarray, np.ndarray, int, int]:
+    chosen, controller = subject()
+    return controller.copy(), chosen.subject.rest, chosen.subject.spread, 0, count
+
+
+def test_combinations_cover_everything() -> None:
+    chosen = candidates()
+    assert len({c.subject.name for c in chosen}) >= 11
+    seen = {tuple(c.label.split(", ")) for c in chosen if not c.label.startswith("chosen")}
+    for place, words in enumerate((SOLVERS, SCALARS, ("Gauss-Newton", "exact"))):
+        assert {label[place] for label in seen} == set(words)
+    assert {label[3] for label in seen} == {f"shift {moves}" for moves in (None, "repeat", "periodic", "resample")}
+
+
+def test_episodes_of_a_good_controller() -> None:
+    """All data of the cart are spoilt in turn, and the controller is back each time."""
+    out = episodes.run(job(60))
+    assert out.episodes == out.compared == 60
+    assert out.lockups == 0
+    assert {"state", "plan", "reference", "weight", "parameter", "bounds"} <= set(out.recovery)
+
+
+def test_a_datum_that_stays_bad_is_a_lockup(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Data that are not restored, and a controller that is never OK again."""
+    monkeypatch.setattr(Data, "restore", lambda self: None)
+    out = episodes.run(job(60))
+    assert sum(out.elsewhere.values()) > 0
+    monkeypatch.undo()
+    real = Controller.step
+    monkeypatch.setattr(Controller, "step", lambda self, x: real(self, x * np.nan if self.samples_seen() else x))
+    monkeypatch.setattr(
+        Controller, "samples_seen", broken_after(episodes.STATES * episodes.SETTLING + 1), raising=False
+    )
+    out = episodes.run(job(2))
+    assert out.never_ok
+
+
+def broken_after(samples: int) -> object:
+    """True once it has been asked so often."""
+    asked = iter(range(10**6))
+    return lambda self: next(asked) >= samples
+
+
+def test_returns_of_a_good_controller() -> None:
+    out = returns.run(job(2000))
+    assert out.returns >= 2000
+    assert not out.violations
+    assert len(out.status) >= 4
+
+
+def test_a_broken_contract_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A control that is not written, one beyond its bound, a status that does not exist."""
+    out = returns.Outcome()
+    u = np.array([[0.5], [np.nan], [1.1], [-1.0], [0.0]])
+    out.judge(u, np.array([0, 0, 0, 2, 99]), np.array([-1.0]), np.array([1.0]))
+    assert out.violations == {"control not finite": 1, "control outside its bounds": 1, "unknown status": 1}
+    monkeypatch.setattr(returns.Assault, "sample", lambda self, way: 0)
+    assert returns.run(job(32)).violations["control not finite"] == 32
+    report = Report("test")
+    returns.report_outcomes(report, candidates()[:1], [out], scale=1e-6)
+    assert report.worst()["contract_violations"].value == 3
