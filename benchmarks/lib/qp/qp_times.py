@@ -152,7 +152,8 @@ class Timed:
     def agrees(self, qp: StageQP) -> bool:
         """The last solution is that of the recording."""
         step = self.memory["step"]
-        return distance(qp, Point(step["dx"], step["du"], step["mult_u"], step["mult"])) < SAME
+        mult = step["mult"] if "mult" in step.dtype.names else np.zeros(0)  # no member without rows
+        return distance(qp, Point(step["dx"], step["du"], step["mult_u"], mult)) < SAME
 
     def time(self, qp: StageQP, *, cold: bool, repeats: int = REPEATS) -> float:
         """Least time (us) of both phases, from none or from the last working set; NaN: not solved, or otherwise."""
