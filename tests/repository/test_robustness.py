@@ -128,6 +128,15 @@ def test_a_row_that_is_barely_violated_is_seen() -> None:
     assert judge(qp, nothing, lam, LIMITS["double"]).wrong(LIMITS["double"])
 
 
+def test_rounding_at_zero_is_no_error() -> None:
+    """A control at its bound 0, and nothing else that has a size: 1e-17 beside it is as good."""
+    qp = small("integer", 149)
+    assert qp.optimum is not None
+    assert not np.any(qp.optimum.du)
+    beside = dataclasses.replace(qp.optimum, du=qp.optimum.du - 1e-17)
+    assert not judge(qp, beside, multipliers_of_dynamics(qp), LIMITS["double"]).wrong(LIMITS["double"])
+
+
 def test_a_multiplier_of_the_wrong_sign_is_seen() -> None:
     """Stationary, but with a multiplier that pulls: no optimum."""
     qp = draw("plain", 0)
