@@ -232,7 +232,7 @@ def test_no_machine_or_date_in_the_sources() -> None:
 def test_functions_fit_a_screen(name: str) -> None:
     """At most about 40 lines each, without printed kernels and stage products."""
     source = problems.sources(name)[f"{quality.package_name(problems.sources(name))}.c"]
-    written = source[source.index("/* Rows besides the control bounds") :]
+    written = source[source.index("/* Rows (constraints other than the control bounds)") :]
     written = re.sub(r"/\* ==== stage products.*?(?=/\* ==== )", "", written, flags=re.DOTALL)
     found = re.findall(r"^(\w[^;{}]*\))\n\{\n(.*?)^\}$", written, flags=re.DOTALL | re.MULTILINE)
     assert len(found) > 50
