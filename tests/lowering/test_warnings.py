@@ -192,15 +192,17 @@ def covering(choices: list[Choice]) -> list[Choice]:
     return found
 
 
-@pytest.mark.parametrize("choice", CHOICES, ids=label)
-def test_combination(choice: Choice) -> None:
-    """All findings of the front ends, including clang's unused functions; as C++17 in single precision."""
+@pytest.mark.parametrize(("number", "choice"), enumerate(CHOICES), ids=map(label, CHOICES))
+def test_combination(number: int, choice: Choice) -> None:
+    """All findings of the front ends, which take turns; clang's include unused functions.
+
+    benchmarks.doors asks both compilers, as C99 and as C++17, for all combinations of the examples.
+    """
     text = sources(choice)
-    require_tool("gcc")
-    assert quality.warnings_of(text, ("-fsyntax-only",), ("C99",), "gcc") == ""
-    require_tool("clang")
-    assert quality.warnings_of(text, ("-fsyntax-only",), ("C99",), "clang") == ""
-    if "single" in choice:
+    compiler = ("gcc", "clang")[number % 2]
+    require_tool(compiler)
+    assert quality.warnings_of(text, ("-fsyntax-only",), ("C99",), compiler) == ""
+    if "single" in choice and number % 2 == 0:
         require_tool("g++")
         assert quality.warnings_of(text, ("-fsyntax-only",), ("C++17",), "gcc") == ""
 
@@ -213,7 +215,7 @@ def test_every_value_with_the_optimiser(choice: Choice) -> None:
     """
     text = sources(choice)
     require_tool("gcc")
-    assert quality.warnings_of(text, ("-O2",), ("C99",), "gcc") == ""
+    assert quality.warnings_of(text, ("-O1",), ("C99",), "gcc") == ""
     require_tool("g++")
     assert quality.warnings_of(text, ("-fsyntax-only",), ("C++17",), "gcc") == ""
     require_tool("clang")
@@ -247,7 +249,7 @@ def test_uninitialised_values_are_seen() -> None:
     text["tiny.c"] += "int tiny_late(int n);\nint tiny_late(int n)\n{\n    int found;\n    if (n > 3) {\n"
     text["tiny.c"] += "        found = n;\n    }\n    return found;\n}\n"
     assert quality.warnings_of(text, ("-O0",), ("C99",), "gcc") == ""
-    assert "-Wmaybe-uninitialized" in quality.warnings_of(text, ("-O2",), ("C99",), "gcc")
+    assert "-Wmaybe-uninitialized" in quality.warnings_of(text, ("-O1",), ("C99",), "gcc")
 
 
 @pytest.mark.parametrize("compiler", list(quality.COMPILERS))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 from pathlib import Path
@@ -126,3 +127,12 @@ def test_report_writes_the_worst_of_every_key(tmp_path: Path) -> None:
     assert found["a_us"] == {"value": 3.0, "unit": "us", "profile": "fast", "lanes": 1, "n": 20}
     assert found["rows"]["value"] == 2
     assert math.isnan(found["broken"]["value"])
+
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.mark.parametrize("topic", sorted(path.stem for path in BENCHMARKS.glob("[a-z]*.py")))
+def test_every_topic_can_be_imported(topic: str) -> None:
+    """A renamed module of the package is found here, not by the next person who measures."""
+    assert callable(importlib.import_module(f"benchmarks.{topic}").main)

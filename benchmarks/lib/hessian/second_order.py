@@ -21,8 +21,8 @@ from nmpc_codegen.components.integrators import TABLEAUS, Discrete
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel, lift
-from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Call, For, LoopedRoutine, Node, Routine, Slice, unroll
+from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.oracle.trajectory import Tableau, interval_map
 from tests.c_harness import Routines
 from tests.models import discrete_map, problem_of
