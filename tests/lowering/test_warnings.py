@@ -192,7 +192,7 @@ def covering(choices: list[Choice]) -> list[Choice]:
     return found
 
 
-@pytest.mark.parametrize(("number", "choice"), enumerate(CHOICES), ids=map(label, CHOICES))
+@pytest.mark.parametrize(("number", "choice"), list(enumerate(CHOICES)), ids=list(map(label, CHOICES)))
 def test_combination(number: int, choice: Choice) -> None:
     """All findings of the front ends, which take turns; clang's include unused functions.
 
