@@ -1,0 +1,183 @@
+"""One bad datum, then good ones: whether a controller finds back to what one would do that never saw it.
+
+    python -m benchmarks.robustness --only episodes [--scale S]
+
+A controller that has converged for a measured state gets one sample with a bad datum: a state, a reference, a weight, a
+parameter, bounds, or numbers written over its plan. From then on everything is as before. It is locked up if it is not
+OK within 20 samples, or if after 100 samples its control is not that of the controller that was left in peace. It is
+watched until it has agreed with that one for some samples on end, at most 100.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from benchmarks.lib.report import Report
+from benchmarks.lib.robustness.hostile import Data, spoiled
+from benchmarks.lib.robustness.subjects import Candidate, built, candidates
+from nmpc_codegen import Controller, Status
+
+Array = np.ndarray
+
+EPISODES = 10_000
+STATES = 4  # good measured states of a controller
+SETTLING = 150  # samples in which a controller that is left in peace converges
+PATIENCE, LATER, AGREED = 20, 100, 6
+
+#: What the last samples of a converged controller may differ by, and a recovered one from it; relative to the range.
+CONVERGED = {"double": 1e-8, "single": 1e-3}
+EQUAL = {"double": 1e-6, "single": 1e-2}
+
+
+@dataclass
+class Peace:
+    """A controller after SETTLING samples at one measured state: its memory, its control; whether that stands."""
+
+    xhat: Array
+    memory: Array
+    u: Array
+    ok: bool
+    converged: bool
+
+
+@dataclass
+class Outcome:
+    """Episodes of a controller; recovery: samples until OK, by what was spoilt."""
+
+    episodes: int = 0
+    compared: int = 0
+    never_ok: Counter[str] = field(default_factory=Counter)
+    elsewhere: Counter[str] = field(default_factory=Counter)
+    recovery: dict[str, list[int]] = field(default_factory=dict)
+    examples: list[str] = field(default_factory=list)
+
+    @property
+    def lockups(self) -> int:
+        return sum(self.never_ok.values()) + sum(self.elsewhere.values())
+
+
+class Loop:
+    """A controller in operation."""
+
+    def __init__(self, controller: Controller, rest: Array, spread: Array, seed: int) -> None:
+        self.c = controller
+        self.data = Data(controller)
+        self.rng = np.random.default_rng([41, seed])
+        self.precision = "double" if controller.view("x").dtype == np.float64 else "single"
+        known = dict(zip(controller.names.rows, self.data.bounds, strict=True))
+        bounds = np.array([known.get(name, (-np.inf, np.inf)) for name in controller.names.controls])
+        self.range = bounds[:, 1] - bounds[:, 0]
+        away = [np.zeros_like(rest), *self.rng.uniform(-1, 1, (STATES - 1, rest.size))]
+        self.peaceful = [self._settle(rest + spread * where) for where in away]
+
+    def unit(self, u: Array) -> Array:
+        """Range of every control, or its size where it has none."""
+        return np.where(np.isfinite(self.range), self.range, np.maximum(1.0, np.abs(u)))
+
+    def _settle(self, xhat: Array) -> Peace:
+        c = self.c
+        c.reset()
+        last = []
+        for _ in range(SETTLING):
+            last.append((c.step(xhat), c.status == Status.OK))
+        tail = np.array([u for u, _ in last[-PATIENCE:]])
+        u, ok = last[-1][0], all(good for _, good in last[-PATIENCE:])
+        spread = np.max(np.ptp(tail, axis=0) / self.unit(u))
+        return Peace(xhat, c._memory.copy(), u, ok, ok and bool(spread <= CONVERGED[self.precision]))
+
+    def spoil(self, kind: str, xhat: Array) -> None:
+        """The one bad sample."""
+        c = self.c
+        if kind == "state":
+            c.step(spoiled(self.rng, xhat))
+        elif kind == "plan":
+            self.data.spoil_plan(self.rng)
+            c.step(xhat)
+        else:
+            for _ in range(10):
+                if self.data.spoil(self.rng, kind) == Status.OK:
+                    break
+            c.step(xhat)
+            self.data.restore()
+
+    def episode(self, out: Outcome, number: int) -> None:
+        """One bad datum."""
+        peace = self.peaceful[number % STATES]
+        kinds = ["state", "plan", *self.data.kinds()]
+        kind = kinds[number // STATES % len(kinds)]
+        self.c._memory[:] = peace.memory
+        self.spoil(kind, peace.xhat)
+        self._watch(out, kind, peace, number)
+
+    def _watch(self, out: Outcome, kind: str, peace: Peace, number: int) -> None:
+        if not peace.ok:
+            return  # nobody is OK there
+        out.episodes += 1
+        out.compared += peace.converged
+        first, agreed, statuses = 0, 0, []
+        for k in range(1, LATER + 1):
+            u = self.c.step(peace.xhat)
+            good = self.c.status == Status.OK
+            statuses.append(self.c.status.name)
+            first = k if good and not first else first
+            off = float(np.max(np.abs(u - peace.u) / self.unit(peace.u)))
+            near = not peace.converged or off <= EQUAL[self.precision]
+            agreed = agreed + 1 if good and near else 0
+            if agreed == AGREED:
+                break
+        out.recovery.setdefault(kind, []).append(first or LATER)
+        if not 0 < first <= PATIENCE:
+            out.never_ok[kind] += 1
+            out.examples.append(f"episode {number}, {kind}: {Counter(statuses).most_common(2)}")
+        elif agreed == 0:
+            out.elsewhere[kind] += 1
+            out.examples.append(f"episode {number}, {kind}: {u} for {peace.u}, {Counter(statuses).most_common(2)}")
+
+
+def run(job: tuple[Controller, Array, Array, int, int]) -> Outcome:
+    """So many episodes of a controller: (it, home of its loop, spread of good states, seed, count)."""
+    controller, rest, spread, seed, count = job
+    out = Outcome()
+    with np.errstate(all="ignore"):
+        loop = Loop(controller, rest, spread, seed)
+        for number in range(count):
+            loop.episode(out, number)
+    return out
+
+
+def measure(report: Report, scale: float = 1.0) -> None:
+    """All controllers take the same share."""
+    chosen = candidates()
+    count = math.ceil(1.05 * EPISODES * scale / len(chosen))
+    pairs = zip(built(chosen), (c.subject for c in chosen), strict=True)
+    jobs = [(c, subject.rest, subject.spread, i, count) for i, (c, subject) in enumerate(pairs)]
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(2, mp_context=spawn) as pool:
+        outcomes = list(pool.map(run, jobs))
+    report_outcomes(report, chosen, outcomes, scale)
+
+
+def report_outcomes(report: Report, chosen: tuple[Candidate, ...], outcomes: list[Outcome], scale: float) -> None:
+    """Sums, and one line per controller."""
+    total = sum(o.episodes for o in outcomes)
+    report.add("episodes", total, limit=EPISODES * scale, at_least=True)
+    report.add("episodes_compared", sum(o.compared for o in outcomes), n=total)
+    report.add("lockups", sum(o.lockups for o in outcomes), case="all", n=total, limit=0)
+    every: dict[str, list[int]] = {}
+    for candidate, out in zip(chosen, outcomes, strict=True):
+        kinds = [f"{n} {kind} never OK" for kind, n in sorted(out.never_ok.items())]
+        kinds += [f"{n} {kind} elsewhere" for kind, n in sorted(out.elsewhere.items())]
+        case = ": ".join([str(candidate), ", ".join(kinds)]) if kinds else str(candidate)
+        report.add("lockups", out.lockups, case=case, n=out.episodes, limit=0)
+        for kind, samples in out.recovery.items():
+            every.setdefault(kind, []).extend(samples)
+        for line in out.examples[:2]:
+            print(f"{candidate}: {line}")
+    for kind, samples in every.items():
+        report.add("recovery_p99", float(np.percentile(samples, 99)), "samples", case=kind, n=len(samples))

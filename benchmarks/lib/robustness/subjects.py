@@ -1,0 +1,192 @@
+"""Controllers that are given bad data: examples and small problems, over solvers, Hessians, shifts and precisions."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from benchmarks.lib.robustness.stage_package import SOLVERS
+from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
+from nmpc_codegen import (
+    OCP,
+    RK4,
+    Controller,
+    ExactHessian,
+    ExplicitRungeKutta,
+    GaussNewton,
+    Mirror,
+    Options,
+    RealTimeIteration,
+    build,
+)
+from nmpc_codegen.components.algorithms.real_time_iteration import SHIFTS
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.options import PRECISIONS
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A problem, a state at which its loop is at home, and how far good measurements are from it.
+
+    ``general``: its cost is no least squares, so that Gauss-Newton has nothing to work on.
+    """
+
+    name: str
+    make: Callable[[], OCP]
+    rest: Array
+    spread: Array
+    general: bool = False
+    integrator: ExplicitRungeKutta | None = None
+
+
+def _oscillator(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
+    """x'' = -x + 0.3 x^3 + u: (ocp, x, v, u). Its hard spring runs away beyond |x| = 1.8."""
+    ocp = OCP(name, **(grid or {"T": 2.0, "N": 10}))
+    x, v, u = ocp.state("x"), ocp.state("v"), ocp.control("u")
+    ocp.dynamics({x: v, v: -x + 0.3 * x**3 + u})
+    ocp.least_squares(ca.vertcat(x, v, u), weight=[10, 1, 0.1])
+    ocp.terminal_least_squares(ca.vertcat(x, v), weight=[10, 10])
+    return ocp, x, v, u
+
+
+def unbounded() -> OCP:
+    """No constraint at all."""
+    return _oscillator("unbounded")[0]
+
+
+def soft_rows() -> OCP:
+    """Soft state bound and soft general row with a control, which has no bounds of its own."""
+    ocp, x, v, u = _oscillator("soft_rows")
+    ocp.subject_to(-0.3, v, 0.3, name="slow", soft=(5, 0))
+    ocp.subject_to(-np.inf, x + u, 0.4, name="gentle", soft=(1, 10))
+    return ocp
+
+
+def general_rows() -> OCP:
+    """Hard general rows on the path and at the end."""
+    ocp, x, v, u = _oscillator("general_rows")
+    ocp.subject_to(-3, u, 3)
+    ocp.subject_to(-2, u + x * v, 2, name="effort")
+    ocp.subject_to(-0.5, x + 0.2 * v * v, 0.5, at="end", name="gate")
+    return ocp
+
+
+def free_component() -> OCP:
+    """The velocity at the start is chosen."""
+    ocp, _x, v, u = _oscillator("free_component")
+    ocp.free_initial(v)
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def coupled_rows() -> OCP:
+    """The end is asked to be near the start, at a price."""
+    ocp, x, _v, u = _oscillator("coupled_rows")
+    ocp.subject_to(-1, u, 1)
+    ocp.boundary(0, ocp.at_start(x) - ocp.at_end(x), 0, soft=(1, 0), name="loop")
+    return ocp
+
+
+def one_interval() -> OCP:
+    """N = nu = nx = 1."""
+    ocp = OCP("one_interval", T=0.5, N=1)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: -(x**3) + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    ocp.terminal_least_squares(x, weight=[1.0])
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def parameters() -> OCP:
+    """A cart whose mass is a parameter."""
+    ocp = OCP("parameters", T=2.0, N=20)
+    p, v, F = ocp.state("p", initial=1.0), ocp.state("v"), ocp.control("F")
+    m = ocp.parameter("m", value=0.5)
+    ocp.dynamics({p: v, v: F / m})
+    ocp.least_squares(ca.vertcat(p, v, F), weight=[10, 1, 0.1])
+    ocp.terminal_least_squares(ca.vertcat(p, v), weight=[50, 5])
+    ocp.subject_to(-1, F, 1)
+    ocp.subject_to(-0.4, v, 0.4, name="speed")
+    return ocp
+
+
+def _at_rest_chain() -> Array:
+    return np.asarray(classify(chain.build_ocp(3)).x_initial, dtype=float)
+
+
+def subjects() -> tuple[Subject, ...]:
+    """Six examples and seven small problems."""
+    two = np.zeros(2)
+    small = ((unbounded, 0.4), (soft_rows, 0.4), (general_rows, 0.2), (free_component, 0.3), (coupled_rows, 0.3))
+    hover = lambda: quadrotor.build_ocp((0.0, 0.0, 0.0))  # noqa: E731
+    steady = cstr.SET_POINTS[0][:4]
+    tip = _at_rest_chain()
+    fermenter = lambda: bioreactor.build_ocp(soft=True)  # noqa: E731
+    return (
+        Subject("crane", crane.build_ocp, np.zeros(4), np.array([0.4, 0.2, 0.1, 0.1])),
+        Subject("cstr", cstr.build_ocp, steady, np.array([0.02, 0.02, 0.5, 0.5])),
+        Subject("cart_pole", cart_pole.build_ocp, np.zeros(4), np.array([0.2, 0.1, 0.1, 0.1])),
+        Subject("quadrotor", hover, np.zeros(12), np.full(12, 0.1), integrator=ExplicitRungeKutta(RK4, steps=1)),
+        Subject("chain3", lambda: chain.build_ocp(3), tip, np.full(tip.size, 0.02)),
+        Subject("bioreactor", fermenter, bioreactor.START, 0.02 * bioreactor.START, general=True),
+        *(Subject(make.__name__, make, two, np.full(2, spread)) for make, spread in small),
+        Subject("one_interval", one_interval, np.zeros(1), np.full(1, 0.5)),
+        Subject("parameters", parameters, two, np.array([0.5, 0.1])),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A subject with options; its controller is fresh."""
+
+    subject: Subject
+    label: str
+    options: Options = field(repr=False)
+
+    def __str__(self) -> str:
+        return f"{self.subject.name}, {self.label}"
+
+
+def _shifted(moves: str | None, ocp: OCP) -> RealTimeIteration:
+    interval = float(classify(ocp).dt[0])
+    return RealTimeIteration(shift=moves, sampling_time=0.6 * interval if moves == "resample" else None)
+
+
+def candidates() -> tuple[Candidate, ...]:
+    """Of every subject the options that are chosen for it, and three of all combinations in turn.
+
+    The combinations of solver, precision and Hessian are dealt out with a stride that has no divisor in common with
+    their number, so that neighbours differ in all three; the shift moves on by itself.
+    """
+    dealt = list(itertools.product(PRECISIONS, ("gauss_newton", "exact"), SOLVERS))
+    found = []
+    for i, subject in enumerate(subjects()):
+        ocp = subject.make()
+        best = ExactHessian(regularization=Mirror()) if subject.general else GaussNewton()
+        usual = Options(subject.integrator, best, algorithm=_shifted(SHIFTS[i % 2], ocp))
+        found.append(Candidate(subject, f"chosen, shift {SHIFTS[i % 2]}", usual))
+        for j in range(3):
+            precision, word, solver = dealt[5 * (3 * i + j) % len(dealt)]
+            moves = SHIFTS[(i + j + i // 4) % len(SHIFTS)]
+            exact = word == "exact" or subject.general
+            hessian = ExactHessian(regularization=Mirror()) if exact else GaussNewton()
+            condensing, qp = SOLVERS[solver]
+            options = Options(subject.integrator, hessian, condensing, qp, _shifted(moves, ocp), precision=precision)
+            label = f"{solver}, {precision}, {'exact' if exact else 'Gauss-Newton'}, shift {moves}"
+            found.append(Candidate(subject, label, options))
+    return tuple(found)
+
+
+def built(chosen: Iterable[Candidate]) -> list[Controller]:
+    """Their controllers, compiled side by side."""
+    with ThreadPoolExecutor(2) as pool:
+        return list(pool.map(lambda c: build(c.subject.make(), c.options, profile="fast"), chosen))

@@ -1,0 +1,47 @@
+"""What solvers and controllers do with QPs and data that are not nice, and what a sample costs then at most.
+
+    python -m benchmarks.robustness [--json FILE] [--only qps,...] [--scale S]
+
+At scale 1 the counts are those that the limits are meant for; a smaller scale is a quick look.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+
+from benchmarks.lib.report import Report
+from benchmarks.lib.robustness import episodes, qps, returns
+
+PARTS: dict[str, Callable[[Report, float], None]] = {
+    "qps": qps.measure,
+    "returns": returns.measure,
+    "episodes": episodes.measure,
+}
+
+
+def main() -> None:
+    """All parts, or some."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", metavar="FILE", help="write one record per key")
+    parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
+    parser.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the counts that are asked for")
+    parser.add_argument("--replay", metavar="QP", help="class/number/solver/precision: print this QP and its answer")
+    options = parser.parse_args()
+    if options.replay:
+        qps.replay(options.replay)
+        return
+    report, start = Report("robustness"), time.perf_counter()
+    for name in options.only.split(",") if options.only else PARTS:
+        begin = time.perf_counter()
+        PARTS[name](report, options.scale)
+        report.add("benchmark_seconds", time.perf_counter() - begin, "s", case=name, profile="")
+    report.print()
+    print(f"{time.perf_counter() - start:.0f} s")
+    if options.json:
+        report.write(options.json)
+
+
+if __name__ == "__main__":
+    main()
