@@ -123,8 +123,8 @@ typedef union { /* memory of phases that do not overlap */
 golden_status_t golden_init(golden_solver_t *s);
 golden_status_t golden_reset(golden_solver_t *s);
 
-/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; a NUMERICAL_FAILURE
- * that persists means that the plan itself is unusable: call reset. */
+/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; feedback restarts a
+ * plan that fails repeatedly. */
 golden_status_t golden_prepare(golden_solver_t *s);
 
 /* Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return. */

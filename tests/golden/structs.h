@@ -122,11 +122,11 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
-    int32_t reference_changed; /* 1: the references are newer than the gradients */
+    int32_t renewal; /* 1: references are newer than the gradients, 2: so are weights or parameters */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
-    int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
+    int32_t failing; /* failures in a row, at most 3 */
     golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
     golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
