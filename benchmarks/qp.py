@@ -8,6 +8,7 @@ All parts together take about twenty minutes on two cores.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import time
 import warnings
 from collections.abc import Callable
@@ -296,7 +297,8 @@ def torture(report: Report, steps: int = STEPS) -> None:
     """Closed loops with infeasible QPs, NaN and moving bounds."""
     every = trials()
     unit = steps / sum(t.share for t in every)
-    with ProcessPoolExecutor(2) as pool:
+    # The solvers of the parts before may have left threads, which a forked process would be without.
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         outcomes = list(pool.map(_tortured, [(i, int(np.ceil(unit * t.share))) for i, t in enumerate(every)]))
     report.add("torture_steps", sum(o.samples for o in outcomes), limit=steps, at_least=True)
     for trial, out in zip(every, outcomes, strict=True):

@@ -12,12 +12,13 @@ import time
 from collections.abc import Callable
 
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import episodes, qps, returns
+from benchmarks.lib.robustness import episodes, qps, returns, work
 
 PARTS: dict[str, Callable[[Report, float], None]] = {
     "qps": qps.measure,
     "returns": returns.measure,
     "episodes": episodes.measure,
+    "work": work.measure,
 }
 
 
@@ -27,10 +28,12 @@ def main() -> None:
     parser.add_argument("--json", metavar="FILE", help="write one record per key")
     parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
     parser.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the counts that are asked for")
-    parser.add_argument("--replay", metavar="QP", help="class/number/solver/precision: print this QP and its answer")
+    parser.add_argument(
+        "--replay", metavar="NAME", help="class/number/solver/precision or controller/episode: print it"
+    )
     options = parser.parse_args()
     if options.replay:
-        qps.replay(options.replay)
+        (qps.replay if options.replay.count("/") == 3 else episodes.replay)(options.replay)
         return
     report, start = Report("robustness"), time.perf_counter()
     for name in options.only.split(",") if options.only else PARTS:

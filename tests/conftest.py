@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+# The matrices of the tests are small: further threads of NumPy's BLAS would only spin, at the expense of other workers.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings
@@ -25,6 +28,8 @@ DATA = Path(__file__).parent / "data"
 
 Files = dict[str, str]
 
+#: Folders and files whose tests run what clang compiles.
+SECOND_COMPILER = frozenset({"components", "test_online.py", "test_start_cost.py"})
 
 #: Key of NMPC_REQUIRE -> programs, any of which is sufficient.
 TOOLS = {
@@ -78,6 +83,15 @@ def compiler() -> tuple[str, ...]:
         raise
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _both_compilers_run(request: pytest.FixtureRequest) -> Iterator[None]:
+    """The C that the tests of SECOND_COMPILER run is clang's if there is a clang, that of all others gcc's."""
+    with pytest.MonkeyPatch.context() as patch:
+        if SECOND_COMPILER.intersection(request.path.parts) and "CC" not in os.environ and shutil.which("clang"):
+            patch.setenv("CC", "clang")
+        yield
+
+
 @pytest.fixture(scope="session")
 def toy_files() -> Files:
     """Texts of the hand-written toy package."""
@@ -103,6 +117,11 @@ def _toy(toy_files: Files, compiler: tuple[str, ...]) -> Controller:
 def toy(_toy: Controller) -> Controller:
     """A fresh toy controller."""
     return _toy.copy()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """A warning about a problem fails the test. In pyproject.toml it would load NumPy before this file is read."""
+    config.addinivalue_line("filterwarnings", "error::nmpc_codegen.errors.ProblemWarning")
 
 
 @pytest.hookimpl(optionalhook=True)

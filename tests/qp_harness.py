@@ -142,18 +142,28 @@ def build_directory() -> tempfile.TemporaryDirectory[str]:
 
 
 @functools.cache
-def library(nv: int, ng: int, precision: str = "double", max_iterations: int | None = None) -> ctypes.CDLL:
+def library(
+    nv: int,
+    ng: int,
+    precision: str = "double",
+    max_iterations: int | None = None,
+    flags: tuple[str, ...] = FAST,
+) -> ctypes.CDLL:
     """Shared library of the component, built once per session and configuration, all warnings being errors."""
-    stem = Path(build_directory().name) / f"qp_{nv}_{ng}_{precision}_{max_iterations}"
+    stem = (
+        Path(build_directory().name)
+        / f"qp_{nv}_{ng}_{precision}_{max_iterations}_{'fast' if flags == FAST else 'plain'}"
+    )
     stem.with_suffix(".c").write_text(source(nv, ng, precision, DenseActiveSet(max_iterations)) + ENTRY_POINTS)
     subprocess.run(
-        ["gcc", "-std=c99", *WARNINGS, *FAST, "-shared", "-fPIC",
+        ["gcc", "-std=c99", *WARNINGS, *flags, "-shared", "-fPIC",
          "-o", stem.with_suffix(".so"), stem.with_suffix(".c"), "-lm"],
         check=True,
     )  # fmt: skip
     return ctypes.CDLL(str(stem.with_suffix(".so")))
 
 
+@functools.cache
 def memory_layout(nv: int, ng: int, precision: str) -> np.dtype:
     """NumPy view of the C struct."""
     types: dict[str, object] = {"real": SCALARS[precision], "int32": np.int32, "int64": np.int64}
@@ -166,9 +176,16 @@ def memory_layout(nv: int, ng: int, precision: str) -> np.dtype:
 class QP:
     """One instance of the C struct; ``self["z"]`` is the view on its member z."""
 
-    def __init__(self, nv: int, ng: int, precision: str = "double", max_iterations: int | None = None) -> None:
+    def __init__(
+        self,
+        nv: int,
+        ng: int,
+        precision: str = "double",
+        max_iterations: int | None = None,
+        flags: tuple[str, ...] = FAST,
+    ) -> None:
         self.nv, self.ng = nv, ng
-        self.library = library(nv, ng, precision, max_iterations)
+        self.library = library(nv, ng, precision, max_iterations, flags)
         self.memory = np.zeros((), memory_layout(nv, ng, precision))
         assert self.library.test_size() == self.memory.nbytes
         self.library.test_init(self._pointer)

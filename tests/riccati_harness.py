@@ -142,25 +142,13 @@ def source(
     return "\n".join(lines) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "") + part_text(part, values)
 
 
+@functools.cache
 def compiled(text: str, flags: tuple[str, ...] = FAST) -> ctypes.CDLL:
     """Shared library of a C text, all warnings being errors; built once per session and text."""
-    return _compiled(text, flags)
-
-
-@functools.cache
-def _compiled(text: str, flags: tuple[str, ...]) -> ctypes.CDLL:
     stem = Path(build_directory().name) / f"riccati_{abs(hash((text, flags)))}"
     stem.with_suffix(".c").write_text(text)
-    command = [
-        "gcc",
-        "-std=c99",
-        *WARNINGS,
-        "-Wno-unused-const-variable",
-        "-Wno-unused-function",
-        *flags,
-        "-shared",
-        "-fPIC",
-    ]
+    unused = ("-Wno-unused-const-variable", "-Wno-unused-function")
+    command = ["gcc", "-std=c99", *WARNINGS, *unused, *flags, "-shared", "-fPIC"]
     subprocess.run([*command, "-o", stem.with_suffix(".so"), stem.with_suffix(".c"), "-lm"], check=True)
     return ctypes.CDLL(str(stem.with_suffix(".so")))
 
@@ -192,17 +180,29 @@ int test_qp_size(void) { return (int)sizeof(solver_t); }
 """
 
 
+def solver_source(shape: Shape, component: Any, precision: str = "double") -> str:
+    """Self-contained C text of a solver with its exported entry points."""
+    known = {name for name, _, _ in riccati_sizes(shape.dims)}
+    sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
+    return source(shape, component.template, sizes, component.structs(shape.dims), precision) + SOLVER
+
+
+@functools.cache
+def solver_library(
+    shape: Shape, component: Any, precision: str, flags: tuple[str, ...]
+) -> tuple[ctypes.CDLL, np.dtype[Any]]:
+    """The library of a solver and the type of its struct, once per session."""
+    layout = memory_layout(shape, component.structs(shape.dims), precision)
+    return compiled(solver_source(shape, component, precision), flags), layout
+
+
 class RiccatiQP:
     """A solver on stages; ``self["z"]`` is the view of the member z of its struct qp."""
 
     def __init__(self, shape: Shape, component: Any, precision: str = "double", flags: tuple[str, ...] = FAST) -> None:
         self.shape = shape
-        owned = component.structs(shape.dims)
-        known = {name for name, _, _ in riccati_sizes(shape.dims)}
-        sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-        text = source(shape, component.template, sizes, owned, precision) + SOLVER
-        self.library = compiled(text, flags)
-        self.memory = np.zeros((), memory_layout(shape, owned, precision))
+        self.library, layout = solver_library(shape, component, precision, flags)
+        self.memory = np.zeros((), layout)
         assert self.library.test_qp_size() == self.memory.nbytes
         self.library.test_qp_init(self.pointer)
 

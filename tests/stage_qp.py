@@ -42,12 +42,13 @@ from tests.oracles.stage_qp import (
 )
 from tests.oracles.stage_qp_random import SEMIDEFINITE, condensed_rows
 
-#: Functions that main.c does not call are removed before compilation: most of a package.
-FLAGS = (*PROFILES["test"].flags, "-fwhole-program", "-w")
-
 MAIN = """
 #include "stage.c"
+#if defined(__clang__)
+#define EXPORT __attribute__((visibility("default")))
+#else
 #define EXPORT __attribute__((externally_visible)) __attribute__((visibility("default")))
+#endif
 EXPORT int call_size(void);
 EXPORT void call_init(stage_solver_t *s);
 EXPORT int call_prepare(stage_solver_t *s);
@@ -174,7 +175,21 @@ def _compile(sources: Any, folder: Path) -> Path:
     for name in ("stage.h", "stage.c"):
         (folder / name).write_text(sources[name], encoding="utf-8")
     (folder / "main.c").write_text(MAIN, encoding="utf-8")
-    command = [*find_compiler(), *FLAGS, "-shared", "-fPIC", "main.c", "-o", "library.so", "-lm"]
+    compiler = find_compiler()
+    # gcc leaves out all that is not called from main.c before it is compiled: most of a package.
+    alone = () if "clang" in compiler[0] else ("-fwhole-program",)
+    command = [
+        *compiler,
+        *PROFILES["test"].flags,
+        *alone,
+        "-w",
+        "-shared",
+        "-fPIC",
+        "main.c",
+        "-o",
+        "library.so",
+        "-lm",
+    ]
     run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     return folder / "library.so"

@@ -6,7 +6,7 @@ import os
 import re
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +43,18 @@ class Scenario:
         numbers += [value for point in self.set_points for part in point for value in part]
         numbers += [self.pushes, *(self.push if self.pushes else ())]
         return [repr(v) if isinstance(v, int) else repr(float(v)) for v in numbers]
+
+
+def disturbed(
+    scenario: Scenario, x: np.ndarray, random: np.random.Generator, integrate: Callable[..., np.ndarray]
+) -> np.ndarray:
+    """What a scenario does to the state at the first sample of a period, in Python; set points are the caller's."""
+    if scenario.restart:
+        x = np.array(scenario.x0, dtype=float) * (1 + scenario.restart * random.uniform(-1, 1, x.size))
+    x = x + scenario.amplitude * random.uniform(-1, 1, x.size)
+    for _ in range(scenario.pushes):
+        x = np.asarray(integrate(x, np.array(scenario.push), scenario.dt))
+    return x
 
 
 @dataclass(frozen=True)

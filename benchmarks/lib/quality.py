@@ -79,10 +79,9 @@ def warnings_of(
         for language in languages:
             program = COMPILERS[compiler][language] if compiler else None
             for level in levels:
-                for path in (f"{name}.c", "main.c"):
-                    flags = (*LANGUAGES[language], level, *WARNINGS)
-                    done = compile_c(folder, *flags, "-c", path, "-o", os.devnull, program=program)
-                    messages.append(done.stderr if done.stderr or not done.returncode else "error: no message\n")
+                flags = (*LANGUAGES[language], level, *WARNINGS)
+                done = compile_c(folder, *flags, "-S", f"{name}.c", "main.c", program=program)
+                messages.append(done.stderr if done.stderr or not done.returncode else "error: no message\n")
     return "".join(messages)
 
 

@@ -134,8 +134,7 @@ static void condense_hessian(solver_t *s, int column)
     condense_clear(p->W);
 #endif
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
-        real_t(*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
-        CONDENSE_BACKWARD_PANEL(p, &s->node[k], Q, k);
+        CONDENSE_BACKWARD_PANEL(p, &s->node[k], s->hessian.Q[NQ == 1 ? 0 : k], k);
         condense_store_rows(s, k, column);
     }
 #if NF

@@ -19,12 +19,13 @@ from oracles.qp import (
     infeasible,
     residuals,
 )
-from qp_harness import ENTRY_POINTS, QP, WARNINGS, qp_dims, source
+from qp_harness import ENTRY_POINTS, FAST, QP, WARNINGS, qp_dims, source
 
 from benchmarks.lib.qp import qp_random
 from benchmarks.lib.qp.qp_random import wrong_answer, wrong_certificate
 from nmpc_codegen.components.qp import REGISTRY, DenseActiveSet
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.runtime.build import PROFILES
 
 SIZES = [(1, 0), (4, 2), (10, 4), (23, 9), (60, 20)]
 KINDS = {
@@ -43,6 +44,12 @@ many = settings(max_examples=60, deadline=None)
 few = settings(max_examples=25, deadline=None)
 
 
+def solver_of(nv: int, ng: int, precision: str = "double", max_iterations: int | None = None) -> QP:
+    """A solver of SIZES, compiled as for release, or another one, compiled without the optimiser."""
+    flags = FAST if (nv, ng) in SIZES else PROFILES["test"].flags
+    return QP(nv, ng, precision, max_iterations, flags)
+
+
 def solved(qp: QuadraticProgram, solver: QP, limit: float = 1e-11) -> None:
     """Solve, and assert the optimality conditions."""
     assert solver.run(*qp.data) == "OK"
@@ -56,7 +63,7 @@ def solved(qp: QuadraticProgram, solver: QP, limit: float = 1e-11) -> None:
 @given(seed=seeds)
 def test_constructed_kkt_points(nv: int, ng: int, kind: str, seed: int) -> None:
     qp = from_solution(np.random.default_rng(seed), nv, ng, **KINDS[kind])
-    solver = QP(nv, ng)
+    solver = solver_of(nv, ng)
     condition, scale = KINDS[kind].get("condition", 1e2), KINDS[kind].get("scale", 1.0)
     solved(qp, solver, 1e-10 if condition > 1e4 else 1e-11)
     error = np.abs(solver.z - qp.z) / (np.abs(qp.z) if scale > 1 else np.max(np.abs(qp.z)))
@@ -70,7 +77,7 @@ def test_multipliers_are_found_where_they_are_unique(seed: int, condition: float
     active = qp.rows[qp.state != 0]
     if len(active) and (len(active) > 10 or np.linalg.svd(active)[1].min() < 1e-2):
         return
-    solver = QP(10, 4)
+    solver = solver_of(10, 4)
     solved(qp, solver)
     np.testing.assert_allclose(solver.mult, qp.mult, atol=1e-8 * condition)
     assert solver["dropped"] == 0
@@ -91,7 +98,7 @@ def test_redundant_rows(nv: int, ng: int, repeated: str, seed: int, condition: f
     else:
         A[ng // 2 :] = np.eye(nv)[rng.integers(nv, size=rest)]
     qp = from_solution(rng, nv, ng, condition=condition, degenerate=degenerate, A=A)
-    solver = QP(nv, ng)
+    solver = solver_of(nv, ng)
     other = dataclasses.replace(qp, g=10 * rng.normal(size=nv))
     for problem in (qp, other, qp):
         solved(problem, solver, 1e-10)
@@ -104,7 +111,7 @@ def test_redundant_equalities_get_no_multiplier_and_are_counted() -> None:
     qp = from_solution(rng, 6, 4, weights=(0, 1, 0, 0), A=A)
     value = A @ qp.z
     bounds = [np.concatenate([b[:6], value]) for b in (qp.lower, qp.upper)]
-    solver = QP(6, 4)
+    solver = solver_of(6, 4)
     solved(dataclasses.replace(qp, g=qp.g + A[0] + A[1], lower=bounds[0], upper=bounds[1]), solver)
     assert solver["dropped"] == 2
     assert np.count_nonzero(solver.mult[6:]) == 2
@@ -116,7 +123,7 @@ def test_redundant_equalities_get_no_multiplier_and_are_counted() -> None:
 def test_warm_started_sequences(nv: int, ng: int, seed: int) -> None:
     """One struct solves problems whose active sets, bounds, equalities and Hessians change strongly."""
     rng = np.random.default_rng(seed)
-    solver = QP(nv, ng)
+    solver = solver_of(nv, ng)
     for _ in range(6):
         qp = from_solution(rng, nv, ng, weights=tuple(rng.dirichlet(np.ones(4))), degenerate=0.3)
         solved(qp, solver)
@@ -128,7 +135,7 @@ def test_bounds_may_change_between_the_phases(seed: int) -> None:
     """The prediction passed to qp_factorize may be arbitrarily wrong: bounds turn infinite, equalities change."""
     rng = np.random.default_rng(seed)
     H, A = hessian(rng, 10, 1e3), rng.normal(size=(4, 10))
-    solver = QP(10, 4)
+    solver = solver_of(10, 4)
     for _ in range(6):
         predicted = from_solution(rng, 10, 4, A=A, H=H, weights=(1, 1, 1, 1))
         qp = from_solution(rng, 10, 4, A=A, H=H, weights=tuple(rng.dirichlet(np.ones(4))))
@@ -144,7 +151,7 @@ def test_bounds_may_change_between_the_phases(seed: int) -> None:
 @given(seed=seeds)
 def test_the_same_problem_again_needs_no_iteration(seed: int) -> None:
     qp = from_solution(np.random.default_rng(seed), 10, 4)
-    solver = QP(10, 4)
+    solver = solver_of(10, 4)
     solved(qp, solver)
     z, mult = solver.z, solver.mult
     solved(qp, solver)
@@ -154,7 +161,7 @@ def test_the_same_problem_again_needs_no_iteration(seed: int) -> None:
 
 
 def test_a_shifted_working_set_is_the_prediction() -> None:
-    solver = QP(8, 0)
+    solver = solver_of(8, 0)
     H, g = np.eye(8), -np.array([5.0, 0, 0, 5, 0, -5, 0, 5])
     assert solver.run(H, g, np.zeros((0, 8)), -np.ones(8), np.ones(8)) == "OK"
     solver.shift(2)
@@ -182,7 +189,7 @@ def test_enumeration_agrees_on_tiny_integer_problems(data: st.DataObject) -> Non
     upper = np.array([data.draw(st.sampled_from([0.0, 1.0, np.inf])) for _ in range(n + m)])
     qp = QuadraticProgram(H, g, A, centre - width, np.where(width == 0, centre, centre + upper))
     best = by_enumeration(qp)
-    solver = QP(n, m)
+    solver = solver_of(n, m)
     if best is None:
         assert solver.run(*qp.data) == "INFEASIBLE"
     else:
@@ -201,7 +208,7 @@ def test_infeasible_problems_are_recognised_and_left_behind(nv: int, ng: int, se
     with np.errstate(invalid="ignore"):
         reach = np.sum(np.where(w == 0, 0.0, w * np.where(w > 0, bad.upper, bad.lower)))
     assert reach < 0
-    solver = QP(nv, ng)
+    solver = solver_of(nv, ng)
     for _ in range(2):
         assert solver.run(*bad.data) == "INFEASIBLE"
         assert not wrong_certificate(bad, solver["certificate"][: nv + ng])
@@ -211,7 +218,7 @@ def test_infeasible_problems_are_recognised_and_left_behind(nv: int, ng: int, se
 
 
 def test_crossed_bounds_are_infeasible() -> None:
-    solver = QP(2, 1)
+    solver = solver_of(2, 1)
     for row in range(3):
         lower, upper = -np.ones(3), np.ones(3)
         lower[row] = 1.5
@@ -235,7 +242,7 @@ def test_data_that_is_not_finite(seed: int, name: str, bad: float) -> None:
         array[j, i] = array[i, j] = bad
     else:
         array[tuple(rng.integers(array.shape))] = {"lower": abs(bad), "upper": -abs(bad)}.get(name, bad)
-    solver = QP(10, 4)
+    solver = solver_of(10, 4)
     for warm in (False, True):
         if warm:
             solved(good, solver)
@@ -247,7 +254,7 @@ def test_data_that_is_not_finite(seed: int, name: str, bad: float) -> None:
 
 def test_a_failed_factorisation_is_not_solved_with() -> None:
     qp = from_solution(np.random.default_rng(2), 10, 4)
-    solver = QP(10, 4)
+    solver = solver_of(10, 4)
     assert solver.solve(qp.g) == "NUMERICAL_FAILURE"
     solved(qp, solver)
     assert solver.run(-qp.H, *qp.data[1:]) == "NUMERICAL_FAILURE"
@@ -262,12 +269,12 @@ def test_an_indefinite_hessian(seed: int, lowest: float, n: int) -> None:
     Q, _ = np.linalg.qr(rng.normal(size=(n, n)))
     H = (Q * np.append(np.linspace(1, 2, n - 1), lowest)) @ Q.T
     qp = dataclasses.replace(from_solution(rng, n, 0), H=H)
-    assert QP(n, 0).run(*qp.data) == "NUMERICAL_FAILURE"
+    assert solver_of(n, 0).run(*qp.data) == "NUMERICAL_FAILURE"
 
 
 def test_a_zero_diagonal_entry_with_a_coupling_is_indefinite() -> None:
     H = np.array([[0.0, 1e-3], [1e-3, 1.0]])
-    assert QP(2, 0).run(H, np.ones(2), np.zeros((0, 2)), -np.ones(2), np.ones(2)) == "NUMERICAL_FAILURE"
+    assert solver_of(2, 0).run(H, np.ones(2), np.zeros((0, 2)), -np.ones(2), np.ones(2)) == "NUMERICAL_FAILURE"
 
 
 @pytest.mark.parametrize(("nv", "ng"), SIZES)
@@ -283,7 +290,7 @@ def test_semidefinite_hessians(nv: int, ng: int, seed: int, share: float, spread
     rank = int(share * nv)
     factor = rng.normal(size=(rank, nv)) * np.geomspace(1, spread, rank)[:, None]
     qp = from_solution(rng, nv, ng, H=factor.T @ factor, weights=(2, 2, 2, 1))
-    solver = QP(nv, ng)
+    solver = solver_of(nv, ng)
     for _ in range(2):
         assert solver.run(*qp.data) == "OK"
         assert residuals(qp, solver.z, solver.mult).worst < 1e-7
@@ -301,7 +308,7 @@ def test_an_unbounded_problem(seed: int, n: int) -> None:
     difference = np.diff(np.eye(n), axis=0)
     H = difference.T @ np.diag(rng.integers(1, 9, size=n - 1)) @ difference
     g, infinite = rng.integers(-3, 1, size=n) - 1.0, np.full(n, np.inf)
-    solver = QP(n, 0)
+    solver = solver_of(n, 0)
     assert solver.run(H, g, np.zeros((0, n)), -infinite, infinite) == "NUMERICAL_FAILURE"
     assert not np.any(solver.z)
     upper = np.append(infinite[1:], 1.0)
@@ -326,7 +333,7 @@ def unrelated_bounds(rng: np.random.Generator, nv: int, ng: int) -> QuadraticPro
 def test_elastic_rows(nv: int, ng: int, penalties: str, seed: int) -> None:
     """Optimality conditions of the relaxed problem, recomputed; the number of violated rows; then a warm start."""
     rng = np.random.default_rng(seed)
-    solver = QP(nv, ng)
+    solver = solver_of(nv, ng)
     for build in (unrelated_bounds, infeasible):
         qp = build(rng, nv, ng)
         penalty = rng.choice(PENALTIES[penalties], size=ng) * rng.exponential(size=ng)
@@ -345,7 +352,7 @@ def test_elastic_rows_are_slack_variables(nv: int, ng: int, seed: int) -> None:
     """The cost equals that of the problem with explicit slacks, A z - over + under inside, solved by qpOASES."""
     rng = np.random.default_rng(seed)
     qp, penalty = unrelated_bounds(rng, nv, ng), rng.exponential(size=ng)
-    solver = QP(nv, ng)
+    solver = solver_of(nv, ng)
     assert solver.run(*qp.data, penalty) == "OK"
     slack = np.concatenate([penalty, penalty])
     H = np.block([[qp.H, np.zeros((nv, 2 * ng))], [np.zeros((2 * ng, nv)), np.zeros((2 * ng, 2 * ng))]])
@@ -368,7 +375,7 @@ def test_the_penalty_is_exact(seed: int) -> None:
     """Penalties above the multipliers change nothing; a row with a multiplier above its penalty is violated."""
     rng = np.random.default_rng(seed)
     qp = from_solution(rng, 10, 4, weights=(1, 4, 1, 0))
-    solver = QP(10, 4)
+    solver = solver_of(10, 4)
     solved(qp, solver)
     z, mult = solver.z, solver.mult[10:]
     largest = np.max(np.abs(mult))
@@ -385,11 +392,11 @@ def test_the_penalty_is_exact(seed: int) -> None:
 def test_a_negative_penalty_is_refused() -> None:
     qp = from_solution(np.random.default_rng(5), 4, 2)
     for bad in (-1.0, np.nan):
-        assert QP(4, 2).run(*qp.data, bad) == "NUMERICAL_FAILURE"
+        assert solver_of(4, 2).run(*qp.data, bad) == "NUMERICAL_FAILURE"
 
 
 def test_rows_take_the_prediction_they_are_told() -> None:
-    solver = QP(4, 3)
+    solver = solver_of(4, 3)
     solver["side"][:7] = [0, 1, -1, 1, -1, 2, 1]
     solver.shift(1, [1, 2, -1])
     assert list(solver["side"][:7]) == [1, -1, 1, 1, 2, 1, 0]
@@ -417,7 +424,7 @@ def test_the_judge_of_random_problems_sees_wrong_answers() -> None:
 
 def test_the_iteration_cap() -> None:
     qp = from_solution(np.random.default_rng(3), 10, 0, weights=(1, 0, 1, 0))
-    solver = QP(10, 0, max_iterations=3)
+    solver = solver_of(10, 0, max_iterations=3)
     assert solver.run(*qp.data) == "ITERATION_LIMIT"
     assert solver["iterations"] == 3
     assert np.all(np.isfinite(solver.z))
@@ -432,7 +439,7 @@ def test_default_cap_is_enough() -> None:
     for seed in range(200):
         rng = np.random.default_rng(seed)
         qp = from_solution(rng, 20, 10, condition=1e6, weights=(2, 1, 2, 0))
-        solver = QP(20, 10)
+        solver = solver_of(20, 10)
         solved(qp, solver)
         most = max(most, solver["iterations"] / (10 * 30 + 50))
     assert most < 0.7
@@ -446,7 +453,7 @@ def test_single_precision(nv: int, ng: int, seed: int) -> None:
     qp = from_solution(rng, nv, ng, condition=1e2, degenerate=0.2, weights=(1, 6, 1, 1))
     rounded = [np.float32(a).astype(float) for a in qp.data]
     qp = QuadraticProgram(*rounded)
-    solver = QP(nv, ng, "single")
+    solver = solver_of(nv, ng, "single")
     status = solver.run(*qp.data)
     if status == "INFEASIBLE":  # rounding of the data may have made dependent equalities inconsistent
         assert np.count_nonzero(qp.lower == qp.upper) + np.count_nonzero(solver["side"]) >= nv

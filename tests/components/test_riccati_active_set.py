@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.riccati import StageProblem, StageQP, constructed, random_problem, residuals
-from riccati_harness import SOLVER, RiccatiQP, Shape, source
+from qp_harness import FAST
+from riccati_harness import RiccatiQP, Shape, solver_source
 
 from nmpc_codegen.components.qp import REGISTRY, RiccatiActiveSet
-from nmpc_codegen.components.qp.riccati import riccati_sizes
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.runtime.build import PROFILES
 
 SHAPES = {
     "smallest": Shape(1, 1, 1),
@@ -66,8 +67,13 @@ def drawn(
     return constructed(rng, problem, rows, tuple(k for k, _ in shape.rows), KINDS[kind], degenerate)
 
 
-def solver(shape: Shape, **options: int) -> RiccatiQP:
-    return RiccatiQP(shape, RiccatiActiveSet(**options))
+#: Shapes with no row, control bounds, general rows, free components, compiled as for release; others without optimiser.
+OPTIMISED = tuple(SHAPES[name] for name in ("smallest", "bounds", "general", "free"))
+
+
+def solver(shape: Shape, precision: str = "double", **options: int) -> RiccatiQP:
+    flags = FAST if shape in OPTIMISED and not options else PROFILES["test"].flags
+    return RiccatiQP(shape, RiccatiActiveSet(**options), precision, flags)
 
 
 def optimal(qp: StageQP, s: RiccatiQP, limit: float = 1e-10) -> None:
@@ -431,7 +437,7 @@ def test_soft_rows_give_way(seed: int) -> None:
 def test_single_precision() -> None:
     rng = np.random.default_rng(4)
     for name in ("bounds", "state bounds"):
-        s = RiccatiQP(SHAPES[name], RiccatiActiveSet(), "single")
+        s = solver(SHAPES[name], "single")
         for kind in ("mixed", "equations", "none active"):
             qp = drawn(rng, SHAPES[name], kind)
             assert s.run(qp) == "OK"
@@ -442,11 +448,7 @@ def test_single_precision() -> None:
 @pytest.mark.parametrize("name", ["bounds", "general", "free"])
 def test_the_template_is_cpp_too(name: str, precision: str, tmp_path: Path, need: object) -> None:
     need("cxx")  # type: ignore[operator]
-    component, shape = RiccatiActiveSet(), SHAPES[name]
-    known = {entry[0] for entry in riccati_sizes(shape.dims)}
-    sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-    text = source(shape, component.template, sizes, component.structs(shape.dims), precision) + SOLVER
-    (tmp_path / "riccati.cpp").write_text(text)
+    (tmp_path / "riccati.cpp").write_text(solver_source(SHAPES[name], RiccatiActiveSet(), precision))
     flags = ["-std=c++17", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"]
     unused = ["-Wno-unused-function", "-Wno-unused-variable"]
     subprocess.run(["g++", "-fsyntax-only", *flags, *unused, "riccati.cpp"], check=True, cwd=tmp_path)

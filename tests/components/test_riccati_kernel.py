@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+import functools
 from typing import Any
 
 import numpy as np
@@ -29,14 +30,21 @@ seeds = st.integers(0, 2**32 - 1)
 some = settings(max_examples=25, deadline=None)
 
 
+@functools.cache
+def built(shape: Shape, precision: str) -> tuple[ctypes.CDLL, np.dtype[Any]]:
+    """The library of the recursion and the type of its struct, once per session."""
+    library = compiled(source(shape, precision=precision) + KERNEL)
+    library.test_gradient.restype = ctypes.c_float if precision == "single" else ctypes.c_double
+    return library, memory_layout(shape, precision=precision)
+
+
 class Kernel:
     """The recursion on one problem."""
 
     def __init__(self, shape: Shape, precision: str = "double") -> None:
         self.shape = shape
-        self.library = compiled(source(shape, precision=precision) + KERNEL)
-        self.library.test_gradient.restype = ctypes.c_float if precision == "single" else ctypes.c_double
-        self.memory = np.zeros((), memory_layout(shape, precision=precision))
+        self.library, layout = built(shape, precision)
+        self.memory = np.zeros((), layout)
         self.library.test_init(self.pointer)
 
     @property

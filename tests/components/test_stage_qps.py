@@ -1,8 +1,8 @@
 """Every registered QP solver on random stage QPs, judged by the constructed optimum; and tests of the judge.
 
-There is one package per dimensions and solver, with 25 data sets each drawn by hypothesis, which shrinks kind, active
-rows and digits. Every solver gets the five structures of SMALL, and the others in turn; benchmarks.qp draws dimensions
-for all solvers.
+There is one package per dimensions and solver, with 15 or 25 data sets each drawn by hypothesis, which shrinks kind,
+active rows and digits. Every solver gets the five structures of SMALL, and the others in turn; benchmarks.qp draws
+dimensions for all solvers.
 """
 
 from __future__ import annotations
@@ -215,7 +215,7 @@ def test_every_solver_finds_the_constructed_optimum(shape: Shape) -> None:
     some = chosen(shape)
     build_all((shape, options) for options in some.values())
 
-    @settings(max_examples=25, deadline=None, database=None)
+    @settings(max_examples=25 if shape in SMALL else 15, deadline=None, database=None)
     @given(first=recipes(shape), second=recipes(shape))
     def check(first: dict[str, Any], second: dict[str, Any]) -> None:
         one, other = random_qp(shape, **first), random_qp(shape, **second)

@@ -34,7 +34,7 @@
 #error "compile without -ffast-math and -ffinite-math-only: they void the checks for NaN"
 #endif
 
-#if defined(__GNUC__) && !defined(__clang__) && __GNUC__ == 12
+#if defined(__OPTIMIZE__) && defined(__GNUC__) && !defined(__clang__) && __GNUC__ == 12
 /* GCC 12 mistakes addresses that its loop optimiser has split into a null base and an index for accesses to NULL,
  * concludes that the function has no effects and removes calls to it (observed with 12.2 at -O2);
  * -fno-delete-null-pointer-checks disables this inference. With -march=native, when it turns a loop over a local array

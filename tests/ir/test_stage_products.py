@@ -9,9 +9,9 @@ from nmpc_codegen.ir import stage_products
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
-from nmpc_codegen.ir.product_interfaces import COLUMNS
 from nmpc_codegen.ir.stage_products import Pattern, Products
 from nmpc_codegen.ir.sweep import unroll
+from nmpc_codegen.ir.tuning import COLUMNS
 
 WRITTEN_OUT = {"nonzeros": 10**9, "loops": -1}
 SIZES = ((1, 1), (2, 1), (4, 2), (5, 3), (9, 1))

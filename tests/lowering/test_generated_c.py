@@ -19,11 +19,9 @@ from nmpc_codegen.runtime.status import Status
 
 #: Cases whose C differs in structure; dense_changed differs from dense_weight only in its data.
 STRUCTURES = tuple(name for name in problems.CASES if name != "dense_changed")
-#: A constraint of every kind, no constraints, loops instead of straight-line code.
-FEW = ("path_rows", "tiny", "crane_looped")
-#: Terminal equalities, general rows, parameters, the smallest sizes.
-OPTIMISED = ("crane", "path_rows", "parameters", "tiny")
-#: Every kind of row and bound, of weight, of grid, of dynamics and of data.
+#: Terminal equalities, a constraint of every kind, loops: levels at which test_warnings.py does not compile them.
+OPTIMISED = {"crane": "-O2", "path_rows": "-O3", "crane_looped": "-Os"}
+#: Every kind of row and bound, of weight, of grid, of dynamics and of data once.
 DIFFERENT = ("crane", "path_rows", "terminal_rows", "single_nodes", "parameters", "scaled", "discrete", "tiny")
 
 
@@ -34,26 +32,21 @@ def _compilers() -> None:
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_c99(name: str) -> None:
-    """Some optimised, which finds values that may be uninitialised; in single precision the data flow is the same."""
-    level = "-O2" if name in OPTIMISED else "-fsyntax-only"
+    """The findings of the front end, and of the optimiser for some cases: values that may be uninitialised.
+
+    In single precision the data flow is the same.
+    """
+    level = OPTIMISED.get(name, "-fsyntax-only")
     assert quality.warnings_of(problems.sources(name), levels=(level,), languages=("C99",)) == ""
     assert quality.warnings_of(problems.sources(name, "single"), levels=("-fsyntax-only",), languages=("C99",)) == ""
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_cpp17(name: str) -> None:
-    """All findings of the front end."""
+    """The findings of the front end, and of the optimiser for one case in single precision."""
     require_tool("cxx")
-    assert quality.warnings_of(problems.sources(name), levels=("-fsyntax-only",), languages=("C++17",)) == ""
-
-
-@pytest.mark.parametrize("name", FEW)
-def test_no_warning_at_any_level(name: str) -> None:
-    require_tool("cxx")
-    level = "-Os" if name == "crane_looped" else "-O3"
-    assert quality.warnings_of(problems.sources(name), levels=(level,), languages=("C99",)) == ""
-    if name == "path_rows":
-        assert quality.warnings_of(problems.sources(name, "single"), levels=("-O2",), languages=("C++17",)) == ""
+    precision, level = ("single", "-O2") if name == "path_rows" else ("double", "-fsyntax-only")
+    assert quality.warnings_of(problems.sources(name, precision), levels=(level,), languages=("C++17",)) == ""
 
 
 def test_warnings_are_seen() -> None:
@@ -118,28 +111,25 @@ def test_whole_api_under_sanitizers(name: str) -> None:
     assert quality.exercise(problems.sources(name), problems.CASES[name].x0) == ""
 
 
-def test_whole_api_under_sanitizers_in_single_precision() -> None:
-    assert quality.exercise(problems.sources("path_rows", "single"), problems.CASES["path_rows"].x0) == ""
-
-
-def test_shift_under_sanitizers() -> None:
-    sources = generate(problems.path_rows(), Options(algorithm=RealTimeIteration(shift="repeat")))
-    assert quality.exercise(sources, problems.CASES["path_rows"].x0) == ""
+def test_shift_under_sanitizers_in_single_precision() -> None:
+    options = Options(algorithm=RealTimeIteration(shift="repeat"), precision="single")
+    assert quality.exercise(generate(problems.path_rows(), options), problems.CASES["path_rows"].x0) == ""
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
+    ("old", "new", "flags"),
     [
-        ("s->yref[n][i] = yref[i];", "s->yref[n + 1][i] = yref[i];"),  # past the last node
-        ("isfinite(u) ? u : CONTROL_REFERENCE", "1 ? u : CONTROL_REFERENCE"),  # a NaN is accepted
-        ("lower < (real_t)INFINITY && upper", "upper"),  # no number is between infinity and itself
+        ("s->yref[n][i] = yref[i];", "s->yref[n + 1][i] = yref[i];", quality.SANITIZERS),  # past the last node
+        ("isfinite(u) ? u : CONTROL_REFERENCE", "1 ? u : CONTROL_REFERENCE", ()),  # a NaN is accepted
+        ("lower < (real_t)INFINITY && upper", "upper", ()),  # no number is between infinity and itself
     ],
 )
-def test_exercise_finds_defects(old: str, new: str) -> None:
+def test_exercise_finds_defects(old: str, new: str, flags: tuple[str, ...]) -> None:
+    """A sanitizer finds the first defect, exercise.c itself finds the others."""
     sources = dict(problems.sources("crane"))
     assert sources["crane.c"].count(old) == 1
     sources["crane.c"] = sources["crane.c"].replace(old, new)
-    assert quality.exercise(sources, problems.CASES["crane"].x0) != ""
+    assert quality.exercise(sources, problems.CASES["crane"].x0, flags) != ""
 
 
 def test_stack(record_property: pytest.RecordProperty) -> None:
@@ -197,7 +187,7 @@ int main(void)
 """
     with quality.written(problems.sources("crane")) as folder:
         (folder / "copy.c").write_text(program)
-        quality.compile_c(folder, *quality.RELEASE, "copy.c", "crane.c", "-o", "copy", "-lm").check_returncode()
+        quality.compile_c(folder, "-std=c99", "copy.c", "crane.c", "-o", "copy", "-lm").check_returncode()
         lines = subprocess.run(["./copy"], cwd=folder, capture_output=True, text=True, check=True).stdout.splitlines()
     assert lines[5:15] == lines[15:]
     assert len(set(lines[5:15])) == 10
@@ -242,7 +232,7 @@ def test_no_machine_or_date_in_the_sources() -> None:
 def test_functions_fit_a_screen(name: str) -> None:
     """At most about 40 lines each, without printed kernels and stage products."""
     source = problems.sources(name)[f"{quality.package_name(problems.sources(name))}.c"]
-    written = source[source.index("/* Rows besides the control bounds") :]
+    written = source[source.index("/* Rows (constraints other than the control bounds)") :]
     written = re.sub(r"/\* ==== stage products.*?(?=/\* ==== )", "", written, flags=re.DOTALL)
     found = re.findall(r"^(\w[^;{}]*\))\n\{\n(.*?)^\}$", written, flags=re.DOTALL | re.MULTILINE)
     assert len(found) > 50

@@ -398,7 +398,7 @@ def everything() -> Problem:
 
 
 def lagrangian(problem: Problem, point: Point, data: Data) -> float:
-    """L of algorithms.md, summed node by node from evaluated functions only; no slacks."""
+    """The Lagrangian without slacks, summed node by node from evaluated functions only."""
     hard = replace(problem, rows=tuple(replace(r, soft=None) for r in problem.rows))
     total = evaluate_cost(hard, point.x, point.u, data)
     Phi = interval_map(problem)

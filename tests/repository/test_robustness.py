@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
+from benchmarks.lib.closed_loop import Scenario
 from benchmarks.lib.qp.torture import least_violation
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import episodes, qps, returns
+from benchmarks.lib.robustness import episodes, qps, returns, work
 from benchmarks.lib.robustness.draw import CLASSES, SHAPES, draw, multipliers_of_dynamics
 from benchmarks.lib.robustness.hostile import Data
 from benchmarks.lib.robustness.judge import LIMITS, judge
 from benchmarks.lib.robustness.stage_package import SCALARS, SOLVERS, Answer, options, rounded, stage_ocp
 from benchmarks.lib.robustness.subjects import Candidate, candidates
-from nmpc_codegen import Controller, Status, build
+from examples import crane
+from nmpc_codegen import Controller, Options, Status, build
 from tests.oracles.stage_qp import StageQP, distance, row_values
 from tests.oracles.stage_qp_random import condensed_rows
 
@@ -124,6 +126,15 @@ def test_a_row_that_is_barely_violated_is_seen() -> None:
             assert (judge(moved, qp.optimum, lam, LIMITS["double"]).violation > LIMITS["double"]) is wrong
     nothing = dataclasses.replace(qp.optimum, du=np.full_like(qp.optimum.du, np.nan))
     assert judge(qp, nothing, lam, LIMITS["double"]).wrong(LIMITS["double"])
+
+
+def test_rounding_at_zero_is_no_error() -> None:
+    """A control at its bound 0, and nothing else that has a size: 1e-17 beside it is as good."""
+    qp = small("integer", 149)
+    assert qp.optimum is not None
+    assert not np.any(qp.optimum.du)
+    beside = dataclasses.replace(qp.optimum, du=qp.optimum.du - 1e-17)
+    assert not judge(qp, beside, multipliers_of_dynamics(qp), LIMITS["double"]).wrong(LIMITS["double"])
 
 
 def test_a_multiplier_of_the_wrong_sign_is_seen() -> None:
@@ -240,3 +251,31 @@ def test_a_broken_contract_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     report = Report("test")
     returns.report_outcomes(report, candidates()[:1], [out], scale=1e-6)
     assert report.worst()["contract_violations"].value == 3
+
+
+def test_an_episode_can_be_seen_again(capsys: pytest.CaptureFixture[str]) -> None:
+    chosen, _ = subject()
+    episodes.replay(f"{chosen}/5")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].endswith("converged")
+    assert 1 + episodes.AGREED <= len(lines) - 1 <= 1 + episodes.LATER
+
+
+# Work -----------------------------------------------------------------------------------------------------------------
+
+
+def test_operations_of_a_recorded_loop() -> None:
+    """At rest every sample costs the same; a set point that is far costs more where it comes, without bounds less."""
+    require_tool("cxx")
+    far, near = ((5.0, 0, 0, 0, 0), (5.0, 0, 0, 0)), ((0.0,) * 5, (0.0,) * 4)
+    scenario = Scenario((0.0,) * 4, 0.3, 4, set_points=(near, far))
+    loop = work.Loop("crane", lambda: crane.build_ocp(False), Options(), scenario)
+    recorded = work.record(loop, 6, [])
+    free = work.record(loop, 6, [0])
+    counted, opened = work.count(loop, recorded, free)
+    np.testing.assert_allclose(counted.u, recorded.u, rtol=0, atol=1e-9)
+    assert np.all(counted.status == Status.OK)
+    assert np.ptp(counted.operations[:4]) == 0
+    assert counted.operations[4] > counted.operations[0] > 1000
+    assert np.max(np.abs(free.u)) > 1.5 > np.max(np.abs(recorded.u))
+    assert opened.operations[4] < counted.operations[4]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.lib.house.coverage import all_parts, gaps, reached
+from benchmarks.lib.house.coverage import all_parts, covering, gaps, reached
 from benchmarks.lib.house.samples import SAMPLES
 from benchmarks.lib.house.unresolved import lowered, objects_differ, texts
 from nmpc_codegen.ir.cmodule import CModule
@@ -29,6 +29,14 @@ def test_coverage_sees_a_missing_part_and_a_condition_of_one_value(modules: tupl
     assert "qp/osqp.c: in no sample" in found
     found = gaps(m for m in modules if not m.switches["SHIFT_RESAMPLE"])
     assert any("#if SHIFT_RESAMPLE is never true" in line for line in found)
+
+
+def test_few_samples_cover_what_all_cover(modules: tuple[CModule, ...]) -> None:
+    named = dict(zip((sample.name for sample in SAMPLES), modules, strict=True))
+    chosen = covering(named)
+    assert len(chosen) < len(SAMPLES) / 2
+    assert gaps(named[name] for name in chosen) == []
+    assert all(gaps(named[name] for name in chosen if name != left_out) for left_out in chosen[-3:])
 
 
 def test_coverage_walks_included_parts(modules: tuple[CModule, ...]) -> None:

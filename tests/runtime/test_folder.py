@@ -51,9 +51,7 @@ def test_every_file_is_sealed_and_every_byte_counts() -> None:
 
 
 def test_seals_are_those_of_generate() -> None:
-    first, second = generate(tiny()), generate(tiny())
-    assert first == second
-    assert all(intact(text.encode()) for text in first.values())
+    assert all(intact(text.encode()) for text in generate(tiny()).values())
 
 
 # -- the cases of the benchmark, by Python ----------------------------------------------------------------------------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
 import os
 import shutil
 import signal
@@ -63,10 +65,20 @@ def module(cache: Path) -> Path:
     return found
 
 
+@functools.cache
+def _filled() -> Path:
+    """A cache that holds the toy package, made once."""
+    folder = tempfile.TemporaryDirectory(prefix="cache-")
+    atexit.register(folder.cleanup)
+    cache = Path(folder.name) / "cache"
+    if not opens(cache, ROOT / "tests" / "data" / "toy"):
+        raise RuntimeError("the toy package does not open")
+    return cache
+
+
 def _damaged(damage: Callable[[Path], object]) -> Callable[[Path, Path], bool]:
     def fault(cache: Path, package: Path) -> bool:
-        if not opens(cache, package):
-            return False
+        shutil.copytree(_filled(), cache)
         before = module(cache).stat().st_ino
         good = module(cache).read_bytes()
         keep = os.open(module(cache), os.O_RDONLY)  # so that its inode number is not given to the new file

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from nmpc_codegen import OCP, BuildError, ExportError, compiler, export, open_package
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.runtime.folder import STAGING
 from nmpc_codegen.runtime.seal import package_of
 
@@ -217,21 +219,23 @@ def unwritable(tiny: Make, root: Path, look: Callable[[Path], Tree]) -> str:
 
 @contextmanager
 def generated_once() -> Iterator[None]:
-    """export() takes the texts of equal problems from a store, as only the writing is tested here."""
-    store: dict[str, dict[str, str]] = {}
-    generate = compiler.generate
+    """export() takes the texts of equal problems from a store: as only the writing is tested here."""
+    modules: dict[str, CModule] = {}
+    texts: dict[int, Sources] = {}
+    compiled, render = compiler.compiled, compiler.render
 
-    def stored(ocp: OCP, *rest: Any) -> dict[str, str]:
+    def stored(ocp: OCP, *rest: Any) -> CModule:
         key = str((ocp.derivatives, *rest))
-        if key not in store:
-            store[key] = generate(ocp, *rest)
-        return store[key]
+        if key not in modules:
+            modules[key] = compiled(ocp, *rest)
+            texts[id(modules[key])] = render(modules[key])
+        return modules[key]
 
-    compiler.generate = stored
+    compiler.compiled, compiler.render = stored, lambda module: texts[id(module)]
     try:
         yield
     finally:
-        compiler.generate = generate
+        compiler.compiled, compiler.render = compiled, render
 
 
 def run(

@@ -41,6 +41,19 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
     return parts, values
 
 
+def covering(modules: Mapping[str, CModule]) -> list[str]:
+    """Names of a few modules that together reach every part and every value of a condition that all of them reach."""
+    found: dict[str, set[object]] = {}
+    for name, module in modules.items():
+        parts, values = reached([module])
+        found[name] = {*parts, *((place, value) for place, both in values.items() for value in both)}
+    missing, chosen = set[object]().union(*found.values()), list[str]()
+    while missing:
+        chosen.append(max(found, key=lambda name: len(found[name] & missing)))
+        missing -= found[chosen[-1]]
+    return chosen
+
+
 def gaps(modules: Iterable[CModule]) -> list[str]:
     """Gaps of the modules: parts that none uses, conditions that are never true or never false."""
     parts, values = reached(modules)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.lib import scenarios
-from benchmarks.lib.closed_loop import Scenario
+from benchmarks.lib.closed_loop import Scenario, disturbed
 from benchmarks.lib.house.ratios import scenario_of
 from benchmarks.lib.house.timed import TIMED, Sample
 from benchmarks.lib.quality import package_name, written
@@ -63,15 +63,11 @@ def disagreement(u: Array) -> float:
 
 def record(controller: Controller, scenario: Scenario, n: int) -> Array:
     """(n, nx): measured states of a closed loop under the declared reference, with the events of the scenario."""
-    random, x0 = np.random.default_rng(1), np.array(scenario.x0, dtype=float)
-    x, found = x0.copy(), []
+    random = np.random.default_rng(1)
+    x, found = np.array(scenario.x0, dtype=float), []
     for k in range(n):
         if k % scenario.period == 0:
-            if scenario.restart:
-                x = x0 * (1 + scenario.restart * random.uniform(-1, 1, x.size))
-            x = x + scenario.amplitude * random.uniform(-1, 1, x.size)
-            for _ in range(scenario.pushes):
-                x = np.asarray(controller.integrate(x, np.array(scenario.push), scenario.dt))
+            x = disturbed(scenario, x, random, controller.integrate)
         found.append(x)
         x = np.asarray(controller.integrate(x, controller.step(x), scenario.dt))
     return np.array(found)

@@ -20,12 +20,13 @@ import shutil
 import subprocess
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from benchmarks.lib.house.coverage import covering
 from benchmarks.lib.house.samples import SAMPLES
 from benchmarks.lib.house.timed import Sample
 from benchmarks.lib.house.unresolved import lowered, texts
@@ -80,12 +81,17 @@ class Finding:
     of_length: bool = False
 
 
-def measure(report: Report, samples: Sequence[Sample] = SAMPLES) -> None:
-    """c_core_lint_findings: per check and in total; printed_kernel_length_findings. Absent if a tool is missing."""
+def measure(report: Report) -> None:
+    """c_core_lint_findings: per check and in total; printed_kernel_length_findings. Absent if a tool is missing.
+
+    The samples are a few that compile every part and in which every `#if` is true once and false once.
+    """
     absent = [tool for tool in TOOLS if shutil.which(tool) is None]
     if absent:
         print(f"lint: {', '.join(absent)} not found; no c_core_lint_findings")
         return
+    chosen = covering({sample.name: lowered(sample) for sample in SAMPLES})
+    samples = [sample for sample in SAMPLES if sample.name in chosen]
     everything = findings(samples)
     found = {finding for finding in everything if not finding.of_length}
     counts = Counter(f"{finding.tool} {finding.check}" for finding in found)

@@ -152,7 +152,8 @@ class Timed:
     def agrees(self, qp: StageQP) -> bool:
         """True if the last solution is the recorded one."""
         step = self.memory["step"]
-        return distance(qp, Point(step["dx"], step["du"], step["mult_u"], step["mult"])) < SAME
+        mult = step["mult"] if "mult" in step.dtype.names else np.zeros(0)  # no member without rows
+        return distance(qp, Point(step["dx"], step["du"], step["mult_u"], mult)) < SAME
 
     def time(self, qp: StageQP, *, cold: bool, repeats: int = REPEATS) -> float:
         """Minimum time (us) of both phases, without or with the last working set; NaN: not the recorded solution."""

@@ -1,6 +1,7 @@
 """One bad datum, then good ones: whether a controller finds back to what one would do that never saw it.
 
     python -m benchmarks.robustness --only episodes [--scale S]
+    python -m benchmarks.robustness --replay "CONTROLLER/EPISODE"
 
 A controller that has converged for a measured state gets one sample with a bad datum: a state, a reference, a weight, a
 parameter, bounds, or numbers written over its plan. From then on everything is as before. It is locked up if it is not
@@ -68,7 +69,7 @@ class Loop:
     def __init__(self, controller: Controller, rest: Array, spread: Array, seed: int) -> None:
         self.c = controller
         self.data = Data(controller)
-        self.rng = np.random.default_rng([41, seed])
+        self.seed, self.rng = seed, np.random.default_rng([41, seed])
         self.precision = "double" if controller.view("x").dtype == np.float64 else "single"
         known = dict(zip(controller.names.rows, self.data.bounds, strict=True))
         bounds = np.array([known.get(name, (-np.inf, np.inf)) for name in controller.names.controls])
@@ -112,12 +113,12 @@ class Loop:
         kinds = ["state", "plan", *self.data.kinds()]
         kind = kinds[number // STATES % len(kinds)]
         self.c._memory[:] = peace.memory
+        self.rng = np.random.default_rng([41, self.seed, number])
         self.spoil(kind, peace.xhat)
-        self._watch(out, kind, peace, number)
+        if peace.ok:  # else nobody is OK there
+            self._watch(out, kind, peace, number)
 
     def _watch(self, out: Outcome, kind: str, peace: Peace, number: int) -> None:
-        if not peace.ok:
-            return  # nobody is OK there
         out.episodes += 1
         out.compared += peace.converged
         first, agreed, statuses = 0, 0, []
@@ -134,10 +135,10 @@ class Loop:
         out.recovery.setdefault(kind, []).append(first or LATER)
         if not 0 < first <= PATIENCE:
             out.never_ok[kind] += 1
-            out.examples.append(f"episode {number}, {kind}: {Counter(statuses).most_common(2)}")
+            out.examples.append(f"{number}, {kind}: {Counter(statuses).most_common(2)}")
         elif agreed == 0:
             out.elsewhere[kind] += 1
-            out.examples.append(f"episode {number}, {kind}: {u} for {peace.u}, {Counter(statuses).most_common(2)}")
+            out.examples.append(f"{number}, {kind}: {u} for {peace.u}, {Counter(statuses).most_common(2)}")
 
 
 def run(job: tuple[Controller, Array, Array, int, int]) -> Outcome:
@@ -178,6 +179,30 @@ def report_outcomes(report: Report, chosen: tuple[Candidate, ...], outcomes: lis
         for kind, samples in out.recovery.items():
             every.setdefault(kind, []).extend(samples)
         for line in out.examples[:2]:
-            print(f"{candidate}: {line}")
+            print(f'--replay "{candidate}/{line.partition(",")[0]}": {line.partition(", ")[2]}')
     for kind, samples in every.items():
         report.add("recovery_p99", float(np.percentile(samples, 99)), "samples", case=kind, n=len(samples))
+
+
+def replay(name: str) -> None:
+    """Print an episode: the bad sample and those after it.
+
+    Args:
+        name: "controller/number", as the benchmark prints it.
+    """
+    label, _, number = name.rpartition("/")
+    seed, candidate = next((i, c) for i, c in enumerate(candidates()) if str(c) == label)
+    (controller,) = built([candidate])
+    with np.errstate(all="ignore"):
+        loop = Loop(controller, candidate.subject.rest, candidate.subject.spread, seed)
+        peace = loop.peaceful[int(number) % STATES]
+        print(f"in peace at {peace.xhat}: {peace.u}, {'converged' if peace.converged else 'not converged'}")
+        real = controller.step
+
+        def told(x: Array) -> Array:
+            u = real(x)
+            print(f"{x} -> {u} {controller.status.name}; x_1 = {controller.x[1]}, u_0 = {controller.u[0]}")
+            return u
+
+        vars(controller)["step"] = told
+        loop.episode(Outcome(), int(number))

@@ -2,8 +2,9 @@
 
 Residuals are relative to the terms whose sum they are. A row sums c, C_i z_i and its bound, and what it sums of a state
 is what the dynamics sum up for it; the largest of a component over the horizon counts, because rounding travels along
-it. A component of the gradient is relative to the largest sum of its terms over the horizon. So no figure depends on
-the units of a state, a control, a row or the cost.
+it. A component of the gradient is relative to the largest sum of its terms over the horizon. A variable counts as no
+smaller than its unit, so that a solution at zero is not judged by its own rounding. So no figure depends on the units
+of a state, a control, a row or the cost.
 
 Multipliers count only where they may: > 0 at an upper bound, < 0 at a lower one, 0 elsewhere. What a solver states
 beyond that is left out before the gradient is summed up, so that complementarity is judged as stationarity.
@@ -52,11 +53,11 @@ def _ratio(a: Array, b: Array) -> Array:
 
 
 def _component_sizes(qp: StageQP, p: Point) -> tuple[Array, Array]:
-    """Largest sum of terms of every state, and largest value of every control, over the horizon."""
+    """Largest sum of terms of every state, and largest value of every control, over the horizon; at least a unit."""
     z = np.abs(stacked(p.dx, p.du)[:-1])
     terms = np.einsum("kij,kj->ki", np.abs(qp.S), z) + np.abs(qp.b)
-    x = np.max(np.vstack([terms, np.abs(p.dx), np.abs(qp.dx0)[None]]), axis=0)
-    return x, np.max(np.abs(p.du), axis=0)
+    x = np.max(np.vstack([terms, np.abs(p.dx), np.abs(qp.dx0)[None], qp.unit_x[None]]), axis=0)
+    return x, np.max(np.vstack([np.abs(p.du), qp.unit_u[None]]), axis=0)
 
 
 def _rows(qp: StageQP, p: Point, sizes: tuple[Array, Array]) -> tuple[Array, Array, Array, Array]:
@@ -111,8 +112,9 @@ def _stationarity(qp: StageQP, stated: Point, p: Point, lam: Array) -> tuple[flo
     T, T_N = cost_gradient(qp, stated, absolute=True)
     T = T + np.einsum("kji,kj->ki", np.abs(qp.S), np.abs(lam[1:]))
     T[:, :nx] += np.abs(lam[:N])
-    size = np.max(T, axis=0)
-    size[:nx] = np.maximum(size[:nx], T_N + np.abs(lam[N]))
+    unit = np.concatenate([qp.unit_x, qp.unit_u])
+    size = np.maximum(np.max(T, axis=0), np.max(np.abs(qp.Q) @ unit, axis=0))
+    size[:nx] = np.maximum(np.maximum(size[:nx], T_N + np.abs(lam[N])), np.abs(qp.Q_N) @ qp.unit_x)
     residual = _ratio(np.abs(G), size[None])
     last = _ratio(np.abs(G_N - lam[N]), size[:nx])
     if np.max(last) > np.max(residual):

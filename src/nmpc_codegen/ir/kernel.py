@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 
@@ -114,8 +116,7 @@ class Port:
         return self.rows * self.cols if self.cols else self.rows
 
 
-@dataclass(frozen=True)
-class Instruction:
+class Instruction(NamedTuple):
     """value[i] = op(value[args]); for OP_CONST it is ``constant``, for OP_INPUT ``args`` is (port, element)."""
 
     opcode: int
@@ -138,7 +139,7 @@ class Kernel:
     instructions: tuple[Instruction, ...]
     stores: tuple[tuple[int, int, int], ...]
 
-    @property
+    @cached_property
     def count(self) -> OpCount:
         """Operations of one evaluation."""
         tally: dict[str, int] = {}
@@ -243,8 +244,10 @@ def lift(function: Function, name: str, doc: str, inputs: Sequence[Port], output
             work[o[0]] = numbering.number(Instruction(opcode, tuple(work[a] for a in args)))
         else:
             raise ProblemError(f"{name}: {opcode_name(opcode)} has no C code; use elementary operations only")
-    live, live_stores = _live(numbering.instructions, stores)
-    return Kernel(name, doc, tuple(inputs), tuple(outputs), *_live(*_reciprocals(live, live_stores)))
+    program = _live(numbering.instructions, stores)
+    if any(ins.opcode in (ca.OP_DIV, ca.OP_INV) for ins in program[0]):
+        program = _live(*_reciprocals(*program))
+    return Kernel(name, doc, tuple(inputs), tuple(outputs), *program)
 
 
 def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
@@ -296,6 +299,8 @@ def _live(
         if live[index] and ins.opcode in OPERATIONS:
             for a in ins.args:
                 live[a] = True
+    if all(live):
+        return tuple(instructions), tuple(stores)
     new: dict[int, int] = {}
     kept: list[Instruction] = []
     for index, ins in enumerate(instructions):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -126,7 +126,7 @@ class Expressions:
         return f"{target} = {self._texts[value]}"
 
     def _nested(self, ins: Instruction) -> str:
-        operands = dict(enumerate(self._texts))
+        operands = {a: self._texts[a] for a in ins.args}
         for position, a in enumerate(ins.args):
             inner = self._kernel.instructions[a].opcode
             alone = not (inner in OPERATIONS and " " in self._texts[a]) or OPERATIONS[inner].function
@@ -139,7 +139,7 @@ class Expressions:
         loads = [self._kernel.instructions[a] for a in ins.args]
         if not OPERATIONS[ins.opcode].commutative or any(load.opcode != ca.OP_INPUT for load in loads):
             return ins
-        return replace(ins, args=tuple(a for _, a in sorted(zip((x.args for x in loads), ins.args, strict=True))))
+        return ins._replace(args=tuple(a for _, a in sorted(zip((x.args for x in loads), ins.args, strict=True))))
 
 
 _SUMS = (ca.OP_ADD, ca.OP_SUB)

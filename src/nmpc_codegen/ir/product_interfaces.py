@@ -11,12 +11,7 @@ from dataclasses import dataclass, field
 
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, Node, Place, Size, Sweep, looped
-
-# Number of columns of a dense matrix that are processed together; leading dimensions are rounded up to a multiple.
-PANEL = 4
-
-# Number of columns of G_k that condensing processes together: more than PANEL, so that S and Q are loaded less often.
-COLUMNS = 8
+from nmpc_codegen.ir.tuning import COLUMNS
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,16 +9,14 @@ from typing import Protocol
 import casadi as ca
 
 from nmpc_codegen.ir.casadi_types import Expression
-from nmpc_codegen.ir.product_interfaces import COLUMNS, Interface, Interfaces
+from nmpc_codegen.ir.product_interfaces import Interface, Interfaces
 from nmpc_codegen.ir.sweep import Affine, Call, Entries, For, If, LoopedRoutine, Node, Place, Size, Slice
+from nmpc_codegen.ir.tuning import COLUMNS, TERMS
 
 Pattern = frozenset[tuple[int, int]]
 
 #: (stored row, stored column, j) of a nonzero (i, j) of a symmetric matrix.
 Entry = tuple[int, int, int]
-
-# Number of products that are summed before the sum is added to the total of a row.
-TERMS = 4
 
 
 class StageSweeps(Protocol):

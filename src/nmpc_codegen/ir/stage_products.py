@@ -10,13 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from nmpc_codegen.ir.kernel import OpCount
-from nmpc_codegen.ir.product_interfaces import PANEL as PANEL
 from nmpc_codegen.ir.product_sweeps import Loops, StageSweeps, WrittenOut
 from nmpc_codegen.ir.product_sweeps import Pattern as Pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine, nonzeros
-
-# Largest number of nonzeros of S, Q and Q_N together for which straight-line code is written.
-WRITTEN_OUT = 256
+from nmpc_codegen.ir.tuning import WRITTEN_OUT
 
 
 @dataclass(frozen=True)
@@ -55,12 +52,12 @@ class Products:
         """The products with a vector that a package contains, with or without state_step()."""
         return {name: routine for name, routine in self.vectors.items() if with_state_step or name != "state_step"}
 
-    @property
+    @cached_property
     def counts(self) -> Mapping[str, OpCount]:
         """Operations of one run of every product with a vector, by C function."""
         return {name: routine.count for name, routine in self.vectors.items()}
 
-    @property
+    @cached_property
     def column_counts(self) -> Mapping[str, OpCount]:
         """Operations on one panel of columns, by C function."""
         return {name: routine.count for name, routine in self.panels.items()}

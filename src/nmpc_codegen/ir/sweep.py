@@ -239,7 +239,7 @@ class LoopedRoutine:
     def outputs(self) -> tuple[Port, ...]:
         return self.sweep.outputs
 
-    @property
+    @cached_property
     def count(self) -> OpCount:
         """Operations of one run, over all iterations of the loops."""
         return _count(self.sweep.body, self.leaves, {})

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from nmpc_codegen.components.base import Dims, QpDims, QpShape
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.cmodule import Size
-from nmpc_codegen.ir.stage_products import PANEL
+from nmpc_codegen.ir.tuning import PANEL
 
 
 def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool) -> Dims:

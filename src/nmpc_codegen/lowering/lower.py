@@ -27,8 +27,8 @@ from nmpc_codegen.ir.cmodule import (
     struct_layout,
 )
 from nmpc_codegen.ir.kernel import OpCount
-from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.placement import placed

@@ -10,11 +10,13 @@ from __future__ import annotations
 import ast
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
-_INCLUDE = re.compile(r'#include "([\w/]+\.c)"')
+_INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
 _DIRECTIVE = re.compile(r"#(if|elif|else|endif)\b\s*(.*)")
 _ANY_DIRECTIVE = re.compile(r"\s*#\s*(?:if|elif|else|endif)")
 _NO_CODE = re.compile(r"/\*.*?\*/|//[^\n]*|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", re.DOTALL)
@@ -41,19 +43,26 @@ def template_directory() -> Path:
 
 
 def read_part(path: str, generated: Callable[[str], str]) -> str:
-    """Text of a part below templates/ with the parts that it includes; ``generated`` returns the generated ones."""
-    lines = (template_directory() / path).read_text(encoding="utf-8").splitlines()
-    return "\n".join(text for line in lines for text in _inlined(line, generated)) + "\n"
+    """Text of a part below templates/, with the parts that it includes; ``generated`` returns the generated ones."""
+    text, *included = _pieces(path)
+    for include, following in zip(included[::2], included[1::2], strict=True):
+        inner = generated(include) if include.startswith("generated/") else read_part(include, generated)
+        text += inner.rstrip("\n") + "\n" + following
+    return text
 
 
-def _inlined(line: str, generated: Callable[[str], str]) -> Iterator[str]:
-    include = _INCLUDE.match(line)
-    if include is None:
-        yield line
-    elif include[1].startswith("generated/"):
-        yield from generated(include[1]).splitlines()
-    else:
-        yield from read_part(include[1], generated).splitlines()
+@cache
+def _pieces(path: str) -> tuple[str, ...]:
+    """Text of a file below templates/, the path of the part that follows, text after it, and so on."""
+    return tuple(_INCLUDE.split((template_directory() / path).read_text(encoding="utf-8").rstrip("\n") + "\n"))
+
+
+class _Line(NamedTuple):
+    """A line, what of it is a directive ("" if none is), and its braces of code."""
+
+    text: str
+    directive: str
+    braces: tuple[str, ...]
 
 
 @dataclass
@@ -77,23 +86,31 @@ def resolve(text: str, sizes: Mapping[str, int]) -> str:
     kept: list[str] = []
     stack: list[_Open] = []
     depth = 0
-    lines = text.splitlines()
-    for number, (line, code) in enumerate(zip(lines, _code(text).splitlines(), strict=True), 1):
+    for number, line in enumerate(_scanned(text), 1):
         try:
-            if _ANY_DIRECTIVE.match(code):
-                _decide(code, stack, depth, sizes)
+            if line.directive:
+                _decide(line.directive, stack, depth, sizes)
                 continue
-            for brace in _BRACES.findall(code):
+            for brace in line.braces:
                 depth += 1 if brace == "{" else -1
                 if stack and depth < stack[-1].depth:
                     raise ValueError("a branch of an #if closes a brace that it has not opened")
         except ValueError as error:
-            raise ValueError(f"line {number}, {line.strip()!r}: {error}") from error
-        if all(branch.counts for branch in stack):
-            kept.append(line)
+            raise ValueError(f"line {number}, {line.text.strip()!r}: {error}") from error
+        if not stack or stack[-1].counts:  # a branch counts only if those around it do
+            kept.append(line.text)
     if stack:
         raise ValueError("#if without #endif")
     return "\n".join(kept) + "\n"
+
+
+@lru_cache
+def _scanned(text: str) -> tuple[_Line, ...]:
+    """The lines of a part; most parts are the same in every package."""
+    pairs = zip(text.splitlines(), _code(text).splitlines(), strict=True)
+    return tuple(
+        _Line(line, code if _ANY_DIRECTIVE.match(code) else "", tuple(_BRACES.findall(code))) for line, code in pairs
+    )
 
 
 def _code(text: str) -> str:
@@ -132,12 +149,18 @@ def evaluate(condition: str, sizes: Mapping[str, int]) -> bool:
 
     Python parses it, with `!` replaced by `~`, which binds as tightly; C's own `~` is not allowed here.
     """
+    return bool(_value(_expression(condition), sizes))
+
+
+@lru_cache(maxsize=1024)
+def _expression(condition: str) -> ast.expr:
+    """The condition as Python reads it; most conditions are the same in every package."""
     text = re.sub(r"/\*.*?\*/", "", condition).strip()
     if "~" in text or _WORDS.search(text):
         raise ValueError(f"#if {condition}: not an integer expression")
     text = re.sub(r"!(?!=)", "~", text).replace("&&", " and ").replace("||", " or ")
     try:
-        return bool(_value(ast.parse(text, mode="eval").body, sizes))
+        return ast.parse(text, mode="eval").body
     except SyntaxError as error:
         raise ValueError(f"#if {condition}: not an integer expression") from error
 

@@ -7,7 +7,7 @@ crane_solver_t. Only names that the unit uses are defined.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from textwrap import wrap
 
 from nmpc_codegen.ir.cmodule import CModule
@@ -28,6 +28,8 @@ WIDTH = 114
 REAL_CONSTANT = ("R", "x", "((real_t)(x))")
 
 
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
+
 # (name, arguments or None, text)
 Definition = tuple[str, str | None, str]
 
@@ -37,10 +39,9 @@ def unit_style(precision: str) -> CStyle:
     return CStyle("real_t", precision == "single")
 
 
-def preamble(module: CModule, body: str) -> str:
-    """Type definitions and macros that ``body`` uses."""
-    found = definitions(module, body)
-    used = names_in(body, *(text for _, _, text in found))
+def preamble(module: CModule, known: Sequence[Definition], body: Collection[str]) -> str:
+    """Type definitions and those macros of ``known`` that a text with the identifiers ``body`` uses."""
+    found, used = definitions(known, body)
     types = [*(s.name for s in module.structs), "status"]
     lines = [f"typedef {module.name}_real real_t;"]
     lines += [f"typedef {module.name}_{name}_t {name}_t;" for name in types if f"{name}_t" in used]
@@ -50,23 +51,22 @@ def preamble(module: CModule, body: str) -> str:
     return "\n".join(lines)
 
 
-def definitions(module: CModule, body: str) -> list[Definition]:
-    """The macros that ``body`` uses, directly or through other macros."""
-    known = _definitions(module)
-    used = names_in(body)
+def definitions(known: Sequence[Definition], body: Collection[str]) -> tuple[list[Definition], set[str]]:
+    """Macros that a text with the identifiers ``body`` uses, also through other macros, and all its identifiers."""
+    used = set(body)
     found: set[str] = set()
     while more := {name for name, _, _ in known if name in used} - found:
         found |= more
         used |= names_in(*(text for name, _, text in known if name in more))
-    return [definition for definition in known if definition[0] in found]
+    return [definition for definition in known if definition[0] in found], used
 
 
 def names_in(*texts: str) -> set[str]:
     """The identifiers of C texts."""
-    return {name for text in texts for name in re.findall(r"[A-Za-z_]\w*", text)}
+    return {name for text in texts for name in _IDENTIFIER.findall(text)}
 
 
-def _definitions(module: CModule) -> list[Definition]:
+def all_definitions(module: CModule) -> list[Definition]:
     """Every macro that a unit may use."""
     p, P = module.name, module.macro
     constants = [(m.name, f"{P}_{m.name}") for m in module.macros if m.name != "MAGIC"]

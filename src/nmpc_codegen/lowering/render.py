@@ -6,6 +6,7 @@ No other module imports jinja2.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 from functools import cache
 from itertools import groupby
 from textwrap import wrap
@@ -18,7 +19,15 @@ from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.lowering.generated import GENERATED
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
-from nmpc_codegen.lowering.preamble import conditions, definitions, names_in, preamble, unit_style
+from nmpc_codegen.lowering.preamble import (
+    Definition,
+    all_definitions,
+    conditions,
+    definitions,
+    names_in,
+    preamble,
+    unit_style,
+)
 from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
 
 #: Maximum length of a comment line in the header without its margin.
@@ -54,9 +63,10 @@ def context(prefix: str, precision: str) -> dict[str, Any]:
 def render(module: CModule, resolved: bool = True) -> Sources:
     """All files of the package. Unless ``resolved``, the `#if`s of the parts are left to the compiler, for tests."""
     names = _names(module)
-    body = render_unit(module, names, resolved)
-    tables = render_tables(module, names, body if resolved else render_unit(module, names))
-    short_names = preamble(module, tables + body)
+    body, known = render_unit(module, names, resolved), all_definitions(module)
+    words = names_in(body)
+    tables = render_tables(module, names, known, words if resolved else names_in(render_unit(module, names)))
+    short_names = preamble(module, known, words | names_in(tables))
     names["system_headers"] = ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"]
     names |= {"body": body, "tables": tables, "preamble": short_names if resolved else short_names + conditions(module)}
     files = {
@@ -92,9 +102,9 @@ def _names(module: CModule) -> dict[str, Any]:
     return names
 
 
-def render_tables(module: CModule, names: dict[str, Any], body: str) -> str:
-    """The tables that the body reads, directly or through macros of the preamble."""
-    used = names_in(body, *(text for _, _, text in definitions(module, body)))
+def render_tables(module: CModule, names: dict[str, Any], known: Sequence[Definition], body: Collection[str]) -> str:
+    """The tables that a body with these identifiers reads, directly or through macros of the preamble."""
+    _, used = definitions(known, body)
     tables = [t for t in module.tables if t.name in used and t.values]
     return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal, get_args
@@ -51,18 +52,18 @@ class OpCount:
     other: int = 0
 
     def __add__(self, o: OpCount) -> OpCount:
-        return OpCount(*(getattr(self, f.name) + getattr(o, f.name) for f in fields(self)))
+        return OpCount(*map(operator.add, vars(self).values(), vars(o).values()))
 
     def __mul__(self, times: int) -> OpCount:
-        return OpCount(*(getattr(self, f.name) * times for f in fields(self)))
+        return OpCount(*(count * times for count in vars(self).values()))
 
     @property
     def total(self) -> int:
         """All operations, every class counted once."""
-        return sum(getattr(self, f.name) for f in fields(self))
+        return sum(vars(self).values())
 
     def as_dict(self) -> dict[str, int]:
-        return {f.name: getattr(self, f.name) for f in fields(self)}
+        return dict(vars(self))
 
 
 @dataclass(frozen=True)

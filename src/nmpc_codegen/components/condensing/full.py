@@ -16,7 +16,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.model import ModelFunctions
-from nmpc_codegen.ir.product_interfaces import COLUMNS
+from nmpc_codegen.ir.tuning import COLUMNS
 
 
 def _panels(width: int) -> int:

@@ -17,17 +17,12 @@ import casadi as ca
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function, nonzeros
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, lift
+from nmpc_codegen.ir.tuning import CLOSED_STATES, TAPE_PER_COMPONENT
 
 Entry = tuple[int, int]
 
 #: Number of an instruction -> its value.
 Values = Callable[[int], Expression]
-
-# Maximum length, per component of (x, u), of a tape that is stored for every stage; a longer one is evaluated again.
-TAPE_PER_COMPONENT = 8
-
-# Maximum number of components that a column of S may reach if it is written as a function of time alone.
-CLOSED_STATES = 3
 
 
 class Derivatives:

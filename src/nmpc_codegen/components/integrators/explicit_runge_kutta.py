@@ -33,6 +33,7 @@ from nmpc_codegen.ir.sweep import (
     looped,
     straight,
 )
+from nmpc_codegen.ir.tuning import AUTO_INSTRUCTIONS, AUTO_STATEMENTS
 
 Unroll = Literal["auto", "all", "step", "none"]
 
@@ -43,12 +44,6 @@ MAX_STRAIGHT = 100_000
 # Limits on the steps of a backward sweep and on the numbers that it stores, which are on the stack.
 MAX_BACKWARD_STEPS = 200
 MAX_KEPT = 1 << 16
-
-# unroll="auto": the largest straight-line program, in instructions, before loops are preferred
-AUTO_INSTRUCTIONS = 2500
-
-# The same for second derivatives, whose loops over columns stay: the largest program in statements of all leaves.
-AUTO_STATEMENTS = 4000
 
 SCHEMES: dict[str, type[ThreeSweeps] | type[AdjointSweep]] = {
     "symmetric": ThreeSweeps,

@@ -13,8 +13,8 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep
+from nmpc_codegen.ir.tuning import PANEL
 
 
 def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:

@@ -22,11 +22,8 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.ir.kernel import Port, lift
 from nmpc_codegen.ir.passes import copy, fixed, shifted
-from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
-
-# Longest tape for which the sweeps are staggered, because staggering doubles the code of their loops.
-STAGGERED_TAPE = 32
+from nmpc_codegen.ir.tuning import PANEL, STAGGERED_TAPE
 
 Local = tuple[str, int]
 Groups = Sequence[Sequence[Node]]

@@ -8,20 +8,10 @@ from __future__ import annotations
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.derivatives import TAPE_PER_COMPONENT
 from nmpc_codegen.components.integrators.second_order import Builder, Local, constant
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.stage_products import PANEL
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
-
-# Up to this number of panels of rows, each panel has a loop of its own with constant bounds.
-WRITTEN_PANELS = 3
-
-# Longest tape that is evaluated for all stages of a step at once; f is then printed inline at every stage.
-LONGEST_TAPE = 128
-
-# Number of factors of the rows of one panel that are held in registers.
-FACTORS = 12
+from nmpc_codegen.ir.tuning import FACTORS, LONGEST_TAPE, PANEL, TAPE_PER_COMPONENT, WRITTEN_PANELS
 
 
 class ThreeSweeps(Builder):

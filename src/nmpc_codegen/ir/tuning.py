@@ -1,0 +1,41 @@
+"""All constants that were chosen for speed: they change the form of the generated code, never its results.
+
+Each names the benchmark that decides it: a different value is measured there before it is changed here.
+"""
+
+from __future__ import annotations
+
+#: Number of columns of a dense matrix that are processed together; leading dimensions are rounded up to a multiple.
+#: benchmarks.qp
+PANEL = 4
+
+#: Number of columns of G_k that condensing processes together: more than PANEL, so that S and Q are loaded less often,
+#: and not all of them, so that their memory is that of the QP solver. benchmarks.house
+COLUMNS = 8
+
+#: Largest number of nonzeros of S, Q and Q_N together for which straight-line products are written. benchmarks.qp
+WRITTEN_OUT = 256
+
+#: Number of products that are summed before the sum is added to the total of a row. benchmarks.tracking
+TERMS = 4
+
+#: unroll="auto": the largest straight-line program, in instructions, before loops are preferred. benchmarks.tracking
+AUTO_INSTRUCTIONS = 2500
+
+#: The same for second derivatives, whose loops over columns remain: the largest program in statements of all leaves.
+#: benchmarks.exact_hessian
+AUTO_STATEMENTS = 4000
+
+#: Second derivatives, benchmarks.exact_hessian:
+#: up to this number of panels of rows, each panel has a loop of its own with constant bounds;
+WRITTEN_PANELS = 3
+#: the longest tape that is evaluated for all stages of a step at once; f is then printed inline at every stage;
+LONGEST_TAPE = 128
+#: the number of factors of the rows of one panel that are held in registers;
+FACTORS = 12
+#: the longest tape for which the sweeps are staggered, because staggering doubles the code of their loops;
+STAGGERED_TAPE = 32
+#: the longest tape, per component of (x, u), that is stored for every stage; a longer one is evaluated again;
+TAPE_PER_COMPONENT = 8
+#: the number of components that a column of S may reach if it is written as a function of time alone.
+CLOSED_STATES = 3
