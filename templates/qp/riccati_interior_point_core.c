@@ -140,7 +140,7 @@ static status_t ipm_run(solver_t *s)
 static status_t ipm_attempt(solver_t *s)
 {
     s->ipm.ready = 0;
-    if (!ipm_first_point(s)) {
+    if (!ipm_near_point(s)) {
         return NUMERICAL_FAILURE;
     }
 #if NG
