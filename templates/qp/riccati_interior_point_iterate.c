@@ -180,12 +180,10 @@ static void ipm_correct_nothing(ipm_t *q)
 /* Second-order correction and centring of the products t lam and e kappa: extra = (target - share dt dlam) / lam
  * replaces dt, and likewise for e. If only a short step along the affine direction is possible, its full correction
  * would be harmful: share < 1. */
-static void ipm_correct(solver_t *s, real_t target, real_t share)
+static void ipm_correct(ipm_t *q, real_t target, real_t share)
 {
-    ipm_t *q = &s->ipm;
     for (int i = 0; i < q->sides; i++) {
-        const real_t most = ipm_largest_product(s, i);
-        q->dt[i] = (((most < target && most > R(0)) ? most : target) - share * q->dt[i] * q->dlam[i]) / q->lam[i];
+        q->dt[i] = (target - share * q->dt[i] * q->dlam[i]) / q->lam[i];
     }
 #if NG
     for (int i = 0; i < q->sides - q->hard; i++) {
@@ -290,7 +288,7 @@ static void ipm_step(solver_t *s)
     share = (share > R(0)) ? share : R(0);
     share = (share < R(1)) ? share : R(1);
     target = share * share * share * q->mu;
-    ipm_correct(s, (target > least) ? target : least, (inverse > R(4)) ? R(4) / inverse : R(1));
+    ipm_correct(q, (target > least) ? target : least, (inverse > R(4)) ? R(4) / inverse : R(1));
     ipm_direction(s);
     inverse = ipm_inverse_step(q);
     way = R(1) - ipm_setback(s);

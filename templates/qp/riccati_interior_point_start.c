@@ -338,25 +338,18 @@ static real_t ipm_warm_distance(const solver_t *s, int i, real_t mu, real_t most
 }
 
 #endif
-/* Distance t of side i without a multiplier: at most half the distance between the bounds, unless the value is
- * farther from the bound. */
+/* Distance t of side i without a multiplier: that of the value moved inside the bounds, sqrt(mu) reach from each of
+ * them or in the middle, so that the distances of a row sum up to the one between its bounds. */
 static real_t ipm_cold_distance(const solver_t *s, int i, real_t root_mu)
 {
     const int c = ipm_row(&s->ipm, i);
-    const real_t half = R(0.5) * (s->qp.upper[c] - s->qp.lower[c]), distance = ipm_distance(s, i);
+    const real_t range = s->qp.upper[c] - s->qp.lower[c], distance = ipm_distance(s, i);
     real_t t = root_mu * s->units.reach[c];
-    t = (half < t && half > R(0)) ? half : t;
+    t = (R(0.5) * range < t && range > R(0)) ? R(0.5) * range : t;
+    if (distance > range - t && range > R(0)) {
+        return range - t;
+    }
     return (distance > t) ? distance : t;
-}
-
-/* Largest product t lam of side i on the central path: the regularisation lets the two multipliers of a row with little
- * room change only slowly, so that they must not become large. */
-static real_t ipm_largest_product(const solver_t *s, int i)
-{
-    const int c = ipm_row(&s->ipm, i);
-    const real_t share = R(4) * TOL_IPM_DUAL_REGULARIZATION / s->ipm.stiffening;
-    const real_t d = (s->qp.upper[c] - s->qp.lower[c]) / s->units.reach[c];
-    return d * d / share;
 }
 
 /* Initial t and lam = mu / t of every side. */
@@ -374,8 +367,7 @@ static void ipm_start_sides(solver_t *s, real_t mu)
         const real_t warm = ipm_warm_distance(s, i, mu, most);
         q->t[i] = (warm > R(0)) ? warm : q->t[i];
 #endif
-        const real_t product = ipm_largest_product(s, i);
-        q->lam[i] = ((product < mu && product > R(0)) ? product : mu) / q->t[i];
+        q->lam[i] = mu / q->t[i];
     }
 #if NG
     for (int i = q->hard; i < q->sides; i++) {
