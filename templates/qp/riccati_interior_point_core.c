@@ -205,6 +205,9 @@ static status_t ipm_solve(solver_t *s)
     }
     status = ipm_attempts(s);
     ipm_write_sides(s);
+    if (status == OK && !qp_is_solution(s)) {
+        status = ITERATION_LIMIT;
+    }
     if (status == NUMERICAL_FAILURE) {
         qp_clear_results(&s->qp);
     }

@@ -352,6 +352,17 @@ static int ipm_converged(solver_t *s)
     return 1;
 }
 
+/* Returns 1 if the iterate is good enough to end the iterations: without curvature, or after many of them, rounding
+ * errors may keep it from the tolerances that the iterations aim at. */
+static int ipm_suffices(solver_t *s)
+{
+    const ipm_t *q = &s->ipm;
+    if (!(q->damping > R(0) || s->qp.iterations > 20) || q->sides == 0) {
+        return 0;
+    }
+    return q->primal <= TOL_QP_ACCEPTED && q->mu <= TOL_QP_ACCEPTED * q->unit && qp_is_solution(s);
+}
+
 /* Stiff rows may cover the gradient with rounding errors. If that persists, the stiffening is reset and limited to a
  * lower value for the rest of the solve. Returns 1 if it is. */
 static int ipm_soften(ipm_t *q, real_t gradient_before)
@@ -463,7 +474,7 @@ static status_t ipm_iterate(solver_t *s)
 #if NG
         done = ipm_ends(q, done, before);
 #endif
-        if (done) {
+        if (done || ipm_suffices(s)) {
             return OK;
         }
 #if NG
