@@ -108,8 +108,13 @@ static status_t qp_factorize(solver_t *s)
     if (!qp_renew(s)) { /* weights and working set may belong to a QP with other scales */
         qp_start_empty(s);
         if (!qp_renew(s)) {
+#if INTERIOR_POINT
+            q->factorized = FACTORS_OTHER; /* the interior point method can regularise more */
+            return OK;
+#else
             q->factorized = FACTORS_NONE;
             return qp_fail(q, NUMERICAL_FAILURE);
+#endif
         }
     }
     q->factorized = FACTORS_READY;

@@ -32,6 +32,9 @@ static void ipm_write_active(solver_t *s)
 #endif
         if (q->lam[i] * square > q->t[i]) {
             s->qp.side[c] = side;
+            if (c < NV && q->t[i] <= TOL_UNIT * SQRT(q->unit) * s->units.reach[c]) {
+                s->qp.z[c] = ipm_bound(s, i); /* exact, as it may be 0 */
+            }
         }
     }
 }

@@ -367,10 +367,25 @@ static int ipm_suffices(solver_t *s)
  * lower value for the rest of the solve. Returns 1 if it is. */
 static int ipm_soften(ipm_t *q, real_t gradient_before)
 {
-    if (q->stiffening > R(1) && q->slope < (real_t)INFINITY && q->slope > R(1024) &&
+    if (q->stiffening > ipm_least_stiffening(q) && q->slope < (real_t)INFINITY && q->slope > R(1024) &&
         q->slope > R(0.5) * gradient_before) {
         q->stiffest = R(0.0625) * q->stiffening;
-        q->stiffening = R(1);
+        q->stiffening = ipm_least_stiffening(q);
+        return 1;
+    }
+    return 0;
+}
+
+/* Proximal point steps are short along directions of little curvature. If the gradient decreases too slowly, the
+ * proximal term is reduced as far as rounding permits. Returns 1 if it is. */
+static int ipm_loosen(ipm_t *q, real_t gradient_before)
+{
+    if (q->damping > R(0) && q->slope < (real_t)INFINITY && q->slope > R(1) && q->slope > R(0.5) * gradient_before &&
+        q->proximity > R(8192) * SQRT(TOL_UNIT)) {
+        q->proximity *= R(0.0625);
+        for (int i = 0; i < NZS; i++) {
+            q->proximal[i] *= R(0.0625);
+        }
         return 1;
     }
     return 0;
@@ -382,10 +397,10 @@ static int ipm_weigh_and_factorize(solver_t *s)
 {
     ipm_weigh(s);
     while (!ipm_factorize(s)) {
-        if (s->ipm.stiffening <= R(1)) {
+        if (s->ipm.stiffening <= ipm_least_stiffening(&s->ipm)) {
             return 0;
         }
-        s->ipm.stiffening = R(1);
+        s->ipm.stiffening = ipm_least_stiffening(&s->ipm);
         ipm_weigh(s);
     }
     return 1;
@@ -469,7 +484,7 @@ static status_t ipm_iterate(solver_t *s)
         if (q->probing && q->slope < (real_t)INFINITY && ipm_any_violation(s)) {
             return OK;
         }
-        changed |= ipm_soften(q, gradient_before);
+        changed |= ipm_soften(q, gradient_before) | ipm_loosen(q, gradient_before);
         done &= !changed;
 #if NG
         done = ipm_ends(q, done, before);

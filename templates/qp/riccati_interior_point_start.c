@@ -45,14 +45,21 @@ static real_t ipm_damping_cost(solver_t *s)
 static void ipm_set_proximal(solver_t *s)
 {
     ipm_t *q = &s->ipm;
+    q->proximity = R(1);
     for (int i = 0; i < NZS; i++) {
         real_t most = R(0);
         for (int k = 0; k < NS; k++) {
             most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
         }
-        most = SQRT(TOL_UNIT) * most;
-        q->proximal[i] = R(64) * ((most > R(0)) ? most : q->least_pivot);
+        q->proximal[i] = (most > R(0)) ? R(0.0009765625) * most : R(64) * q->least_pivot;
     }
+}
+
+/* Least stiffening: a damped problem, whose Hessian is small next to the weights of its rows, has them reduced. */
+static inline real_t ipm_least_stiffening(const ipm_t *q)
+{
+    const real_t least = R(0.0625) * TOL_IPM_DUAL_REGULARIZATION / SQRT(TOL_UNIT);
+    return (q->damping > R(0) && least < R(1)) ? least : R(1);
 }
 
 /* Distance between the bounds of row c, or a fraction of their magnitude if they are closer than that; 0 if one is
@@ -121,6 +128,7 @@ static int ipm_damped_factorization(solver_t *s)
     memset(q->stiffness, 0, sizeof q->stiffness);
 #endif
     q->damping = ipm_damping_cost(s);
+    q->stiffening = ipm_least_stiffening(q);
     ipm_set_proximal(s);
     ipm_first_weights(s);
     return ipm_factorize(s) && ipm_add_equations(s);

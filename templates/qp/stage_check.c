@@ -1,9 +1,11 @@
 /* Contract of this part: the check before OK. The result (x, z, mult) must satisfy the hard rows and the stationarity
  * of the original QP, whatever the solver has concluded from its own, perturbed, conditions. */
 
-/* size[]: largest magnitude of every component of x and z over the stages. */
-static void qp_component_sizes(const qp_t *q, real_t *size)
+/* size[]: largest magnitude of every component of x and z over the stages, and of the sum of the terms of a state in
+ * the dynamics, which may cancel. */
+static void qp_component_sizes(solver_t *s, real_t *size)
 {
+    const qp_t *q = &s->qp;
     for (int k = 0; k <= NS; k++) {
         for (int i = 0; i < NXS; i++) {
             size[i] = (FABS(q->x[k][i]) > size[i]) ? FABS(q->x[k][i]) : size[i];
@@ -11,6 +13,17 @@ static void qp_component_sizes(const qp_t *q, real_t *size)
         for (int j = 0; k < NS && j < NUS; j++) {
             const real_t u = FABS(q->z[k * NUS + j]);
             size[NXS + j] = (u > size[NXS + j]) ? u : size[NXS + j];
+        }
+    }
+    for (int k = 0; k < NS; k++) {
+        real_t z[NZS];
+        qp_stage_point(q, k, z);
+        for (int i = 0; i < NXS; i++) {
+            real_t sum = FABS(stage_b(s, k)[i]);
+            for (int j = 0; j < NZS; j++) {
+                sum += FABS(stage_S(s, k)[i][j] * z[j]);
+            }
+            size[i] = (sum > size[i]) ? sum : size[i];
         }
     }
 }
@@ -55,7 +68,7 @@ static int qp_rows_hold(solver_t *s)
 {
     real_t size[NZS] = {0};
     int holds = 1;
-    qp_component_sizes(&s->qp, size);
+    qp_component_sizes(s, size);
     for (int c = 0; c < NV; c++) {
         holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], size[NXS + c % NUS]);
     }
@@ -146,6 +159,5 @@ static int qp_is_stationary(solver_t *s)
 /* Returns 1 if the result is a solution. Multipliers of rows that are not at their bounds become 0. */
 static int qp_is_solution(solver_t *s)
 {
-    const int rows = qp_rows_hold(s);
-    return qp_is_stationary(s) && rows;
+    return qp_rows_hold(s) && qp_is_stationary(s);
 }

@@ -26,8 +26,8 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "ipm_primal": (2.0**2, "residual of a row, relative to its size"),
     "ipm_stationarity": (2.0**8, "gradient of the Lagrangian, relative to its largest term"),
     "ipm_violation": (2.0**8, "violation of a row without multiplier that is taken as rounding, relative to its size"),
-    "ipm_ray": (2.0**22, "rest of a sum of row gradients that is taken as zero, relative to its terms"),
-    "ipm_contradiction": (2.0**16, "contradiction of weighted bounds that may be rounding, relative to its terms"),
+    "ipm_ray": (2.0**12, "rest of a sum of row gradients that is taken as zero, relative to its terms"),
+    "ipm_contradiction": (2.0**12, "contradiction of weighted bounds that may be rounding, relative to its terms"),
     "unit": (1.0, "the machine epsilon; its square root separates a zero pivot from a positive one"),
     "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),
     "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),
@@ -38,7 +38,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
 
 
 #: Multiples of the square root of the machine epsilon below which a tolerance does not fall.
-ROOTS: dict[str, float] = {"qp_accepted": 0.25}
+ROOTS: dict[str, float] = {"qp_accepted": 0.25, "ipm_ray": 2.0**-4, "ipm_contradiction": 2.0**-10}
 
 
 def tolerance(name: str, precision: str) -> float:

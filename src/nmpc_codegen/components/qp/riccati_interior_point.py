@@ -85,6 +85,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("stiffening", (), "divisor of the regularisation of the rows", "scratch"),
         Field("stiffest", (), "upper limit of stiffening", "scratch"),
         Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
+        Field("proximity", (), "factor by which the proximal term has been reduced", "scratch"),
         Field("least_pivot", (), "value added to pivots that are zero", "scratch"),
         Field("place", (sides,), "twice the row of a side, plus 1 if it is the upper one", "scratch", "int32"),
         Field("kind", (rows,), "inequality, equation or given control", "scratch", "int32"),
