@@ -155,7 +155,7 @@ static status_t ipm_attempt(solver_t *s)
 }
 
 #if IPM_WARM_START
-/* An attempt from the multipliers of the previous QP. If it has not converged after half of the iterations, a cold
+/* An attempt from the multipliers of the previous QP. If it has not converged after a quarter of the iterations, a cold
  * start replaces it. */
 static status_t ipm_attempts(solver_t *s)
 {

@@ -240,7 +240,7 @@ static void ipm_move(solver_t *s, real_t step)
 static real_t ipm_setback(const solver_t *s)
 {
     const real_t gap = s->ipm.mu / s->ipm.unit;
-    if (s->qp.iterations > 15 && gap > SQRT(TOL_UNIT)) {
+    if (s->qp.iterations - s->ipm.begun > 15 && gap > SQRT(TOL_UNIT)) {
         return R(0.1);
     }
     return (gap > R(5e-4)) ? R(5e-3) : (gap < R(1e-7)) ? R(1e-6) : R(10) * gap;
@@ -357,7 +357,7 @@ static int ipm_converged(solver_t *s)
 static int ipm_suffices(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
-    if (!(q->damping > R(0) || s->qp.iterations > 20) || q->sides == 0) {
+    if (!(q->damping > R(0) || s->qp.iterations - q->begun > 20) || q->sides == 0) {
         return 0;
     }
     return q->primal <= TOL_QP_ACCEPTED && q->mu <= TOL_QP_ACCEPTED * q->unit && qp_is_solution(s);
@@ -466,11 +466,12 @@ static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;
 #if IPM_WARM_START
-    const int cap = q->warm ? IPM_MAX_ITERATIONS / 2 : IPM_MAX_ITERATIONS;
+    const int cap = q->warm ? IPM_MAX_ITERATIONS / 4 : IPM_MAX_ITERATIONS;
 #else
     const int cap = IPM_MAX_ITERATIONS;
 #endif
     ipm_forget_progress(q);
+    q->begun = s->qp.iterations;
     for (;;) {
         const real_t before = q->primal, gradient_before = q->slope;
         int changed, done;

@@ -360,6 +360,14 @@ static real_t ipm_cold_distance(const solver_t *s, int i, real_t root_mu)
     return (distance > t) ? distance : t;
 }
 
+/* Makes the distances of the two sides of a row sum up to the distance d between its bounds; the smaller one counts. */
+static void ipm_match_sides(ipm_t *q, int i, real_t d)
+{
+    const int least = (q->t[i] < q->t[i + 1]) ? i : i + 1, other = 2 * i + 1 - least;
+    q->t[least] = (q->t[least] < R(0.5) * d) ? q->t[least] : R(0.5) * d;
+    q->t[other] = d - q->t[least];
+}
+
 /* Initial t and lam = mu / t of every side. */
 static void ipm_start_sides(solver_t *s, real_t mu)
 {
@@ -375,6 +383,14 @@ static void ipm_start_sides(solver_t *s, real_t mu)
         const real_t warm = ipm_warm_distance(s, i, mu, most);
         q->t[i] = (warm > R(0)) ? warm : q->t[i];
 #endif
+    }
+    for (int i = 0; i < q->hard; i += ipm_sides_of_row(q, i)) {
+        const real_t d = s->qp.upper[ipm_row(q, i)] - s->qp.lower[ipm_row(q, i)];
+        if (ipm_sides_of_row(q, i) == 2 && d > R(0)) {
+            ipm_match_sides(q, i, d);
+        }
+    }
+    for (int i = 0; i < q->sides; i++) {
         q->lam[i] = mu / q->t[i];
     }
 #if NG

@@ -44,22 +44,21 @@ static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size)
 }
 
 #if NG
-/* Sum of |a_i| size_i over the terms of row m. */
+/* Sum of |a_i| size_i over the terms of row m, and its constant, which has been subtracted from the bounds. */
 static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
 {
+    real_t sum = FABS(stage_row_value(s, m));
 #if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         const real_t *a = stage_row(s, m);
-        real_t sum = R(0);
         for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
             sum += FABS(a[i]) * size[i];
         }
         return sum;
     }
-#else
-    (void)s;
 #endif
-    return size[stage_state[m]];
+    sum += size[stage_state[m]];
+    return sum;
 }
 
 #endif

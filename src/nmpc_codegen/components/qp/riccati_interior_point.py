@@ -93,6 +93,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("hard", (), "number of hard ones among them, which come first", "scratch", "int32"),
         *((Field("warm", (), "1: the multipliers of the previous QP are used", "scratch", "int32"),) if warm else ()),
         *((Field("solved", (), "1: the last QP was solved", "keep", "int32"),) if warm else ()),
+        Field("begun", (), "iterations before the present attempt", "scratch", "int32"),
         Field("closed_gaps", (), "number of times that the gaps of the dynamics were closed", "scratch", "int32"),
         *((stretched,) if dims.ng.value else ()),
         Field("probing", (), "1: violated inequalities end the iterations", "scratch", "int32"),
