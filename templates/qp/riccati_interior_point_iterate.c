@@ -236,11 +236,12 @@ static void ipm_move(solver_t *s, real_t step)
 }
 
 /* Fraction of the distance to the boundary that is kept: small, and smaller near the solution. An iteration that is
- * still far from the solution after many steps cycles close to the boundary; a larger fraction ends the cycle. */
+ * still far from the solution after many steps, or takes short ones, cycles close to the boundary; a larger fraction ends
+ * the cycle. */
 static real_t ipm_setback(const solver_t *s)
 {
     const real_t gap = s->ipm.mu / s->ipm.unit;
-    if (s->qp.iterations - s->ipm.begun > 15 && gap > SQRT(TOL_UNIT)) {
+    if (s->qp.iterations - s->ipm.begun > 15 && (gap > SQRT(TOL_UNIT) || s->ipm.step < R(0.5))) {
         return R(0.1);
     }
     return (gap > R(5e-4)) ? R(5e-3) : (gap < R(1e-7)) ? R(1e-6) : R(10) * gap;
@@ -357,10 +358,12 @@ static int ipm_converged(solver_t *s)
 static int ipm_suffices(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
-    if (!(q->damping > R(0) || s->qp.iterations - q->begun > 20) || q->sides == 0) {
+    if (!(q->damping > R(0) || s->qp.iterations - q->begun > 20) || q->primal > TOL_QP_ACCEPTED ||
+        q->mu > TOL_QP_ACCEPTED * q->unit) {
         return 0;
     }
-    return q->primal <= TOL_QP_ACCEPTED && q->mu <= TOL_QP_ACCEPTED * q->unit && qp_is_solution(s);
+    ipm_stationarity(s); /* multipliers of fixed controls */
+    return qp_is_solution(s);
 }
 
 /* Stiff rows may cover the gradient with rounding errors. If that persists, the stiffening is reset and limited to a
@@ -482,7 +485,7 @@ static status_t ipm_iterate(solver_t *s)
             return NUMERICAL_FAILURE;
         }
         done = ipm_converged(s);
-        if (q->probing && q->slope < (real_t)INFINITY && ipm_any_violation(s)) {
+        if (q->probing && (q->slope < (real_t)INFINITY || s->qp.iterations > 20) && ipm_any_violation(s)) {
             return OK;
         }
         changed |= ipm_soften(q, gradient_before) | ipm_loosen(q, gradient_before);
