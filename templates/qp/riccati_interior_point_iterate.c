@@ -236,8 +236,8 @@ static void ipm_move(solver_t *s, real_t step)
 }
 
 /* Fraction of the distance to the boundary that is kept: small, and smaller near the solution. An iteration that is
- * still far from the solution after many steps, or takes short ones, cycles close to the boundary; a larger fraction ends
- * the cycle. */
+ * still far from the solution after many steps, or takes short ones, cycles close to the boundary; a larger fraction
+ * ends the cycle. */
 static real_t ipm_setback(const solver_t *s)
 {
     const real_t gap = s->ipm.mu / s->ipm.unit;
