@@ -1,14 +1,23 @@
 /* Contract of this part: the optimality conditions of an answer, recomputed from the data, and iterative refinement. */
 
-/* r = H x + g + mult[0..NV) + A'mult[NV..NV+NG), where H = L D L' - E, and size = the magnitude of its terms. */
+/* Residual of a row or of the gradient, relative to its terms, that an answer may have: 2^-34 in double precision, 2^-12
+ * in single. */
+static inline real_t qp_tolerance(void)
+{
+    return TOL_QP_RESIDUAL / SQRT(SQRT(TOL_UNIT));
+}
+
+/* r = H x + g + mult[0..NV) + A'mult[NV..NV+NG), where H = L D L' - E, and size = the magnitude of its terms; where
+ * all of them vanish up to rounding, size = sqrt(D) (|y0| + |y|) / 2^8. */
 static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
 {
+    const real_t unit = R(1.0 / 256) * (q->scale + norm(q->work.basis.y));
     real_t u[LDV];
     qp_to_working_coordinates(q, q->x, r);
     for (int i = 0; i < NV; ++i) {
         u[i] = r[i] / q->inverse[i];
         r[i] = q->g[i] + q->mult[i] - (q->semidefinite ? q->proximal[i] * q->x[i] : R(0));
-        size[i] = FABS(q->g[i]) + FABS(q->mult[i]) + FABS(u[i]);
+        size[i] = FABS(q->g[i]) + FABS(q->mult[i]) + FABS(u[i]) + unit / q->inverse[i];
         r[i] += u[i];
         for (int j = 0; j < i; ++j) {
             const real_t term = q->H[i][j] * u[j];
@@ -55,11 +64,11 @@ static int qp_is_optimal(const qp_t *q, real_t *r, real_t *w)
     clear(r);
     qp_stationarity(q, r, size);
     for (int i = 0; i < NV; ++i) {
-        optimal &= FABS(r[i]) <= TOL_QP_RESIDUAL * size[i];
+        optimal &= FABS(r[i]) <= qp_tolerance() * size[i];
     }
     for (int c = 0; c < NV + NG; ++c) {
         const real_t excess = qp_excess(q, c);
-        optimal &= FABS(excess) <= TOL_QP_RESIDUAL * qp_row_size(q, c);
+        optimal &= FABS(excess) <= qp_tolerance() * qp_row_size(q, c);
     }
     for (int k = 0; k < q->nw; ++k) {
         w[k] = -qp_excess(q, q->row[k]);

@@ -273,7 +273,6 @@ static status_t qp_take_bounds(qp_t *q)
     for (int c = 0; c < NV + NG; ++c) {
         valid &= q->lower[c] < (real_t)INFINITY && q->upper[c] > -(real_t)INFINITY;
         ordered &= q->lower[c] <= q->upper[c];
-        q->slack[c] = R(0);
     }
 #if ELASTIC
     valid &= qp_take_penalties(q);
@@ -357,6 +356,7 @@ static status_t qp_iterate(qp_t *q)
 {
     int direct = 1, count = 0, side = INACTIVE;
     real_t violation = R(0);
+    memset(q->slack, 0, sizeof q->slack);
     qp_set_origin(q);
     status_t status = isfinite(q->scale) ? qp_restore_dual_feasibility(q) : NUMERICAL_FAILURE;
     while (status == OK) {
