@@ -85,7 +85,8 @@ static status_t qp_predict(qp_t *q, int equality, int again, real_t fraction)
 }
 
 /* Factorises H and the predicted working set: equalities first, then the inequalities that are members. Equalities that
- * nearly depend on others wait until the others are members, which keeps the condition number of R small. */
+ * nearly depend on others wait until the others are members, and those that remain nearly dependent until they are
+ * violated; this keeps the condition number of R small. */
 static status_t qp_factorize(qp_t *q)
 {
     const real_t least = TOL_QP_DEPENDENT_PREDICTION;
@@ -94,14 +95,14 @@ static status_t qp_factorize(qp_t *q)
     q->nw = 0;
     if (status == OK) {
         status = qp_predict(q, 1, 0, R(0.125));
-        status = status == OK ? qp_predict(q, 1, 1, SQRT(least)) : status;
-        status = status == OK ? qp_predict(q, 1, 1, least) : status;
+        status = status == OK ? qp_predict(q, 1, 1, R(16) * SQRT(TOL_UNIT)) : status;
         status = status == OK ? qp_predict(q, 0, 0, least) : status;
     }
     q->factorized = status == OK;
     return q->factorized ? OK : qp_fail(q, status);
 }
 
+/* An answer that is not accepted is computed again with a smaller tolerance for rounding errors. */
 static status_t qp_solve(qp_t *q)
 {
     status_t status = q->factorized ? qp_take_bounds(q) : NUMERICAL_FAILURE;
@@ -109,11 +110,16 @@ static status_t qp_solve(qp_t *q)
     if (status != OK) {
         return qp_fail(q, status);
     }
-    status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
-    if (status == NUMERICAL_FAILURE || !(status == OK ? qp_accept(q) : qp_write_result(q))) {
-        return qp_fail(q, NUMERICAL_FAILURE);
+    for (q->strict = 0; q->strict < 2; ++q->strict) {
+        status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
+        if (status == OK && qp_accept(q)) {
+            return OK;
+        }
+        if (status != OK && !q->strict) {
+            return status != NUMERICAL_FAILURE && qp_write_result(q) ? status : qp_fail(q, NUMERICAL_FAILURE);
+        }
     }
-    return status;
+    return qp_fail(q, NUMERICAL_FAILURE);
 }
 
 #if !SHIFT_RESAMPLE

@@ -148,17 +148,22 @@ static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
     }
 }
 
-/* Violation of the row with normal m = Q'R r + v that is regarded as rounding error. The part of the members is a
+/* Violation of row c, with normal m = Q'R r + v, that is regarded as rounding error. The part of the members is a
  * multiple of size = |bound| + |t|'|r| + |m| (|y| / 4 + a small fraction of |y0|), where a bound t_k counts with the
  * terms that it sums up. As entering would move y by violation / |v|, the multiple grows with |m| / |v| up to that of a
- * row that cannot enter. The part of v'y, which y0 dominates, is a multiple of |v| |y0|. */
-static real_t qp_rounding(const qp_t *q, const real_t *r, real_t bound, real_t mm, real_t vv)
+ * row that cannot enter. The part of v'y, which y0 dominates, is a multiple of |v| |y0|. If this has led to a residual
+ * that is too large, the terms of the row itself count in place of |m| |y|. */
+static real_t qp_rounding(const qp_t *q, int c, const real_t *r, real_t bound, real_t mm, real_t vv)
 {
     const real_t most = TOL_QP_REDUNDANT, least = TOL_QP_FEASIBILITY;
-    real_t size = bound + SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);
+    real_t size = qp_bound_size(q, c, bound);
     for (int k = 0; k < q->nw; ++k) {
         size += qp_bound_size(q, q->row[k], qp_bound(q, q->row[k])) * FABS(r[k]);
     }
+    if (q->strict) {
+        return R(0.25) * most * (size + qp_row_size(q, c));
+    }
+    size += SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);
     size *= vv * (most * most) > mm * (least * least) ? least * SQRT(mm / vv) : most;
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }
@@ -208,7 +213,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         copy(r, q->work.basis.d);
         qp_solve_triangle(q, r);
         if (!(moved > R(0))) {
-            q->slack[c] = qp_rounding(q, r, qp_bound_size(q, c, bound), mm, vv);
+            q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
             if (violation <= q->slack[c]) {
                 return OK;
             }
@@ -219,7 +224,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         step = full <= step ? full : step;
         step = left < step ? left : step;
         if (!(step < (real_t)INFINITY)) {
-            q->slack[c] = qp_rounding(q, r, qp_bound_size(q, c, bound), mm, vv);
+            q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
             if (violation <= q->slack[c]) {
                 return OK;
             }

@@ -91,6 +91,7 @@ class DenseActiveSet(Defaults):
                     Field("snapshot", (rows,), "earlier values of side, to detect cycles", "scratch", "int32"),
                     Field("nw", (), "number of rows in the working set", "scratch", "int32"),
                     Field("factorized", (), "1: qp_factorize has succeeded", "scratch", "int32"),
+                    Field("strict", (), "1: rounding errors are judged by the terms of a row", "scratch", "int32"),
                     Field("semidefinite", (), "1: a pivot of H may be zero, E is not zero", "scratch", "int32"),
                     Field("face", (), "value of changes when the direction was set", "scratch", "int32"),
                     Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
