@@ -89,14 +89,18 @@ static status_t qp_predict(qp_t *q, int equality, int again, real_t fraction)
  * violated; this keeps the condition number of R small. */
 static status_t qp_factorize(qp_t *q)
 {
-    const real_t least = TOL_QP_DEPENDENT_PREDICTION;
+    const real_t least = R(16) * SQRT(TOL_UNIT);
     status_t status = qp_factorize_hessian(q);
     clear(q->R_inverse);
     q->nw = 0;
     if (status == OK) {
-        status = qp_predict(q, 1, 0, R(0.125));
-        status = status == OK ? qp_predict(q, 1, 1, R(16) * SQRT(TOL_UNIT)) : status;
-        status = status == OK ? qp_predict(q, 0, 0, least) : status;
+        real_t fraction = R(0.5);
+        status = qp_predict(q, 1, 0, fraction);
+        while (fraction > least && status == OK) {
+            fraction = fraction * fraction > least ? fraction * fraction : least;
+            status = qp_predict(q, 1, 1, fraction);
+        }
+        status = status == OK ? qp_predict(q, 0, 0, TOL_QP_DEPENDENT_PREDICTION) : status;
     }
     q->factorized = status == OK;
     return q->factorized ? OK : qp_fail(q, status);
@@ -110,7 +114,7 @@ static status_t qp_solve(qp_t *q)
     if (status != OK) {
         return qp_fail(q, status);
     }
-    for (q->strict = 0; q->strict < 2; ++q->strict) {
+    for (q->strict = 0; q->strict < 3; ++q->strict) {
         status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
         if (status == OK && qp_accept(q)) {
             return OK;

@@ -1,12 +1,5 @@
 /* Contract of this part: the optimality conditions of an answer, recomputed from the data, and iterative refinement. */
 
-/* Residual of a row or of the gradient, relative to its terms, that an answer may have: 2^-34 in double precision, 2^-12
- * in single. */
-static inline real_t qp_tolerance(void)
-{
-    return TOL_QP_RESIDUAL / SQRT(SQRT(TOL_UNIT));
-}
-
 /* r = H x + g + mult[0..NV) + A'mult[NV..NV+NG), where H = L D L' - E, and size = the magnitude of its terms; where
  * all of them vanish up to rounding, size = sqrt(D) (|y0| + |y|) / 2^8. */
 static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
