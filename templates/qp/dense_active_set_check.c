@@ -20,7 +20,7 @@ static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
     }
 #if NG
     for (int c = NV; c < NV + NG; ++c) {
-        for (int i = 0; q->mult[c] != R(0) && i < NV; ++i) {
+        for (int i = 0; q->side[c] != INACTIVE && i < NV; ++i) {
             const real_t term = q->A[c - NV][i] * q->mult[c];
             r[i] += term;
             size[i] += FABS(term);
