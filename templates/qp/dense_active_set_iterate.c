@@ -148,7 +148,7 @@ static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
     }
 }
 
-/* Residual of a row or of the gradient, relative to its terms, that an answer may have: 2^-34 in double precision, 2^-12
+/* Residual of a row or of the gradient, relative to its terms, that an answer may have: 2^-35 in double precision, 2^-13
  * in single. */
 static inline real_t qp_tolerance(void)
 {
