@@ -1,7 +1,7 @@
 /* Contract of this part: the optimality conditions of an answer, recomputed from the data, and iterative refinement. */
 
 /* Adds the terms t_i of the gradient to its sum r and their magnitudes to size. */
-static inline void qp_accumulate(const real_t *t, real_t *r, real_t *size)
+static void qp_accumulate(const real_t *t, real_t *r, real_t *size)
 {
     for (int i = 0; i < NV; ++i) {
         r[i] += t[i];
@@ -66,18 +66,33 @@ static real_t qp_excess(const qp_t *q, int c)
     return value > q->upper[c] ? value - q->upper[c] : value < q->lower[c] ? value - q->lower[c] : R(0);
 }
 
-/* Returns 1 if x and mult satisfy the optimality conditions up to rounding. r: gradient of the Lagrangian. */
-static int qp_is_optimal(const qp_t *q, real_t *r)
+/* Returns 1 if the gradient of the Lagrangian is known to vanish up to rounding, as y = y0 - Q'R lam with a definite H is
+ * no small difference of large terms. */
+static int qp_is_stationary(const qp_t *q)
+{
+    real_t terms = q->scale * q->scale;
+    for (int k = 0; k < q->nw; ++k) {
+        terms += q->lam[k] * q->lam[k] * qp_square(q, k);
+    }
+    return !q->semidefinite && terms <= R(64) * dot(q->work.basis.y, q->work.basis.y, LDV);
+}
+
+/* Returns 1 if x and mult satisfy the optimality conditions up to rounding. r: gradient of the Lagrangian, or 0 if it
+ * need not be computed. */
+static int qp_is_optimal(const qp_t *q, real_t *r, int refined)
 {
     real_t size[LDV];
     int optimal = 1;
-    qp_stationarity(q, r, size);
-    for (int i = 0; i < NV; ++i) {
-        optimal &= FABS(r[i]) <= qp_tolerance() * size[i];
+    clear(r);
+    if (refined || !qp_is_stationary(q)) {
+        qp_stationarity(q, r, size);
+        for (int i = 0; i < NV; ++i) {
+            optimal &= FABS(r[i]) <= qp_tolerance() * size[i];
+        }
     }
     for (int c = 0; c < NV + NG && optimal; ++c) {
         const real_t excess = FABS(qp_excess(q, c));
-        optimal = !(excess > R(0)) || excess <= qp_tolerance() * qp_row_size(q, c);
+        optimal = excess <= qp_tolerance() * qp_bound_size(q, c, R(0)) || excess <= qp_tolerance() * qp_row_size(q, c);
     }
     return optimal;
 }
@@ -108,7 +123,7 @@ static int qp_accept(qp_t *q)
 {
     real_t r[LDV];
     for (int step = 0; qp_write_result(q); ++step) {
-        if (qp_is_optimal(q, r)) {
+        if (qp_is_optimal(q, r, step)) {
             return 1;
         }
         if (step == 2) {

@@ -168,7 +168,8 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, real_t bound, r
         size += qp_bound_size(q, q->row[k], qp_bound(q, q->row[k])) * FABS(r[k]);
     }
     if (q->strict) {
-        return q->strict > 1 ? R(0.25) * qp_tolerance() * qp_row_size(q, c) : R(0.25) * most * (size + qp_row_size(q, c));
+        return q->strict > 1 ? R(0.25) * qp_tolerance() * qp_row_size(q, c)
+                             : R(0.25) * most * (size + qp_row_size(q, c));
     }
     size += SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);
     size *= vv * (most * most) > mm * (least * least) ? least * SQRT(mm / vv) : most;
