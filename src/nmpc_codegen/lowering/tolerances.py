@@ -17,6 +17,10 @@ TOLERANCES: dict[str, tuple[float, str]] = {
         2.0**12,
         "residual of a row or of the gradient in a result that is called OK, relative to its terms",
     ),
+    "qp_residual": (
+        2.0**4,
+        "residual of a row or of the gradient in an answer, relative to its terms, times eps^(1/4)",
+    ),
     "riccati_pivot": (2.0**5, "rounding of a pivot of the Riccati recursion, relative to its diagonal entry"),
     "riccati_feasibility": (2.0**6, "violation of a bound that is taken as rounding, relative to |a|'|z| + |bound|"),
     "riccati_sign": (2.0**8, "wrong sign of a multiplier that is taken as rounding, relative to its terms"),
