@@ -7,9 +7,7 @@ Pictures go to out/: bioreactor.png is drawn like [Q14] Fig. 1, table_1.png show
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import time
 from collections.abc import Callable
 
 import casadi as ca
@@ -17,6 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.lib import command
 from benchmarks.lib.hessian import bioreactor, second_order
 from benchmarks.lib.report import Report
 from benchmarks.lib.scenarios import CSTR, QUADROTOR
@@ -78,24 +77,11 @@ PARTS: dict[str, Callable[[Report], None]] = {
 
 def main() -> None:
     """All figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", metavar="FILE", help="write one record per key")
-    parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
-    arguments = parser.parse_args()
-    names = arguments.only.split(",") if arguments.only else list(PARTS)
-    unknown = [name for name in names if name not in PARTS]
-    if unknown:
-        parser.error(f"--only: {', '.join(unknown)}; expected some of {', '.join(PARTS)}")
-    report = Report("exact Hessians")
-    start = time.perf_counter()
-    for name in names:
-        begin = time.perf_counter()
-        PARTS[name](report)
-        report.add("benchmark_seconds", time.perf_counter() - begin, "s", case=name, profile="")
-    report.print()
-    print(f"{time.perf_counter() - start:.0f} s; CasADi {ca.__version__}, NumPy {np.__version__}")
-    if arguments.json:
-        report.write(arguments.json)
+    parser = command.parser(__doc__, PARTS)
+    options = parser.parse_args()
+    names, report = command.chosen(parser, options, PARTS), Report("exact Hessians")
+    note = f"; CasADi {ca.__version__}, NumPy {np.__version__}"
+    command.measure(report, names, lambda name: PARTS[name](report), options.json, note)
 
 
 if __name__ == "__main__":

@@ -8,13 +8,12 @@ code than the package from this tree: the oracle of a change that affects only t
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import importlib.util
-import time
 from collections.abc import Callable
 from functools import partial
 
+from benchmarks.lib import command
 from benchmarks.lib.house import disagreement, lint, ratios, rendering, sizes, suite
 from benchmarks.lib.report import Report
 
@@ -42,24 +41,12 @@ PARTS: dict[str, Callable[[Report], None]] = {
 
 def main() -> None:
     """Run all parts, or some of them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", metavar="FILE", help="write one record per key")
-    parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
+    parser = command.parser(__doc__, PARTS)
     parser.add_argument("--before", metavar="COMMIT", help="compare object code with packages of this commit, too")
     options = parser.parse_args()
-    chosen = options.only.split(",") if options.only else list(PARTS)
-    if unknown := sorted(set(chosen) - set(PARTS)):
-        parser.error(f"--only {','.join(unknown)}: expected some of {', '.join(PARTS)}")
     parts = {**PARTS, "rendering": partial(rendering.measure, before=options.before)}
-    report, start = Report("house"), time.perf_counter()
-    for name in chosen:
-        begin = time.perf_counter()
-        parts[name](report)
-        report.add("benchmark_seconds", time.perf_counter() - begin, "s", case=name, profile="")
-    report.print()
-    print(f"{time.perf_counter() - start:.0f} s")
-    if options.json:
-        report.write(options.json)
+    names, report = command.chosen(parser, options, PARTS), Report("house")
+    command.measure(report, names, lambda name: parts[name](report), options.json)
 
 
 if __name__ == "__main__":

@@ -7,12 +7,11 @@ All parts together take about twenty minutes on two cores.
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
-import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.lib import command
 from benchmarks.lib.closed_loop import closed_loop
 from benchmarks.lib.peers import available, pinned, silent
 from benchmarks.lib.qp import qp_times, stage_qps
@@ -329,21 +329,13 @@ PARTS: dict[str, Callable[..., None]] = {
 
 def main() -> None:
     """Run all parts, or some of them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", metavar="FILE", help="write one record per key")
-    parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
+    parser = command.parser(__doc__, PARTS)
     parser.add_argument("--picture", metavar="FILE", default="out/qp_scaling.png", help="times against N")
     options = parser.parse_args()
-    report, start = Report("qp"), time.perf_counter()
-    for name in options.only.split(",") if options.only else PARTS:
-        begin = time.perf_counter()
-        more: dict[str, Any] = {"picture": options.picture} if name == "scaling" else {}
-        PARTS[name](report, **more)
-        report.add("benchmark_seconds", time.perf_counter() - begin, "s", case=name, profile="")
-    report.print()
-    print(f"{time.perf_counter() - start:.0f} s; CasADi {ca.__version__}, NumPy {np.__version__}")
-    if options.json:
-        report.write(options.json)
+    parts = {**PARTS, "scaling": partial(scaling, picture=options.picture)}
+    names, report = command.chosen(parser, options, PARTS), Report("qp")
+    note = f"; CasADi {ca.__version__}, NumPy {np.__version__}"
+    command.measure(report, names, lambda name: parts[name](report), options.json, note)
 
 
 if __name__ == "__main__":

@@ -7,10 +7,9 @@ At scale 1 the counts are those that the limits are meant for; a smaller scale i
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Callable
 
+from benchmarks.lib import command
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness import episodes, qps, returns, work
 
@@ -24,9 +23,7 @@ PARTS: dict[str, Callable[[Report, float], None]] = {
 
 def main() -> None:
     """All parts, or some."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", metavar="FILE", help="write one record per key")
-    parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
+    parser = command.parser(__doc__, PARTS)
     parser.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the counts that are asked for")
     parser.add_argument(
         "--replay", metavar="NAME", help="class/number/solver/precision or controller/episode: print it"
@@ -35,15 +32,8 @@ def main() -> None:
     if options.replay:
         (qps.replay if options.replay.count("/") == 3 else episodes.replay)(options.replay)
         return
-    report, start = Report("robustness"), time.perf_counter()
-    for name in options.only.split(",") if options.only else PARTS:
-        begin = time.perf_counter()
-        PARTS[name](report, options.scale)
-        report.add("benchmark_seconds", time.perf_counter() - begin, "s", case=name, profile="")
-    report.print()
-    print(f"{time.perf_counter() - start:.0f} s")
-    if options.json:
-        report.write(options.json)
+    names, report = command.chosen(parser, options, PARTS), Report("robustness")
+    command.measure(report, names, lambda name: PARTS[name](report, options.scale), options.json)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ Multipliers are compared if LICQ and strict complementarity hold at the solution
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import tempfile
@@ -22,6 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from benchmarks.lib import command
 from benchmarks.lib.closed_loop import closed_loop
 from benchmarks.lib.peers import QUIET, available, time_sqpmethod
 from benchmarks.lib.report import Report
@@ -380,24 +380,13 @@ PARTS: dict[str, Callable[[Report], None]] = {
 
 def main() -> None:
     """All figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", metavar="FILE", help="write one record per key")
+    parser = command.parser(__doc__, PARTS)
     parser.add_argument("--without-clone", action="store_true", help="leave out make demo and make test")
-    parser.add_argument("--only", metavar="PARTS", help=f"some of {', '.join(PARTS)}")
     options = parser.parse_args()
-    names = options.only.split(",") if options.only else list(PARTS)
-    report = Report("tracking")
-    start = time.perf_counter()
-    for name in names:
-        if name == "clone" and options.without_clone:
-            continue
-        begin = time.perf_counter()
-        PARTS[name](report)
-        report.add("benchmark_seconds", time.perf_counter() - begin, "s", case=name, profile="")
-    report.print()
-    print(f"{time.perf_counter() - start:.0f} s; CasADi {ca.__version__}, NumPy {np.__version__}")
-    if options.json:
-        report.write(options.json)
+    names, report = command.chosen(parser, options, PARTS), Report("tracking")
+    names = [name for name in names if not (name == "clone" and options.without_clone)]
+    note = f"; CasADi {ca.__version__}, NumPy {np.__version__}"
+    command.measure(report, names, lambda name: PARTS[name](report), options.json, note)
 
 
 if __name__ == "__main__":

@@ -10,16 +10,14 @@ setters refuse stays as it was. Bounds are compared as the controller stores the
 from __future__ import annotations
 
 import math
-import multiprocessing
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness.hostile import Data, spoiled
-from benchmarks.lib.robustness.subjects import Candidate, built, candidates
+from benchmarks.lib.robustness.subjects import Candidate, candidates, in_processes
 from nmpc_codegen import Controller, Status
 
 Array = np.ndarray
@@ -130,12 +128,7 @@ def measure(report: Report, scale: float = 1.0) -> None:
     """All controllers take the same share."""
     chosen = candidates()
     count = math.ceil(RETURNS * scale / len(chosen))
-    pairs = zip(built(chosen), (c.subject for c in chosen), strict=True)
-    jobs = [(c, subject.rest, subject.spread, i, count) for i, (c, subject) in enumerate(pairs)]
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(2, mp_context=spawn) as pool:
-        outcomes = list(pool.map(run, jobs))
-    report_outcomes(report, chosen, outcomes, scale)
+    report_outcomes(report, chosen, in_processes(run, chosen, count), scale)
 
 
 def report_outcomes(report: Report, chosen: tuple[Candidate, ...], outcomes: list[Outcome], scale: float) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+import multiprocessing
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -30,6 +31,10 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.options import PRECISIONS
 
 Array = np.ndarray
+Outcome = TypeVar("Outcome")
+
+#: A controller, the home of its loop, the spread of good states, a seed, a count.
+Job = tuple[Controller, Array, Array, int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,3 +195,14 @@ def built(chosen: Iterable[Candidate]) -> list[Controller]:
     """Their controllers, compiled side by side."""
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(lambda c: build(c.subject.make(), c.options, profile="fast"), chosen))
+
+
+def in_processes(run: Callable[[Job], Outcome], chosen: Sequence[Candidate], count: int) -> list[Outcome]:
+    """Outcomes of ``run`` for every candidate, two at a time.
+
+    Processes start afresh: threads of CasADi and NumPy would be missing in a forked one.
+    """
+    pairs = zip(built(chosen), (c.subject for c in chosen), strict=True)
+    jobs = [(c, subject.rest, subject.spread, i, count) for i, (c, subject) in enumerate(pairs)]
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return list(pool.map(run, jobs))
