@@ -1,6 +1,9 @@
 /* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt and, if SOLVE, _solve.
  * Here: real-time iteration, one QP and one full step per sample. */
 
+/* Values of failing: failures in a row, and how much of the plan is given up. */
+enum { FINE, ONCE, TWICE, FOR_GOOD };
+
 /* Control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
 static real_t safe_value(const solver_t *s, int k, int j)
 {
@@ -42,17 +45,29 @@ static void start_at_measured(solver_t *s)
     start_at(s, all_finite(s->xhat, NX) ? s->xhat : initial_state);
 }
 
-/* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
-static void algorithm_reset(solver_t *s)
+/* Sets the controls of the plan to their references, and free components of x_0 to their declared initial values. */
+static void forget_plan(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             s->u[k][j] = CONTROL_REFERENCE(s, k, j);
         }
     }
+#if NF
+    for (int f = 0; f < NF; f++) {
+        s->xhat[free_state[f]] = initial_state[free_state[f]];
+    }
+#endif
+}
+
+/* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
+static void algorithm_reset(solver_t *s)
+{
+    forget_plan(s);
     memcpy(s->xhat, initial_state, sizeof s->xhat);
     s->prepared = 0;
-    s->samples = s->failing = 0;
+    s->samples = 0;
+    s->failing = FINE;
     s->status = (int32_t)OK;
 #if RELAXATION
     s->relaxation = (real_t)INFINITY;
@@ -117,6 +132,11 @@ static void linearize(solver_t *s)
 }
 
 #if SET_REFERENCE
+/* Values of renewal: gradients of the linearisation compared with references, weights and parameters. Weights and
+ * parameters act at the next prepare; once one of them has changed, so do further references, as gradients that mix new
+ * weights with the old linearisation would belong to no problem. */
+enum { UP_TO_DATE, REFERENCE_CHANGED, HELD };
+
 /* Recomputes the gradients after references have changed since prepare; the rest of the linearisation remains valid. */
 static void renew_gradients(solver_t *s)
 {
@@ -132,8 +152,19 @@ static void renew_gradients(solver_t *s)
     TERMINAL_GRADIENT(s, s->terminal.g);
 #endif
     condense_gradient(s);
-    s->reference_changed = 0;
+    s->renewal = UP_TO_DATE;
 }
+
+#if SET_WEIGHT || SET_PARAMETER
+/* Called before a weight or parameter changes: references that have changed before take effect with the old values. */
+static void hold_gradients(solver_t *s)
+{
+    if (s->prepared && s->renewal == REFERENCE_CHANGED) {
+        renew_gradients(s);
+    }
+    s->renewal = HELD;
+}
+#endif
 #endif
 
 /* The control returned if no new one could be computed: that of the plan or, if it is not finite, its reference,
@@ -159,7 +190,7 @@ static status_t prepare_here(solver_t *s)
     hessian(s);
 #endif
 #if SET_REFERENCE
-    s->reference_changed = 0;
+    s->renewal = UP_TO_DATE;
 #endif
     return condense_prepare(s);
 }
@@ -173,7 +204,7 @@ status_t API(prepare)(solver_t *s)
 #if SHIFT
     if (s->samples > 0 && !s->prepared) {
         API(shift)(s);
-        if (s->failing == 2) { /* states that the shift integrates may be as far off as the failed plan */
+        if (s->failing >= TWICE) { /* states that the shift integrates may be as far off as the failed plan */
             start_at_measured(s);
         }
     }
@@ -314,7 +345,7 @@ static status_t feedback_here(solver_t *s)
 {
     status_t status;
 #if SET_REFERENCE
-    if (s->reference_changed) {
+    if (s->renewal == REFERENCE_CHANGED) {
         renew_gradients(s);
     }
 #endif
@@ -339,18 +370,19 @@ static status_t feedback_here(solver_t *s)
 status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
 {
     status_t status;
-    int measured;
+    int measured, broken;
     if (s->magic != MAGIC) {
         memcpy(u0, default_control, sizeof default_control);
         return NOT_INITIALIZED;
     }
     measured = take_state(s, xhat);
+    broken = s->prepared && s->status != OK;
     forget_violation(s);
     if (!s->prepared) {
         status = NOT_PREPARED;
     } else if (!measured) {
         status = NOT_FINITE;
-    } else if (s->status != OK) {
+    } else if (broken) {
         status = (status_t)s->status;
     } else {
         status = feedback_here(s);
@@ -358,7 +390,7 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     s->prepared = 0;
     s->samples += (s->samples < MANY);
     safe_control(s, u0);
-    recover(s, status);
+    recover(s, status, broken);
     return finish(s, status);
 }
 

@@ -333,7 +333,13 @@ static void condense_embed_slacks(solver_t *s)
 static void condense_embed_rows(solver_t *s, const real_t *dx0)
 {
     for (int m = 0; m < NG; ++m) {
-        const real_t value = condense_sum(s->condensed.v[m], s->condensed.Ax[m], dx0);
+        real_t value = s->condensed.v[m], terms = s->condensed.terms[m];
+        for (int i = 0; i < NX; ++i) {
+            const real_t term = s->condensed.Ax[m][i] * dx0[i];
+            value += term;
+            terms += FABS(term);
+        }
+        s->qp.terms[m] = terms;
         s->qp.lower[NV + m] = ROW_LOWER(s, m) - value;
         s->qp.upper[NV + m] = ROW_UPPER(s, m) - value;
 #if ELASTIC
@@ -373,26 +379,65 @@ static void condense_embed(solver_t *s)
 #endif
 }
 
-/* Gradients, and the values of the rows at du = 0, dx_0 = 0: v = row + J_x c_k. */
+#if NG
+/* Largest magnitude of every component of c_0, c_1, ..., c_N. */
+static void condense_sizes(const solver_t *s, real_t *size)
+{
+    memset(size, 0, NX * sizeof *size);
+    for (int k = 1; k <= N; ++k) {
+        for (int i = 0; i < NX; ++i) {
+            const real_t c = FABS(s->condensed.c[k][i]);
+            size[i] = c > size[i] ? c : size[i];
+        }
+    }
+}
+
+#if GENERAL_ROWS || NE
+/* J'c for the general or coupled row m; terms += |J|'size. */
+static inline real_t condense_change(const real_t *J, const real_t *c, const real_t *size, real_t *terms)
+{
+    real_t change = R(0);
+    for (int i = 0; i < NX; ++i) {
+        change += J[i] * c[i];
+        *terms += FABS(J[i]) * size[i];
+    }
+    return change;
+}
+
+#endif
+/* Value of the row m at du = 0, dx_0 = 0, v = row + J_x c_k, and the magnitude of its terms, where a state counts with
+ * its largest magnitude, because its rounding errors travel along the horizon. */
+static void condense_value(solver_t *s, int m, const real_t *size)
+{
+    const real_t *c = s->condensed.c[row_node[m]], constant = ROW_CONSTANT(s, m);
+    real_t change, terms = FABS(constant);
+#if STATE_ROWS && (GENERAL_ROWS || NE)
+    if (row_kind[m] == ROW_STATE) {
+        change = c[row_index[m]];
+        terms += size[row_index[m]];
+    } else {
+        change = condense_change(nodal_row(s, m), c, size, &terms);
+    }
+#elif STATE_ROWS
+    change = c[row_index[m]];
+    terms += size[row_index[m]];
+#else
+    change = condense_change(nodal_row(s, m), c, size, &terms);
+#endif
+    s->condensed.v[m] = constant + change;
+    s->condensed.terms[m] = terms;
+}
+
+#endif
+/* Gradients, and the values of the rows at du = 0, dx_0 = 0. */
 static void condense_rows(solver_t *s)
 {
     condense_gradient(s);
 #if NG
+    real_t size[NX];
+    condense_sizes(s, size);
     for (int m = 0; m < NG; ++m) {
-        const real_t *c = s->condensed.c[row_node[m]];
-#if STATE_ROWS && (GENERAL_ROWS || NE)
-        real_t change;
-        if (row_kind[m] == ROW_STATE) {
-            change = c[row_index[m]];
-        } else {
-            change = condense_sum(R(0), nodal_row(s, m), c);
-        }
-#elif STATE_ROWS
-        const real_t change = c[row_index[m]];
-#else
-        const real_t change = condense_sum(R(0), nodal_row(s, m), c);
-#endif
-        s->condensed.v[m] = ROW_CONSTANT(s, m) + change;
+        condense_value(s, m, size);
     }
 #endif
 }

@@ -57,6 +57,8 @@
 
 #include "qp/dense_active_set_proximal.c"
 
+#include "qp/dense_active_set_check.c"
+
 static void qp_init(qp_t *q)
 {
     memset(q, 0, sizeof *q);
@@ -69,24 +71,42 @@ static void qp_init(qp_t *q)
     }
 }
 
-/* Factorises H and the predicted working set: equalities first, then the inequalities that are members. */
+/* Adds the predicted members to the working set, either the equalities or the inequalities. */
+static status_t qp_predict(qp_t *q, int equality, int again, real_t fraction)
+{
+    status_t status = OK;
+    for (int c = 0; c < NV + NG && status == OK; ++c) {
+        const int predicted = again ? q->side[c] == INACTIVE : qp_is_member(q, c) || (equality && !q->side[c]);
+        if (predicted && qp_is_equality(q, c) == equality) {
+            status = qp_predict_active(q, c, fraction);
+        }
+    }
+    return status;
+}
+
+/* Factorises H and the predicted working set: equalities first, then the inequalities that are members. Equalities that
+ * nearly depend on others wait until the others are members, and those that remain nearly dependent until they are
+ * violated; this keeps the condition number of R small. */
 static status_t qp_factorize(qp_t *q)
 {
+    const real_t least = R(16) * SQRT(TOL_UNIT);
     status_t status = qp_factorize_hessian(q);
     clear(q->R_inverse);
     q->nw = 0;
-    for (int equality = 1; equality >= 0; --equality) {
-        for (int c = 0; c < NV + NG && status == OK; ++c) {
-            const int predicted = qp_is_member(q, c) || (equality && q->side[c] == INACTIVE);
-            if (predicted && qp_is_equality(q, c) == equality) {
-                status = qp_predict_active(q, c);
-            }
+    if (status == OK) {
+        real_t fraction = R(0.5);
+        status = qp_predict(q, 1, 0, fraction);
+        while (fraction > least && status == OK) {
+            fraction = fraction * fraction > least ? fraction * fraction : least;
+            status = qp_predict(q, 1, 1, fraction);
         }
+        status = status == OK ? qp_predict(q, 0, 0, TOL_QP_DEPENDENT_PREDICTION) : status;
     }
     q->factorized = status == OK;
     return q->factorized ? OK : qp_fail(q, status);
 }
 
+/* An answer that is not accepted is computed again with a smaller tolerance for rounding errors. */
 static status_t qp_solve(qp_t *q)
 {
     status_t status = q->factorized ? qp_take_bounds(q) : NUMERICAL_FAILURE;
@@ -94,11 +114,16 @@ static status_t qp_solve(qp_t *q)
     if (status != OK) {
         return qp_fail(q, status);
     }
-    status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
-    if (status == NUMERICAL_FAILURE || !qp_write_result(q)) {
-        return qp_fail(q, NUMERICAL_FAILURE);
+    for (q->strict = 0; q->strict < 3; ++q->strict) {
+        status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
+        if (status == OK && qp_accept(q)) {
+            return OK;
+        }
+        if (status != OK && !q->strict) {
+            return status != NUMERICAL_FAILURE && qp_write_result(q) ? status : qp_fail(q, NUMERICAL_FAILURE);
+        }
     }
-    return status;
+    return qp_fail(q, NUMERICAL_FAILURE);
 }
 
 #if !SHIFT_RESAMPLE

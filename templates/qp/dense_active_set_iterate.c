@@ -148,17 +148,30 @@ static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
     }
 }
 
-/* Violation of the row with normal m = Q'R r + v that is regarded as rounding error. The part of the members is a
- * multiple of size = |bound| + |t|'|r| + |m| (|y| / 4 + a small fraction of |y0|). As entering would move y by
- * violation / |v|, the multiple grows with |m| / |v| up to that of a row that cannot enter. The part of v'y, which y0
- * dominates, is a multiple of |v| |y0|. */
-static real_t qp_rounding(const qp_t *q, const real_t *r, real_t bound, real_t mm, real_t vv)
+/* Residual of a row or of the gradient, relative to its terms, that an answer may have: 2^-35 in double precision, 2^-13
+ * in single. */
+static inline real_t qp_tolerance(void)
+{
+    return TOL_QP_RESIDUAL / SQRT(SQRT(TOL_UNIT));
+}
+
+/* Violation of row c, with normal m = Q'R r + v, that is regarded as rounding error. The part of the members is a
+ * multiple of size = |bound| + |t|'|r| + |m| (|y| / 4 + a small fraction of |y0|), where a bound t_k counts with the
+ * terms that it sums up. As entering would move y by violation / |v|, the multiple grows with |m| / |v| up to that of a
+ * row that cannot enter. The part of v'y, which y0 dominates, is a multiple of |v| |y0|. If this has led to a residual
+ * that is too large, the terms of the row itself count in place of |m| |y|. */
+static real_t qp_rounding(const qp_t *q, int c, const real_t *r, real_t bound, real_t mm, real_t vv)
 {
     const real_t most = TOL_QP_REDUNDANT, least = TOL_QP_FEASIBILITY;
-    real_t size = FABS(bound) + SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);
+    real_t size = qp_bound_size(q, c, bound);
     for (int k = 0; k < q->nw; ++k) {
-        size += FABS(qp_bound(q, q->row[k]) * r[k]);
+        size += qp_bound_size(q, q->row[k], qp_bound(q, q->row[k])) * FABS(r[k]);
     }
+    if (q->strict) {
+        return q->strict > 1 ? R(0.25) * qp_tolerance() * qp_row_size(q, c)
+                             : R(0.25) * most * (size + qp_row_size(q, c));
+    }
+    size += SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);
     size *= vv * (most * most) > mm * (least * least) ? least * SQRT(mm / vv) : most;
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }
@@ -208,7 +221,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         copy(r, q->work.basis.d);
         qp_solve_triangle(q, r);
         if (!(moved > R(0))) {
-            q->slack[c] = qp_rounding(q, r, bound, mm, vv);
+            q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
             if (violation <= q->slack[c]) {
                 return OK;
             }
@@ -219,6 +232,10 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         step = full <= step ? full : step;
         step = left < step ? left : step;
         if (!(step < (real_t)INFINITY)) {
+            q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
+            if (violation <= q->slack[c]) {
+                return OK;
+            }
 #if SOLVE
             qp_certify(q, c, side, r, mm);
 #endif
@@ -245,15 +262,16 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
     return isfinite(mm) ? ITERATION_LIMIT : NUMERICAL_FAILURE;
 }
 
-/* Adds row c to the predicted working set unless it depends on the rows already in it. */
-static status_t qp_predict_active(qp_t *q, int c)
+/* Adds row c to the predicted working set unless it depends on the rows already in it: a fraction of its normal must be
+ * outside their span. */
+static status_t qp_predict_active(qp_t *q, int c, real_t fraction)
 {
     const real_t mm = qp_normal(q, c);
     const int side = q->side[c] < 0 ? AT_LOWER : AT_UPPER;
     q->side[c] = INACTIVE;
     if (q->nw < NV && mm > R(0)) {
         const real_t vv = qp_project(q, mm);
-        if (vv > TOL_QP_DEPENDENT_PREDICTION * TOL_QP_DEPENDENT_PREDICTION * mm) {
+        if (vv > fraction * fraction * mm) {
             qp_append(q, c, side, vv, R(0));
         }
     }
@@ -268,7 +286,6 @@ static status_t qp_take_bounds(qp_t *q)
     for (int c = 0; c < NV + NG; ++c) {
         valid &= q->lower[c] < (real_t)INFINITY && q->upper[c] > -(real_t)INFINITY;
         ordered &= q->lower[c] <= q->upper[c];
-        q->slack[c] = R(0);
     }
 #if ELASTIC
     valid &= qp_take_penalties(q);
@@ -290,7 +307,6 @@ static int qp_write_result(qp_t *q)
 {
     real_t total = dot(q->x, q->x, LDV);
     q->dropped = q->relaxed = 0;
-    memcpy(q->z, q->x, sizeof q->z);
     memset(q->mult, 0, sizeof q->mult);
     for (int c = 0; c < NV + NG; ++c) {
         q->dropped += q->side[c] == INACTIVE && qp_is_equality(q, c);
@@ -308,10 +324,10 @@ static int qp_write_result(qp_t *q)
         total += FABS(lam);
 #if NG
         if (c < NV) {
-            q->z[c] = qp_bound(q, c);
+            q->x[c] = qp_bound(q, c);
         }
 #else
-        q->z[c] = qp_bound(q, c);
+        q->x[c] = qp_bound(q, c);
 #endif
         if (qp_is_equality(q, c)) {
             q->side[c] = side;
@@ -320,6 +336,7 @@ static int qp_write_result(qp_t *q)
             q->mult[c] = lam;
         }
     }
+    memcpy(q->z, q->x, sizeof q->z);
     return isfinite(total);
 }
 
@@ -352,6 +369,7 @@ static status_t qp_iterate(qp_t *q)
 {
     int direct = 1, count = 0, side = INACTIVE;
     real_t violation = R(0);
+    memset(q->slack, 0, sizeof q->slack);
     qp_set_origin(q);
     status_t status = isfinite(q->scale) ? qp_restore_dual_feasibility(q) : NUMERICAL_FAILURE;
     while (status == OK) {

@@ -27,6 +27,18 @@ static inline real_t qp_value(const qp_t *q, int c, const real_t *z)
 }
 #endif
 
+/* Magnitude of a bound of row c and of the terms that it sums up. */
+static inline real_t qp_bound_size(const qp_t *q, int c, real_t bound)
+{
+#if NG
+    return FABS(bound) + (c < NV ? R(0) : q->terms[c - NV]);
+#else
+    (void)q;
+    (void)c;
+    return FABS(bound);
+#endif
+}
+
 /* |D^{-1/2} a_c|, an estimate of |m|, where D^{1/2} is the diagonal of C. */
 static real_t qp_row_norm(const qp_t *q, int c)
 {
@@ -42,12 +54,12 @@ static real_t qp_row_norm(const qp_t *q, int c)
     return q->inverse[c];
 }
 
-/* Magnitude of the terms of a_c'x, a lower bound. */
+/* Magnitude of the terms of a_c'x and of the bounds, a lower bound. */
 static real_t qp_row_size(const qp_t *q, int c)
 {
 #if NG
     if (c >= NV) {
-        real_t sum = R(0);
+        real_t sum = q->terms[c - NV];
         for (int j = 0; j < NV; ++j) {
             sum += FABS(q->A[c - NV][j] * q->x[j]);
         }
@@ -241,18 +253,26 @@ static void qp_move_to_bounds(const qp_t *q, const real_t *w, real_t *c, real_t 
     qp_subtract_span(q, c, v);
 }
 
+/* w := R^{-T} w */
+static void qp_solve_transposed(const qp_t *q, real_t *w)
+{
+    for (int k = 0; k < q->nw; ++k) {
+        for (int j = 0; j < k; ++j) {
+            w[k] -= q->work.basis.R[k][j] * w[j];
+        }
+        w[k] *= q->R_inverse[k];
+    }
+}
+
 /* y and lam on the working set, where t are the active bounds: R'w = t, c = Q y0 - w, y = y0 - Q'c, lam = R^{-1} c.
  * After cancellation a second pass, with y in place of y0, restores Q y = w. */
 static void qp_minimize_on_working_set(qp_t *q)
 {
     real_t w[LDV];
     for (int k = 0; k < q->nw; ++k) {
-        real_t sum = qp_bound(q, q->row[k]);
-        for (int j = 0; j < k; ++j) {
-            sum -= q->work.basis.R[k][j] * w[j];
-        }
-        w[k] = sum * q->R_inverse[k];
+        w[k] = qp_bound(q, q->row[k]);
     }
+    qp_solve_transposed(q, w);
     copy(q->work.basis.y, q->y0);
     qp_move_to_bounds(q, w, q->lam, q->work.basis.y);
     qp_solve_triangle(q, q->lam);

@@ -31,7 +31,7 @@ static status_t qp_fall_back(solver_t *s)
 {
     qp_t *q = &s->qp;
     qp_start_empty(s);
-    if (qp_iterate(s, QP_MAX_ITERATIONS) == OK) {
+    if (qp_settle(s, QP_MAX_ITERATIONS) == OK) {
         return OK;
     }
     const int before = q->iterations;
@@ -48,7 +48,7 @@ static status_t qp_fall_back(solver_t *s)
 #endif
     qp_put_aside(s);
     qp_enter(s);
-    if (qp_iterate(s, QP_MAX_POLISH) == OK) {
+    if (qp_settle(s, QP_MAX_POLISH) == OK) {
         return OK;
     }
     qp_take_back(s);

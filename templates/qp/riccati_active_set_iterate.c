@@ -281,3 +281,14 @@ static void qp_finish(qp_t *q)
     }
 #endif
 }
+
+/* The same, with the result completed and checked. Returns STALLED if it is not a solution of the original QP. */
+static status_t qp_settle(solver_t *s, int most)
+{
+    const status_t status = qp_iterate(s, most);
+    if (status != OK) {
+        return status;
+    }
+    qp_finish(&s->qp);
+    return qp_is_solution(s) ? OK : STALLED;
+}

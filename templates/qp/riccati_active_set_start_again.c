@@ -5,6 +5,6 @@
 static status_t qp_fall_back(solver_t *s)
 {
     qp_start_empty(s);
-    const status_t status = qp_iterate(s, QP_MAX_ITERATIONS);
+    const status_t status = qp_settle(s, QP_MAX_ITERATIONS);
     return status == STALLED ? ITERATION_LIMIT : status;
 }

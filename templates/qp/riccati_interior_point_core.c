@@ -32,6 +32,9 @@ static void ipm_write_active(solver_t *s)
 #endif
         if (q->lam[i] * square > q->t[i]) {
             s->qp.side[c] = side;
+            if (c < NV && q->t[i] <= TOL_UNIT * SQRT(q->unit) * s->units.reach[c]) {
+                s->qp.z[c] = ipm_bound(s, i); /* exact, as it may be 0 */
+            }
         }
     }
 }
@@ -140,7 +143,7 @@ static status_t ipm_run(solver_t *s)
 static status_t ipm_attempt(solver_t *s)
 {
     s->ipm.ready = 0;
-    if (!ipm_first_point(s)) {
+    if (!ipm_near_point(s)) {
         return NUMERICAL_FAILURE;
     }
 #if NG
@@ -152,7 +155,7 @@ static status_t ipm_attempt(solver_t *s)
 }
 
 #if IPM_WARM_START
-/* An attempt from the multipliers of the previous QP. If it has not converged after half of the iterations, a cold
+/* An attempt from the multipliers of the previous QP. If it has not converged after a quarter of the iterations, a cold
  * start replaces it. */
 static status_t ipm_attempts(solver_t *s)
 {
@@ -205,6 +208,9 @@ static status_t ipm_solve(solver_t *s)
     }
     status = ipm_attempts(s);
     ipm_write_sides(s);
+    if (status == OK && !qp_is_solution(s)) {
+        status = ITERATION_LIMIT;
+    }
     if (status == NUMERICAL_FAILURE) {
         qp_clear_results(&s->qp);
     }

@@ -236,11 +236,12 @@ static void ipm_move(solver_t *s, real_t step)
 }
 
 /* Fraction of the distance to the boundary that is kept: small, and smaller near the solution. An iteration that is
- * still far from the solution after many steps cycles close to the boundary; a larger fraction ends the cycle. */
+ * still far from the solution after many steps, or takes short ones, cycles close to the boundary; a larger fraction
+ * ends the cycle. */
 static real_t ipm_setback(const solver_t *s)
 {
     const real_t gap = s->ipm.mu / s->ipm.unit;
-    if (s->qp.iterations > 15 && gap > SQRT(TOL_UNIT)) {
+    if (s->qp.iterations - s->ipm.begun > 15 && (gap > SQRT(TOL_UNIT) || s->ipm.step < R(0.5))) {
         return R(0.1);
     }
     return (gap > R(5e-4)) ? R(5e-3) : (gap < R(1e-7)) ? R(1e-6) : R(10) * gap;
@@ -352,14 +353,42 @@ static int ipm_converged(solver_t *s)
     return 1;
 }
 
+/* Returns 1 if the iterate is good enough to end the iterations: without curvature, or after many of them, rounding
+ * errors may keep it from the tolerances that the iterations aim at. */
+static int ipm_suffices(solver_t *s)
+{
+    const ipm_t *q = &s->ipm;
+    if (!(q->damping > R(0) || s->qp.iterations - q->begun > 20) || q->primal > TOL_QP_ACCEPTED ||
+        q->mu > TOL_QP_ACCEPTED * q->unit) {
+        return 0;
+    }
+    ipm_stationarity(s); /* multipliers of fixed controls */
+    return qp_is_solution(s);
+}
+
 /* Stiff rows may cover the gradient with rounding errors. If that persists, the stiffening is reset and limited to a
  * lower value for the rest of the solve. Returns 1 if it is. */
 static int ipm_soften(ipm_t *q, real_t gradient_before)
 {
-    if (q->stiffening > R(1) && q->slope < (real_t)INFINITY && q->slope > R(1024) &&
+    if (q->stiffening > ipm_least_stiffening(q) && q->slope < (real_t)INFINITY && q->slope > R(1024) &&
         q->slope > R(0.5) * gradient_before) {
         q->stiffest = R(0.0625) * q->stiffening;
-        q->stiffening = R(1);
+        q->stiffening = ipm_least_stiffening(q);
+        return 1;
+    }
+    return 0;
+}
+
+/* Proximal point steps are short along directions of little curvature. If the gradient decreases too slowly, the
+ * proximal term is reduced as far as rounding permits. Returns 1 if it is. */
+static int ipm_loosen(ipm_t *q, real_t gradient_before)
+{
+    if (q->damping > R(0) && q->slope < (real_t)INFINITY && q->slope > R(1) && q->slope > R(0.5) * gradient_before &&
+        q->proximity > R(8192) * SQRT(TOL_UNIT)) {
+        q->proximity *= R(0.0625);
+        for (int i = 0; i < NZS; i++) {
+            q->proximal[i] *= R(0.0625);
+        }
         return 1;
     }
     return 0;
@@ -371,10 +400,10 @@ static int ipm_weigh_and_factorize(solver_t *s)
 {
     ipm_weigh(s);
     while (!ipm_factorize(s)) {
-        if (s->ipm.stiffening <= R(1)) {
+        if (s->ipm.stiffening <= ipm_least_stiffening(&s->ipm)) {
             return 0;
         }
-        s->ipm.stiffening = R(1);
+        s->ipm.stiffening = ipm_least_stiffening(&s->ipm);
         ipm_weigh(s);
     }
     return 1;
@@ -440,11 +469,12 @@ static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;
 #if IPM_WARM_START
-    const int cap = q->warm ? IPM_MAX_ITERATIONS / 2 : IPM_MAX_ITERATIONS;
+    const int cap = q->warm ? IPM_MAX_ITERATIONS / 4 : IPM_MAX_ITERATIONS;
 #else
     const int cap = IPM_MAX_ITERATIONS;
 #endif
     ipm_forget_progress(q);
+    q->begun = s->qp.iterations;
     for (;;) {
         const real_t before = q->primal, gradient_before = q->slope;
         int changed, done;
@@ -455,15 +485,15 @@ static status_t ipm_iterate(solver_t *s)
             return NUMERICAL_FAILURE;
         }
         done = ipm_converged(s);
-        if (q->probing && q->slope < (real_t)INFINITY && ipm_any_violation(s)) {
+        if (q->probing && (q->slope < (real_t)INFINITY || s->qp.iterations > 20) && ipm_any_violation(s)) {
             return OK;
         }
-        changed |= ipm_soften(q, gradient_before);
+        changed |= ipm_soften(q, gradient_before) | ipm_loosen(q, gradient_before);
         done &= !changed;
 #if NG
         done = ipm_ends(q, done, before);
 #endif
-        if (done) {
+        if (done || ipm_suffices(s)) {
             return OK;
         }
 #if NG

@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2584 bytes in size, holds no pointers and may be
+ * The caller owns the memory: one golden_solver_t is 2632 bytes in size, holds no pointers and may be
  * copied with '='. Only one execution context at a time may use an instance. An interrupt may change measurements
  * during a call: pass a copy of them. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
@@ -123,8 +123,8 @@ typedef union { /* memory of phases that do not overlap */
 golden_status_t golden_init(golden_solver_t *s);
 golden_status_t golden_reset(golden_solver_t *s);
 
-/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; a NUMERICAL_FAILURE
- * that persists means that the plan itself is unusable: call reset. */
+/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; feedback restarts a
+ * plan that fails repeatedly. */
 golden_status_t golden_prepare(golden_solver_t *s);
 
 /* Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return. */

@@ -45,6 +45,7 @@ typedef struct { /* the condensed QP's dependence on dx_0 */
     golden_real c[GOLDEN_N + 1][GOLDEN_NX]; /* free response of the gaps b_k */
     golden_real Ax[GOLDEN_NG][GOLDEN_NX]; /* coupling of the rows to dx_0 */
     golden_real v[GOLDEN_NG]; /* values of the rows at du = 0, dx_0 = 0 */
+    golden_real terms[GOLDEN_NG]; /* magnitude of the terms of v */
 } golden_condensed_t;
 
 typedef struct { /* condensed QP and its active-set factorisation */
@@ -57,7 +58,6 @@ typedef struct { /* condensed QP and its active-set factorisation */
     golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
     golden_real x[GOLDEN_LDV]; /* z that belongs to y */
     golden_real proximal[GOLDEN_LDV]; /* diagonal E added to a semidefinite Hessian */
-    golden_real weight[GOLDEN_LDV]; /* entries of E that are in use */
     golden_real center[GOLDEN_LDV]; /* centre of the proximal term */
     golden_real direction[GOLDEN_LDV]; /* direction of the last proximal step */
     golden_real g[GOLDEN_NV]; /* gradient */
@@ -65,6 +65,7 @@ typedef struct { /* condensed QP and its active-set factorisation */
     int32_t row[GOLDEN_LDV]; /* rows in the working set, in the order of the basis */
     golden_real lower[GOLDEN_NV + GOLDEN_NG]; /* lower bounds of variables, then of general rows */
     golden_real upper[GOLDEN_NV + GOLDEN_NG]; /* upper bounds */
+    golden_real terms[GOLDEN_NG]; /* magnitude of the terms that the bounds of a general row sum up */
     golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
     golden_real slack[GOLDEN_NV + GOLDEN_NG]; /* violation of a row that is accepted as rounding */
     golden_real scale; /* |y0|, and the terms that saturated rows add to it */
@@ -76,6 +77,7 @@ typedef struct { /* condensed QP and its active-set factorisation */
     int32_t snapshot[GOLDEN_NV + GOLDEN_NG]; /* earlier values of side, to detect cycles */
     int32_t nw; /* number of rows in the working set */
     int32_t factorized; /* 1: qp_factorize has succeeded */
+    int32_t strict; /* 1: rounding errors are judged by the terms of a row */
     int32_t semidefinite; /* 1: a pivot of H may be zero, E is not zero */
     int32_t face; /* value of changes when the direction was set */
     int32_t elastic; /* 1: a row has a finite penalty */
@@ -120,18 +122,18 @@ typedef struct { /* line search of solve() */
 typedef struct { /* the whole controller: no pointers, copy it with '=' */
     /* work */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
+    golden_qp_t qp; /* condensed QP and its active-set factorisation */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
-    int32_t reference_changed; /* 1: the references are newer than the gradients */
+    golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
+    int32_t renewal; /* 1: references are newer than the gradients, 2: so are weights or parameters */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
-    int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
+    int32_t failing; /* failures in a row, at most 3 */
     golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
     golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
-    golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
-    golden_qp_t qp; /* condensed QP and its active-set factorisation */
     int32_t magic; /* set by init */
     /* plan */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls of the plan */

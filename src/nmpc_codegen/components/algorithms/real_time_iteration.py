@@ -27,8 +27,8 @@ _U0 = Argument("u0", "real", ("NU",))
 PHASES = (
     EntryPoint(
         "prepare",
-        "Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; a "
-        "NUMERICAL_FAILURE that persists means that the plan itself is unusable: call reset.",
+        "Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; feedback "
+        "restarts a plan that fails repeatedly.",
     ),
     EntryPoint(
         "feedback",
@@ -153,7 +153,7 @@ class RealTimeIteration(Defaults):
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
-            Field("failing", (), "1: the last QP had no solution, 2: nor had the one before", "keep", "int32"),
+            Field("failing", (), "failures in a row, at most 3", "keep", "int32"),
         )
         results = (
             Field("stats", (), "counters", "result", "stats"),

@@ -78,6 +78,9 @@ class Osqp(Defaults):
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
                     Field("upper", (rows,), "upper bounds", "scratch"),
                     Field("penalty", (rows,), "infinite: every row is hard", "keep", only="ELASTIC"),
+                    Field(
+                        "terms", (ng,), "not used: magnitude of the terms that the bounds of a row sum up", "scratch"
+                    ),
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),

@@ -1,0 +1,135 @@
+/* Contract of this part: the optimality conditions of an answer, recomputed from the data, and iterative refinement. */
+
+/* Adds the terms t_i of the gradient to its sum r and their magnitudes to size. */
+static void qp_accumulate(const real_t *t, real_t *r, real_t *size)
+{
+    for (int i = 0; i < NV; ++i) {
+        r[i] += t[i];
+        size[i] += FABS(t[i]);
+    }
+}
+
+/* r = H x + g + mult[0..NV) + A'mult[NV..NV+NG), where H = L D L' - E, and size = |H x| + |g| + ..., where a multiple of
+ * sqrt(D) (|y0| + |y|) accounts for the terms of H x. */
+static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
+{
+    const real_t unit = R(1.0 / 256) * (q->scale + norm(q->work.basis.y));
+    real_t h[LDV], u[LDV];
+    qp_multiply_upper(q, q->x, u);
+    for (int i = 0; i < LDV; ++i) {
+        size[i] = unit * q->H[i][i] * q->inverse[i];
+        h[i] = u[i] *= q->H[i][i];
+        r[i] = R(0);
+    }
+    for (int b = 0; b < LDV; b += 4) {
+        const real_t c[4] = {-u[b], -u[b + 1], -u[b + 2], -u[b + 3]};
+        for (int i = b + 1; i < b + 4; ++i) {
+            for (int j = b; j < i; ++j) {
+                h[i] += q->H[i][j] * u[j];
+            }
+        }
+        subtract_panel(h, q->H + b, c, b + 4, LDV);
+    }
+    for (int i = 0; q->semidefinite && i < NV; ++i) {
+        h[i] -= q->proximal[i] * q->x[i];
+    }
+    qp_accumulate(h, r, size);
+    qp_accumulate(q->g, r, size);
+    qp_accumulate(q->mult, r, size);
+#if NG
+    clear(h);
+    for (int c = NV; c < NV + NG; ++c) {
+        for (int i = 0; q->side[c] != INACTIVE && i < LDV; ++i) {
+            h[i] += q->A[c - NV][i] * q->mult[c];
+        }
+    }
+    qp_accumulate(h, r, size);
+#endif
+}
+
+/* Violation of row c by x, in both directions if the row is a member; 0 if it is saturated. Positive above the bound. */
+static real_t qp_excess(const qp_t *q, int c)
+{
+#if NG
+    const real_t value = qp_value(q, c, q->x);
+#else
+    const real_t value = q->x[c];
+#endif
+#if ELASTIC
+    if (qp_is_saturated(q, c)) {
+        return R(0);
+    }
+#endif
+    if (qp_is_member(q, c)) {
+        return value - qp_bound(q, c);
+    }
+    return value > q->upper[c] ? value - q->upper[c] : value < q->lower[c] ? value - q->lower[c] : R(0);
+}
+
+/* Returns 1 if the gradient of the Lagrangian is known to vanish up to rounding, as y = y0 - Q'R lam with a definite H is
+ * no small difference of large terms. */
+static int qp_is_stationary(const qp_t *q)
+{
+    real_t terms = q->scale * q->scale;
+    for (int k = 0; k < q->nw; ++k) {
+        terms += q->lam[k] * q->lam[k] * qp_square(q, k);
+    }
+    return !q->semidefinite && terms <= R(64) * dot(q->work.basis.y, q->work.basis.y, LDV);
+}
+
+/* Returns 1 if x and mult satisfy the optimality conditions up to rounding. r: gradient of the Lagrangian, or 0 if it
+ * need not be computed. */
+static int qp_is_optimal(const qp_t *q, real_t *r, int refined)
+{
+    real_t size[LDV];
+    int optimal = 1;
+    clear(r);
+    if (refined || !qp_is_stationary(q)) {
+        qp_stationarity(q, r, size);
+        for (int i = 0; i < NV; ++i) {
+            optimal &= FABS(r[i]) <= qp_tolerance() * size[i];
+        }
+    }
+    for (int c = 0; c < NV + NG && optimal; ++c) {
+        const real_t excess = FABS(qp_excess(q, c));
+        optimal = excess <= qp_tolerance() * qp_bound_size(q, c, R(0)) || excess <= qp_tolerance() * qp_row_size(q, c);
+    }
+    return optimal;
+}
+
+/* One step of iterative refinement on the working set: x and lam take the corrections for the gradient r and for the
+ * residuals of the members. */
+static void qp_refine(qp_t *q, real_t *r)
+{
+    real_t c[LDV], w[LDV];
+    for (int k = 0; k < q->nw; ++k) {
+        w[k] = qp_excess(q, q->row[k]);
+    }
+    qp_forward(q, r, 0);
+    qp_solve_transposed(q, w);
+    qp_move_to_bounds(q, w, c, r);
+    qp_solve_triangle(q, c);
+    qp_backward(q, r, r);
+    for (int i = 0; i < LDV; ++i) {
+        q->x[i] -= r[i];
+    }
+    for (int k = 0; k < q->nw; ++k) {
+        q->lam[k] -= c[k];
+    }
+}
+
+/* Writes the result; what fails its conditions is refined up to twice. Returns 0 if they still do not hold. */
+static int qp_accept(qp_t *q)
+{
+    real_t r[LDV];
+    for (int step = 0; qp_write_result(q); ++step) {
+        if (qp_is_optimal(q, r, step)) {
+            return 1;
+        }
+        if (step == 2) {
+            return 0;
+        }
+        qp_refine(q, r);
+    }
+    return 0;
+}
