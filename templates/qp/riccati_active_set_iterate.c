@@ -229,6 +229,9 @@ static status_t qp_minimize(solver_t *s, int *changed)
 static status_t qp_iterate(solver_t *s, int most)
 {
     qp_t *q = &s->qp;
+#if INTERIOR_POINT
+    int least = NV + NG + 1, slow = 0;
+#endif
     qp_seen(q, 0);
     for (int tried = 1; tried <= most; tried++) {
         int changed;
@@ -248,6 +251,13 @@ static status_t qp_iterate(solver_t *s, int most)
         if (qp_seen(q, tried)) {
             return STALLED;
         }
+#if INTERIOR_POINT
+        slow += changed >= least;
+        least = (changed < least) ? changed : least;
+        if (slow >= QP_MAX_SLOW) {
+            return STALLED;
+        }
+#endif
         q->iterations++;
     }
     return ITERATION_LIMIT;

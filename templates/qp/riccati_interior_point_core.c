@@ -189,6 +189,24 @@ static status_t ipm_update(solver_t *s)
     return OK;
 }
 
+/* Sets the sides and checks the result, unless it only indicates a working set. Returns the final status. */
+static status_t ipm_finish(solver_t *s, status_t status)
+{
+    ipm_write_sides(s);
+#if IPM_CROSSOVER
+    if (s->ipm.crossing == HANDED_OVER) {
+        return status;
+    }
+#endif
+    if (status == OK && !qp_is_solution(s)) {
+        status = ITERATION_LIMIT;
+    }
+    if (status == NUMERICAL_FAILURE) {
+        qp_clear_results(&s->qp);
+    }
+    return status;
+}
+
 /* Solves the QP for dx_0 and the present bounds. */
 static status_t ipm_solve(solver_t *s)
 {
@@ -206,13 +224,16 @@ static status_t ipm_solve(solver_t *s)
         qp_clear_results(&s->qp);
         return status;
     }
-    status = ipm_attempts(s);
-    ipm_write_sides(s);
-    if (status == OK && !qp_is_solution(s)) {
-        status = ITERATION_LIMIT;
-    }
-    if (status == NUMERICAL_FAILURE) {
-        qp_clear_results(&s->qp);
-    }
-    return status;
+    return ipm_finish(s, ipm_attempts(s));
 }
+
+#if IPM_CROSSOVER
+/* Continues after an iterate that indicates a working set, with x and z of that iterate. */
+static status_t ipm_resume(solver_t *s)
+{
+    ipm_take_kinds(s);
+    memset(s->riccati.du, 0, sizeof s->riccati.du);
+    ipm_gaps(s);
+    return ipm_finish(s, ipm_iterate(s));
+}
+#endif

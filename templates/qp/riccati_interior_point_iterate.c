@@ -464,6 +464,22 @@ static inline int ipm_stagnates(const ipm_t *q, real_t before)
 }
 
 #endif
+#if IPM_CROSSOVER
+/* Values of crossing: iterations until the solution; until a working set is indicated; they ended so. */
+enum { TO_THE_END = 0, CROSS_OVER = 1, HANDED_OVER = 2 };
+
+/* Returns 1 if the iterate is so close to the solution that it indicates the working set, and the iterations are to end
+ * then. */
+static int ipm_hands_over(ipm_t *q)
+{
+    if (q->crossing == TO_THE_END || q->sides == 0 || q->mu > R(1e-4) * q->unit || q->primal > R(1e-4)) {
+        return 0;
+    }
+    q->crossing = HANDED_OVER;
+    return 1;
+}
+
+#endif
 /* Iterations from the present point. Returns OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
 static status_t ipm_iterate(solver_t *s)
 {
@@ -484,6 +500,11 @@ static status_t ipm_iterate(solver_t *s)
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return NUMERICAL_FAILURE;
         }
+#if IPM_CROSSOVER
+        if (ipm_hands_over(q)) {
+            return OK;
+        }
+#endif
         done = ipm_converged(s);
         if (q->probing && (q->slope < (real_t)INFINITY || s->qp.iterations > 20) && ipm_any_violation(s)) {
             return OK;

@@ -86,7 +86,9 @@ class RiccatiActiveSet(Defaults):
         if self.fallback is None:
             return ()
         return (
+            ("QP_MAX_SLOW", 2, "cap on the working sets that change no less than one before"),
             ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
+            ("IPM_CROSSOVER", 1, "1: the interior point method may end once it indicates a working set"),
             ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on the interior point iterations of one QP"),
             ("IPM_WARM_START", int(self.fallback.warm_start), "1: start near the multipliers of the previous QP"),
         )
@@ -101,7 +103,7 @@ class RiccatiActiveSet(Defaults):
         return (
             *units,
             *riccati_structs(dims, () if noise is None else (noise,), corrected),
-            *((interior_point_struct(dims, self.fallback),) if self.fallback is not None else ()),
+            *((interior_point_struct(dims, self.fallback, crossover=True),) if self.fallback is not None else ()),
             Struct(
                 "qp",
                 "working set of the stage QP",
