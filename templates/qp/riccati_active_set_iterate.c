@@ -252,7 +252,7 @@ static status_t qp_iterate(solver_t *s, int most)
             return STALLED;
         }
 #if INTERIOR_POINT
-        slow += changed >= least;
+        slow += changed >= least && changed > 2;
         least = (changed < least) ? changed : least;
         if (slow >= QP_MAX_SLOW) {
             return STALLED;
