@@ -224,13 +224,14 @@ static status_t qp_minimize(solver_t *s, int *changed)
     return status;
 }
 
-/* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself or
- * its members contradict one another; ITERATION_LIMIT; NUMERICAL_FAILURE. */
+/* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself, its
+ * members contradict one another, or the number of changes does not fall and the interior point method can take over;
+ * ITERATION_LIMIT; NUMERICAL_FAILURE. */
 static status_t qp_iterate(solver_t *s, int most)
 {
     qp_t *q = &s->qp;
 #if INTERIOR_POINT
-    int least = NV + NG + 1, slow = 0;
+    int before = 0, rises = 0;
 #endif
     qp_seen(q, 0);
     for (int tried = 1; tried <= most; tried++) {
@@ -252,9 +253,9 @@ static status_t qp_iterate(solver_t *s, int most)
             return STALLED;
         }
 #if INTERIOR_POINT
-        slow += changed >= least && changed > 2;
-        least = (changed < least) ? changed : least;
-        if (slow >= QP_MAX_SLOW) {
+        rises += tried > 1 && changed > 2 && changed >= before;
+        before = changed;
+        if (rises == QP_MAX_RISES) {
             return STALLED;
         }
 #endif
