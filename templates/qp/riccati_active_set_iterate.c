@@ -301,5 +301,8 @@ static status_t qp_settle(solver_t *s, int most)
         return status;
     }
     qp_finish(&s->qp);
+#if INTERIOR_POINT
+    s->qp.least = R(0);
+#endif
     return qp_is_solution(s) ? OK : STALLED;
 }

@@ -200,7 +200,7 @@ static status_t ipm_finish(solver_t *s, status_t status)
         return status;
     }
 #endif
-    if (status == OK && !qp_is_solution(s)) {
+    if (status == OK && !ipm_is_solution(s)) {
         status = ITERATION_LIMIT;
     }
     if (status == NUMERICAL_FAILURE) {

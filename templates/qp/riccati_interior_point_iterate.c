@@ -353,6 +353,14 @@ static int ipm_converged(solver_t *s)
     return 1;
 }
 
+/* Returns 1 if the result is a solution. Rows are not exact: what moves the cost by no more than rounding of its unit is
+ * negligible, even if the bounds, and with them all terms of a row, vanish. */
+static int ipm_is_solution(solver_t *s)
+{
+    s->qp.least = R(16) * TOL_UNIT / TOL_QP_ACCEPTED * SQRT(s->ipm.unit);
+    return qp_is_solution(s);
+}
+
 /* Returns 1 if the iterate is good enough to end the iterations: without curvature, or after many of them, rounding
  * errors may keep it from the tolerances that the iterations aim at. */
 static int ipm_suffices(solver_t *s)
@@ -363,7 +371,7 @@ static int ipm_suffices(solver_t *s)
         return 0;
     }
     ipm_stationarity(s); /* multipliers of fixed controls */
-    return qp_is_solution(s);
+    return ipm_is_solution(s);
 }
 
 /* Stiff rows may cover the gradient with rounding errors. If that persists, the stiffening is reset and limited to a
