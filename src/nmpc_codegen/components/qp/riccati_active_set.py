@@ -86,7 +86,7 @@ class RiccatiActiveSet(Defaults):
         if self.fallback is None:
             return ()
         return (
-            ("QP_MAX_RISES", 2, "number of times that the changes may fail to become fewer"),
+            ("QP_MAX_RISES", 3, "number of times that the changes may fail to become fewer"),
             ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
             ("IPM_CROSSOVER", 1, "1: the interior point method may end once it indicates a working set"),
             ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on the interior point iterations of one QP"),
