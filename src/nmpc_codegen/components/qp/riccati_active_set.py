@@ -44,8 +44,10 @@ class RiccatiActiveSet(Defaults):
     """Options of the Riccati active-set solver.
 
     ``max_iterations``: maximum number of working sets that are tried in one feedback phase; None: 50. ``fallback``: the
-    method, with its options, that solves a QP for which no working set is found. With None such a QP, even an
-    infeasible one, ends with ITERATION_LIMIT (crossed bounds with INFEASIBLE), and the package is smaller.
+    method, with its options, that takes over earlier, once the number of changes has failed to fall three times. It
+    continues until its iterate indicates a working set, from which the active-set method finishes. With None a QP for
+    which no working set is found, even an infeasible one, ends with ITERATION_LIMIT (crossed bounds with INFEASIBLE),
+    and the package is smaller.
     """
 
     seam: ClassVar[Seam] = "qp"
