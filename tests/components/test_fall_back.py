@@ -1,4 +1,4 @@
-"""RiccatiActiveSet.fallback: when the interior point method takes over, what that costs, and what happens without it."""
+"""RiccatiActiveSet.fallback: when the interior point method takes over, at what cost, and what happens without it."""
 
 from __future__ import annotations
 

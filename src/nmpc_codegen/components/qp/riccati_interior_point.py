@@ -63,7 +63,11 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: 
             Field("de", (soft,), "direction of e", "scratch"),
             Field("dkappa", (soft,), "correction of the products e kappa, later the direction of kappa", "scratch"),
             *_progress(dims, options.warm_start),
-            *((Field("crossing", (), "whether and when another method takes over", "scratch", "int32"),) if crossover else ()),
+            *(
+                (Field("crossing", (), "whether and when another method takes over", "scratch", "int32"),)
+                if crossover
+                else ()
+            ),
         ),
     )
 
