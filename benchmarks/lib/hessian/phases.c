@@ -16,10 +16,10 @@
 #define API(name) JOIN(NAME, name)
 #define SIZE(name) JOIN(MACRO, name)
 
-enum { PHASES = 5, STEPS = 4096 };
+enum { TIMED_PHASES = 5, MOST_SAMPLES = 4096 };
 
 static API(_solver_t) solver;
-static double spent[PHASES + 1][STEPS];
+static double spent[TIMED_PHASES + 1][MOST_SAMPLES];
 
 static double microseconds(void)
 {
@@ -37,7 +37,7 @@ static int ascending(const void *a, const void *b)
 /* One sample: prepare() and feedback(), phase by phase. */
 static void sample(int n, const API(_real) *x, API(_real) *u)
 {
-    double at[PHASES + 1];
+    double at[TIMED_PHASES + 1];
     int i;
     at[0] = microseconds();
     if (n > 0) {
@@ -48,16 +48,15 @@ static void sample(int n, const API(_real) *x, API(_real) *u)
     at[2] = microseconds();
     hessian(&solver);
     at[3] = microseconds();
-    solver.reference_changed = 0;
     condense_prepare(&solver);
     solver.prepared = 1;
     at[4] = microseconds();
     API(_feedback)(&solver, x, u);
     at[5] = microseconds();
-    for (i = 0; i < PHASES; i++) {
+    for (i = 0; i < TIMED_PHASES; i++) {
         spent[i][n] = at[i + 1] - at[i];
     }
-    spent[PHASES][n] = at[PHASES] - at[0];
+    spent[TIMED_PHASES][n] = at[TIMED_PHASES] - at[0];
 }
 
 int main(int argc, char **argv)
@@ -66,7 +65,7 @@ int main(int argc, char **argv)
     const double dt = atof(argv[3]), restart = atof(argv[5]);
     API(_real) x[SIZE(_NX)], u[SIZE(_NU)];
     int run, n, i;
-    if (argc != 6 + SIZE(_NX) || steps > STEPS) {
+    if (argc != 6 + SIZE(_NX) || steps > MOST_SAMPLES) {
         return 1;
     }
     for (run = 0; run < runs; run++) {
@@ -79,7 +78,7 @@ int main(int argc, char **argv)
             sample(n, x, u);
             API(_integrate)(&solver, x, u, (API(_real))dt, x);
         }
-        for (i = 0; i <= PHASES; i++) {
+        for (i = 0; i <= TIMED_PHASES; i++) {
             qsort(spent[i], (size_t)steps, sizeof spent[i][0], ascending);
             printf("%.4f ", spent[i][steps / 2]);
         }
