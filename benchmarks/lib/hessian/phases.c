@@ -1,5 +1,6 @@
 /* Times the phases of a sample of one package in C, with the package's own model as plant.
- * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'. Arguments: runs steps dt period restart x0...
+ * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"' -DAT_STAGES=<1 if
+ * blocks are regularised stage by stage>. Arguments: runs steps dt period restart x0...
  * Every `period` steps the plant restarts at x0 (1 + restart * U(-1, 1)). Prints per run the medians, us, of shift,
  * linearisation with second derivatives, regularisation (with the terminal block), condensing, feedback, and the
  * total. */
@@ -46,7 +47,9 @@ static void sample(int n, const API(_real) *x, API(_real) *u)
     at[1] = microseconds();
     linearize(&solver);
     at[2] = microseconds();
+#if AT_STAGES
     hessian(&solver);
+#endif
     at[3] = microseconds();
     condense_prepare(&solver);
     solver.prepared = 1;
