@@ -6,10 +6,10 @@ static inline real_t qp_zero_pivot(void)
     return SQRT(TOL_UNIT / 256);
 }
 
-/* Weight of the proximal term as a fraction of the diagonal entry. */
+/* Weight of the proximal term as a fraction of the diagonal entry: 2^-17 in double precision, 2^-10 in single. */
 static inline real_t qp_proximal_share(void)
 {
-    return SQRT(TOL_UNIT * 262144);
+    return SQRT(SQRT(TOL_UNIT / 65536));
 }
 
 /* y := C^{-1} y = D^{-1/2} L^{-1} y, where y_i = 0 for i < first. */
@@ -69,12 +69,13 @@ static real_t qp_length(const qp_t *q, int i)
     return least < (real_t)INFINITY ? least : R(1);
 }
 
-/* Weights of the proximal term: a fraction of the diagonal of H or, where that is (nearly) zero, of the cost divided by
- * the square of a length. The cost is the median over the variables, because some bounds are too wide to be
- * relevant. */
-static void qp_set_proximal_weights(qp_t *q, const real_t *reference)
+/* H += diag(proximal). The weights are a fraction of the diagonal of H or, where that is (nearly) zero, of the cost
+ * divided by the square of a length. The cost is the median over the variables, because some bounds are too wide to be
+ * relevant. Returns 0 if a diagonal entry is negative, or zero in a row that is not zero. */
+static int qp_add_proximal_term(qp_t *q, const real_t *reference)
 {
     real_t length[NV], cost[NV];
+    int valid = 1;
     for (int i = 0; i < NV; ++i) {
         length[i] = qp_length(q, i);
         cost[i] = reference[i] * length[i] * length[i];
@@ -83,26 +84,23 @@ static void qp_set_proximal_weights(qp_t *q, const real_t *reference)
     for (int i = 0; i < NV; ++i) {
         const real_t other = middle / (length[i] * length[i]);
         const int known = reference[i] > TOL_QP_PIVOT * other;
-        q->weight[i] = known ? qp_proximal_share() * reference[i] : R(1.0 / 64) * other;
+        q->proximal[i] = known ? qp_proximal_share() * reference[i] : R(1.0 / 64) * other;
+        q->H[i][i] += q->proximal[i];
+        valid &= reference[i] >= R(0);
+        for (int j = 0; j < NV; ++j) {
+            const real_t x = j < i ? q->H[i][j] : q->H[j][i];
+            valid &= known || j == i || x * x <= qp_zero_pivot() * other * reference[j];
+        }
     }
-    clear(q->proximal);
-    q->semidefinite = 1;
+    return valid;
 }
 
-/* Sets pivot k of L D L' and returns its inverse. A pivot that may be zero is increased by the weight of the proximal
- * term. A pivot that is negative beyond rounding or not finite becomes NaN, as do all later ones. */
+/* Sets pivot k of L D L' and returns its inverse. A pivot that is zero, negative or not finite becomes NaN, as do all
+ * later ones. */
 static inline real_t qp_pivot(qp_t *q, int k, real_t pivot, const real_t *reference)
 {
-    const real_t zero = qp_zero_pivot() * reference[k];
-    if (!(pivot > zero && isfinite(pivot))) {
-        if (!q->semidefinite) {
-            qp_set_proximal_weights(q, reference);
-        }
-        q->proximal[k] = q->weight[k];
-        pivot = pivot >= -zero ? pivot + q->weight[k] : (real_t)NAN;
-    }
-    q->H[k][k] = pivot;
-    return q->inverse[k] = R(1) / pivot;
+    q->H[k][k] = pivot > qp_zero_pivot() * reference[k] && isfinite(pivot) ? pivot : (real_t)NAN;
+    return q->inverse[k] = R(1) / q->H[k][k];
 }
 
 /* L D L' of the diagonal panel b, with X = L D; L is stored below and above the diagonal. */
@@ -145,39 +143,38 @@ static void qp_factorize_panel(qp_t *q, int b)
     }
 }
 
-/* Returns 1 if the entries below every zero pivot vanish, as in a semidefinite matrix: x_ik^2 <= (pivot k) H_ii, where
- * x_ik = L_ik d_k. */
-static int qp_zero_below(const qp_t *q, const real_t *reference)
+/* H = L D L' in place. Returns 0 if a pivot is not positive. */
+static int qp_factorize_panels(qp_t *q, const real_t *reference)
 {
-    int valid = 1;
-    for (int k = 0; k < NV; ++k) {
-        for (int i = k + 1; q->proximal[k] > R(0) && i < NV; ++i) {
-            const real_t x = q->H[k][i] * q->H[k][k];
-            valid &= x * x <= qp_zero_pivot() * reference[k] * reference[i];
-        }
+    for (int b = 0; b < LDV; b += 4) {
+        qp_factorize_diagonal(q, b, reference);
+        qp_factorize_panel(q, b);
     }
-    return valid;
+    return isfinite(q->inverse[LDV - 1]);
 }
 
 /* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}. Rows NV to LDV are those of the identity, which completes
- * the last panel. */
+ * the last panel. If a pivot of H may be zero, H is restored from a copy, and the proximal term is added. */
 static status_t qp_factorize_hessian(qp_t *q)
 {
     real_t reference[LDV];
-    q->semidefinite = 0;
+    int valid;
     for (int i = NV; i < LDV; ++i) {
         clear(q->H[i]);
         q->H[i][i] = R(1);
     }
     for (int i = 0; i < LDV; ++i) {
         reference[i] = q->H[i][i];
+        copy(q->work.basis.Q[i], q->H[i]);
     }
-    for (int b = 0; b < LDV; b += 4) {
-        qp_factorize_diagonal(q, b, reference);
-        qp_factorize_panel(q, b);
+    valid = qp_factorize_panels(q, reference);
+    q->semidefinite = !valid;
+    if (!valid) {
+        memcpy(q->H, q->work.basis.Q, sizeof q->H);
+        valid = qp_add_proximal_term(q, reference) && qp_factorize_panels(q, reference);
     }
     for (int i = 0; i < LDV; ++i) {
         q->inverse[i] = SQRT(q->inverse[i]);
     }
-    return isfinite(q->inverse[LDV - 1]) && (!q->semidefinite || qp_zero_below(q, reference)) ? OK : NUMERICAL_FAILURE;
+    return valid ? OK : NUMERICAL_FAILURE;
 }

@@ -72,7 +72,8 @@ static real_t qp_conjugate_step(qp_t *q, const real_t *s, real_t total)
 }
 
 /* Moves the centre after the proximal step s = x - center. Returns OK if s is at rounding level, so that x is the
- * minimiser; ITERATION_LIMIT if the centre has moved; NUMERICAL_FAILURE if the cost is unbounded below. */
+ * minimiser; ITERATION_LIMIT if the centre has moved; NUMERICAL_FAILURE if the cost is unbounded below. x replaces the
+ * centre after a shorter step, which a row ends that x violates by a rounding error. */
 static status_t qp_move_center(qp_t *q)
 {
     real_t s[LDV], u[LDV], e[LDV];
@@ -87,13 +88,14 @@ static status_t qp_move_center(qp_t *q)
     }
     qp_to_working_coordinates(q, s, u);
     qp_coefficients(q, u, e);
-    const real_t total = dot(u, u, LDV);
-    if (dot(e, e, qp_padded(q)) <= TOL_QP_DEPENDENT_PREDICTION * total) {
-        return qp_conjugate_step(q, s, total) < (real_t)INFINITY ? ITERATION_LIMIT : NUMERICAL_FAILURE;
+    const real_t total = dot(u, u, LDV), outside = dot(e, e, qp_padded(q)), rounding = TOL_QP_PROXIMAL * size;
+    const int on_face = outside <= TOL_QP_DEPENDENT_PREDICTION * total || outside <= rounding * rounding;
+    const real_t t = on_face ? qp_conjugate_step(q, s, total) : R(0);
+    if (t < R(1)) {
+        copy(q->center, q->x);
+        q->total = R(0);
     }
-    copy(q->center, q->x);
-    q->total = R(0);
-    return ITERATION_LIMIT;
+    return t < (real_t)INFINITY ? ITERATION_LIMIT : NUMERICAL_FAILURE;
 }
 
 /* Minimiser for a Hessian that is only semidefinite, by the proximal point method: z_{j+1} minimises the cost plus 1/2

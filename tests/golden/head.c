@@ -22,7 +22,7 @@
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c                    - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
  *   condensing: full                condensing/full.c                                   152 operations      136 bytes
- *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1464 bytes
+ *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1432 bytes
  *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      360 bytes
  */
 #include "golden.h"

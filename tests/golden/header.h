@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2584 bytes in size, holds no pointers and may be
+ * The caller owns the memory: one golden_solver_t is 2552 bytes in size, holds no pointers and may be
  * copied with '='. Only one execution context at a time may use an instance. An interrupt may change measurements
  * during a call: pass a copy of them. Members of size 0 do not exist. */
 #ifndef GOLDEN_H

@@ -57,7 +57,6 @@ typedef struct { /* condensed QP and its active-set factorisation */
     golden_real y0[GOLDEN_LDV]; /* unconstrained minimiser, y = D^{1/2} L'z */
     golden_real x[GOLDEN_LDV]; /* z that belongs to y */
     golden_real proximal[GOLDEN_LDV]; /* diagonal E added to a semidefinite Hessian */
-    golden_real weight[GOLDEN_LDV]; /* entries of E that are in use */
     golden_real center[GOLDEN_LDV]; /* centre of the proximal term */
     golden_real direction[GOLDEN_LDV]; /* direction of the last proximal step */
     golden_real g[GOLDEN_NV]; /* gradient */

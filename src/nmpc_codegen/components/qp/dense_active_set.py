@@ -79,7 +79,6 @@ class DenseActiveSet(Defaults):
                     Field("penalty", (rows,), "l1 penalty of violating a row; infinite: hard", "keep", only="ELASTIC"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result", only="SOLVE"),
                     Field("proximal", (ld,), "diagonal E added to a semidefinite Hessian", "scratch"),
-                    Field("weight", (ld,), "entries of E that are in use", "scratch"),
                     Field("center", (ld,), "centre of the proximal term", "scratch"),
                     Field("direction", (ld,), "direction of the last proximal step", "scratch"),
                     Field("total", (), "its s'(H + E)s; 0: no conjugate direction follows", "scratch"),
