@@ -215,7 +215,7 @@ def test_every_solver_finds_the_constructed_optimum(shape: Shape) -> None:
     some = chosen(shape)
     build_all((shape, options) for options in some.values())
 
-    @settings(max_examples=15, deadline=None, database=None)
+    @settings(max_examples=25 if shape in SMALL else 15, deadline=None, database=None)
     @given(first=recipes(shape), second=recipes(shape))
     def check(first: dict[str, Any], second: dict[str, Any]) -> None:
         one, other = random_qp(shape, **first), random_qp(shape, **second)
