@@ -301,8 +301,8 @@ static status_t qp_take_bounds(qp_t *q)
     return OK;
 }
 
-/* Writes the results from y, lam and the working set. Active bounds hold exactly, and multipliers of the wrong sign
- * within rounding become 0. Returns 0 if the results are not finite. */
+/* Writes the results from y, lam and the working set. Bounds of variables hold exactly, and multipliers of the wrong
+ * sign within rounding become 0. Returns 0 if the results are not finite. */
 static int qp_write_result(qp_t *q)
 {
     real_t total = dot(q->x, q->x, LDV);
@@ -310,6 +310,10 @@ static int qp_write_result(qp_t *q)
     memset(q->mult, 0, sizeof q->mult);
     for (int c = 0; c < NV + NG; ++c) {
         q->dropped += q->side[c] == INACTIVE && qp_is_equality(q, c);
+        if (c < NV && q->side[c] == INACTIVE) {
+            const real_t below = q->x[c] < q->lower[c] ? q->lower[c] : q->x[c];
+            q->x[c] = below > q->upper[c] ? q->upper[c] : below;
+        }
     }
 #if ELASTIC
     qp_write_saturated(q);

@@ -17,6 +17,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
         2.0**12,
         "residual of a row or of the gradient in a result that is called OK, relative to its terms",
     ),
+    "step": (2.0**13, "the same in a result of a condensed QP, expanded, with less of the terms counted"),
     "qp_residual": (
         2.0**4,
         "residual of a row or of the gradient in an answer, relative to its terms, times eps^(1/4)",
@@ -45,7 +46,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
 
 
 #: Multiples of the square root of the machine epsilon below which a tolerance does not fall.
-ROOTS: dict[str, float] = {"qp_accepted": 0.25, "ipm_ray": 2.0**-4, "ipm_contradiction": 2.0**-10}
+ROOTS: dict[str, float] = {"qp_accepted": 0.25, "step": 0.5, "ipm_ray": 2.0**-4, "ipm_contradiction": 2.0**-10}
 
 
 def tolerance(name: str, precision: str) -> float:
