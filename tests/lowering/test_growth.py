@@ -26,6 +26,7 @@ from nmpc_codegen import (
     build,
     generate,
 )
+from nmpc_codegen.components.base import Condensing
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.lowering.growth import Growth, growth
@@ -174,6 +175,44 @@ def test_closed_loop_in_single_precision(automatic: bool) -> None:
     found = build(cart_pole(60), Options(precision="single") if automatic else full)
     exact = build(cart_pole(60), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
     assert worst_difference(found, exact) < 80 * 1e-3
+
+
+def test_what_the_estimate_misses_is_not_called_ok(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Full condensing in single precision, not refused: what is called OK is right, or a failure is reported."""
+    require_tool("cc")
+    monkeypatch.setattr("nmpc_codegen.lowering.growth.REFUSED", 1.0)
+    exact = build(cart_pole(40), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
+    found = build(cart_pole(40), DENSE)
+    statuses, x = set(), np.array([0.2, 0.3, 0.0, 0.0])
+    exact.x[:] = 0.0
+    for _ in range(20):
+        found.reset()
+        found.x[:], found.u[:] = exact.x, exact.u
+        u, other = exact.step(x).copy(), found.step(x).copy()
+        assert found.status != Status.OK or np.max(np.abs(u - other)) < 80 * 1e-3
+        statuses.add(found.status)
+        x = np.array(exact.x[1])
+    assert Status.NUMERICAL_FAILURE in statuses
+
+
+@pytest.mark.parametrize("condensing", [FullCondensing(), PartialCondensing(30)])
+def test_rows_that_the_eliminated_states_violate(monkeypatch: pytest.MonkeyPatch, condensing: Condensing) -> None:
+    """x_N = 0 of an unstable plant, the states recomputed from the controls that are called OK."""
+    require_tool("cc")
+    monkeypatch.setattr("nmpc_codegen.lowering.growth.REFUSED", 1.0)
+    ocp = OCP("landing", N=30)
+    x, y, u = ocp.state("x"), ocp.state("y"), ocp.control("u")
+    ocp.dynamics({x: 1.3 * x + 0.1 * y, y: 0.9 * y + u}, discrete=True)
+    ocp.least_squares(ca.vertcat(x, y, u), weight=[1.0, 1.0, 1.0])
+    ocp.subject_to(-2, u, 2)
+    ocp.subject_to(0, ocp.x, 0, at="end")
+    controller = build(ocp, Options(condensing=condensing, precision="single"))
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        controller.reset()
+        controller.step(rng.uniform(-1, 1, 2))
+        if controller.status == Status.OK:
+            assert np.max(np.abs(controller.x[-1])) < 1e-3
 
 
 def worst_difference(found: Controller, exact: Controller) -> float:
