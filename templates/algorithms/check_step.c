@@ -21,13 +21,16 @@ static void step_sizes(const solver_t *s, real_t *size)
 /* Returns 1 if the hard row m holds up to rounding of its terms. */
 static int hard_row_holds(const solver_t *s, int m, const real_t *size)
 {
-    real_t J[NZ];
-    const real_t value = row_gradient(s, m, J), excess = row_excess(s, m);
-    real_t terms = FABS(value) + FABS(clip(value, ROW_LOWER(s, m), ROW_UPPER(s, m)));
+    const real_t excess = FABS(row_excess(s, m));
+    real_t J[NZ], terms;
+    if (excess == R(0)) {
+        return 1;
+    }
+    terms = FABS(row_gradient(s, m, J));
     for (int i = 0; i < NZ; i++) {
         terms += FABS(J[i]) * size[i];
     }
-    return FABS(excess) <= TOL_STEP * terms;
+    return excess <= TOL_STEP * terms;
 }
 #endif
 

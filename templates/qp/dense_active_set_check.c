@@ -1,14 +1,5 @@
 /* Contract of this part: the optimality conditions of an answer, recomputed from the data, and iterative refinement. */
 
-/* r += t, size += |t|. */
-static void qp_accumulate(const real_t *t, real_t *r, real_t *size)
-{
-    for (int i = 0; i < NV; ++i) {
-        r[i] += t[i];
-        size[i] += FABS(t[i]);
-    }
-}
-
 /* r = H x, where H = L D L' - E, and size = |L| D |L'| |x| + a small multiple of sqrt(D) (|y0| + |y|), for y may be a
  * small difference. */
 static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
@@ -41,17 +32,18 @@ static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
 static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
 {
     qp_multiply_hessian(q, r, size);
-    qp_accumulate(q->g, r, size);
-    qp_accumulate(q->mult, r, size);
+    for (int i = 0; i < NV; ++i) {
+        r[i] += q->g[i] + q->mult[i];
+        size[i] += FABS(q->g[i]) + FABS(q->mult[i]);
+    }
 #if NG
-    real_t sum[LDV];
-    clear(sum);
     for (int c = NV; c < NV + NG; ++c) {
-        for (int i = 0; q->side[c] != INACTIVE && i < LDV; ++i) {
-            sum[i] += q->A[c - NV][i] * q->mult[c];
+        for (int i = 0; q->side[c] != INACTIVE && i < NV; ++i) {
+            const real_t term = q->A[c - NV][i] * q->mult[c];
+            r[i] += term;
+            size[i] += FABS(term);
         }
     }
-    qp_accumulate(sum, r, size);
 #endif
 }
 
