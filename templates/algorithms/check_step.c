@@ -90,7 +90,7 @@ static int controls_hold(const solver_t *s, const real_t *rest, const real_t *te
 {
     int holds = 1;
     for (int j = 0; j < NU; j++) {
-        holds &= rest[j] <= TOL_STEP * terms[j];
+        holds &= rest[j] <= TOL_STEP_GRADIENT * terms[j];
     }
 #if REGULARIZE_REDUCED
     holds |= s->condensed.regularized;

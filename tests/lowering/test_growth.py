@@ -163,17 +163,20 @@ def test_the_compiler_leaves_out_what_loses_digits_and_says_so() -> None:
     table = next(choice for choice in found if "fewest operations" in choice)
     assert "full" not in table
     assert any("condensing: full not considered; the open loop grows" in choice for choice in found)
-    assert not any("grows" in choice for choice in choices(cart_pole(60), Options()))
+    assert not any("grows" in choice for choice in choices(cart_pole(30), Options()))
     assert any(choice.startswith("warning: condensing full") for choice in choices(cart_pole(20), DENSE))
 
 
-@pytest.mark.parametrize("automatic", [True, False])
-def test_closed_loop_in_single_precision(automatic: bool) -> None:
-    """60 intervals: what the compiler chooses, and full condensing in double precision, against stages in double."""
+@pytest.mark.parametrize(
+    ("N", "options"),
+    [(60, Options(precision="single")), (45, Options(condensing=FullCondensing(), qp=DenseActiveSet()))],
+    ids=["chosen", "full"],
+)
+def test_closed_loop_of_what_keeps_the_digits(N: int, options: Options) -> None:
+    """What the compiler chooses in single precision, and full condensing in double, against stages in double."""
     require_tool("cc")
-    full = Options(condensing=FullCondensing(), qp=DenseActiveSet())
-    found = build(cart_pole(60), Options(precision="single") if automatic else full)
-    exact = build(cart_pole(60), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
+    found = build(cart_pole(N), options)
+    exact = build(cart_pole(N), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
     assert worst_difference(found, exact) < 80 * 1e-3
 
 
