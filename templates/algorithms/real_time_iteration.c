@@ -214,43 +214,6 @@ status_t API(prepare)(solver_t *s)
     return finish(s, status);
 }
 
-/* lam_N = q_N + Q_N dx_N + (rows)_N,  lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + (rows)_k. */
-static void recover_multipliers(solver_t *s)
-{
-    real_t w[NZ];
-    TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
-    for (int k = N;; k--) {
-        for (int i = 0; i < NX; i++) {
-            w[i] += s->mu_x[k][i];
-#if NE
-            for (int j = 0; j < NE && (k == 0 || k == N); j++) {
-                w[i] += ((k == N) ? s->coupled.J_N[j][i] : s->coupled.J_0[j][i]) * s->eta[j];
-            }
-#endif
-#if NH
-            for (int j = 0; j < NH && k < N; j++) {
-                w[i] += s->node[k].J[j][i] * s->mu[k][j];
-            }
-#endif
-#if NH_N
-            for (int j = 0; j < NH_N && k == N; j++) {
-                w[i] += s->terminal.J[j][i] * s->mu_N[j];
-            }
-#endif
-            s->lam[k][i] = w[i];
-        }
-        if (k == 0) {
-            break;
-        }
-        ADJOINT_STEP(&s->node[k - 1], s->hessian.Q[NQ == 1 ? 0 : k - 1], s->step.dx[k - 1], s->step.du[k - 1], w);
-    }
-#if NF
-    for (int f = 0; f < NF; f++) {
-        s->lam[0][free_state[f]] = R(0);
-    }
-#endif
-}
-
 /* Copies the multipliers of the QP to the multipliers of the corresponding rows. */
 static void scatter_multipliers(solver_t *s)
 {
@@ -339,7 +302,69 @@ static status_t run_qp(solver_t *s)
 
 #include "algorithms/failure.c"
 
-/* Feedback phase: embeds the measured state s->xhat, solves the QP and takes the full step. The iterate changes only on
+/* largest = max(largest, |value|), where NaN counts as the largest value. */
+static void enlarge(real_t *largest, real_t value)
+{
+    const real_t a = FABS(value);
+    if (!(a <= *largest)) {
+        *largest = a;
+    }
+}
+
+#if CHECK_STEP
+#include "algorithms/check_step.c"
+#endif
+
+/* lam_N = q_N + Q_N dx_N + (rows)_N,  lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + (rows)_k. Returns 0 if the
+ * gradient with respect to the controls is known not to vanish. */
+static int recover_multipliers(solver_t *s)
+{
+    int stationary = 1;
+    real_t w[NZ];
+#if CHECK_GRADIENT
+    real_t rest[NU] = {0}, terms[NU] = {0};
+#endif
+    TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
+    for (int k = N;; k--) {
+        for (int i = 0; i < NX; i++) {
+            w[i] += s->mu_x[k][i];
+#if NE
+            for (int j = 0; j < NE && (k == 0 || k == N); j++) {
+                w[i] += ((k == N) ? s->coupled.J_N[j][i] : s->coupled.J_0[j][i]) * s->eta[j];
+            }
+#endif
+#if NH
+            for (int j = 0; j < NH && k < N; j++) {
+                w[i] += s->node[k].J[j][i] * s->mu[k][j];
+            }
+#endif
+#if NH_N
+            for (int j = 0; j < NH_N && k == N; j++) {
+                w[i] += s->terminal.J[j][i] * s->mu_N[j];
+            }
+#endif
+            s->lam[k][i] = w[i];
+        }
+        if (k == 0) {
+            break;
+        }
+        ADJOINT_STEP(&s->node[k - 1], s->hessian.Q[NQ == 1 ? 0 : k - 1], s->step.dx[k - 1], s->step.du[k - 1], w);
+#if CHECK_GRADIENT
+        check_controls(s, k - 1, w, rest, terms);
+#endif
+    }
+#if CHECK_GRADIENT
+    stationary = controls_hold(s, rest, terms);
+#endif
+#if NF
+    for (int f = 0; f < NF; f++) {
+        s->lam[0][free_state[f]] = R(0);
+    }
+#endif
+    return stationary;
+}
+
+/* Feedback phase: embeds the measured state s->xhat, solves the QP and takes the full step. States and controls change only on
  * success. */
 static status_t feedback_here(solver_t *s)
 {
@@ -361,8 +386,15 @@ static status_t feedback_here(solver_t *s)
     if (!step_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
+#if CHECK_STEP
+    if (status == OK && !rows_hold(s)) {
+        return NUMERICAL_FAILURE;
+    }
+#endif
     scatter_multipliers(s);
-    recover_multipliers(s);
+    if (!recover_multipliers(s)) {
+        return NUMERICAL_FAILURE;
+    }
     take_step(s);
     return status;
 }

@@ -328,7 +328,7 @@ static status_t sqp_iteration(solver_t *s, int iteration)
         return NUMERICAL_FAILURE;
     }
     scatter_multipliers(s);
-    recover_multipliers(s);
+    (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
     update_weights(s);
     evaluate_constraints(s, &terms);
     start = merit_of(s, &terms);

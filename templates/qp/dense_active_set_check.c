@@ -1,49 +1,49 @@
 /* Contract of this part: the optimality conditions of an answer, recomputed from the data, and iterative refinement. */
 
-/* Adds the terms t_i of the gradient to its sum r and their magnitudes to size. */
-static void qp_accumulate(const real_t *t, real_t *r, real_t *size)
+/* r = H x, where H = L D L' - E, and size = |L| D |L'| |x| + a small multiple of sqrt(D) (|y0| + |y|), for y may be a
+ * small difference. */
+static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
 {
-    for (int i = 0; i < NV; ++i) {
-        r[i] += t[i];
-        size[i] += FABS(t[i]);
+    const real_t unit = R(1.0 / 256) * (q->scale + norm(q->work.basis.y));
+    clear(r);
+    for (int k = 0; k < LDV; ++k) {
+        size[k] = unit * q->H[k][k] * q->inverse[k];
+    }
+    for (int k = 0; k < NV; ++k) {
+        const real_t *column = q->H[k];
+        real_t u = q->x[k], terms = FABS(u);
+        for (int i = k + 1; i < NV; ++i) {
+            const real_t term = column[i] * q->x[i];
+            u += term;
+            terms += FABS(term);
+        }
+        u *= column[k];
+        terms *= column[k];
+        r[k] += q->semidefinite ? u - q->proximal[k] * q->x[k] : u;
+        size[k] += terms;
+        for (int i = k + 1; i < NV; ++i) {
+            r[i] += column[i] * u;
+            size[i] += FABS(column[i]) * terms;
+        }
     }
 }
 
-/* r = H x + g + mult[0..NV) + A'mult[NV..NV+NG), where H = L D L' - E, and size = |H x| + |g| + ..., where a multiple of
- * sqrt(D) (|y0| + |y|) accounts for the terms of H x. */
+/* r = H x + g + mult[0..NV) + A'mult[NV..NV+NG), and size, the sum of the magnitudes of the terms. */
 static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
 {
-    const real_t unit = R(1.0 / 256) * (q->scale + norm(q->work.basis.y));
-    real_t h[LDV], u[LDV];
-    qp_multiply_upper(q, q->x, u);
-    for (int i = 0; i < LDV; ++i) {
-        size[i] = unit * q->H[i][i] * q->inverse[i];
-        h[i] = u[i] *= q->H[i][i];
-        r[i] = R(0);
+    qp_multiply_hessian(q, r, size);
+    for (int i = 0; i < NV; ++i) {
+        r[i] += q->g[i] + q->mult[i];
+        size[i] += FABS(q->g[i]) + FABS(q->mult[i]);
     }
-    for (int b = 0; b < LDV; b += 4) {
-        const real_t c[4] = {-u[b], -u[b + 1], -u[b + 2], -u[b + 3]};
-        for (int i = b + 1; i < b + 4; ++i) {
-            for (int j = b; j < i; ++j) {
-                h[i] += q->H[i][j] * u[j];
-            }
-        }
-        subtract_panel(h, q->H + b, c, b + 4, LDV);
-    }
-    for (int i = 0; q->semidefinite && i < NV; ++i) {
-        h[i] -= q->proximal[i] * q->x[i];
-    }
-    qp_accumulate(h, r, size);
-    qp_accumulate(q->g, r, size);
-    qp_accumulate(q->mult, r, size);
 #if NG
-    clear(h);
     for (int c = NV; c < NV + NG; ++c) {
-        for (int i = 0; q->side[c] != INACTIVE && i < LDV; ++i) {
-            h[i] += q->A[c - NV][i] * q->mult[c];
+        for (int i = 0; q->side[c] != INACTIVE && i < NV; ++i) {
+            const real_t term = q->A[c - NV][i] * q->mult[c];
+            r[i] += term;
+            size[i] += FABS(term);
         }
     }
-    qp_accumulate(h, r, size);
 #endif
 }
 
@@ -91,8 +91,7 @@ static int qp_is_optimal(const qp_t *q, real_t *r, int refined)
         }
     }
     for (int c = 0; c < NV + NG && optimal; ++c) {
-        const real_t excess = FABS(qp_excess(q, c));
-        optimal = excess <= qp_tolerance() * qp_bound_size(q, c, R(0)) || excess <= qp_tolerance() * qp_row_size(q, c);
+        optimal = FABS(qp_excess(q, c)) <= qp_tolerance() * qp_row_size(q, c);
     }
     return optimal;
 }

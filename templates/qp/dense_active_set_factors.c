@@ -1,9 +1,11 @@
 /* Contract of this part: H = L D L' = C C' and the substitutions with its factors. */
 
-/* A pivot may be zero if it is below this fraction of the diagonal entry. */
+/* A pivot may be zero if it is below this fraction of the diagonal entry: 2^-40 in double precision, 2^-15.5 in
+ * single. */
 static inline real_t qp_zero_pivot(void)
 {
-    return SQRT(TOL_UNIT / 256);
+    const real_t root = SQRT(TOL_UNIT / 256), least = 4096 * TOL_UNIT;
+    return least < root ? least : root;
 }
 
 /* Weight of the proximal term as a fraction of the diagonal entry: 2^-17 in double precision, 2^-10 in single. */

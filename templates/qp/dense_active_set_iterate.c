@@ -203,6 +203,13 @@ static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
     return violation > R(0) ? violation / vv : R(0);
 }
 
+/* Returns 1 if the violation of row c may be a rounding error; the bound for it is stored in slack[c]. */
+static int qp_is_rounding(qp_t *q, int c, const real_t *r, real_t bound, real_t mm, real_t vv, real_t violation)
+{
+    q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
+    return violation <= q->slack[c];
+}
+
 /* Takes dual steps until the violated row c is satisfied and in the working set, or its multiplier is at the end of its
  * range. A violation that may be a rounding error is accepted instead and stored in slack[c]. */
 static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
@@ -220,11 +227,8 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         const real_t vv = qp_project(q, mm);
         copy(r, q->work.basis.d);
         qp_solve_triangle(q, r);
-        if (!(moved > R(0))) {
-            q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
-            if (violation <= q->slack[c]) {
-                return OK;
-            }
+        if (!(moved > R(0)) && qp_is_rounding(q, c, r, bound, mm, vv, violation)) {
+            return OK;
         }
         violation = sign * (dot(q->work.basis.m, q->work.basis.y, LDV) - bound);
         const real_t full = qp_full_step(violation, mm, vv);
@@ -232,8 +236,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         step = full <= step ? full : step;
         step = left < step ? left : step;
         if (!(step < (real_t)INFINITY)) {
-            q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
-            if (violation <= q->slack[c]) {
+            if (qp_is_rounding(q, c, r, bound, mm, vv, violation)) {
                 return OK;
             }
 #if SOLVE
@@ -301,8 +304,8 @@ static status_t qp_take_bounds(qp_t *q)
     return OK;
 }
 
-/* Writes the results from y, lam and the working set. Active bounds hold exactly, and multipliers of the wrong sign
- * within rounding become 0. Returns 0 if the results are not finite. */
+/* Writes the results from y, lam and the working set. Bounds of variables hold exactly, and multipliers of the wrong
+ * sign within rounding become 0. Returns 0 if the results are not finite. */
 static int qp_write_result(qp_t *q)
 {
     real_t total = dot(q->x, q->x, LDV);
@@ -310,6 +313,10 @@ static int qp_write_result(qp_t *q)
     memset(q->mult, 0, sizeof q->mult);
     for (int c = 0; c < NV + NG; ++c) {
         q->dropped += q->side[c] == INACTIVE && qp_is_equality(q, c);
+        if (c < NV && q->side[c] == INACTIVE) {
+            const real_t below = q->x[c] < q->lower[c] ? q->lower[c] : q->x[c];
+            q->x[c] = below > q->upper[c] ? q->upper[c] : below;
+        }
     }
 #if ELASTIC
     qp_write_saturated(q);

@@ -1,27 +1,15 @@
 /* Contract of this part: proximal point iterations around the dual iterations, for a Hessian that is only
  * semidefinite. */
 
-/* u = L's. */
-static void qp_multiply_upper(const qp_t *q, const real_t *s, real_t *u)
-{
-    copy(u, s);
-    for (int b = 0; b < LDV; b += 4) {
-        const real_t c[4] = {-s[b], -s[b + 1], -s[b + 2], -s[b + 3]};
-        for (int i = b + 1; i < b + 4; ++i) {
-            for (int j = b; j < i; ++j) {
-                u[j] += q->H[i][j] * s[i];
-            }
-        }
-        subtract_panel(u, q->H + b, c, 0, b);
-    }
-}
-
-/* u = C's. */
+/* u = C's, C' = D^{1/2} L'. */
 static void qp_to_working_coordinates(const qp_t *q, const real_t *s, real_t *u)
 {
-    qp_multiply_upper(q, s, u);
-    for (int i = 0; i < LDV; ++i) {
-        u[i] *= q->H[i][i] * q->inverse[i];
+    for (int k = 0; k < LDV; ++k) {
+        u[k] = s[k];
+        for (int i = k + 1; i < LDV; ++i) {
+            u[k] += q->H[k][i] * s[i];
+        }
+        u[k] *= q->H[k][k] * q->inverse[k];
     }
 }
 

@@ -59,6 +59,15 @@ def test_wrong_answers_are_not_called_ok(number: int) -> None:
     assert found.status in (Status.OK, Status.NUMERICAL_FAILURE)
 
 
+@pytest.mark.parametrize(("kind", "number"), [("semidefinite", 172), ("uncontrolled", 450)])
+def test_condensing_that_loses_the_digits(kind: str, number: int) -> None:
+    """A bound met up to the rounding of a large sum; dynamics that grow by 850 in 6 intervals: right, or not OK."""
+    require_tool("cc")
+    qp = draw(kind, number)
+    found = solve(build(stage_ocp(qp.shape), options("dense", "single"), profile="fast"), qp, "single")
+    assert verdict_of(qp, found, "single") is None
+
+
 def test_a_feasible_problem_with_a_coupled_and_a_soft_row() -> None:
     shape = Shape(3, 1, 7, path=2, coupled=1, soft=(2,))
     qp = random_qp(shape, "plain", 10, radius=0.9, active=0.3, digits=1)

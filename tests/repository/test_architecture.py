@@ -63,6 +63,7 @@ ONLY_IN = {
         "components/hessians",
         "components/stage_cost",
         "lowering/linearize",
+        "lowering/growth",
     },
     "jinja2": {"lowering/render"},
     "cffi": {"runtime/build"},

@@ -13,6 +13,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.lowering.dimensions import dimensions
+from nmpc_codegen.lowering.growth import Growth
 from nmpc_codegen.options import Options
 
 #: Block lengths of partial condensing that are considered.
@@ -35,19 +36,22 @@ class Candidate:
 Choice = tuple[Condensing, QpSolver, tuple[str, ...]]
 
 
-def choose_qp(problem: Problem, options: Options, constant_hessian: bool, model: ModelFunctions) -> Choice:
+def choose_qp(
+    problem: Problem, options: Options, constant_hessian: bool, model: ModelFunctions, grown: Growth
+) -> Choice:
     """Condensing and QP solver: those that are given, adapted to the problem, completed by the choice that takes the
-    fewest operations. The reason for this choice is the table of all candidates.
+    fewest operations of those that keep enough digits. The reason for this choice is the table of all candidates.
 
     Raises:
-        OptionError: the two that are given clash.
+        OptionError: the two that are given clash, or too few digits remain with every condensing that fits.
     """
     given = options.condensing
     if given is not None and options.qp is not None:
         _check_forms(given, options.qp)
         condensing = given.adapted(problem)
-        return condensing, options.qp, _instead(given, condensing)
-    pairs = list(_pairs(given, options.qp))
+        return condensing, options.qp, (*_instead(given, condensing), *grown.warning(problem, condensing))
+    fitting = list(_pairs(given, options.qp))
+    pairs = [pair for pair in fitting if grown.spares(problem, pair[0])] or fitting
     candidates = []
     for stated, qp in pairs:
         condensing = stated.adapted(problem)
@@ -62,7 +66,8 @@ def choose_qp(problem: Problem, options: Options, constant_hessian: bool, model:
     why = f"fewest operations of a warm-started sample ({table})"
     chosen = [f"condensing: {best.condensing.name}"] if given is None else []
     chosen += [f"qp: {best.qp.name}"] if options.qp is None else []
-    return best.condensing, best.qp, (*_instead(given, best.condensing), f"{', '.join(chosen)}; {why}")
+    lossy = grown.warning(problem, best.condensing) or grown.left_out(problem, [pair[0] for pair in fitting])
+    return best.condensing, best.qp, (*_instead(given, best.condensing), f"{', '.join(chosen)}; {why}", *lossy)
 
 
 def _instead(stated: Condensing | None, condensing: Condensing) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
 from nmpc_codegen.ir.stage_products import Pattern, pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.choose import choose_qp
+from nmpc_codegen.lowering.growth import growth
 from nmpc_codegen.options import REGISTRIES, Online, Options
 from nmpc_codegen.runtime.package_description import Precision
 
@@ -64,7 +65,8 @@ def linearize(problem: Problem, options: Options) -> Model:
     parts = Parts(integrator, options.algorithm, options.hessian)
     why: tuple[str, ...] = ()
     if "qp" in options.algorithm.needs:
-        condensing, qp, why = choose_qp(problem, options, constant, functions)
+        grown = growth(problem, integrator, options.precision)
+        condensing, qp, why = choose_qp(problem, options, constant, functions, grown)
         parts = replace(parts, condensing=condensing, qp=qp)
     _check(problem, *parts.components)
     return Model(

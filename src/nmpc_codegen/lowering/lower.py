@@ -143,7 +143,11 @@ def _switches(model: Model) -> dict[str, int]:
         switches |= component.switches
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
-    return {**switches, "RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
+    switches |= {"RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
+    condensing = parts.condensing
+    checked = condensing is not None and condensing.eliminates and not switches.get("APPROXIMATE", 0)
+    gradient = condensing is not None and checked and condensing.gives == "condensed"
+    return {**switches, "CHECK_STEP": int(checked), "CHECK_GRADIENT": int(gradient)}
 
 
 def _section_count(counts: Counts) -> OpCount | None:

@@ -17,6 +17,8 @@ TOLERANCES: dict[str, tuple[float, str]] = {
         2.0**12,
         "residual of a row or of the gradient in a result that is called OK, relative to its terms",
     ),
+    "step": (2.0**13, "the same in a result of a condensed QP, expanded, with less of the terms counted"),
+    "step_gradient": (2.0**13, "the same for the gradient, in which condensing of an unstable plant costs digits"),
     "qp_residual": (
         2.0**4,
         "residual of a row or of the gradient in an answer, relative to its terms, times eps^(1/4)",
@@ -45,10 +47,13 @@ TOLERANCES: dict[str, tuple[float, str]] = {
 
 
 #: Multiples of the square root of the machine epsilon below which a tolerance does not fall.
-ROOTS: dict[str, float] = {"qp_accepted": 0.25, "ipm_ray": 2.0**-4, "ipm_contradiction": 2.0**-10}
+ROOTS: dict[str, float] = {"qp_accepted": 0.25, "step": 0.5, "ipm_ray": 2.0**-4, "ipm_contradiction": 2.0**-10}
+
+#: Values below which a tolerance does not fall in any precision.
+FLOORS: dict[str, float] = {"step_gradient": 2.0**-20}
 
 
 def tolerance(name: str, precision: str) -> float:
     """Value of a named tolerance in the given precision."""
     eps = EPS[precision]
-    return max(TOLERANCES[name][0] * eps, ROOTS.get(name, 0.0) * math.sqrt(eps))
+    return max(TOLERANCES[name][0] * eps, ROOTS.get(name, 0.0) * math.sqrt(eps), FLOORS.get(name, 0.0))

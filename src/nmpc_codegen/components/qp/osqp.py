@@ -46,6 +46,11 @@ class Osqp(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """Its results satisfy their conditions up to ``eps``."""
+        return {"APPROXIMATE": 1}
+
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Numbers of entries of the two matrices, which OSQP stores as compressed columns."""
         n = dims.qp.nv.value
