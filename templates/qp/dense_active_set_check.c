@@ -47,7 +47,8 @@ static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
 #endif
 }
 
-/* Violation of row c by x, in both directions if the row is a member; 0 if it is saturated. Positive above the bound. */
+/* Violation of row c by x, in both directions if the row is a member; of a saturated row the distance from its bound
+ * towards the inside. Positive above the bound. */
 static real_t qp_excess(const qp_t *q, int c)
 {
 #if NG
@@ -57,7 +58,8 @@ static real_t qp_excess(const qp_t *q, int c)
 #endif
 #if ELASTIC
     if (qp_is_saturated(q, c)) {
-        return R(0);
+        const real_t excess = value - qp_bound(q, c);
+        return (excess < R(0)) == (q->side[c] > 0) ? excess : R(0);
     }
 #endif
     if (qp_is_member(q, c)) {

@@ -136,11 +136,23 @@ static int qp_take_penalties(qp_t *q)
     return valid;
 }
 
+/* Moves a saturated variable that is inside its bound by rounding to the bound. */
+static void qp_clip_saturated(qp_t *q, int c)
+{
+    const real_t bound = qp_bound(q, c);
+    if ((q->x[c] < bound) == (q->side[c] > 0)) {
+        q->x[c] = bound;
+    }
+}
+
 /* Writes the multipliers of the saturated rows and counts the rows that are violated by more than rounding. */
 static void qp_write_saturated(qp_t *q)
 {
-    for (int c = NV; q->elastic && c < NV + NG; ++c) {
+    for (int c = 0; q->elastic && c < NV + NG; ++c) {
         if (qp_is_saturated(q, c)) {
+            if (c < NV) {
+                qp_clip_saturated(q, c);
+            }
             const real_t bound = qp_bound(q, c), excess = qp_value(q, c, q->x) - bound;
             q->mult[c] = qp_outside_multiplier(q, c);
             q->relaxed += FABS(excess) > TOL_QP_REDUNDANT * (qp_row_size(q, c) + FABS(bound));
