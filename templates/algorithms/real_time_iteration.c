@@ -219,7 +219,7 @@ static void recover_multipliers(solver_t *s)
 {
     real_t w[NZ];
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
-    for (int k = N;; k--) {
+    for (int k = N; k >= 0; k--) {
         for (int i = 0; i < NX; i++) {
             w[i] += s->mu_x[k][i];
 #if NE

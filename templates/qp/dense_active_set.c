@@ -96,7 +96,7 @@ static status_t qp_factorize(qp_t *q)
     if (status == OK) {
         real_t fraction = R(0.5);
         status = qp_predict(q, 1, 0, fraction);
-        while (fraction > least && status == OK) {
+        while (fraction > least && status == OK) { /* at most 5 passes */
             fraction = fraction * fraction > least ? fraction * fraction : least;
             status = qp_predict(q, 1, 1, fraction);
         }
@@ -110,11 +110,11 @@ static status_t qp_factorize(qp_t *q)
 static status_t qp_solve(qp_t *q)
 {
     status_t status = q->factorized ? qp_take_bounds(q) : NUMERICAL_FAILURE;
-    q->iterations = q->changes = 0;
+    q->iterations = q->searches = q->changes = 0;
     if (status != OK) {
         return qp_fail(q, status);
     }
-    for (q->strict = 0; q->strict < 3; ++q->strict) {
+    for (q->strict = 0; q->strict < 3; ++q->strict) { /* at most 3 passes */
         status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
         if (status == OK && qp_accept(q)) {
             return OK;

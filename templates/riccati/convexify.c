@@ -74,12 +74,16 @@ static real_t riccati_smallest_shift(solver_t *s, const real_t *unit, int given)
         return least;
     }
     for (trial = 0; !riccati_try(s, unit, high, R(0), given); trial++) {
+        /* at most MAX_SHIFTS + 1 passes */
         if (trial == MAX_SHIFTS) {
             return -R(1);
         }
         high *= R(4);
     }
-    while (trial == 0 && high > R(4) * least && riccati_try(s, unit, R(0.25) * high, R(0), given)) {
+    for (int n = 0; n < MAX_SHIFTS && trial == 0 && high > R(4) * least; n++) {
+        if (!riccati_try(s, unit, R(0.25) * high, R(0), given)) {
+            break;
+        }
         high *= R(0.25);
     }
     s->riccati.shift = high;

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
     from nmpc_codegen.ir.model import ModelFunctions
 
+#: Cap on the proximal steps for a semidefinite Hessian.
+PROXIMAL_STEPS = 200
+
 
 @dataclass(frozen=True)
 class DenseActiveSet(Defaults):
@@ -48,7 +51,8 @@ class DenseActiveSet(Defaults):
         cap = 10 * (dims.qp.nv.value + dims.ng.value) + 50 if self.max_iterations is None else self.max_iterations
         return (
             ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one feedback phase"),
-            ("QP_MAX_PROXIMAL_STEPS", 200, "cap on the proximal steps for a semidefinite Hessian"),
+            ("QP_MAX_PROXIMAL_STEPS", PROXIMAL_STEPS, "cap on the proximal steps for a semidefinite Hessian"),
+            ("QP_MAX_SEARCHES", cap + 2 * PROXIMAL_STEPS, "cap on the searches for violated rows"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -96,6 +100,7 @@ class DenseActiveSet(Defaults):
                     Field("face", (), "value of changes when the direction was set", "scratch", "int32"),
                     Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
+                    Field("searches", (), "searches for violated rows in that call", "scratch", "int32"),
                     Field("changes", (), "rows that entered or left the working set in that call", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "elastic rows that are violated", "result", "int32"),
