@@ -18,6 +18,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.lowering.bound import bounded
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
@@ -56,7 +57,7 @@ def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) 
     """Run the pipeline up to the CModule, the last value before text. It raises the errors of generate()."""
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
-    return lower(linearize(classify(ocp), options or Options()), name)
+    return bounded(lower(linearize(classify(ocp), options or Options()), name))
 
 
 def export(

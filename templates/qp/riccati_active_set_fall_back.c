@@ -30,6 +30,11 @@ static void qp_take_back(solver_t *s)
 static status_t qp_fall_back(solver_t *s)
 {
     qp_t *q = &s->qp;
+#if BUDGET
+    if (!qp_afford(q, COST_RESTART)) {
+        return ITERATION_LIMIT;
+    }
+#endif
     qp_start_empty(s);
     if (qp_settle(s, QP_MAX_ITERATIONS) == OK) {
         return OK;

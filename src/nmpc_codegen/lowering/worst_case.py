@@ -31,8 +31,8 @@ _INT = Type("int")
 _EXIT = c_ast.Return | c_ast.Break | c_ast.Continue
 
 
-class UnboundedLoopError(ValueError):
-    """A loop whose number of passes does not follow from the text."""
+class UnboundedError(ValueError):
+    """The passes of a loop, or the operations of a function of another library, do not follow from the text."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class WorstCase:
         """Bound for a call with unknown arguments.
 
         Raises:
-            UnboundedLoopError: the number of passes of a loop is unknown.
+            UnboundedError: the number of passes of a loop is unknown.
         """
         return self._summary(function, {}).operations
 
@@ -181,7 +181,7 @@ class WorstCase:
         if separator:
             least, most = (self._range(CMacro((), text).expression, frame) for text in limits.split(";"))
             if least is None or most is None:
-                raise UnboundedLoopError(f"{frame.name}: the stated values of {name} are unknown")
+                raise UnboundedError(f"{frame.name}: the stated values of {name} are unknown")
             frame.values[name] = (least[0], most[1])
 
     def _repeated(self, loop: c_ast.Node, one_pass: int, frame: _Frame) -> int:
@@ -200,7 +200,7 @@ class WorstCase:
                 return one_pass
         if body and isinstance(body[0], c_ast.If) and _charge(body[0].cond) is not None:
             return one_pass  # every pass charges for itself before it computes
-        raise UnboundedLoopError(f"{frame.name}: the passes of a loop are unknown; expected /* at most ... passes */")
+        raise UnboundedError(f"{frame.name}: the passes of a loop are unknown; expected /* at most ... passes */")
 
     def _for(self, node: c_ast.For, frame: _Frame) -> int:
         counter, first, step = self._counter(node, frame)
@@ -342,8 +342,10 @@ class WorstCase:
             macro = self._expanded(unit.macros[name], passed, frame)
             operations, value = self._cost(macro[0], macro[1]), self._range(*macro)
             return cost + operations, value
-        word = name.removesuffix("f") if name not in MATH else name
-        return cost + MATH.get(word, 0), None
+        operations = MATH.get(name, MATH.get(name.removesuffix("f")))
+        if operations is None:
+            raise UnboundedError(f"{frame.name} calls {name}, which is not of this package")
+        return cost + operations, None
 
     def _called(self, name: str, passed: Sequence[c_ast.Node], frame: _Frame) -> tuple[_Summary, set[str]]:
         """Summary of a function for these arguments, and the names here that it depends on."""
@@ -415,7 +417,7 @@ class WorstCase:
             return self._type(*self._expanded(self.unit.macros[name], passed, frame))
         if name in self.unit.functions:
             return declared(self.unit.functions[name].tree.decl.type)
-        return Type("real" if name in MATH or name.removesuffix("f") in MATH else "int")
+        return Type("real" if MATH.get(name, MATH.get(name.removesuffix("f"), 0)) else "int")
 
     def _range(self, node: c_ast.Node | None, frame: _Frame) -> Range:
         """Values of an integer expression."""

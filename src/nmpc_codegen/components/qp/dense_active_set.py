@@ -101,12 +101,17 @@ class DenseActiveSet(Defaults):
                     Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
                     Field("searches", (), "searches for violated rows in that call", "scratch", "int32"),
+                    Field("allowance", (), "operations that may be charged; -1: no limit", "scratch", "int32", only="BUDGET"),
                     Field("changes", (), "rows that entered or left the working set in that call", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "elastic rows that are violated", "result", "int32"),
                 ),
             ),
         )
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """The working set has at most as many rows as the QP has variables."""
+        return {"nw": (0, dims.qp.nv.value)}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Operations of the functions whose count depends on sizes alone (padded columns included)."""

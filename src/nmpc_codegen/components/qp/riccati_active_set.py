@@ -129,6 +129,11 @@ class RiccatiActiveSet(Defaults):
             ),
         )
 
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Stages, and sides of the interior point method."""
+        stages = (-1, dims.qp.ns.value)
+        return {"stale": stages, "stale_vectors": stages} | ({} if self.fallback is None else self.fallback.ranges(dims))
+
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The recursion and its substitutions; a warm-started sample needs one of each."""
         return riccati_cost(dims)

@@ -138,6 +138,11 @@ class RiccatiInteriorPoint(Defaults):
             ("IPM_WARM_START", int(self.warm_start), "1: start near the multipliers of the previous QP"),
         )
 
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Every row has two sides at most."""
+        sides = (0, 2 * (dims.qp.nv.value + dims.ng.value))
+        return {"sides": sides, "hard": sides}
+
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion, the method, the QP."""
         units, noise = units_structs(dims)

@@ -1,0 +1,89 @@
+"""Worst case of a sample: CModule -> CModule with bounds on its operations in the report, and the budget checked.
+
+With a budget B, a sample computes what charges for itself only as long as ALLOWANCE = B - (bound on all other
+operations of prepare and feedback) lasts, so that it never takes more than B operations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.ir.cmodule import CModule, Macro
+from nmpc_codegen.lowering.c_source import Type, functions, macros, struct_members
+from nmpc_codegen.lowering.preamble import all_definitions
+from nmpc_codegen.lowering.render import unit_text
+from nmpc_codegen.lowering.worst_case import UnboundedError, Unit, WorstCase
+
+#: The phases of a sample.
+PHASES = ("prepare", "feedback")
+
+#: Start of the names of the macros that state what is charged to the budget.
+COST = "COST_"
+
+
+def bounded(module: CModule) -> CModule:
+    """The module with the worst case of its phases in the report; with a budget, also the costs that are charged.
+
+    Raises:
+        OptionError: the budget is less than what every sample may need, or the operations of its solver are unknown.
+    """
+    if not all(any(entry.name == phase for entry in module.entry_points) for phase in PHASES):
+        return module
+    budget = module.description.sizes.get("MAX_OPERATIONS", 0)
+    try:
+        found = WorstCase(_unit(module, unit_text(module)))
+        worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
+    except UnboundedError as error:
+        if budget:
+            raise OptionError(
+                f"RealTimeIteration.budget: {budget}; the qp of this package ({error}) has no known worst case; choose "
+                "another solver, or no budget (--set qp=... --set algorithm.budget=none)"
+            ) from error
+        return module
+    if not budget:
+        return _stated(module, worst, {})
+    fixed, dearest = sum(worst.values()), max(found.charges.values())
+    if budget < fixed + dearest:
+        raise OptionError(
+            f"RealTimeIteration.budget: {budget} operations; a sample of this package needs up to {fixed + dearest} for "
+            "linearisation, condensing, factorisation, one iteration and checks; expected at least that "
+            "(--set algorithm.budget=...)"
+        )
+    costs = {name: (count, "operations charged at once") for name, count in sorted(found.charges.items())}
+    costs["ALLOWANCE"] = (budget - fixed, "operations of a sample that may be charged")
+    return _stated(module, {"sample": budget}, costs)
+
+
+def _stated(module: CModule, worst: Mapping[str, int], more: Mapping[str, tuple[int, str]]) -> CModule:
+    """The module with this worst case and further size macros."""
+    description = module.description
+    total = worst if "sample" in worst else {**worst, "sample": sum(worst.values())}
+    sizes = {**description.sizes, **{name: value for name, (value, _) in more.items()}}
+    added = tuple(Macro(name, value, doc) for name, (value, doc) in more.items())
+    report = replace(description.report, worst_operations=total)
+    return replace(
+        module, macros=(*module.macros, *added), description=replace(description, sizes=sizes, report=report)
+    )
+
+
+def _unit(module: CModule, text: str) -> Unit:
+    members: dict[str, list[Type]] = {}
+    for struct in module.structs:
+        for member in struct.fields:
+            base = "int" if member.ctype.startswith("int") else member.ctype
+            members.setdefault(member.name, []).append(Type(base, len(member.shape)))
+    for name, types in struct_members(text).items():
+        members.setdefault(name, []).extend(types)
+    counted = (*module.routines, *module.called_products)
+    return Unit(
+        functions=functions(text),
+        macros=macros(all_definitions(module)),
+        counts={routine.name: routine.count.total for routine in counted},
+        sizes={macro.name: macro.value for macro in module.macros},
+        tables={t.name: [int(v) for v in t.values] for t in module.tables if t.ctype == "int"},
+        ranges=module.ranges,
+        members=members,
+    )
