@@ -44,6 +44,11 @@ static int riccati_units(solver_t *s, real_t *unit)
  * pivot is not positive. */
 static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hold, int given)
 {
+#if BUDGET
+    if (!qp_afford(&s->qp, COST_SHIFT)) {
+        return 0;
+    }
+#endif
     riccati_t *r = &s->riccati;
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS && k * NUS + j < N * NU; j++) {

@@ -59,9 +59,10 @@ class Recorded:
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Operations (n,), status (n,) and controls (n, nu) of the samples."""
+    """Operations (n,), those with comparisons, signs and magnitudes (n,), status (n,), controls (n, nu) of samples."""
 
     operations: Array
+    every: Array
     status: Array
     u: Array
 
@@ -192,7 +193,7 @@ def _play(program: Path, recorded: Recorded) -> Counted:
     text = "\n".join(lines) + "\n"
     out = subprocess.run([program], input=text, capture_output=True, text=True, check=True).stdout
     table = np.array([[float(v) for v in line.split()] for line in out.splitlines()])
-    return Counted(table[:, 1], table[:, 0].astype(int), table[:, 2:])
+    return Counted(table[:, 1], table[:, 2], table[:, 0].astype(int), table[:, 3:])
 
 
 def _steps(loop: Loop, scale: float) -> int:

@@ -221,6 +221,7 @@ class QpSolver(Component, Protocol):
 
     takes: ClassVar[str]  # "condensed" or "stages"
     automatic: ClassVar[bool]  # qp=None may choose it
+    iteration: ClassVar[tuple[str, ...]]  # macros of what one iteration charges to a budget; none: it has no budget
 
 
 class Algorithm(Component, Protocol):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import CModule, Macro
@@ -20,39 +19,36 @@ from nmpc_codegen.lowering.worst_case import UnboundedError, Unit, WorstCase
 #: The phases of a sample.
 PHASES = ("prepare", "feedback")
 
-#: Start of the names of the macros that state what is charged to the budget.
-COST = "COST_"
-
 
 def bounded(module: CModule) -> CModule:
     """The module with the worst case of its phases in the report; with a budget, also the costs that are charged.
 
     Raises:
-        OptionError: the budget is less than what every sample may need, or the operations of its solver are unknown.
+        OptionError: the budget is less than what every sample may need, or its QP solver has no budget.
     """
-    if not all(any(entry.name == phase for entry in module.entry_points) for phase in PHASES):
+    if not {entry.name for entry in module.entry_points}.issuperset(PHASES):
         return module
-    budget = module.description.sizes.get("MAX_OPERATIONS", 0)
+    budget = module.sizes.get("MAX_OPERATIONS")
+    if budget is not None and not module.iteration:
+        raise OptionError(
+            f"RealTimeIteration(budget={budget}) (--set algorithm.budget={budget}) clashes with a QP solver whose "
+            f"operations are not counted: {', '.join(module.folders)}; choose another one, or no budget"
+        )
     try:
         found = WorstCase(_unit(module, unit_text(module)))
         worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
-    except UnboundedError as error:
-        if budget:
-            raise OptionError(
-                f"RealTimeIteration.budget: {budget}; the qp of this package ({error}) has no known worst case; choose "
-                "another solver, or no budget (--set qp=... --set algorithm.budget=none)"
-            ) from error
-        return module
-    if not budget:
-        return _stated(module, worst, {})
-    fixed, dearest = sum(worst.values()), max(found.charges.values())
-    if budget < fixed + dearest:
+    except UnboundedError:
+        return module  # code of another generator: the report states no worst case
+    if budget is None:
+        return _stated(module, worst | {"sample": sum(worst.values())}, {})
+    fixed = sum(worst.values())
+    needed = fixed + sum(found.charges[name] for name in module.iteration)
+    if budget < needed:
         raise OptionError(
-            f"RealTimeIteration.budget: {budget} operations; a sample of this package needs up to {fixed + dearest} for "
-            "linearisation, condensing, factorisation, one iteration and checks; expected at least that "
-            "(--set algorithm.budget=...)"
+            f"RealTimeIteration.budget: {budget} operations; a sample needs up to {needed} for linearisation, "
+            "condensing, factorisation, one iteration and checks; expected at least that (--set algorithm.budget=...)"
         )
-    costs = {name: (count, "operations charged at once") for name, count in sorted(found.charges.items())}
+    costs = {name: (count, "operations that are charged at once") for name, count in sorted(found.charges.items())}
     costs["ALLOWANCE"] = (budget - fixed, "operations of a sample that may be charged")
     return _stated(module, {"sample": budget}, costs)
 
@@ -60,10 +56,9 @@ def bounded(module: CModule) -> CModule:
 def _stated(module: CModule, worst: Mapping[str, int], more: Mapping[str, tuple[int, str]]) -> CModule:
     """The module with this worst case and further size macros."""
     description = module.description
-    total = worst if "sample" in worst else {**worst, "sample": sum(worst.values())}
     sizes = {**description.sizes, **{name: value for name, (value, _) in more.items()}}
     added = tuple(Macro(name, value, doc) for name, (value, doc) in more.items())
-    report = replace(description.report, worst_operations=total)
+    report = replace(description.report, worst_operations=worst)
     return replace(
         module, macros=(*module.macros, *added), description=replace(description, sizes=sizes, report=report)
     )
