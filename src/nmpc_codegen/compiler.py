@@ -3,6 +3,9 @@
     OCP --classify--> Problem --linearize--> Model --lower--> CModule --render--> Sources --build--> Controller
     (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C names)  (path -> text)  (NumPy views)
 
+The report's worst case follows from the text of the functions; settled() lowers, renders them for it (bound.py) and,
+where QP solvers are close, decides between them by it.
+
 Every stage is a pure function from frozen values to a frozen value; only OCP and Controller, at the ends, are mutable.
 CasADi is used up to linearize, jinja2 only in render, and cffi only in build.
 """
@@ -18,9 +21,8 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.bound import bounded
+from nmpc_codegen.lowering.bound import settled
 from nmpc_codegen.lowering.linearize import linearize
-from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.build import load
@@ -57,7 +59,7 @@ def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) 
     """Run the pipeline up to the CModule, the last value before text. It raises the errors of generate()."""
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
-    return bounded(lower(linearize(classify(ocp), options or Options()), name))
+    return settled(linearize(classify(ocp), options or Options()), name)
 
 
 def export(

@@ -12,12 +12,64 @@ from dataclasses import replace
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import CModule, Macro
 from nmpc_codegen.lowering.c_source import Type, functions, macros, struct_members
+from nmpc_codegen.lowering.choose import CLOSE, Choice
+from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.preamble import all_definitions
 from nmpc_codegen.lowering.render import unit_text
 from nmpc_codegen.lowering.worst_case import UnboundedError, Unit, WorstCase
 
 #: The phases of a sample.
 PHASES = ("prepare", "feedback")
+
+
+def settled(model: Model, name: str | None = None) -> CModule:
+    """The package with the QP solver whose worst case is smallest among those that are close; see bounded().
+
+    Raises:
+        OptionError: the one that raises it for the model itself, if no package exists.
+    """
+    if not model.rivals:
+        return bounded(lower(model, name))
+    packages: list[tuple[CModule, str]] = []
+    errors: list[OptionError] = []
+    for rival in (None, *model.rivals):
+        try:
+            packages.append(
+                (bounded(lower(model if rival is None else _with(model, rival), name)), _label(model, rival))
+            )
+        except OptionError as error:
+            errors.append(error)
+    if not packages:
+        raise errors[0]
+    known = [module for module, _ in packages if module.description.report.worst_operations]
+    if len(known) < len(packages):
+        return packages[0][0]
+    module, _ = min(packages, key=lambda package: package[0].description.report.worst_operations["sample"])
+    table = "; ".join(f"{label}: {m.description.report.worst_operations['sample']:,}" for m, label in packages)
+    return _because(module, f"of the solvers within {CLOSE} times of that the one with the least worst case ({table})")
+
+
+def _label(model: Model, rival: Choice | None) -> str:
+    condensing, qp = (model.parts.condensing, model.parts.qp) if rival is None else (rival.condensing, rival.qp)
+    assert condensing is not None
+    assert qp is not None
+    return Choice(condensing, qp).label
+
+
+def _with(model: Model, rival: Choice) -> Model:
+    """The model with another QP solver, for the reasons of the choice that it stands for."""
+    kept = model.choices[: -len(rival.reasons)]
+    parts = replace(model.parts, condensing=rival.condensing, qp=rival.qp)
+    return replace(model, parts=parts, choices=(*kept, *rival.reasons))
+
+
+def _because(module: CModule, reason: str) -> CModule:
+    """The module with one more reason for its last choice."""
+    description = module.description
+    *others, last = description.report.choices
+    report = replace(description.report, choices=(*others, f"{last}; {reason}"))
+    return replace(module, description=replace(description, report=report))
 
 
 def bounded(module: CModule) -> CModule:

@@ -120,7 +120,11 @@ def assigned_names(node: c_ast.Node) -> set[str]:
     found: set[str] = set()
     if isinstance(node, c_ast.Assignment) and isinstance(node.lvalue, c_ast.ID):
         found.add(node.lvalue.name)
-    if isinstance(node, c_ast.UnaryOp) and node.op in ("++", "--", "p++", "p--", "&") and isinstance(node.expr, c_ast.ID):
+    if (
+        isinstance(node, c_ast.UnaryOp)
+        and node.op in ("++", "--", "p++", "p--", "&")
+        and isinstance(node.expr, c_ast.ID)
+    ):
         found.add(node.expr.name)
     for _, child in node.children():
         found |= assigned_names(child)

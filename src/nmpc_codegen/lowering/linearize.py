@@ -15,7 +15,7 @@ from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
 from nmpc_codegen.ir.stage_products import Pattern, pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.choose import choose_qp
+from nmpc_codegen.lowering.choose import Choice, choose_qp
 from nmpc_codegen.options import REGISTRIES, Online, Options
 from nmpc_codegen.runtime.package_description import Precision
 
@@ -24,7 +24,8 @@ from nmpc_codegen.runtime.package_description import Precision
 class Model(ModelFunctions):
     """The problem, the components that solve it with the reasons for their choice, and every function of the package.
 
-    ``constant_hessian``: the path Hessian block is the same at all nodes.
+    ``rivals``: other QP solvers, between which and the one in ``parts`` the worst case decides. ``constant_hessian``:
+    the path Hessian block is the same at all nodes.
     """
 
     problem: Problem
@@ -33,6 +34,7 @@ class Model(ModelFunctions):
     precision: Precision
     solve: bool
     choices: tuple[str, ...]
+    rivals: tuple[Choice, ...]
     constant_hessian: bool
 
     @property
@@ -63,9 +65,11 @@ def linearize(problem: Problem, options: Options) -> Model:
     constant = _constant_hessian(problem, online, functions)
     parts = Parts(integrator, options.algorithm, options.hessian)
     why: tuple[str, ...] = ()
+    rivals: tuple[Choice, ...] = ()
     if "qp" in options.algorithm.needs:
-        condensing, qp, why = choose_qp(problem, options, constant, functions)
-        parts = replace(parts, condensing=condensing, qp=qp)
+        choice = choose_qp(problem, options, constant, functions)
+        why, rivals = choice.reasons, choice.rivals
+        parts = replace(parts, condensing=choice.condensing, qp=choice.qp)
     _check(problem, *parts.components)
     return Model(
         **{field.name: getattr(functions, field.name) for field in fields(ModelFunctions)},
@@ -75,6 +79,7 @@ def linearize(problem: Problem, options: Options) -> Model:
         precision=options.precision,
         solve=options.solve,
         choices=(*choices, *why),
+        rivals=rivals,
         constant_hessian=constant,
     )
 

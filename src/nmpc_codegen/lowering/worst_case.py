@@ -342,10 +342,10 @@ class WorstCase:
             macro = self._expanded(unit.macros[name], passed, frame)
             operations, value = self._cost(macro[0], macro[1]), self._range(*macro)
             return cost + operations, value
-        operations = MATH.get(name, MATH.get(name.removesuffix("f")))
-        if operations is None:
+        word = name if name in MATH else name.removesuffix("f")
+        if word not in MATH:
             raise UnboundedError(f"{frame.name} calls {name}, which is not of this package")
-        return cost + operations, None
+        return cost + MATH[word], None
 
     def _called(self, name: str, passed: Sequence[c_ast.Node], frame: _Frame) -> tuple[_Summary, set[str]]:
         """Summary of a function for these arguments, and the names here that it depends on."""
@@ -362,9 +362,7 @@ class WorstCase:
         summary = self._summary(name, values)
         return summary, {read for parameter in summary.read for read in sources.get(parameter, ())}
 
-    def _expanded(
-        self, macro: CMacro, passed: Sequence[c_ast.Node], frame: _Frame
-    ) -> tuple[c_ast.Node, _Frame]:
+    def _expanded(self, macro: CMacro, passed: Sequence[c_ast.Node], frame: _Frame) -> tuple[c_ast.Node, _Frame]:
         """The expression of a macro, and a frame in which its parameters are the arguments."""
         named = list(zip(macro.parameters, passed, strict=True))
         inner = _Frame(
@@ -513,10 +511,8 @@ def _literal(node: c_ast.Constant) -> Range:
 
 
 def _entries(table: Sequence[int], index: Range) -> Range:
-    if index is not None and 0 <= index[0] <= index[1] < len(table):
-        among = table[index[0] : index[1] + 1]
-    else:
-        among = table
+    known = index is not None and 0 <= index[0] <= index[1] < len(table)
+    among = table[index[0] : index[1] + 1] if known and index is not None else table
     return (min(among), max(among)) if among else None
 
 

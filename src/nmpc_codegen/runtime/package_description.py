@@ -224,9 +224,9 @@ class Report:
 
     ``ram_bytes``: size of the solver struct; ``ram_bytes_by_struct``: sizes of the structs in it; ``operations``: of
     one call of every C function for which they do not depend on data; ``linearization_operations``: of all nodes
-    together; ``worst_operations``: at most, of "prepare" and "feedback" at the caps on iterations and of the "sample",
-    or of the sample alone if it has a budget; empty if unknown; ``choices``: the chosen components and the reasons; ``looped``: functions with loops instead of
-    straight-line code.
+    together; ``worst_operations``: at most, of "prepare" and "feedback" at the caps on iterations and of the "sample"
+    that calls both, or of the sample alone if it has a budget; empty if unknown; ``choices``: the chosen components and
+    the reasons; ``looped``: functions with loops instead of straight-line code.
     """
 
     ram_bytes: int = 0

@@ -8,6 +8,7 @@ The preparation phase factorises at the predicted working set; the feedback phas
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -102,7 +103,14 @@ class DenseActiveSet(Defaults):
                     Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
                     Field("searches", (), "searches for violated rows in that call", "scratch", "int32"),
-                    Field("allowance", (), "operations that may be charged; -1: no limit", "scratch", "int32", only="BUDGET"),
+                    Field(
+                        "allowance",
+                        (),
+                        "operations that may be charged; -1: no limit",
+                        "scratch",
+                        "int32",
+                        only="BUDGET",
+                    ),
                     Field("changes", (), "rows that entered or left the working set in that call", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "elastic rows that are violated", "result", "int32"),

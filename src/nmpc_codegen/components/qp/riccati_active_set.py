@@ -133,7 +133,8 @@ class RiccatiActiveSet(Defaults):
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         """Stages, and sides of the interior point method."""
         stages = (-1, dims.qp.ns.value)
-        return {"stale": stages, "stale_vectors": stages} | ({} if self.fallback is None else self.fallback.ranges(dims))
+        sides: Mapping[str, tuple[int, int]] = {} if self.fallback is None else self.fallback.ranges(dims)
+        return {"stale": stages, "stale_vectors": stages, **sides}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The recursion and its substitutions; a warm-started sample needs one of each."""
