@@ -3,7 +3,7 @@
     OCP --classify--> Problem --linearize--> Model --lower--> CModule --render--> Sources --build--> Controller
     (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C names)  (path -> text)  (NumPy views)
 
-The report's worst case follows from the text of the functions; settled() lowers, renders them for it (bound.py) and,
+The report's worst case follows from the text of the functions; settled() lowers, renders them for it (bounds) and,
 where QP solvers are close, decides between them by it.
 
 Every stage is a pure function from frozen values to a frozen value; only OCP and Controller, at the ends, are mutable.
@@ -21,7 +21,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.bound import settled
+from nmpc_codegen.bounds.package import settled
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.options import Options

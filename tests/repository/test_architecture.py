@@ -65,7 +65,7 @@ ONLY_IN = {
         "lowering/linearize",
     },
     "jinja2": {"lowering/render"},
-    "pycparser": {"lowering/c_source", "lowering/worst_case"},
+    "pycparser": {"bounds"},
     "cffi": {"runtime/build"},
 }
 

@@ -19,7 +19,7 @@ from functools import cache
 
 from pycparser import c_ast
 
-from nmpc_codegen.lowering.c_source import MATH, CFunction, CMacro, Type, assigned_names, declared
+from nmpc_codegen.bounds.c_source import MATH, CFunction, CMacro, Type, assigned_names, declared
 
 #: An interval of integers; None: unknown.
 Range = tuple[int, int] | None
