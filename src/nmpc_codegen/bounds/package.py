@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from nmpc_codegen.bounds.c_source import Type, functions, macros, struct_members
+from nmpc_codegen.bounds.worst_case import UnboundedError, Unit, WorstCase
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import CModule, Macro
-from nmpc_codegen.bounds.c_source import Type, functions, macros, struct_members
 from nmpc_codegen.lowering.choose import CLOSE, Choice
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.preamble import all_definitions
 from nmpc_codegen.lowering.render import unit_text
-from nmpc_codegen.bounds.worst_case import UnboundedError, Unit, WorstCase
 
 #: The phases of a sample.
 PHASES = ("prepare", "feedback")

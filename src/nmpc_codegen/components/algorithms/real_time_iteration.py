@@ -101,7 +101,7 @@ class RealTimeIteration(Defaults):
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """How shift() moves the plan (all 0: by one interval); whether infeasible QPs are relaxed, operations limited."""
+        """How shift() moves the plan (all 0: by one interval); whether hard rows are relaxed, operations limited."""
         return {
             "SHIFT_RESAMPLE": int(self.shift == "resample"),
             "INTEGRATE_PLAN": int(self.shift == "resample"),
