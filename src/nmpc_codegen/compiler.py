@@ -4,7 +4,8 @@
     (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C names)  (path -> text)  (NumPy views)
 
 settled() lowers the model, derives the worst case of a sample from the text of its functions and, where QP solvers are
-close, decides between them by it. Every stage is a pure function from frozen values to a frozen value; only OCP and Controller, at the ends, are mutable.
+close, decides between them by it. Every stage is a pure function from frozen values to a frozen value; only OCP and
+Controller, at the ends, are mutable.
 CasADi is used up to linearize, jinja2 only in render, and cffi only in build.
 """
 
