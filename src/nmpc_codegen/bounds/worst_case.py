@@ -160,8 +160,8 @@ class WorstCase:
             case c_ast.For():
                 return self._for(node, frame)
             case c_ast.While() | c_ast.DoWhile():
-                one_pass = self._cost(node.cond, frame) + self._statement(node.stmt, frame)
-                return self._repeated(node, one_pass, frame)
+                test = self._cost(node.cond, frame)
+                return self._repeated(node, test + self._statement(node.stmt, frame), frame) + test
             case c_ast.DeclList():
                 return sum(self._declaration(d, frame) for d in node.decls)
             case c_ast.Decl():
@@ -211,16 +211,18 @@ class WorstCase:
         known = counter is not None and _stated(node) is None
         values = self._visited(node.cond, counter or "", first, step, frame) if known else None
 
-        def one_pass(value: Range) -> int:
+        def test(value: Range) -> int:
             if counter is not None:
                 frame.values[counter] = value
-            test = 0 if node.cond is None else self._cost(node.cond, frame)
-            return test + self._statement(node.stmt, frame) + self._cost(node.next, frame)
+            return 0 if node.cond is None else self._cost(node.cond, frame)
+
+        def one_pass(value: Range) -> int:
+            return test(value) + self._statement(node.stmt, frame) + self._cost(node.next, frame)
 
         if values is None:
-            total = self._repeated(node, one_pass(None), frame)
+            total = self._repeated(node, one_pass(None), frame) + test(None)
         else:
-            total = self._sum(values, counter or "", one_pass, frame)
+            total = self._sum(values, counter or "", one_pass, frame) + test((values.stop, values.stop))
         if counter is not None:
             frame.values[counter] = None if isinstance(node.init, c_ast.Assignment) else outer
         return start + total
