@@ -24,6 +24,9 @@ from nmpc_codegen.bounds.c_source import MATH, CFunction, CMacro, Type, assigned
 #: An interval of integers; None: unknown.
 Range = tuple[int, int] | None
 
+#: What is known about an argument: the values of an integer, or the name of a constant table.
+Argument = Range | str
+
 #: The function that charges operations to the budget of a sample.
 AFFORD = "qp_afford"
 
@@ -60,6 +63,7 @@ class _Frame:
     types: dict[str, Type]
     values: dict[str, Range]
     changed: frozenset[str] = frozenset()
+    tables: dict[str, str] = field(default_factory=dict)  # parameter -> table
     read: set[str] = field(default_factory=set)
     returned: list[Range] = field(default_factory=list)
     expands: bool = False  # it is a macro
@@ -80,7 +84,7 @@ class WorstCase:
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
         self.charges: dict[str, int] = {}
-        self._known: dict[str, dict[tuple[str, ...], dict[tuple[Range, ...], _Summary]]] = {}
+        self._known: dict[str, dict[tuple[str, ...], dict[tuple[Argument, ...], _Summary]]] = {}
         self._plain: dict[c_ast.Node | None, int] = {}
         self._shared: dict[str, dict[str, int]] = {}  # function -> stated number of passes -> operations of all of them
 
@@ -94,7 +98,7 @@ class WorstCase:
 
     # -- functions ----------------------------------------------------------------------------------------------------
 
-    def _summary(self, name: str, arguments: Mapping[str, Range]) -> _Summary:
+    def _summary(self, name: str, arguments: Mapping[str, Argument]) -> _Summary:
         summaries = self._known.setdefault(name, {})
         for read, found in summaries.items():
             known = found.get(tuple(map(arguments.get, read)))
@@ -102,8 +106,9 @@ class WorstCase:
                 return known
         tree = self.unit.functions[name].tree
         types = dict(self.unit.functions[name].parameters)
-        values = {parameter: arguments.get(parameter) for parameter in types}
-        frame = _Frame(name, types, values, _changed(tree.body))
+        tables = {p: given for p in types if isinstance(given := arguments.get(p), str)}
+        values = {p: None if isinstance(given := arguments.get(p), str) else given for p in types}
+        frame = _Frame(name, types, values, _changed(tree.body), tables)
         operations = self._block(tree.body.block_items or [], frame)
         operations += sum(self._shared.get(name, {}).values())
         value = _union(frame.returned) if frame.returned else None
@@ -351,11 +356,12 @@ class WorstCase:
 
     def _called(self, name: str, passed: Sequence[c_ast.Node], frame: _Frame) -> tuple[_Summary, set[str]]:
         """Summary of a function for these arguments, and the names here that it depends on."""
-        values: dict[str, Range] = {}
+        values: dict[str, Argument] = {}
         sources: dict[str, set[str]] = {}
         kept = frame.read
         for (parameter, ctype), argument in zip(self.unit.functions[name].parameters, passed, strict=True):
             if ctype != _INT:
+                values[parameter] = self._table(argument, frame)
                 continue
             frame.read = set()
             values[parameter] = self._range(argument, frame)
@@ -364,6 +370,15 @@ class WorstCase:
         summary = self._summary(name, values)
         return summary, {read for parameter in summary.read for read in sources.get(parameter, ())}
 
+    def _table(self, node: c_ast.Node, frame: _Frame) -> str | None:
+        """The constant table of integers that an expression names; the start of another one is unknown."""
+        if not isinstance(node, c_ast.ID):
+            return None
+        if node.name in frame.tables:
+            frame.read.add(node.name)
+            return frame.tables[node.name]
+        return node.name if node.name in self.unit.tables and node.name not in frame.types else None
+
     def _expanded(self, macro: CMacro, passed: Sequence[c_ast.Node], frame: _Frame) -> tuple[c_ast.Node, _Frame]:
         """The expression of a macro, and a frame in which its parameters are the arguments."""
         named = list(zip(macro.parameters, passed, strict=True))
@@ -371,6 +386,7 @@ class WorstCase:
             frame.name,
             frame.types | {p: self._type(a, frame) for p, a in named},
             frame.values | {p: self._range(a, frame) for p, a in named},
+            tables=frame.tables,
             read=frame.read,
             expands=True,
         )
@@ -430,8 +446,9 @@ class WorstCase:
                 return self._range(node.expr, frame) if declared(node.to_type.type) == Type("int") else None
             case c_ast.StructRef():
                 return self.unit.ranges.get(node.field.name)
-            case c_ast.ArrayRef(name=c_ast.ID(name=table)) if table in self.unit.tables:
-                return _entries(self.unit.tables[table], self._range(node.subscript, frame))
+            case c_ast.ArrayRef(name=c_ast.ID()):
+                table = self._table(node.name, frame)
+                return None if table is None else _entries(self.unit.tables[table], self._range(node.subscript, frame))
             case c_ast.UnaryOp(op="-"):
                 inner = self._range(node.expr, frame)
                 return None if inner is None else (-inner[1], -inner[0])
@@ -552,6 +569,8 @@ def _combined(op: str, a: Range, b: Range) -> Range:
         return min(products), max(products)
     if op == "/" and b[0] == b[1] > 0 and a[0] >= 0:
         return a[0] // b[0], a[1] // b[0]
+    if op == "&" and b == (1, 1):
+        return (a[0] & 1,) * 2 if a[0] == a[1] else (0, 1)
     if op == "%" and b[0] == b[1] > 0 and a[0] >= 0:
         return (a[0] % b[0],) * 2 if a[0] == a[1] else (0, b[0] - 1)
     return None
