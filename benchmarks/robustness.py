@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import episodes, qps, returns, work, worst
+from benchmarks.lib.robustness import episodes, qps, returns, violations, work, worst
 
 PARTS: dict[str, Callable[[Report, float], None]] = {
     "qps": qps.measure,
@@ -19,6 +19,7 @@ PARTS: dict[str, Callable[[Report, float], None]] = {
     "episodes": episodes.measure,
     "work": work.measure,
     "worst": worst.measure,
+    "violations": violations.measure,
 }
 
 

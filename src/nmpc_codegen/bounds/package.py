@@ -24,52 +24,43 @@ PHASES = ("prepare", "feedback")
 
 
 def settled(model: Model, name: str | None = None) -> CModule:
-    """The package with the QP solver whose worst case is smallest among those that are close; see bounded().
+    """The package with the QP solver whose worst case is least among those that are close; see bounded().
 
     Raises:
         OptionError: the one that raises it for the model itself, if no package exists.
     """
-    if not model.rivals:
+    if model.choice is None or not model.choice.rivals:
         return bounded(lower(model, name))
-    packages: list[tuple[CModule, str]] = []
+    packages: list[tuple[Choice, CModule]] = []
     errors: list[OptionError] = []
-    for rival in (None, *model.rivals):
+    for choice in (model.choice, *model.choice.rivals):
         try:
-            packages.append(
-                (bounded(lower(model if rival is None else _with(model, rival), name)), _label(model, rival))
-            )
+            packages.append((choice, bounded(lower(_with(model, choice), name))))
         except OptionError as error:
             errors.append(error)
     if not packages:
         raise errors[0]
-    known = [module for module, _ in packages if module.description.report.worst_operations]
+    worst = {c.label: m.description.report.worst_operations.get("sample") for c, m in packages}
+    known = {label: count for label, count in worst.items() if count is not None}
     if len(known) < len(packages):
-        return packages[0][0]
-    module, _ = min(packages, key=lambda package: package[0].description.report.worst_operations["sample"])
-    table = "; ".join(f"{label}: {m.description.report.worst_operations['sample']:,}" for m, label in packages)
-    return _because(module, f"of the solvers within {CLOSE} times of that the one with the least worst case ({table})")
+        return packages[0][1]
+    choice, module = min(packages, key=lambda package: known[package[0].label])
+    table = "; ".join(f"{label}: {count:,}" for label, count in known.items())
+    why = f"least worst case of a sample among solvers within {CLOSE} times of the fewest operations ({table})"
+    return _because(module, f"qp: {choice.qp.name}; {why}")
 
 
-def _label(model: Model, rival: Choice | None) -> str:
-    condensing, qp = (model.parts.condensing, model.parts.qp) if rival is None else (rival.condensing, rival.qp)
-    assert condensing is not None
-    assert qp is not None
-    return Choice(condensing, qp).label
-
-
-def _with(model: Model, rival: Choice) -> Model:
-    """The model with another QP solver, for the reasons of the choice that it stands for."""
-    kept = model.choices[: -len(rival.reasons)]
-    parts = replace(model.parts, condensing=rival.condensing, qp=rival.qp)
-    return replace(model, parts=parts, choices=(*kept, *rival.reasons))
+def _with(model: Model, choice: Choice) -> Model:
+    """The model with another QP solver and its reasons."""
+    parts = replace(model.parts, condensing=choice.condensing, qp=choice.qp)
+    return replace(model, parts=parts, choice=choice)
 
 
 def _because(module: CModule, reason: str) -> CModule:
-    """The module with one more reason for its last choice."""
-    description = module.description
-    *others, last = description.report.choices
-    report = replace(description.report, choices=(*others, f"{last}; {reason}"))
-    return replace(module, description=replace(description, report=report))
+    """The module with one more reason."""
+    report = module.description.report
+    report = replace(report, choices=(*report.choices, reason))
+    return replace(module, description=replace(module.description, report=report))
 
 
 def bounded(module: CModule) -> CModule:

@@ -24,8 +24,8 @@ from nmpc_codegen.runtime.package_description import Precision
 class Model(ModelFunctions):
     """The problem, the components that solve it with the reasons for their choice, and every function of the package.
 
-    ``rivals``: other QP solvers, between which and the one in ``parts`` the worst case decides. ``constant_hessian``:
-    the path Hessian block is the same at all nodes.
+    ``choice``: condensing and QP solver with their reasons, if the algorithm has a QP; ``reasons``: those for other
+    parts. ``constant_hessian``: the path Hessian block is the same at all nodes.
     """
 
     problem: Problem
@@ -33,9 +33,14 @@ class Model(ModelFunctions):
     online: Online
     precision: Precision
     solve: bool
-    choices: tuple[str, ...]
-    rivals: tuple[Choice, ...]
+    reasons: tuple[str, ...]
+    choice: Choice | None
     constant_hessian: bool
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """All choices with their reasons."""
+        return (*self.reasons, *(() if self.choice is None else self.choice.reasons))
 
     @property
     def options(self) -> Options:
@@ -64,11 +69,9 @@ def linearize(problem: Problem, options: Options) -> Model:
     functions = _functions(problem, integrator, options.hessian)
     constant = _constant_hessian(problem, online, functions)
     parts = Parts(integrator, options.algorithm, options.hessian)
-    why: tuple[str, ...] = ()
-    rivals: tuple[Choice, ...] = ()
+    choice: Choice | None = None
     if "qp" in options.algorithm.needs:
         choice = choose_qp(problem, options, constant, functions)
-        why, rivals = choice.reasons, choice.rivals
         parts = replace(parts, condensing=choice.condensing, qp=choice.qp)
     _check(problem, *parts.components)
     return Model(
@@ -78,8 +81,8 @@ def linearize(problem: Problem, options: Options) -> Model:
         online=online,
         precision=options.precision,
         solve=options.solve,
-        choices=(*choices, *why),
-        rivals=rivals,
+        reasons=choices,
+        choice=choice,
         constant_hessian=constant,
     )
 
