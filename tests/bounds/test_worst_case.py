@@ -93,6 +93,11 @@ def test_passes_of_a_function_are_shared() -> None:
     assert cost("for (int i = 0; i < 3; i++) { g(x); }", g) == (3 + 4) * 2 + 3
 
 
+def test_shared_passes_count_in_every_call_outside_of_that_function() -> None:
+    g = f"static void g(real_t *x)\n{{\nwhile (x[0] > R(0)) {{ /* at most 4 passes in h */\n{ADD} }}\n}}\n"
+    assert cost("g(x); g(x);", g) == 2 * (4 * 2 + 1)
+
+
 def test_a_charge_covers_what_follows_it() -> None:
     loop = f"while (n > 0) {{ if (!qp_afford(q, COST_A)) {{ return; }} {7 * ADD} }}"
     found = unit(f"static void f(real_t *x, int n)\n{{\n{ADD} {loop} {2 * ADD}\n}}\n")

@@ -15,6 +15,7 @@ from pycparser import c_ast, c_parser
 
 _PASSES = re.compile(r"/\* at most ([^*]+?) passes((?: in \w+)?) \*/")
 _VALUES = re.compile(r"/\* (-?\w+) <= (\w+) <= ([^*]+?) \*/")
+_COUNTING = re.compile(r"^#pragma .* in (\w+)$", re.MULTILINE)
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _API = re.compile(r"\bAPI\((\w+)\)")
 _FUNCTION = re.compile(r"^([A-Za-z_][^;={}#]*?[)\]])\s*\n\{\n(.*?)^\}", re.MULTILINE | re.DOTALL)
@@ -56,6 +57,11 @@ class CFunction:
 
     name: str
     text: str
+
+    @property
+    def counting(self) -> tuple[str, ...]:
+        """Functions whose calls limit the passes of its loops."""
+        return tuple(_COUNTING.findall(self.text))
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, Type], ...]:

@@ -84,7 +84,9 @@ class WorstCase:
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
         self.charges: dict[str, int] = {}
-        self._known: dict[str, dict[tuple[str, ...], dict[tuple[Argument, ...], _Summary]]] = {}
+        self._known: dict[tuple[str, frozenset[str]], dict[tuple[str, ...], dict[tuple[Argument, ...], _Summary]]] = {}
+        self._counting = frozenset(name for f in unit.functions.values() for name in f.counting)
+        self._running: frozenset[str] = frozenset()  # those of them that are being evaluated
         self._plain: dict[c_ast.Node | None, int] = {}
         self._shared: dict[str, dict[str, int]] = {}  # function -> stated number of passes -> operations of all of them
 
@@ -99,10 +101,13 @@ class WorstCase:
     # -- functions ----------------------------------------------------------------------------------------------------
 
     def _summary(self, name: str, arguments: Mapping[str, Argument]) -> _Summary:
-        summaries = self._known.setdefault(name, {})
+        outer = self._running
+        self._running = outer | ({name} & self._counting)
+        summaries = self._known.setdefault((name, self._running), {})
         for read, found in summaries.items():
             known = found.get(tuple(map(arguments.get, read)))
             if known is not None:
+                self._running = outer
                 return known
         tree = self.unit.functions[name].tree
         types = dict(self.unit.functions[name].parameters)
@@ -115,6 +120,7 @@ class WorstCase:
         read = tuple(parameter for parameter, _ in self.unit.functions[name].parameters if parameter in frame.read)
         summary = _Summary(operations, value, read)
         summaries.setdefault(read, {})[tuple(map(arguments.get, read))] = summary
+        self._running = outer
         return summary
 
     # -- statements ---------------------------------------------------------------------------------------------------
@@ -197,7 +203,7 @@ class WorstCase:
         if comment is not None:
             text, _, function = comment.partition(" in ")
             stated = self._range(CMacro((), text).expression, frame)
-            if stated is not None and not function:
+            if stated is not None and function not in self._running:
                 return stated[1] * one_pass
             if stated is not None:
                 shared = self._shared.setdefault(function, {})
