@@ -20,9 +20,7 @@ from functools import cache
 from pycparser import c_ast
 
 from nmpc_codegen.bounds.c_source import MATH, CFunction, CMacro, Type, assigned_names, declared
-
-#: An interval of integers; None: unknown.
-Range = tuple[int, int] | None
+from nmpc_codegen.bounds.intervals import Range, combined, entries, truth, union
 
 #: What is known about an argument: the values of an integer, or the name of a constant table.
 Argument = Range | str
@@ -116,7 +114,7 @@ class WorstCase:
         frame = _Frame(name, types, values, _changed(tree.body), tables)
         operations = self._block(tree.body.block_items or [], frame)
         operations += sum(self._shared.get(name, {}).values())
-        value = _union(frame.returned) if frame.returned else None
+        value = union(frame.returned) if frame.returned else None
         read = tuple(parameter for parameter, _ in self.unit.functions[name].parameters if parameter in frame.read)
         summary = _Summary(operations, value, read)
         summaries.setdefault(read, {})[tuple(map(arguments.get, read))] = summary
@@ -143,8 +141,8 @@ class WorstCase:
 
     def _branch(self, item: c_ast.If, rest: Sequence[c_ast.Node], frame: _Frame) -> int:
         """Bound of an `if` and of the statements after it, which a branch that leaves the block does not reach."""
-        test, truth = self._cost(item.cond, frame), _truth(self._range(item.cond, frame))
-        branches = [_items(b) for b, taken in ((item.iftrue, True), (item.iffalse, False)) if truth in (None, taken)]
+        test, holds = self._cost(item.cond, frame), truth(self._range(item.cond, frame))
+        branches = [_items(b) for b, taken in ((item.iftrue, True), (item.iffalse, False)) if holds in (None, taken)]
         ends = [bool(b) and isinstance(b[-1], _EXIT) for b in branches]
         costs = [self._block(b, frame) for b in branches]
         if all(ends):
@@ -306,7 +304,7 @@ class WorstCase:
             case None | c_ast.ID() | c_ast.Constant() | c_ast.Typename():
                 return 0
             case c_ast.BinaryOp(op="&&" | "||"):
-                left = _truth(self._range(node.left, frame))
+                left = truth(self._range(node.left, frame))
                 skipped = left is (node.op == "||") and left is not None
                 return self._cost(node.left, frame) + (0 if skipped else self._cost(node.right, frame))
             case c_ast.BinaryOp():
@@ -328,10 +326,10 @@ class WorstCase:
                 return sum(self._cost(child, frame) for _, child in node.children())
 
     def _chosen(self, node: c_ast.TernaryOp, frame: _Frame) -> int:
-        truth = _truth(self._range(node.cond, frame))
+        holds = truth(self._range(node.cond, frame))
         return max(
-            0 if truth is False else self._cost(node.iftrue, frame),
-            0 if truth is True else self._cost(node.iffalse, frame),
+            0 if holds is False else self._cost(node.iftrue, frame),
+            0 if holds is True else self._cost(node.iffalse, frame),
         )
 
     def _target(self, node: c_ast.FuncCall) -> str:
@@ -454,19 +452,19 @@ class WorstCase:
                 return self.unit.ranges.get(node.field.name)
             case c_ast.ArrayRef(name=c_ast.ID()):
                 table = self._table(node.name, frame)
-                return None if table is None else _entries(self.unit.tables[table], self._range(node.subscript, frame))
+                return None if table is None else entries(self.unit.tables[table], self._range(node.subscript, frame))
             case c_ast.UnaryOp(op="-"):
                 inner = self._range(node.expr, frame)
                 return None if inner is None else (-inner[1], -inner[0])
             case c_ast.UnaryOp(op="!"):
-                truth = _truth(self._range(node.expr, frame))
-                return (0, 1) if truth is None else (int(not truth), int(not truth))
+                holds = truth(self._range(node.expr, frame))
+                return (0, 1) if holds is None else (int(not holds), int(not holds))
             case c_ast.BinaryOp():
-                return _combined(node.op, self._range(node.left, frame), self._range(node.right, frame))
+                return combined(node.op, self._range(node.left, frame), self._range(node.right, frame))
             case c_ast.TernaryOp():
-                truth = _truth(self._range(node.cond, frame))
-                taken = [n for n, t in ((node.iftrue, True), (node.iffalse, False)) if truth in (None, t)]
-                return _union([self._range(n, frame) for n in taken])
+                holds = truth(self._range(node.cond, frame))
+                taken = [n for n, t in ((node.iftrue, True), (node.iffalse, False)) if holds in (None, t)]
+                return union([self._range(n, frame) for n in taken])
             case c_ast.FuncCall():
                 return self._call(node, frame)[1]
             case _:
@@ -533,68 +531,3 @@ def _literal(node: c_ast.Constant) -> Range:
         return None
     value = int(node.value.rstrip("uUlL"), 0)
     return value, value
-
-
-def _entries(table: Sequence[int], index: Range) -> Range:
-    known = index is not None and 0 <= index[0] <= index[1] < len(table)
-    among = table[index[0] : index[1] + 1] if known and index is not None else table
-    return (min(among), max(among)) if among else None
-
-
-def _union(ranges: Sequence[Range]) -> Range:
-    known = [r for r in ranges if r is not None]
-    if not known or len(known) < len(ranges):
-        return None
-    return min(low for low, _ in known), max(high for _, high in known)
-
-
-def _truth(value: Range) -> bool | None:
-    if value is None or value[0] <= 0 <= value[1]:
-        return False if value == (0, 0) else None
-    return True
-
-
-def _combined(op: str, a: Range, b: Range) -> Range:
-    if op in ("&&", "||"):
-        left, right = _truth(a), _truth(b)
-        decided = op == "||"
-        if decided in (left, right):
-            return (int(decided),) * 2
-        return (0, 1) if None in (left, right) else (int(not decided),) * 2
-    if a is None or b is None:
-        return (0, 1) if op in _COMPARISONS else None
-    if op in _COMPARISONS:
-        found = {_COMPARISONS[op](x, y) for x, y in _extremes(op, a, b)}
-        return (int(min(found)), int(max(found)))
-    if op == "+":
-        return a[0] + b[0], a[1] + b[1]
-    if op == "-":
-        return a[0] - b[1], a[1] - b[0]
-    if op == "*":
-        products = [x * y for x in a for y in b]
-        return min(products), max(products)
-    if op == "/" and b[0] == b[1] > 0 and a[0] >= 0:
-        return a[0] // b[0], a[1] // b[0]
-    if op == "&" and b == (1, 1):
-        return (a[0] & 1,) * 2 if a[0] == a[1] else (0, 1)
-    if op == "%" and b[0] == b[1] > 0 and a[0] >= 0:
-        return (a[0] % b[0],) * 2 if a[0] == a[1] else (0, b[0] - 1)
-    return None
-
-
-def _extremes(op: str, a: tuple[int, int], b: tuple[int, int]) -> list[tuple[int, int]]:
-    """Pairs between which a comparison takes all its values."""
-    pairs = [(x, y) for x in a for y in b]
-    if op in ("==", "!=") and max(a[0], b[0]) <= min(a[1], b[1]):
-        pairs.append((max(a[0], b[0]),) * 2)
-    return pairs
-
-
-_COMPARISONS: Mapping[str, Callable[[int, int], bool]] = {
-    "<": lambda x, y: x < y,
-    "<=": lambda x, y: x <= y,
-    ">": lambda x, y: x > y,
-    ">=": lambda x, y: x >= y,
-    "==": lambda x, y: x == y,
-    "!=": lambda x, y: x != y,
-}
