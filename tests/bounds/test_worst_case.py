@@ -105,6 +105,12 @@ def test_a_charge_covers_what_follows_it() -> None:
     assert found.charges == {"COST_A": 7}
 
 
+@pytest.mark.parametrize("condition", ["i / 2 < N", "N - i > 0", "2 * i < N", "i + i < N"])
+def test_a_condition_that_is_not_understood_is_an_error(condition: str) -> None:
+    with pytest.raises(UnboundedError, match="passes"):
+        cost(f"for (int i = 0; {condition}; i++) {{ {ADD} }}")
+
+
 @pytest.mark.parametrize(
     "body", [f"while (n > 0) {{ {ADD} }}", f"for (int i = 0; i < n; i++) {{ {ADD} }}", "foreign(x);"]
 )

@@ -285,7 +285,7 @@ class WorstCase:
         kept, frame.values = frame.values, {**frame.values, counter: (0, 0)}
         left, right = self._range(node.left, frame), self._range(node.right, frame)
         frame.values = kept
-        if not _contains(node.left, counter) or _contains(node.right, counter) or left is None or right is None:
+        if not _adds(node.left, counter) or _contains(node.right, counter) or left is None or right is None:
             return None
         return node.op, (right[0] - left[1], right[1] - left[0])
 
@@ -520,6 +520,20 @@ def _conjuncts(node: c_ast.Node | None) -> Iterable[c_ast.Node]:
         yield from _conjuncts(node.right)
     elif node is not None:
         yield node
+
+
+def _adds(node: c_ast.Node, counter: str) -> bool:
+    """The expression is the counter plus terms without it."""
+    match node:
+        case c_ast.ID():
+            return bool(node.name == counter)
+        case c_ast.BinaryOp(op="+"):
+            return _adds(node.left, counter) != _adds(node.right, counter) and not (
+                _contains(node.left, counter) and _contains(node.right, counter)
+            )
+        case c_ast.BinaryOp(op="-"):
+            return _adds(node.left, counter) and not _contains(node.right, counter)
+    return False
 
 
 def _contains(node: c_ast.Node, name: str) -> bool:
