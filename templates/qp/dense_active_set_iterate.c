@@ -208,6 +208,28 @@ static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
     return violation > R(0) ? violation / vv : R(0);
 }
 
+/* Returns 1 if the violation of row c may be a rounding error; the bound for it is stored in slack[c]. */
+static int qp_is_rounding(qp_t *q, int c, const real_t *r, real_t bound, real_t mm, real_t vv, real_t violation)
+{
+    q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
+    return violation <= q->slack[c];
+}
+
+/* No step satisfies row c: it contradicts the rows of the working set. */
+static status_t qp_contradict(qp_t *q, int c, int side, const real_t *r, real_t mm)
+{
+#if SOLVE
+    qp_certify(q, c, side, r, mm);
+#else
+    (void)q;
+    (void)c;
+    (void)side;
+    (void)r;
+    (void)mm;
+#endif
+    return INFEASIBLE;
+}
+
 /* Takes dual steps until the violated row c is satisfied and in the working set, or its multiplier is at the end of its
  * range. A violation that may be a rounding error is accepted instead and stored in slack[c]. */
 static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
@@ -230,11 +252,8 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         const real_t vv = qp_project(q, mm);
         copy(r, q->work.basis.d);
         qp_solve_triangle(q, r);
-        if (!(moved > R(0))) {
-            q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
-            if (violation <= q->slack[c]) {
-                return OK;
-            }
+        if (!(moved > R(0)) && qp_is_rounding(q, c, r, bound, mm, vv, violation)) {
+            return OK;
         }
         violation = sign * (dot(q->work.basis.m, q->work.basis.y, LDV) - bound);
         const real_t full = qp_full_step(violation, mm, vv);
@@ -242,14 +261,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         step = full <= step ? full : step;
         step = left < step ? left : step;
         if (!(step < (real_t)INFINITY)) {
-            q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
-            if (violation <= q->slack[c]) {
-                return OK;
-            }
-#if SOLVE
-            qp_certify(q, c, side, r, mm);
-#endif
-            return INFEASIBLE;
+            return qp_is_rounding(q, c, r, bound, mm, vv, violation) ? OK : qp_contradict(q, c, side, r, mm);
         }
         ++q->iterations;
         moved += step;

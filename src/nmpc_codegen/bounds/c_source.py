@@ -119,10 +119,11 @@ def declared(node: c_ast.Node) -> Type:
 def assigned_names(node: c_ast.Node) -> set[str]:
     """Variables that a statement changes, or whose address it takes; the counters of its own `for` loops excepted."""
     if isinstance(node, c_ast.For):
-        counters = assigned_names(node.init) if isinstance(node.init, c_ast.Assignment) else set()
-        step = assigned_names(node.next) if node.next is not None else set()
-        own = counters | ({d.name for d in node.init.decls} if isinstance(node.init, c_ast.DeclList) else set())
-        return (assigned_names(node.stmt) | (step - own)) - counters
+        stepped = set() if node.next is None else assigned_names(node.next)
+        started = set() if node.init is None else assigned_names(node.init)
+        if isinstance(node.init, c_ast.DeclList):
+            started |= {d.name for d in node.init.decls}
+        return assigned_names(node.stmt) | (stepped ^ started)
     found: set[str] = set()
     if isinstance(node, c_ast.Assignment) and isinstance(node.lvalue, c_ast.ID):
         found.add(node.lvalue.name)

@@ -80,8 +80,13 @@ def bounded(module: CModule) -> CModule:
     try:
         found = WorstCase(_unit(module, unit_text(module)))
         worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
-    except UnboundedError:
-        return module  # code of another generator: the report states no worst case
+    except UnboundedError as error:
+        if budget is not None:
+            raise OptionError(
+                f"RealTimeIteration(budget={budget}) (--set algorithm.budget={budget}) clashes with options whose "
+                f"worst case is unknown: {error}"
+            ) from error
+        return module  # without a statement on its worst case
     if budget is None:
         return _stated(module, worst | {"sample": sum(worst.values())}, {})
     fixed = sum(worst.values())

@@ -233,7 +233,7 @@ class WorstCase:
         else:
             total = self._sum(values, counter or "", one_pass, frame) + test((values.stop, values.stop))
         if counter is not None:
-            frame.values[counter] = None if isinstance(node.init, c_ast.Assignment) else outer
+            frame.values[counter] = outer if isinstance(node.init, c_ast.DeclList) else None
         return start + total
 
     def _sum(self, values: range, counter: str, one_pass: Callable[[Range], int], frame: _Frame) -> int:
@@ -254,8 +254,9 @@ class WorstCase:
         if isinstance(node.init, c_ast.DeclList) and len(node.init.decls) == 1:
             name, start = node.init.decls[0].name, node.init.decls[0].init
             first = self._range(start, frame)
-        elif isinstance(node.init, c_ast.Assignment) and isinstance(node.init.lvalue, c_ast.ID):
-            name, first = node.init.lvalue.name, self._range(node.init.rvalue, frame)
+        for start in node.init.exprs if isinstance(node.init, c_ast.ExprList) else (node.init,):
+            if isinstance(start, c_ast.Assignment) and node.next and assigned_names(start) <= assigned_names(node.next):
+                name, first = start.lvalue.name, self._range(start.rvalue, frame)
         match node.next:
             case c_ast.UnaryOp(op="p++" | "++", expr=c_ast.ID(name=changed)) if changed == name:
                 step = 1
