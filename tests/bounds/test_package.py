@@ -151,7 +151,7 @@ def test_no_sample_exceeds_its_budget(problem: str, solver: str) -> None:
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_budget_that_binds_ends_the_sample_and_the_plan_recovers(solver: str) -> None:
     """The control is that of the plan meanwhile; later it is the one of a controller without a budget."""
-    loop = with_budget(loop_of("boxes", solver), 4 * least("boxes", solver))
+    loop = with_budget(loop_of("boxes", solver), 2 * least("boxes", solver))
     limited = build(PROBLEMS["boxes"](), loop.options)
     free = build(PROBLEMS["boxes"](), Options(qp=SOLVERS[solver]))
     rest = np.zeros(4)

@@ -21,6 +21,9 @@ _API = re.compile(r"\bAPI\((\w+)\)")
 _FUNCTION = re.compile(r"^([A-Za-z_][^;={}#]*?[)\]])\s*\n\{\n(.*?)^\}", re.MULTILINE | re.DOTALL)
 _NAME = re.compile(r"(\w+)\((?!\*)")
 _TYPE = re.compile(r"\b\w+_t\b")
+_ENUM = re.compile(r"\benum \{([^{}]*)\}")
+_VALUE = re.compile(r"(\w+) = (-?\d+)\b")
+_TABLE = re.compile(r"^static const int (\w+)\[\d+\] = \{ ([-\d, \n]+?) \};", re.MULTILINE)
 _STRUCT = re.compile(r"typedef struct \{\n(.*?)\} (\w+);", re.DOTALL)
 _MEMBER = re.compile(r"(\w+) (\w+)((?:\[[^\]]+\])*);")
 
@@ -94,6 +97,16 @@ def macros(known: Iterable[tuple[str, str | None, str]]) -> dict[str, CMacro]:
         name: CMacro(() if arguments is None else tuple(a.strip() for a in arguments.split(",")), text)
         for name, arguments, text in known
     }
+
+
+def constants(unit: str) -> dict[str, int]:
+    """Constants of the enums of the unit to which it gives a number."""
+    return {name: int(value) for body in _ENUM.findall(unit) for name, value in _VALUE.findall(body)}
+
+
+def tables(unit: str) -> dict[str, tuple[int, ...]]:
+    """Entries of the constant tables of integers that the unit defines."""
+    return {name: tuple(map(int, body.split(","))) for name, body in _TABLE.findall(unit)}
 
 
 def struct_members(unit: str) -> dict[str, list[Type]]:

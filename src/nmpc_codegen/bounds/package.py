@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from nmpc_codegen.bounds.c_source import Type, functions, macros, struct_members
+from nmpc_codegen.bounds.c_source import Type, constants, functions, macros, struct_members, tables
 from nmpc_codegen.bounds.worst_case import UnboundedError, Unit, WorstCase
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import CModule, Macro
@@ -125,8 +125,8 @@ def _unit(module: CModule, text: str) -> Unit:
         functions=functions(text),
         macros=macros(all_definitions(module)),
         counts={routine.name: routine.count.total for routine in counted},
-        sizes={macro.name: macro.value for macro in module.macros},
-        tables={t.name: [int(v) for v in t.values] for t in module.tables if t.ctype == "int"},
+        sizes={**constants(text), **{macro.name: macro.value for macro in module.macros}},
+        tables={**tables(text), **{t.name: [int(v) for v in t.values] for t in module.tables if t.ctype == "int"}},
         ranges=module.ranges,
         members=members,
     )
