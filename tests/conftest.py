@@ -37,7 +37,7 @@ SECOND_COMPILER = frozenset(
     {
         "components",
         *("test_online.py", "test_start_cost.py", "test_closed_loop.py", "test_pathrows.py", "test_linearize.py"),
-        "test_robustness.py",
+        *("test_robustness.py", "test_solve.py"),
     }
 )
 

@@ -224,11 +224,15 @@ static status_t qp_minimize(solver_t *s, int *changed)
     return status;
 }
 
-/* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself or
- * its members contradict one another; ITERATION_LIMIT; NUMERICAL_FAILURE. */
+/* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself, its
+ * members contradict one another, or the number of changes does not fall and the interior point method can take over;
+ * ITERATION_LIMIT; NUMERICAL_FAILURE. */
 static status_t qp_iterate(solver_t *s, int most)
 {
     qp_t *q = &s->qp;
+#if INTERIOR_POINT
+    int before = 0, rises = 0;
+#endif
     qp_seen(q, 0);
     for (int tried = 1; tried <= most; tried++) {
 #if BUDGET
@@ -253,6 +257,13 @@ static status_t qp_iterate(solver_t *s, int most)
         if (qp_seen(q, tried)) {
             return STALLED;
         }
+#if INTERIOR_POINT
+        rises += tried > 1 && changed > 2 && changed >= before;
+        before = changed;
+        if (rises == QP_MAX_RISES) {
+            return STALLED;
+        }
+#endif
         q->iterations++;
     }
     return ITERATION_LIMIT;
@@ -295,5 +306,8 @@ static status_t qp_settle(solver_t *s, int most)
         return status;
     }
     qp_finish(&s->qp);
+#if INTERIOR_POINT
+    s->qp.least = R(0);
+#endif
     return qp_is_solution(s) ? OK : STALLED;
 }

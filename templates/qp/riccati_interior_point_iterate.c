@@ -353,6 +353,14 @@ static int ipm_converged(solver_t *s)
     return 1;
 }
 
+/* Returns 1 if the result is a solution. Rows are not exact: what moves the cost by no more than rounding of its unit is
+ * negligible, even if the bounds, and with them all terms of a row, vanish. */
+static int ipm_is_solution(solver_t *s)
+{
+    s->qp.least = R(16) * TOL_UNIT / TOL_QP_ACCEPTED * SQRT(s->ipm.unit);
+    return qp_is_solution(s);
+}
+
 /* Returns 1 if the iterate is good enough to end the iterations: without curvature, or after many of them, rounding
  * errors may keep it from the tolerances that the iterations aim at. */
 static int ipm_suffices(solver_t *s)
@@ -363,7 +371,7 @@ static int ipm_suffices(solver_t *s)
         return 0;
     }
     ipm_stationarity(s); /* multipliers of fixed controls */
-    return qp_is_solution(s);
+    return ipm_is_solution(s);
 }
 
 /* Stiff rows may cover the gradient with rounding errors. If that persists, the stiffening is reset and limited to a
@@ -464,6 +472,22 @@ static inline int ipm_stagnates(const ipm_t *q, real_t before)
 }
 
 #endif
+#if IPM_CROSSOVER
+/* Values of crossing: iterations until the solution; until a working set is indicated; they ended so. */
+enum { TO_THE_END = 0, CROSS_OVER = 1, HANDED_OVER = 2 };
+
+/* Returns 1 if the iterate is so close to the solution that it indicates the working set, and the iterations are to end
+ * then. */
+static int ipm_hands_over(ipm_t *q)
+{
+    if (q->crossing == TO_THE_END || q->sides == 0 || q->mu > R(1e-4) * q->unit || q->primal > R(1e-4)) {
+        return 0;
+    }
+    q->crossing = HANDED_OVER;
+    return 1;
+}
+
+#endif
 /* Iterations from the present point. Returns OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
 static status_t ipm_iterate(solver_t *s)
 {
@@ -489,6 +513,11 @@ static status_t ipm_iterate(solver_t *s)
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return NUMERICAL_FAILURE;
         }
+#if IPM_CROSSOVER
+        if (ipm_hands_over(q)) {
+            return OK;
+        }
+#endif
         done = ipm_converged(s);
         if (q->probing && (q->slope < (real_t)INFINITY || s->qp.iterations > 20) && ipm_any_violation(s)) {
             return OK;

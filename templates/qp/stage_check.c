@@ -64,6 +64,17 @@ static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
 }
 
 #endif
+/* Magnitude that row c has in any case: near a plan that is a solution, everything else may vanish. */
+static inline real_t qp_least_size(const solver_t *s, int c, int full)
+{
+#if INTERIOR_POINT
+    return full ? s->qp.least * s->units.reach[c] : R(0);
+#else
+    (void)s, (void)c, (void)full;
+    return R(0);
+#endif
+}
+
 /* Returns 1 if all hard rows hold. */
 static int qp_rows_hold(solver_t *s, int full)
 {
@@ -71,12 +82,13 @@ static int qp_rows_hold(solver_t *s, int full)
     int holds = 1;
     qp_component_sizes(s, full, size);
     for (int c = 0; c < NV; c++) {
-        holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], size[NXS + c % NUS], full);
+        const real_t terms = size[NXS + c % NUS] + qp_least_size(s, c, full);
+        holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, full);
     }
 #if NG
     for (int m = 0; m < NG; m++) {
-        const int hard = !qp_is_soft(&s->qp, m);
-        holds &= qp_row_holds(&s->qp, NV + m, hard, qp_row_value(s, m), qp_row_terms(s, m, size), full);
+        const real_t terms = qp_row_terms(s, m, size) + qp_least_size(s, NV + m, full);
+        holds &= qp_row_holds(&s->qp, NV + m, !qp_is_soft(&s->qp, m), qp_row_value(s, m), terms, full);
     }
 #endif
     return holds;

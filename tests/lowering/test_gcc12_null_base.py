@@ -117,7 +117,8 @@ def test_controls_with_the_options_instead_of_the_pragma(gcc: str, name: str, ri
 
     test_solve.py compares the dense solver, with the pragma at -O2, with IPOPT.
     """
-    options = Options(qp=RiccatiActiveSet(), condensing=NoCondensing()) if riccati else Options()
+    on_stages = Options(qp=RiccatiActiveSet(), condensing=NoCondensing(), solve=False)
+    options = on_stages if riccati else Options(solve=False)
     package = generate(problems.CASES[name].make(), options)
     files = {path: text for path, text in package.items() if path.endswith((".c", ".h"))}
     unit = next(path for path in files if path.endswith(".c") and path != "main.c")

@@ -30,23 +30,28 @@ def _compilers() -> None:
     require_tool("cc")
 
 
+def precision_in_turn(name: str) -> str:
+    return ("single", "double")[STRUCTURES.index(name) % 2]
+
+
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_c99(name: str) -> None:
     """The findings of the front end, and of the optimiser for some cases: values that may be uninitialised.
 
-    In single precision the data flow is the same.
+    In single precision, which takes turns with C++17, the data flow is the same.
     """
-    level = OPTIMISED.get(name, "-fsyntax-only")
-    assert quality.warnings_of(problems.sources(name), levels=(level,), languages=("C99",)) == ""
-    assert quality.warnings_of(problems.sources(name, "single"), levels=("-fsyntax-only",), languages=("C99",)) == ""
+    if name in OPTIMISED:
+        assert quality.warnings_of(problems.sources(name), (OPTIMISED[name],), ("C99",)) == ""
+    assert quality.warnings_of(problems.sources(name, precision_in_turn(name)), ("-fsyntax-only",), ("C99",)) == ""
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_cpp17(name: str) -> None:
-    """The findings of the front end, and of the optimiser for one case in single precision."""
+    """The findings of the front end, and of the optimiser for one case."""
     require_tool("cxx")
-    precision, level = ("single", "-O2") if name == "path_rows" else ("double", "-fsyntax-only")
-    assert quality.warnings_of(problems.sources(name, precision), levels=(level,), languages=("C++17",)) == ""
+    precision = {"single": "double", "double": "single"}[precision_in_turn(name)]
+    level = "-O1" if name == "path_rows" else "-fsyntax-only"
+    assert quality.warnings_of(problems.sources(name, precision), (level,), ("C++17",)) == ""
 
 
 def test_warnings_are_seen() -> None:

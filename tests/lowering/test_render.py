@@ -45,17 +45,14 @@ for name in {cases!r}:
 
 
 def test_hash_seeds_do_not_matter() -> None:
-    """New interpreters with different orders of sets, in another directory."""
+    """A new interpreter with another order of sets, in another directory."""
     program = PROGRAM.format(source=str(ROOT / "src"), root=str(ROOT), cases=CASES)
-    found = []
-    for seed in ("0", "4321"):
-        environment = {**os.environ, "PYTHONHASHSEED": seed}
-        run = subprocess.run(
-            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True, cwd="/"
-        )
-        found.append(run.stdout.split())
+    environment = {**os.environ, "PYTHONHASHSEED": "4321"}
+    run = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True, cwd="/"
+    )
     here = [digest(generate(problems.CASES[n].make(), problems.CASES[n].options)) for n in CASES]
-    assert found == [here] * 2
+    assert run.stdout.split() == here
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -34,7 +34,7 @@ def small(kind: str, number: int = 0) -> StageQP:
 @functools.cache
 def controller(solver: str, precision: str) -> Controller:
     require_tool("cc")
-    return build(stage_ocp(SHAPES[SMALL]), options(solver, precision), profile="fast")
+    return build(stage_ocp(SHAPES[SMALL]), options(solver, precision), profile="test")
 
 
 def test_thirteen_classes() -> None:
@@ -187,7 +187,7 @@ def subject() -> tuple[Candidate, Controller]:
     """The cart with a parameter and its default options."""
     require_tool("cc")
     chosen = next(c for c in candidates() if c.subject.name == "parameters")
-    return chosen, build(chosen.subject.make(), chosen.options, profile="fast")
+    return chosen, build(chosen.subject.make(), chosen.options, profile="test")
 
 
 def job(count: int) -> tuple[Controller, np.ndarray, np.ndarray, int, int]:

@@ -1,5 +1,6 @@
 /* Times the phases of a sample of one package in C, with the package's own model as plant.
- * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"'. Arguments: runs steps dt period restart x0...
+ * Compile with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"' -DAT_STAGES=<1 if
+ * blocks are regularised stage by stage>. Arguments: runs steps dt period restart x0...
  * Every `period` steps the plant restarts at x0 (1 + restart * U(-1, 1)). Prints per run the medians, us, of shift,
  * linearisation with second derivatives, regularisation (with the terminal block), condensing, feedback, and the
  * total. */
@@ -16,10 +17,10 @@
 #define API(name) JOIN(NAME, name)
 #define SIZE(name) JOIN(MACRO, name)
 
-enum { PHASES = 5, STEPS = 4096 };
+enum { TIMED_PHASES = 5, MOST_SAMPLES = 4096 };
 
 static API(_solver_t) solver;
-static double spent[PHASES + 1][STEPS];
+static double spent[TIMED_PHASES + 1][MOST_SAMPLES];
 
 static double microseconds(void)
 {
@@ -37,7 +38,7 @@ static int ascending(const void *a, const void *b)
 /* One sample: prepare() and feedback(), phase by phase. */
 static void sample(int n, const API(_real) *x, API(_real) *u)
 {
-    double at[PHASES + 1];
+    double at[TIMED_PHASES + 1];
     int i;
     at[0] = microseconds();
     if (n > 0) {
@@ -46,18 +47,19 @@ static void sample(int n, const API(_real) *x, API(_real) *u)
     at[1] = microseconds();
     linearize(&solver);
     at[2] = microseconds();
+#if AT_STAGES
     hessian(&solver);
+#endif
     at[3] = microseconds();
-    solver.reference_changed = 0;
     condense_prepare(&solver);
     solver.prepared = 1;
     at[4] = microseconds();
     API(_feedback)(&solver, x, u);
     at[5] = microseconds();
-    for (i = 0; i < PHASES; i++) {
+    for (i = 0; i < TIMED_PHASES; i++) {
         spent[i][n] = at[i + 1] - at[i];
     }
-    spent[PHASES][n] = at[PHASES] - at[0];
+    spent[TIMED_PHASES][n] = at[TIMED_PHASES] - at[0];
 }
 
 int main(int argc, char **argv)
@@ -66,7 +68,7 @@ int main(int argc, char **argv)
     const double dt = atof(argv[3]), restart = atof(argv[5]);
     API(_real) x[SIZE(_NX)], u[SIZE(_NU)];
     int run, n, i;
-    if (argc != 6 + SIZE(_NX) || steps > STEPS) {
+    if (argc != 6 + SIZE(_NX) || steps > MOST_SAMPLES) {
         return 1;
     }
     for (run = 0; run < runs; run++) {
@@ -79,7 +81,7 @@ int main(int argc, char **argv)
             sample(n, x, u);
             API(_integrate)(&solver, x, u, (API(_real))dt, x);
         }
-        for (i = 0; i <= PHASES; i++) {
+        for (i = 0; i <= TIMED_PHASES; i++) {
             qsort(spent[i], (size_t)steps, sizeof spent[i][0], ascending);
             printf("%.4f ", spent[i][steps / 2]);
         }

@@ -168,6 +168,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         Field("z", (nv,), "minimiser: controls", "result"),
         Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
         *(certificate if ng.value else ()),
+        Field("least", (), "least magnitude of a row in units of its reach", "scratch", only="INTERIOR_POINT"),
         Field("side", (rows,), "+-1: at the upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"),
         Field("iterations", (), "iterations, or changes of the working set, of the last qp_solve", "result", "int32"),
         Field("allowance", (), "operations that may be charged; -1: no limit", "scratch", "int32", only="BUDGET"),

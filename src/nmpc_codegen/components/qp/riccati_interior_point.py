@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 80
 
 
-def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
-    """The struct ``ipm`` of the solver: iterate and directions of the method."""
+def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: bool = False) -> Struct:
+    """The struct ``ipm`` of the solver: iterate and directions of the method.
+
+    ``crossover``: another method may take over.
+    """
     ng = dims.ng
     rows, sides = _rows_and_sides(dims)
     soft = Size(f"2 * {ng.text}", 2 * ng.value)
@@ -60,6 +63,11 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
             Field("de", (soft,), "direction of e", "scratch"),
             Field("dkappa", (soft,), "correction of the products e kappa, later the direction of kappa", "scratch"),
             *_progress(dims, options.warm_start),
+            *(
+                (Field("crossing", (), "whether and when another method takes over", "scratch", "int32"),)
+                if crossover
+                else ()
+            ),
         ),
     )
 
@@ -137,6 +145,7 @@ class RiccatiInteriorPoint(Defaults):
             *riccati_sizes(dims),
             ("IPM_MAX_ITERATIONS", self.max_iterations, "cap on the interior point iterations of one QP"),
             ("IPM_WARM_START", int(self.warm_start), "1: start near the multipliers of the previous QP"),
+            ("IPM_CROSSOVER", 0, "1: the iterations may end once they indicate a working set"),
         )
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
