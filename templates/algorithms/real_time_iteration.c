@@ -68,6 +68,10 @@ static void algorithm_reset(solver_t *s)
     s->prepared = 0;
     s->samples = 0;
     s->failing = FINE;
+#if BUDGET
+    s->late = 0;
+    s->qp.allowance = 0;
+#endif
     s->status = (int32_t)OK;
 #if RELAXATION
     s->relaxation = (real_t)INFINITY;
@@ -182,6 +186,14 @@ static status_t finish(solver_t *s, status_t status)
     return status;
 }
 
+#if BUDGET
+/* ITERATION_LIMIT in place of a failure of a sample whose budget is used up. */
+static status_t within_budget(const solver_t *s, status_t status)
+{
+    return (status != OK && status != RELAXED && s->qp.allowance == 0) ? ITERATION_LIMIT : status;
+}
+
+#endif
 /* Preparation phase: linearises, evaluates the Hessian, condenses and factorises. */
 static status_t prepare_here(solver_t *s)
 {
@@ -209,7 +221,13 @@ status_t API(prepare)(solver_t *s)
         }
     }
 #endif
+#if BUDGET
+    s->qp.allowance = ALLOWANCE;
+#endif
     status = prepare_here(s);
+#if BUDGET
+    status = within_budget(s, status);
+#endif
     s->prepared = 1;
     return finish(s, status);
 }
@@ -325,7 +343,7 @@ static int recover_multipliers(solver_t *s)
     real_t rest[NU] = {0}, terms[NU] = {0};
 #endif
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
-    for (int k = N;; k--) {
+    for (int k = N; k >= 0; k--) {
         for (int i = 0; i < NX; i++) {
             w[i] += s->mu_x[k][i];
 #if NE
@@ -379,6 +397,9 @@ static status_t feedback_here(solver_t *s)
     if (status == INFEASIBLE) {
         status = give_way(s);
     }
+#endif
+#if BUDGET
+    status = within_budget(s, status);
 #endif
     if (status != OK && status != RELAXED) {
         return status;

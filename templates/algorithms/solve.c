@@ -423,6 +423,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         return NOT_INITIALIZED;
     }
     s->prepared = 0;
+#if BUDGET
+    s->qp.allowance = -1;
+#endif
     if (!take_state(s, xhat)) {
         return finish(s, NOT_FINITE);
     }

@@ -49,6 +49,10 @@
 
 #include "linear_algebra.c"
 
+#if BUDGET
+#include "qp/budget.c"
+#endif
+
 #include "qp/dense_active_set_factors.c"
 
 #include "qp/dense_active_set_working_set.c"
@@ -78,6 +82,11 @@ static status_t qp_predict(qp_t *q, int equality, int again, real_t fraction)
     for (int c = 0; c < NV + NG && status == OK; ++c) {
         const int predicted = again ? q->side[c] == INACTIVE : qp_is_member(q, c) || (equality && !q->side[c]);
         if (predicted && qp_is_equality(q, c) == equality) {
+#if BUDGET
+            if (!qp_afford(q, COST_PREDICTION)) {
+                break;
+            }
+#endif
             status = qp_predict_active(q, c, fraction);
         }
     }
@@ -96,7 +105,7 @@ static status_t qp_factorize(qp_t *q)
     if (status == OK) {
         real_t fraction = R(0.5);
         status = qp_predict(q, 1, 0, fraction);
-        while (fraction > least && status == OK) {
+        while (fraction > least && status == OK) { /* at most 5 passes */
             fraction = fraction * fraction > least ? fraction * fraction : least;
             status = qp_predict(q, 1, 1, fraction);
         }
@@ -110,11 +119,16 @@ static status_t qp_factorize(qp_t *q)
 static status_t qp_solve(qp_t *q)
 {
     status_t status = q->factorized ? qp_take_bounds(q) : NUMERICAL_FAILURE;
-    q->iterations = q->changes = 0;
+    q->iterations = q->searches = q->changes = 0;
     if (status != OK) {
         return qp_fail(q, status);
     }
-    for (q->strict = 0; q->strict < 3; ++q->strict) {
+    for (q->strict = 0; q->strict < 3; ++q->strict) { /* at most 3 passes */
+#if BUDGET
+        if (!qp_afford(q, COST_ATTEMPT)) {
+            return qp_fail(q, ITERATION_LIMIT);
+        }
+#endif
         status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
         if (status == OK && qp_accept(q)) {
             return OK;

@@ -123,7 +123,7 @@ static void qp_refine(qp_t *q, real_t *r)
 static int qp_accept(qp_t *q)
 {
     real_t r[LDV];
-    for (int step = 0; qp_write_result(q); ++step) {
+    for (int step = 0; qp_write_result(q); ++step) { /* at most 3 passes */
         if (qp_is_optimal(q, r, step)) {
             return 1;
         }

@@ -39,6 +39,7 @@ static void qp_shift_origin(qp_t *q, real_t mult)
 /* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. */
 static void qp_saturate(qp_t *q, int k, int side)
 {
+    /* 0 <= k <= NV - 1 */
     const int c = q->row[k];
     const basis_t *w = &q->work.basis;
     for (int i = 0; i <= k; ++i) {

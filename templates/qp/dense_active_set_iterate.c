@@ -28,7 +28,12 @@ static int qp_wrong_multiplier(const qp_t *q)
  * none. */
 static status_t qp_restore_dual_feasibility(qp_t *q)
 {
-    for (;;) {
+    for (;;) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
+#if BUDGET
+        if (!qp_afford(q, COST_RELEASE)) {
+            return ITERATION_LIMIT;
+        }
+#endif
         qp_minimize_on_working_set(q);
         const int k = qp_wrong_multiplier(q);
         if (k < 0) {
@@ -223,7 +228,12 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
 #endif
     const real_t mm = qp_normal(q, c), bound = at > 0 ? q->upper[c] : q->lower[c], sign = side > 0 ? R(1) : -R(1);
     real_t r[LDV], step, moved = R(0);
-    while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) {
+    while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
+#if BUDGET
+        if (!qp_afford(q, COST_STEP)) {
+            return ITERATION_LIMIT;
+        }
+#endif
         const real_t vv = qp_project(q, mm);
         copy(r, q->work.basis.d);
         qp_solve_triangle(q, r);
@@ -298,6 +308,11 @@ static status_t qp_take_bounds(qp_t *q)
     }
     for (int k = q->nw - 1; k >= 0; --k) {
         if (!isfinite(qp_bound(q, q->row[k]))) {
+#if BUDGET
+            if (!qp_afford(q, COST_REMOVAL)) {
+                return ITERATION_LIMIT;
+            }
+#endif
             qp_remove(q, k);
         }
     }
@@ -379,7 +394,15 @@ static status_t qp_iterate(qp_t *q)
     memset(q->slack, 0, sizeof q->slack);
     qp_set_origin(q);
     status_t status = isfinite(q->scale) ? qp_restore_dual_feasibility(q) : NUMERICAL_FAILURE;
-    while (status == OK) {
+    while (status == OK) { /* at most QP_MAX_SEARCHES passes in qp_solve */
+#if BUDGET
+        if (!qp_afford(q, COST_SEARCH)) {
+            return ITERATION_LIMIT;
+        }
+#endif
+        if (q->searches++ >= QP_MAX_SEARCHES) {
+            return ITERATION_LIMIT;
+        }
         const int changes = q->changes;
         qp_backward(q, q->work.basis.y, q->x);
         const int c = qp_most_violated(q, &side, &violation);

@@ -107,6 +107,7 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
 /* Normal of row c in the coordinates y: m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
 {
+    /* 0 <= c <= NV + NG - 1 */
     real_t *m = q->work.basis.m;
 #if NG
     if (c >= NV) {
@@ -198,6 +199,7 @@ static void qp_rotate(qp_t *q, int k)
 /* Removes member k from the working set. */
 static void qp_remove(qp_t *q, int k)
 {
+    /* 0 <= k <= NV - 1 */
     basis_t *w = &q->work.basis;
     const int last = q->nw - 1;
     q->side[q->row[k]] = INACTIVE;

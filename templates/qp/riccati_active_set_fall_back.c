@@ -70,7 +70,13 @@ static status_t qp_fall_back(solver_t *s)
 {
     qp_t *q = &s->qp;
     const int before = q->iterations;
-    status_t status = qp_cross_over(s);
+    status_t status;
+#if BUDGET
+    if (!qp_afford(q, COST_RESTART)) {
+        return ITERATION_LIMIT;
+    }
+#endif
+    status = qp_cross_over(s);
     q->iterations += before;
     if (status != OK && status != INFEASIBLE) {
         qp_start_empty(s);

@@ -141,7 +141,7 @@ static real_t ipm_inverse_step(const ipm_t *q)
         most = ipm_largest_ratio(most, q->lam[i], q->dlam[i]);
     }
 #if NG
-    for (int i = 0; i < q->sides - q->hard; i++) {
+    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         if (q->kappa[i] > R(0)) {
             most = ipm_largest_ratio(most, q->e[i], q->de[i]);
             most = ipm_largest_ratio(most, q->kappa[i], q->dkappa[i]);
@@ -160,7 +160,7 @@ static real_t ipm_reduction(const ipm_t *q, real_t step)
         then += (q->t[i] + step * q->dt[i]) * (q->lam[i] + step * q->dlam[i]);
     }
 #if NG
-    for (int i = 0; i < q->sides - q->hard; i++) {
+    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         now += q->e[i] * q->kappa[i];
         then += (q->e[i] + step * q->de[i]) * (q->kappa[i] + step * q->dkappa[i]);
     }
@@ -186,7 +186,7 @@ static void ipm_correct(ipm_t *q, real_t target, real_t share)
         q->dt[i] = (target - share * q->dt[i] * q->dlam[i]) / q->lam[i];
     }
 #if NG
-    for (int i = 0; i < q->sides - q->hard; i++) {
+    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         q->dkappa[i] = (q->kappa[i] > R(0)) ? (target - share * q->de[i] * q->dkappa[i]) / q->e[i] : R(0);
     }
 #endif
@@ -228,7 +228,7 @@ static void ipm_move(solver_t *s, real_t step)
         q->lam[i] += step * q->dlam[i];
     }
 #if NG
-    for (int i = 0; i < q->sides - q->hard; i++) {
+    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         q->e[i] += step * q->de[i];
         q->kappa[i] += step * q->dkappa[i];
     }
@@ -407,7 +407,7 @@ static int ipm_loosen(ipm_t *q, real_t gradient_before)
 static int ipm_weigh_and_factorize(solver_t *s)
 {
     ipm_weigh(s);
-    while (!ipm_factorize(s)) {
+    while (!ipm_factorize(s)) { /* at most 2 passes */
         if (s->ipm.stiffening <= ipm_least_stiffening(&s->ipm)) {
             return 0;
         }
@@ -499,7 +499,12 @@ static status_t ipm_iterate(solver_t *s)
 #endif
     ipm_forget_progress(q);
     q->begun = s->qp.iterations;
-    for (;;) {
+    for (;;) { /* at most IPM_MAX_ITERATIONS passes in ipm_solve */
+#if BUDGET
+        if (!qp_afford(&s->qp, COST_INTERIOR)) {
+            return ITERATION_LIMIT;
+        }
+#endif
         const real_t before = q->primal, gradient_before = q->slope;
         int changed, done;
         ipm_measure(s);

@@ -199,7 +199,7 @@ static void ipm_side_residuals(solver_t *s)
         sum += q->t[i] * q->lam[i];
     }
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         const int j = i - q->hard, m = ipm_row(q, i) - NV;
         q->r[i] += q->e[j];
         q->r_e[j] = s->qp.penalty[m] + s->qp.curvature[m] * q->e[j] - q->lam[i] - q->kappa[j];
@@ -238,7 +238,7 @@ static void ipm_weigh(solver_t *s)
         q->omega[i] = q->t[i] / q->lam[i];
     }
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         const int j = i - q->hard;
         q->compliance[j] = R(1) / (s->qp.curvature[ipm_row(q, i) - NV] + q->kappa[j] / q->e[j]);
         q->omega[i] += q->compliance[j];
@@ -248,7 +248,7 @@ static void ipm_weigh(solver_t *s)
         q->omega[i] = R(1) / q->omega[i];
         q->weight[ipm_row(q, i)] += q->omega[i];
     }
-    for (int i = 0; i < q->sides; i += ipm_sides_of_row(q, i)) {
+    for (int i = 0; i < q->sides; i += ipm_sides_of_row(q, i)) { /* at most NV + NG passes */
         const int c = ipm_row(q, i);
         q->weight[c] = R(1) / (ipm_regularization(s, c) + R(1) / q->weight[c]);
     }
@@ -259,7 +259,7 @@ static void ipm_weigh(solver_t *s)
 static inline real_t ipm_mean(const ipm_t *q, int i, int n)
 {
     real_t sum = R(0), total = R(0);
-    for (int j = i; j < i + n; j++) {
+    for (int j = i; j < i + n; j++) { /* at most 2 passes */
         sum += ipm_sign(q, j) * q->omega[j] * q->dlam[j];
         total += q->omega[j];
     }
@@ -286,7 +286,7 @@ static void ipm_forces(solver_t *s)
         q->dlam[i] = q->dt[i] - q->t[i] - q->r[i];
     }
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         const int j = i - q->hard;
         q->dlam[i] -= (q->dkappa[j] - q->kappa[j] - q->r_e[j]) * q->compliance[j];
     }
@@ -294,7 +294,7 @@ static void ipm_forces(solver_t *s)
     for (int i = 0; i < q->sides; i++) {
         q->force[ipm_row(q, i)] += ipm_sign(q, i) * q->lam[i];
     }
-    for (int i = 0; i < q->sides; i += ipm_sides_of_row(q, i)) {
+    for (int i = 0; i < q->sides; i += ipm_sides_of_row(q, i)) { /* at most NV + NG passes */
         const int c = ipm_row(q, i);
         q->force[c] += q->weight[c] * ipm_mean(q, i, ipm_sides_of_row(q, i));
     }
@@ -305,7 +305,7 @@ static void ipm_forces(solver_t *s)
 static void ipm_recover_sides(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    for (int i = 0, n; i < q->sides; i += n) {
+    for (int i = 0, n; i < q->sides; i += n) { /* at most NV + NG passes */
         const int c = ipm_row(q, i);
         real_t total = q->omega[i], both = R(0), dy;
         n = ipm_sides_of_row(q, i);
@@ -314,7 +314,7 @@ static void ipm_recover_sides(solver_t *s)
             both = (q->dlam[i] + q->dlam[i + 1]) * q->omega[i] * (q->omega[i + 1] / total);
         }
         dy = q->weight[c] * (q->dv[c] + ipm_mean(q, i, n));
-        for (int j = i; j < i + n; j++) {
+        for (int j = i; j < i + n; j++) { /* at most 2 passes */
             q->dlam[j] = ipm_sign(q, j) * dy * (q->omega[j] / total) + both;
             q->dt[j] = q->dt[j] - q->t[j] - q->t[j] / q->lam[j] * q->dlam[j];
         }
@@ -335,7 +335,7 @@ static void ipm_direction(solver_t *s)
     ipm_changes(s);
     ipm_recover_sides(s);
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         const int j = i - q->hard;
         q->de[j] = (q->dlam[i] + q->dkappa[j] - q->kappa[j] - q->r_e[j]) * q->compliance[j];
         q->dkappa[j] = q->dkappa[j] - q->kappa[j] - q->kappa[j] / q->e[j] * q->de[j];

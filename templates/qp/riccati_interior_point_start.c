@@ -14,6 +14,11 @@ static int ipm_factorize(solver_t *s)
     r->regularize = 1;
     r->regularize_zero = s->ipm.least_pivot;
     for (int attempt = 0; attempt < 5; attempt++) {
+#if BUDGET
+        if (!qp_afford(&s->qp, COST_FACTORIZATION)) {
+            return 0;
+        }
+#endif
         if (riccati_factorize(s, NS)) {
             return 1;
         }
@@ -384,7 +389,7 @@ static void ipm_start_sides(solver_t *s, real_t mu)
         q->t[i] = (warm > R(0)) ? warm : q->t[i];
 #endif
     }
-    for (int i = 0; i < q->hard; i += ipm_sides_of_row(q, i)) {
+    for (int i = 0; i < q->hard; i += ipm_sides_of_row(q, i)) { /* at most NV + NG passes */
         const real_t d = s->qp.upper[ipm_row(q, i)] - s->qp.lower[ipm_row(q, i)];
         if (ipm_sides_of_row(q, i) == 2 && d > R(0)) {
             ipm_match_sides(q, i, d);
@@ -394,7 +399,7 @@ static void ipm_start_sides(solver_t *s, real_t mu)
         q->lam[i] = mu / q->t[i];
     }
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         ipm_start_soft_side(s, i, mu);
     }
 #endif

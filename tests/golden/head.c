@@ -22,7 +22,7 @@
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c                    - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
  *   condensing: full                condensing/full.c                                   157 operations      176 bytes
- *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1472 bytes
+ *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1480 bytes
  *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      360 bytes
  */
 #include "golden.h"
@@ -86,6 +86,7 @@ typedef golden_status_t status_t;
 #define LDG GOLDEN_LDG
 #define QP_MAX_ITERATIONS GOLDEN_QP_MAX_ITERATIONS
 #define QP_MAX_PROXIMAL_STEPS GOLDEN_QP_MAX_PROXIMAL_STEPS
+#define QP_MAX_SEARCHES GOLDEN_QP_MAX_SEARCHES
 #define MAX_TRIALS GOLDEN_MAX_TRIALS
 #define MEMORY GOLDEN_MEMORY
 #define MANY GOLDEN_MANY

@@ -82,6 +82,7 @@ typedef struct { /* condensed QP and its active-set factorisation */
     int32_t face; /* value of changes when the direction was set */
     int32_t elastic; /* 1: a row has a finite penalty */
     int32_t iterations; /* active-set iterations of the last qp_solve */
+    int32_t searches; /* searches for violated rows in that call */
     int32_t changes; /* rows that entered or left the working set in that call */
     int32_t dropped; /* equalities left out as redundant */
     int32_t relaxed; /* elastic rows that are violated */
@@ -122,7 +123,6 @@ typedef struct { /* line search of solve() */
 typedef struct { /* the whole controller: no pointers, copy it with '=' */
     /* work */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
-    golden_qp_t qp; /* condensed QP and its active-set factorisation */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
     golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
@@ -134,6 +134,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
     golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
+    golden_qp_t qp; /* condensed QP and its active-set factorisation */
     int32_t magic; /* set by init */
     /* plan */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls of the plan */

@@ -66,6 +66,7 @@ ONLY_IN = {
         "lowering/growth",
     },
     "jinja2": {"lowering/render"},
+    "pycparser": {"bounds"},
     "cffi": {"runtime/build"},
 }
 

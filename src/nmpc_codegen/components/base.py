@@ -126,6 +126,10 @@ class Component(Protocol):
         """The structs that it owns inside the solver struct."""
         ...
 
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Integer members of its structs that limit loops -> least and largest value, for the worst case."""
+        ...
+
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Exact operation counts of those of its C functions whose count does not depend on data.
 
@@ -217,6 +221,7 @@ class QpSolver(Component, Protocol):
 
     takes: ClassVar[str]  # "condensed" or "stages"
     automatic: ClassVar[bool]  # qp=None may choose it
+    iteration: ClassVar[tuple[str, ...]]  # macros of what one iteration charges to a budget; none: it has no budget
 
 
 class Algorithm(Component, Protocol):
@@ -276,6 +281,9 @@ class Defaults:
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         return ()
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        return {}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}

@@ -8,6 +8,7 @@ The preparation phase factorises at the predicted working set; the feedback phas
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,6 +20,9 @@ from nmpc_codegen.ir.kernel import OpCount
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
     from nmpc_codegen.ir.model import ModelFunctions
+
+#: Cap on the proximal steps for a semidefinite Hessian.
+PROXIMAL_STEPS = 200
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,7 @@ class DenseActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = True
+    iteration: ClassVar[tuple[str, ...]] = ("COST_ATTEMPT", "COST_SEARCH")
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -48,7 +53,8 @@ class DenseActiveSet(Defaults):
         cap = 10 * (dims.qp.nv.value + dims.ng.value) + 50 if self.max_iterations is None else self.max_iterations
         return (
             ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one feedback phase"),
-            ("QP_MAX_PROXIMAL_STEPS", 200, "cap on the proximal steps for a semidefinite Hessian"),
+            ("QP_MAX_PROXIMAL_STEPS", PROXIMAL_STEPS, "cap on the proximal steps for a semidefinite Hessian"),
+            ("QP_MAX_SEARCHES", cap + 2 * PROXIMAL_STEPS, "cap on the searches for violated rows"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -96,12 +102,25 @@ class DenseActiveSet(Defaults):
                     Field("face", (), "value of changes when the direction was set", "scratch", "int32"),
                     Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
+                    Field("searches", (), "searches for violated rows in that call", "scratch", "int32"),
+                    Field(
+                        "allowance",
+                        (),
+                        "operations that may be charged; -1: no limit",
+                        "scratch",
+                        "int32",
+                        only="BUDGET",
+                    ),
                     Field("changes", (), "rows that entered or left the working set in that call", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "elastic rows that are violated", "result", "int32"),
                 ),
             ),
         )
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """The working set has at most as many rows as the QP has variables."""
+        return {"nw": (0, dims.qp.nv.value)}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Operations of the functions whose count depends on sizes alone (padded columns included)."""

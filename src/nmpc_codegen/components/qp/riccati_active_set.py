@@ -56,6 +56,7 @@ class RiccatiActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = True
+    iteration: ClassVar[tuple[str, ...]] = ("COST_WORKING_SET",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -132,6 +133,12 @@ class RiccatiActiveSet(Defaults):
                 ),
             ),
         )
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Stages, and sides of the interior point method."""
+        stages = (-1, dims.qp.ns.value)
+        sides: Mapping[str, tuple[int, int]] = {} if self.fallback is None else self.fallback.ranges(dims)
+        return {"stale": stages, "stale_vectors": stages, **sides}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The recursion and its substitutions; a warm-started sample needs one of each."""

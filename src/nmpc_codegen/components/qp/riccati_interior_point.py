@@ -126,6 +126,7 @@ class RiccatiInteriorPoint(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = False
+    iteration: ClassVar[tuple[str, ...]] = ("COST_INTERIOR",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -146,6 +147,11 @@ class RiccatiInteriorPoint(Defaults):
             ("IPM_WARM_START", int(self.warm_start), "1: start near the multipliers of the previous QP"),
             ("IPM_CROSSOVER", 0, "1: the iterations may end once they indicate a working set"),
         )
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Every row has two sides at most."""
+        sides = (0, 2 * (dims.qp.nv.value + dims.ng.value))
+        return {"sides": sides, "hard": sides}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion, the method, the QP."""
