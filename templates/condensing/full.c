@@ -86,13 +86,13 @@ static inline void condense_store(const real_t *panel, int column, real_t *dx0, 
 {
     enum {
         BORDER = NX % COLUMNS, /* columns of dx_0 in a panel that has du_0, too */
-        LAST = LDV + NX < LDG ? LDV + NX + COLUMNS - LDG : COLUMNS /* columns of the last panel that H has */
+        LAST = LDH + NX < LDG ? LDH + NX + COLUMNS - LDG : COLUMNS /* columns of the last panel that H has */
     };
     if (column + COLUMNS <= NX) {
         memcpy(dx0 + column, panel, COLUMNS * sizeof *panel);
     } else if (column < NX) {
         memcpy(dx0 + column, panel, BORDER * sizeof *panel);
-        memcpy(du, panel + BORDER, (COLUMNS - BORDER < LDV ? COLUMNS - BORDER : LDV) * sizeof *panel);
+        memcpy(du, panel + BORDER, (COLUMNS - BORDER < LDH ? COLUMNS - BORDER : LDH) * sizeof *panel);
     } else if (column + COLUMNS < LDG) {
         memcpy(du + column - NX, panel, COLUMNS * sizeof *panel);
     } else {
@@ -162,19 +162,6 @@ static void condense_store_free(solver_t *s)
 }
 
 #endif
-#if NSL
-/* Hessian rows of the slacks: l2 on the diagonal. */
-static void condense_store_slacks(solver_t *s)
-{
-    for (int m = 0; m < NG; ++m) {
-        const int row = row_slack[m];
-        for (int i = 0; row >= 0 && i <= row; ++i) {
-            s->qp.H[row][i] = (i == row) ? ROW_CURVATURE(m) : R(0);
-        }
-    }
-}
-
-#endif
 #if GENERAL_ROWS || NE
 /* Panel of J_x G_k + J_u at du_k for the general or coupled row m; a coupled row also contains J_0 dx_0. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
@@ -232,22 +219,14 @@ static void condense_row(solver_t *s, int m, int column)
     condense_store(panel, column, s->condensed.Ax[m], s->qp.A[m]);
 }
 
-#if NF || NSL
-/* Entries of the rows at the free components of dx_0 and at the slacks. */
+#if NF
+/* Entries of the rows at the free components of dx_0. */
 static void condense_store_others(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
-        real_t *a = s->qp.A[m];
-#if NF
         for (int f = 0; f < NF; ++f) {
-            a[N * NU + f] = s->condensed.Ax[m][free_state[f]];
+            s->qp.A[m][N * NU + f] = s->condensed.Ax[m][free_state[f]];
         }
-#endif
-#if NSL
-        for (int i = N * NU + NF; i < NV; ++i) {
-            a[i] = (i == row_slack[m]) ? -R(1) : R(0);
-        }
-#endif
     }
 }
 
@@ -269,10 +248,7 @@ static void condense_matrices(solver_t *s)
 #if NF
     condense_store_free(s);
 #endif
-#if NSL
-    condense_store_slacks(s);
-#endif
-#if NG && (NF || NSL)
+#if NG && NF
     condense_store_others(s);
 #endif
 }
@@ -314,13 +290,14 @@ static void condense_embed_free(solver_t *s, const real_t *dx0)
 
 #endif
 #if NSL
-/* Gradient, bounds and penalties of the slacks; the rows with a slack are hard. */
+/* Gradient, bounds, curvatures and penalties of the slacks; the rows with a slack are hard. */
 static void condense_embed_slacks(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
         const int slack = row_slack[m];
         if (slack >= 0) {
             s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
+            s->qp.curvature[slack - (NV - NSL)] = ROW_CURVATURE(m);
             s->qp.penalty[slack] = ROW_PENALTY(s, m);
             s->qp.penalty[NV + m] = (real_t)INFINITY;
         }

@@ -27,7 +27,9 @@
  * side[] is the working set and is kept for the warm start (+-1: member at its upper or lower bound, +-2: saturated
  * there); the caller may change it before qp_factorize.
  * Between qp_solve and qp_factorize the caller may use all of `work`.
- * Columns NV to LDV of A are zero; those of H, its rows NV to LDV and its upper triangle are not read.
+ * The last NSL variables are the slacks of the rows that row_slack states; their curvature is in curvature[], and
+ * neither H nor A has entries for them: A has NV - NSL columns and zeros up to LDH. The other entries of H and its upper
+ * triangle are not read.
  *
  * Method (Goldfarb and Idnani 1983) in the coordinates y = C'z, where H = C C' and C is lower triangular. In them the
  * cost is 1/2 |y - y0|^2 with y0 = -C^{-1} g, and row a is m'y with m = C^{-1} a. The nw rows of the working set W are
@@ -44,7 +46,7 @@
  *
  * Storage: H holds D on its diagonal, L below and L' above it, C = L D^{1/2}, L unit lower triangular. R is stored
  * transposed (row j: coefficients of member j). Loops run over panels of four, for which every vector and matrix is
- * padded with zeros.
+ * padded with zeros. C continues with the square roots of the curvatures of the slacks.
  * ------------------------------------------------------------------------------------------------------------------ */
 
 #include "linear_algebra.c"
@@ -80,6 +82,9 @@ static status_t qp_predict(qp_t *q, int equality, int again, real_t fraction)
 {
     status_t status = OK;
     for (int c = 0; c < NV + NG && status == OK; ++c) {
+        if (qp_is_slack(c)) {
+            continue;
+        }
         const int predicted = again ? q->side[c] == INACTIVE : qp_is_member(q, c) || (equality && !q->side[c]);
         if (predicted && qp_is_equality(q, c) == equality) {
 #if BUDGET
@@ -102,6 +107,9 @@ static status_t qp_factorize(qp_t *q)
     status_t status = qp_factorize_hessian(q);
     clear(q->R_inverse);
     q->nw = 0;
+#if NSL
+    qp_fix_slacks(q);
+#endif
     if (status == OK) {
         real_t fraction = R(0.5);
         status = qp_predict(q, 1, 0, fraction);

@@ -6,13 +6,13 @@ static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
 {
     const real_t unit = R(1.0 / 256) * (q->scale + norm(q->work.basis.y));
     clear(r);
-    for (int k = 0; k < LDV; ++k) {
+    for (int k = 0; k < LDH; ++k) {
         size[k] = unit * q->H[k][k] * q->inverse[k];
     }
-    for (int k = 0; k < NV; ++k) {
+    for (int k = 0; k < NV - NSL; ++k) {
         const real_t *column = q->H[k];
         real_t u = q->x[k], terms = FABS(u);
-        for (int i = k + 1; i < NV; ++i) {
+        for (int i = k + 1; i < NV - NSL; ++i) {
             const real_t term = column[i] * q->x[i];
             u += term;
             terms += FABS(term);
@@ -21,11 +21,17 @@ static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
         terms *= column[k];
         r[k] += q->semidefinite ? u - q->proximal[k] * q->x[k] : u;
         size[k] += terms;
-        for (int i = k + 1; i < NV; ++i) {
+        for (int i = k + 1; i < NV - NSL; ++i) {
             r[i] += column[i] * u;
             size[i] += FABS(column[i]) * terms;
         }
     }
+#if NSL
+    for (int i = NV - NSL; i < NV; ++i) {
+        r[i] = qp_curvature(q, i) * q->x[i];
+        size[i] = unit / q->inverse[i] + FABS(r[i]);
+    }
+#endif
 }
 
 /* r = H x + g + mult[0..NV) + A'mult[NV..NV+NG), and size, the sum of the magnitudes of the terms. */
@@ -38,11 +44,18 @@ static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
     }
 #if NG
     for (int c = NV; c < NV + NG; ++c) {
-        for (int i = 0; q->side[c] != INACTIVE && i < NV; ++i) {
+        for (int i = 0; q->side[c] != INACTIVE && i < NV - NSL; ++i) {
             const real_t term = q->A[c - NV][i] * q->mult[c];
             r[i] += term;
             size[i] += FABS(term);
         }
+#if NSL
+        const int slack = qp_moving_slack(q, c);
+        if (slack >= 0) {
+            r[slack] -= q->mult[c];
+            size[slack] += FABS(q->mult[c]);
+        }
+#endif
     }
 #endif
 }

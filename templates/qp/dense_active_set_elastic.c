@@ -15,7 +15,7 @@ static void qp_add_row(const qp_t *q, int c, real_t t, real_t *y)
         y[c] += t;
         return;
     }
-    for (int i = 0; i < LDV; ++i) {
+    for (int i = 0; i < LDH; ++i) {
         y[i] += t * q->A[c - NV][i];
     }
 }
@@ -36,12 +36,19 @@ static void qp_shift_origin(qp_t *q, real_t mult)
     q->scale += FABS(mult) * norm(q->work.basis.m);
 }
 
-/* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. */
+/* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. A row
+ * with a slack stays. */
 static void qp_saturate(qp_t *q, int k, int side)
 {
     /* 0 <= k <= NV - 1 */
     const int c = q->row[k];
     const basis_t *w = &q->work.basis;
+#if NSL
+    if (qp_can_yield(q, c)) {
+        qp_yield(q, k, side);
+        return;
+    }
+#endif
     for (int i = 0; i <= k; ++i) {
         for (int j = 0; j < LDV; ++j) {
             q->y0[j] -= (side > 0 ? q->penalty[c] : -q->penalty[c]) * w->R[k][i] * w->Q[i][j];

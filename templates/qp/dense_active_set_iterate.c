@@ -226,8 +226,8 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
     const int at = side;
     const real_t left = (real_t)INFINITY;
 #endif
-    const real_t mm = qp_normal(q, c), bound = at > 0 ? q->upper[c] : q->lower[c], sign = side > 0 ? R(1) : -R(1);
-    real_t r[LDV], step, moved = R(0);
+    const real_t bound = at > 0 ? q->upper[c] : q->lower[c], sign = side > 0 ? R(1) : -R(1);
+    real_t r[LDV], step, moved = R(0), mm = qp_normal(q, c);
     while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
 #if BUDGET
         if (!qp_afford(q, COST_STEP)) {
@@ -257,6 +257,13 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         ++q->iterations;
         moved += step;
         qp_move(q, r, sign * step, full < (real_t)INFINITY);
+#if NSL
+        if (last && !(full <= step) && qp_can_yield(q, c)) {
+            mm += qp_yield_entering(q, c, side);
+            left = (real_t)INFINITY;
+            continue;
+        }
+#endif
         if (last) {
 #if ELASTIC
             qp_settle(q, c, side, full <= step, moved, vv);
@@ -316,6 +323,10 @@ static status_t qp_take_bounds(qp_t *q)
             qp_remove(q, k);
         }
     }
+#if NSL
+    qp_fix_slacks(q);
+    qp_share_penalties(q);
+#endif
     return OK;
 }
 
@@ -327,7 +338,7 @@ static int qp_write_result(qp_t *q)
     q->dropped = q->relaxed = 0;
     memset(q->mult, 0, sizeof q->mult);
     for (int c = 0; c < NV + NG; ++c) {
-        q->dropped += q->side[c] == INACTIVE && qp_is_equality(q, c);
+        q->dropped += q->side[c] == INACTIVE && qp_is_equality(q, c) && !qp_is_slack(c);
         if (c < NV && q->side[c] == INACTIVE) {
             const real_t below = q->x[c] < q->lower[c] ? q->lower[c] : q->x[c];
             q->x[c] = below > q->upper[c] ? q->upper[c] : below;

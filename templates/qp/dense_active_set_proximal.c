@@ -4,13 +4,18 @@
 /* u = C's, C' = D^{1/2} L'. */
 static void qp_to_working_coordinates(const qp_t *q, const real_t *s, real_t *u)
 {
-    for (int k = 0; k < LDV; ++k) {
+    for (int k = 0; k < LDH; ++k) {
         u[k] = s[k];
-        for (int i = k + 1; i < LDV; ++i) {
+        for (int i = k + 1; i < LDH; ++i) {
             u[k] += q->H[k][i] * s[i];
         }
         u[k] *= q->H[k][k] * q->inverse[k];
     }
+#if NSL
+    for (int k = LDH; k < LDV; ++k) {
+        u[k] = s[k] / q->inverse[k];
+    }
+#endif
 }
 
 /* s'E s. */

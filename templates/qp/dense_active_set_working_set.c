@@ -13,17 +13,33 @@ static int qp_is_equality(const qp_t *q, int c)
     return q->lower[c] >= q->upper[c];
 }
 
+static inline int qp_is_slack(int c)
+{
+    return NV - NSL <= c && c < NV;
+}
+
 /* Bound of row c on its side. */
 static real_t qp_bound(const qp_t *q, int c)
 {
     return q->side[c] > 0 ? q->upper[c] : q->lower[c];
 }
 
+#if NSL
+#include "qp/dense_active_set_slack.c"
+#endif
+
 #if NG
 /* a_c'z */
 static inline real_t qp_value(const qp_t *q, int c, const real_t *z)
 {
-    return c < NV ? z[c] : dot(q->A[c - NV], z, LDV);
+    if (c < NV) {
+        return z[c];
+    }
+#if NSL
+    return dot(q->A[c - NV], z, LDH) - (qp_slack(c) < 0 ? R(0) : z[qp_slack(c)]);
+#else
+    return dot(q->A[c - NV], z, LDH);
+#endif
 }
 #endif
 
@@ -45,9 +61,12 @@ static real_t qp_row_norm(const qp_t *q, int c)
 #if NG
     if (c >= NV) {
         real_t squares = R(0);
-        for (int j = 0; j < NV; ++j) {
+        for (int j = 0; j < NV - NSL; ++j) {
             squares += (q->A[c - NV][j] * q->inverse[j]) * (q->A[c - NV][j] * q->inverse[j]);
         }
+#if NSL
+        squares += qp_compliance(q, c);
+#endif
         return SQRT(squares);
     }
 #endif
@@ -60,10 +79,14 @@ static real_t qp_row_size(const qp_t *q, int c)
 #if NG
     if (c >= NV) {
         real_t sum = q->terms[c - NV];
-        for (int j = 0; j < NV; ++j) {
+        for (int j = 0; j < NV - NSL; ++j) {
             sum += FABS(q->A[c - NV][j] * q->x[j]);
         }
+#if NSL
+        return sum + (qp_slack(c) < 0 ? R(0) : FABS(q->x[qp_slack(c)]));
+#else
         return sum;
+#endif
     }
 #endif
     return FABS(q->x[c]) + q->inverse[c] * FABS(q->work.basis.y[c]);
@@ -104,6 +127,22 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
     solve_upper(q->work.basis.R, q->R_inverse, r, q->nw);
 }
 
+#if NG
+/* m = a_c of a general row. */
+static void qp_take_row(const qp_t *q, int c, real_t *m)
+{
+#if NSL
+    clear(m);
+    memcpy(m, q->A[c - NV], sizeof q->A[0]);
+    if (qp_moving_slack(q, c) >= 0) {
+        m[qp_slack(c)] = -R(1);
+    }
+#else
+    copy(m, q->A[c - NV]);
+#endif
+}
+#endif
+
 /* Normal of row c in the coordinates y: m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
 {
@@ -111,7 +150,7 @@ static real_t qp_normal(qp_t *q, int c)
     real_t *m = q->work.basis.m;
 #if NG
     if (c >= NV) {
-        copy(m, q->A[c - NV]);
+        qp_take_row(q, c, m);
         qp_forward(q, m, 0);
         return dot(m, m, LDV);
     }
@@ -217,6 +256,10 @@ static void qp_remove(qp_t *q, int k)
     clear(w->R[last]);
     ++q->changes;
 }
+
+#if NSL
+#include "qp/dense_active_set_yield.c"
+#endif
 
 #if ELASTIC
 #include "qp/dense_active_set_elastic.c"

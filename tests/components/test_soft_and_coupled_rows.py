@@ -158,7 +158,7 @@ def test_a_loop_with_violated_rows(precision: str) -> None:
         assert dense.status == Status.OK
         np.testing.assert_allclose(u, stages.step(x), atol={"double": 1e-6, "single": 2e-3}[precision])
         violated.append(dense.stats.relaxed_rows)
-        assert violated[-1] == np.sum(np.abs(dense.mu) > 0.0201) + np.sum(np.abs(dense.mu_N) > 0.301)
+        assert violated[-1] == np.sum(np.abs(dense.mu) > 0.0201) + np.sum(np.abs(dense.mu_x) > 0.301)
         x = np.asarray(dense.integrate(x, u, 0.2)) + (sample == 12) * np.array([0.5, -0.5])
     assert len(set(violated)) > 2
 

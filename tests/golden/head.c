@@ -79,7 +79,9 @@ typedef golden_status_t status_t;
 #define NS GOLDEN_NS
 #define NUS GOLDEN_NUS
 #define NV GOLDEN_NV
+#define NSL GOLDEN_NSL
 #define LDV GOLDEN_LDV
+#define LDH GOLDEN_LDH
 #define PARAMS GOLDEN_PARAMS
 #define STEPS GOLDEN_STEPS
 #define COLUMNS GOLDEN_COLUMNS

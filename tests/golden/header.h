@@ -47,6 +47,7 @@ typedef double golden_real;
 #define GOLDEN_NV 2 /* variables of the QP */
 #define GOLDEN_NSL 0 /* slack variables of the QP */
 #define GOLDEN_LDV 4 /* NV rounded up to PANEL */
+#define GOLDEN_LDH 4 /* NV - NSL rounded up to PANEL */
 #define GOLDEN_PANEL 4 /* columns processed together */
 #define GOLDEN_SOFT_ROWS 0 /* rows with a penalty */
 #define GOLDEN_PARAMS 1 /* parameters by name */

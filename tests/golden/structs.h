@@ -49,9 +49,9 @@ typedef struct { /* the condensed QP's dependence on dx_0 */
 } golden_condensed_t;
 
 typedef struct { /* condensed QP and its active-set factorisation */
-    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); later D, L and L' of L D L' */
+    golden_real H[GOLDEN_LDH][GOLDEN_LDV]; /* Hessian (lower triangle); later D, L and L' of L D L' */
     golden_work_t work; /* factors of the working set; until qp_factorize the caller's */
-    golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
+    golden_real A[GOLDEN_NG][GOLDEN_LDH]; /* general rows */
     golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
     golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
     golden_real lam[GOLDEN_LDV]; /* multipliers of the rows in the working set */

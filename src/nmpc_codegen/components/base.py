@@ -78,7 +78,8 @@ class QpDims:
     nzs: Size  # nxs + nus
     nv: Size  # variables of the QP
     nsl: Size  # slacks among them
-    ld: Size  # leading dimension of condensed matrices: nv rounded up to PANEL
+    ld: Size  # nv rounded up to PANEL
+    ldh: Size  # nv - nsl rounded up to PANEL
 
 
 @dataclass(frozen=True)

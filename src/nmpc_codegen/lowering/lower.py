@@ -187,6 +187,7 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
         "NSL": "slack variables of the QP",
         "NG": "scalar rows of all nodes besides control bounds",
         "LDV": "NV rounded up to PANEL",
+        "LDH": "NV - NSL rounded up to PANEL",
     }
     core = [s for s in vars(dims).values() if isinstance(s, Size) and (s.text != "NQ" or model.parts.hessian)]
     of_qp: Iterable[Size] = () if dims.condensed is None else vars(dims.condensed).values()

@@ -59,7 +59,7 @@ class DenseActiveSet(Defaults):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The QP: data, result, factors and working set."""
-        nv, ng, ld = dims.qp.nv, dims.ng, dims.qp.ld
+        nv, ng, ld, ldh = dims.qp.nv, dims.ng, dims.qp.ld, dims.qp.ldh
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         return (
             *_working_memory(dims),
@@ -67,8 +67,9 @@ class DenseActiveSet(Defaults):
                 "qp",
                 "condensed QP and its active-set factorisation",
                 (
-                    Field("H", (ld, ld), "Hessian (lower triangle); later D, L and L' of L D L'", "scratch"),
-                    Field("A", (ng, ld), "general rows", "scratch"),
+                    Field("H", (ldh, ld), "Hessian (lower triangle); later D, L and L' of L D L'", "scratch"),
+                    Field("A", (ng, ldh), "general rows", "scratch"),
+                    Field("curvature", (dims.qp.nsl,), "quadratic penalties of the slacks", "scratch"),
                     Field("g", (nv,), "gradient", "scratch"),
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
                     Field("upper", (rows,), "upper bounds", "scratch"),
@@ -124,12 +125,12 @@ class DenseActiveSet(Defaults):
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Operations of the functions whose count depends on sizes alone (padded columns included)."""
-        n = dims.qp.ld.value
+        n, slacks = dims.qp.ldh.value, dims.qp.ld.value - dims.qp.ldh.value
         panels = n // 4
         # Per panel b: entries to the right of it, and to the left.
         right = sum(n - 4 * k - 4 for k in range(panels))
         block = OpCount(add=6, mul=6)
-        scale = OpCount(mul=n)
+        scale = OpCount(mul=n + slacks)
         substitution = block * panels + OpCount(add=4, mul=4) * right
         return {
             "qp_factorize_hessian": _factorization(dims),
@@ -157,8 +158,9 @@ def _working_memory(dims: Dims) -> tuple[Struct, ...]:
 
 def _factorization(dims: Dims) -> OpCount:
     """Operations of L D L' of a positive definite H, panel by panel."""
-    n, ld = dims.qp.nv.value, dims.qp.ld.value
-    total = OpCount(sqrt=ld)
+    n, ld = dims.qp.nv.value - dims.qp.nsl.value, dims.qp.ldh.value
+    slacks = dims.qp.ld.value - ld
+    total = OpCount(sqrt=ld + slacks, div=slacks)
     for b in range(0, ld, 4):
         total += OpCount(add=10, mul=20, div=4)
         total += OpCount(add=6, mul=10) * (ld - b - 4)
