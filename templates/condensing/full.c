@@ -10,7 +10,8 @@
  * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k. All states but dx_0 are eliminated in O(N^2), COLUMNS columns at
  * a time, in memory of the QP solver: qp.work.columns, which qp_factorize overwrites. The variables of the QP are
  * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
- * lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. */
+ * lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. The QP solver
+ * knows where slacks occur: neither the Hessian nor the rows have entries for them. */
 
 #include "generated/product_columns.c"
 

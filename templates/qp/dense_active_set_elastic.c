@@ -153,17 +153,30 @@ static void qp_clip_saturated(qp_t *q, int c)
     }
 }
 
+/* Violation of row c, which is saturated or has a slack that moves; 0 for a slack itself. */
+static real_t qp_relaxation(const qp_t *q, int c)
+{
+#if NSL
+    if (c >= NV && qp_moving_slack(q, c) >= 0) {
+        return q->x[qp_slack(c)];
+    }
+#endif
+    return qp_is_saturated(q, c) && !qp_is_slack(c) ? qp_value(q, c, q->x) - qp_bound(q, c) : R(0);
+}
+
 /* Writes the multipliers of the saturated rows and counts the rows that are violated by more than rounding. */
 static void qp_write_saturated(qp_t *q)
 {
     for (int c = 0; q->elastic && c < NV + NG; ++c) {
         if (qp_is_saturated(q, c)) {
+            q->mult[c] = qp_outside_multiplier(q, c);
             if (c < NV) {
                 qp_clip_saturated(q, c);
             }
-            const real_t bound = qp_bound(q, c), excess = qp_value(q, c, q->x) - bound;
-            q->mult[c] = qp_outside_multiplier(q, c);
-            q->relaxed += FABS(excess) > TOL_QP_REDUNDANT * (qp_row_size(q, c) + FABS(bound));
+        }
+        const real_t excess = FABS(qp_relaxation(q, c));
+        if (excess > R(0)) {
+            q->relaxed += excess > TOL_QP_REDUNDANT * (qp_row_size(q, c) + FABS(qp_bound(q, c)));
         }
     }
 }
