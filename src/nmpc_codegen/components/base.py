@@ -218,6 +218,10 @@ class QpSolver(Component, Protocol):
     takes: ClassVar[str]  # "condensed" or "stages"
     automatic: ClassVar[bool]  # qp=None may choose it
 
+    def search(self, dims: Dims) -> OpCount:
+        """Estimate of the further operations of a sample whose working set is far from the predicted one."""
+        ...
+
 
 class Algorithm(Component, Protocol):
     """Solves the problem and defines the entry points of the package.
@@ -279,6 +283,9 @@ class Defaults:
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}
+
+    def search(self, dims: Dims) -> OpCount:
+        return OpCount()
 
     def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
         return {}

@@ -21,7 +21,11 @@ BLOCKS = (2, 3, 4, 5, 8, 10)
 
 @dataclass(frozen=True)
 class Candidate:
-    """A condensing, a solver for its QP, and the operations of a warm-started sample with an empty working set."""
+    """A condensing, a solver for its QP, and their operations.
+
+    ``operations``: of a warm-started sample with an empty working set; if there are soft rows, which are active in
+    blocks that come and go, also those of finding another working set.
+    """
 
     condensing: Condensing
     qp: QpSolver
@@ -48,18 +52,20 @@ def choose_qp(problem: Problem, options: Options, constant_hessian: bool, model:
         condensing = given.adapted(problem)
         return condensing, options.qp, _instead(given, condensing)
     pairs = list(_pairs(given, options.qp))
-    candidates = []
+    candidates, soft = [], "soft rows" in problem.features
     for stated, qp in pairs:
         condensing = stated.adapted(problem)
         if all(problem.features <= c.supports for c in (condensing, qp)):
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian)
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
-            candidates.append(Candidate(condensing, qp, sum(counts, OpCount()).total))
+            total = sum(counts, qp.search(dims) if soft else OpCount())
+            candidates.append(Candidate(condensing, qp, total.total))
     if not candidates:
         return *pairs[0], ()  # the checks of this pair raise the error that says why
     best = min(candidates, key=lambda c: c.operations)
     table = "; ".join(map(str, sorted(candidates, key=lambda c: c.operations)))
-    why = f"fewest operations of a warm-started sample ({table})"
+    sample = "warm-started sample and a search for its working set" if soft else "warm-started sample"
+    why = f"fewest operations of a {sample} ({table})"
     chosen = [f"condensing: {best.condensing.name}"] if given is None else []
     chosen += [f"qp: {best.qp.name}"] if options.qp is None else []
     return best.condensing, best.qp, (*_instead(given, best.condensing), f"{', '.join(chosen)}; {why}")
