@@ -300,6 +300,14 @@ def test_semidefinite_hessians(nv: int, ng: int, seed: int, share: float, spread
         assert abs(d @ (qp.H @ (solver.z + qp.z) / 2 + qp.g)) <= 1e-7 * size + 1e-14
 
 
+def test_semidefinite_hessian_with_degenerate_rows() -> None:
+    """A feasible QP of rank below nv whose proximal weights decide whether a row looks like a contradiction."""
+    qp = qp_random.CLASSES["semidefinite"](np.random.default_rng([0, 2753]), 16, 40)
+    solver = QP(16, 40)
+    assert solver.run(*qp.data) == "OK"
+    assert wrong_answer(qp, solver.z, solver.mult, unique=False) == ""
+
+
 @few
 @given(seed=seeds, n=st.sampled_from([1, 4, 10]))
 def test_an_unbounded_problem(seed: int, n: int) -> None:

@@ -192,9 +192,8 @@ def phases(options: Options, reading: str = "a", runs: int = 9, steps: int = 500
     """Time per phase in us: minimum over the runs of the median over the steps."""
     sources = generate(example.build_ocp(reading, periodic=False), options)
     with tempfile.TemporaryDirectory() as folder:
-        at_stages = (
-            "\nstatic void hessian(solver_t" in sources["bioreactor.c"]
-        )  # at the reduced level, condensing regularises
+        # At the reduced level condensing regularises, and there is no such function.
+        at_stages = "\nstatic void hessian(solver_t" in sources["bioreactor.c"]
         flags = (*PROFILES["fast"].flags, f"-DAT_STAGES={int(at_stages)}")
         program = compile_driver(sources, "bioreactor", Path(folder), flags, Path(__file__).with_name("phases.c"))
         numbers = [runs, steps, TIMING.dt, TIMING.period, TIMING.restart, *map(float, TIMING.x0)]
