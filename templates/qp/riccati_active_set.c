@@ -28,6 +28,8 @@
 
 #include "qp/stage_qp.c"
 
+#include "qp/stage_check.c"
+
 #include "qp/riccati_active_set_working_set.c"
 
 #include "qp/riccati_active_set_refine.c"
@@ -106,8 +108,13 @@ static status_t qp_factorize(solver_t *s)
     if (!qp_renew(s)) { /* weights and working set may belong to a QP with other scales */
         qp_start_empty(s);
         if (!qp_renew(s)) {
+#if INTERIOR_POINT
+            q->factorized = FACTORS_OTHER; /* the interior point method can regularise more */
+            return OK;
+#else
             q->factorized = FACTORS_NONE;
             return qp_fail(q, NUMERICAL_FAILURE);
+#endif
         }
     }
     q->factorized = FACTORS_READY;
@@ -136,14 +143,11 @@ static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
     q->exact = 1;
-    status_t status = qp_iterate(s, QP_MAX_ITERATIONS);
+    status_t status = qp_settle(s, QP_MAX_ITERATIONS);
     if (status != OK) { /* a numerical failure that persists: unbounded QP or invalid data */
         const status_t next = qp_fall_back(s);
         status = (status == NUMERICAL_FAILURE && next == ITERATION_LIMIT) ? status : next;
         status = qp_has_multipliers(q) ? status : NUMERICAL_FAILURE;
-    }
-    if (q->exact && status == OK) {
-        qp_finish(q);
     }
     return status;
 }

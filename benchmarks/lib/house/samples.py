@@ -253,6 +253,7 @@ def discrete_rows() -> OCP:
 
 
 FIXED = Online("fixed", "fixed", "fixed", "fixed")
+REFERENCES = Online("node", "fixed", "fixed", "fixed")
 SHARED = Online("shared", "shared", "shared", "shared")
 NODE = Online("node", "node", "node", "node", dense_weight=True)
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
@@ -301,7 +302,7 @@ SAMPLES = (
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare riccati", bare, _riccati(online=FIXED)),
     Sample("bare interior", bare, _interior(online=FIXED)),
-    Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=FIXED)),
+    Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
     Sample("single dense", single, _dense(hessian=ExactHessian())),
     Sample("single riccati", single, _riccati(algorithm=REPEAT)),
     Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single")),

@@ -59,9 +59,10 @@ class Recorded:
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Operations (n,), status (n,) and controls (n, nu) of the samples."""
+    """Operations (n,), those with comparisons, signs and magnitudes (n,), status (n,), controls (n, nu) of samples."""
 
     operations: Array
+    every: Array
     status: Array
     u: Array
 
@@ -192,10 +193,10 @@ def _play(program: Path, recorded: Recorded) -> Counted:
     text = "\n".join(lines) + "\n"
     out = subprocess.run([program], input=text, capture_output=True, text=True, check=True).stdout
     table = np.array([[float(v) for v in line.split()] for line in out.splitlines()])
-    return Counted(table[:, 1], table[:, 0].astype(int), table[:, 2:])
+    return Counted(table[:, 1], table[:, 2], table[:, 0].astype(int), table[:, 3:])
 
 
-def _steps(loop: Loop, scale: float) -> int:
+def steps_of(loop: Loop, scale: float) -> int:
     """The share that is asked for, but enough for something to happen."""
     return min(loop.steps, max(LEAST, round(1.2 * loop.scenario.period), round(scale * loop.steps)))
 
@@ -209,7 +210,7 @@ def _difference(recorded: Recorded, counted: Counted) -> float:
 def worst_over_median(report: Report, scale: float) -> None:
     """All loops of the other benchmarks."""
     for loop in closed_loops():
-        steps = _steps(loop, scale)
+        steps = steps_of(loop, scale)
         recorded = record(loop, steps, [])
         (found,) = count(loop, recorded)
         worst, middle = int(np.argmax(found.operations)), float(np.median(found.operations))
@@ -221,7 +222,7 @@ def worst_over_median(report: Report, scale: float) -> None:
 def soft_over_hard(report: Report, scale: float) -> None:
     """Loops with soft rows, then without: bounds of the soft rows opened at run time, everything else alike."""
     for loop in soft_loops():
-        steps = _steps(loop, scale)
+        steps = steps_of(loop, scale)
         opened = soft_rows(build(loop.make(), loop.options, profile="fast"))
         used, free = record(loop, steps, []), record(loop, steps, opened)
         with_rows, without = count(loop, used, free)

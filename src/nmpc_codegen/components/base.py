@@ -78,7 +78,8 @@ class QpDims:
     nzs: Size  # nxs + nus
     nv: Size  # variables of the QP
     nsl: Size  # slacks among them
-    ld: Size  # leading dimension of condensed matrices: nv rounded up to PANEL
+    ld: Size  # nv rounded up to PANEL
+    ldh: Size  # nv - nsl rounded up to PANEL
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,10 @@ class Component(Protocol):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The structs that it owns inside the solver struct."""
+        ...
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Integer members of its structs that limit loops -> least and largest value, for the worst case."""
         ...
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
@@ -217,6 +222,7 @@ class QpSolver(Component, Protocol):
 
     takes: ClassVar[str]  # "condensed" or "stages"
     automatic: ClassVar[bool]  # qp=None may choose it
+    iteration: ClassVar[tuple[str, ...]]  # macros of what one iteration charges to a budget; none: it has no budget
 
 
 class Algorithm(Component, Protocol):
@@ -276,6 +282,9 @@ class Defaults:
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         return ()
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        return {}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}

@@ -44,8 +44,10 @@ class RiccatiActiveSet(Defaults):
     """Options of the Riccati active-set solver.
 
     ``max_iterations``: maximum number of working sets that are tried in one feedback phase; None: 50. ``fallback``: the
-    method, with its options, that solves a QP for which no working set is found. With None such a QP, even an
-    infeasible one, ends with ITERATION_LIMIT (crossed bounds with INFEASIBLE), and the package is smaller.
+    method, with its options, that takes over earlier, once the number of changes has failed to fall three times. It
+    continues until its iterate indicates a working set, from which the active-set method finishes. With None a QP for
+    which no working set is found, even an infeasible one, ends with ITERATION_LIMIT (crossed bounds with INFEASIBLE),
+    and the package is smaller.
     """
 
     seam: ClassVar[Seam] = "qp"
@@ -54,6 +56,7 @@ class RiccatiActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = True
+    iteration: ClassVar[tuple[str, ...]] = ("COST_WORKING_SET",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -86,7 +89,9 @@ class RiccatiActiveSet(Defaults):
         if self.fallback is None:
             return ()
         return (
+            ("QP_MAX_RISES", 3, "number of times that the changes may fail to become fewer"),
             ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
+            ("IPM_CROSSOVER", 1, "1: the interior point method may end once it indicates a working set"),
             ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on the interior point iterations of one QP"),
             ("IPM_WARM_START", int(self.fallback.warm_start), "1: start near the multipliers of the previous QP"),
         )
@@ -101,7 +106,7 @@ class RiccatiActiveSet(Defaults):
         return (
             *units,
             *riccati_structs(dims, () if noise is None else (noise,), corrected),
-            *((interior_point_struct(dims, self.fallback),) if self.fallback is not None else ()),
+            *((interior_point_struct(dims, self.fallback, crossover=True),) if self.fallback is not None else ()),
             Struct(
                 "qp",
                 "working set of the stage QP",
@@ -128,6 +133,12 @@ class RiccatiActiveSet(Defaults):
                 ),
             ),
         )
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Stages, and sides of the interior point method."""
+        stages = (-1, dims.qp.ns.value)
+        sides: Mapping[str, tuple[int, int]] = {} if self.fallback is None else self.fallback.ranges(dims)
+        return {"stale": stages, "stale_vectors": stages, **sides}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The recursion and its substitutions; a warm-started sample needs one of each."""
