@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from nmpc_codegen.bounds.c_source import CMacro, Type, functions
-from nmpc_codegen.bounds.worst_case import UnboundedError, Unit, WorstCase
+from nmpc_codegen.bounds.names import Unit
+from nmpc_codegen.bounds.worst_case import UnboundedError, WorstCase
 
 
 def unit(text: str) -> WorstCase:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
 
 from pycparser import c_ast, c_parser
@@ -20,6 +20,7 @@ _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _API = re.compile(r"\bAPI\((\w+)\)")
 _FUNCTION = re.compile(r"^([A-Za-z_][^;={}#]*?[)\]])\s*\n\{\n(.*?)^\}", re.MULTILINE | re.DOTALL)
 _NAME = re.compile(r"(\w+)\((?!\*)")
+_WORD = re.compile(r"[A-Za-z_]\w*")
 _TYPE = re.compile(r"\b\w+_t\b")
 _ENUM = re.compile(r"\benum \{([^{}]*)\}")
 _VALUE = re.compile(r"(\w+) = (-?\d+)\b")
@@ -49,22 +50,33 @@ class CMacro:
     text: str
 
     @property
+    def words(self) -> frozenset[str]:
+        """The names in its text."""
+        return _words(self.text)
+
+    @property
     def expression(self) -> c_ast.Node:
         """Syntax tree of the text."""
         return _expression(self.text)
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class CFunction:
-    """A function definition as text."""
+    """A function definition as text; the same text gives the same object, which is parsed once."""
 
     name: str
     text: str
+    _tree: c_ast.FuncDef | None = field(default=None, repr=False)
 
-    @property
+    @cached_property
     def counting(self) -> tuple[str, ...]:
         """Functions whose calls limit the passes of its loops."""
         return tuple(_COUNTING.findall(self.text))
+
+    @cached_property
+    def words(self) -> frozenset[str]:
+        """The names in its text."""
+        return _words(self.text)
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, Type], ...]:
@@ -73,10 +85,31 @@ class CFunction:
         stated = [] if arguments is None else [p for p in arguments.params if isinstance(p, c_ast.Decl)]
         return tuple((p.name, declared(p.type)) for p in stated)
 
+    @cached_property
+    def result(self) -> Type:
+        """Type of its value."""
+        return declared(self.tree.decl.type)
+
     @property
     def tree(self) -> c_ast.FuncDef:
         """Its syntax tree."""
-        return _function(self.text)
+        parse((self,))
+        return self._tree
+
+
+def parse(found: Iterable[CFunction]) -> None:
+    """Parse those functions that have not been parsed, all at once."""
+    missing = [function for function in found if function._tree is None]
+    if missing:
+        text = "".join(function.text for function in missing)
+        definitions = [d for d in c_parser.CParser().parse(_typedefs(text) + text).ext if isinstance(d, c_ast.FuncDef)]
+        for function, tree in zip(missing, definitions, strict=True):
+            function._tree = tree
+
+
+@lru_cache(maxsize=4096)
+def _words(text: str) -> frozenset[str]:
+    return frozenset(_WORD.findall(text))
 
 
 def functions(unit: str) -> dict[str, CFunction]:
@@ -87,8 +120,13 @@ def functions(unit: str) -> dict[str, CFunction]:
     for head, body in _FUNCTION.findall(text):
         name = _NAME.search(head)
         if name:
-            found[name[1]] = CFunction(name[1], f"{head}\n{{\n{body}}}\n")
+            found[name[1]] = _function(name[1], f"{head}\n{{\n{body}}}\n")
     return found
+
+
+@lru_cache(maxsize=4096)
+def _function(name: str, text: str) -> CFunction:
+    return CFunction(name, text)
 
 
 def macros(known: Iterable[tuple[str, str | None, str]]) -> dict[str, CMacro]:
@@ -130,13 +168,11 @@ def declared(node: c_ast.Node) -> Type:
 
 
 def assigned_names(node: c_ast.Node) -> set[str]:
-    """Variables that a statement changes, or whose address it takes; the counters of its own `for` loops excepted."""
+    """Variables that a statement changes, or whose address it takes; counters that its `for` loops declare excepted."""
     if isinstance(node, c_ast.For):
-        stepped = set() if node.next is None else assigned_names(node.next)
-        started = set() if node.init is None else assigned_names(node.init)
-        if isinstance(node.init, c_ast.DeclList):
-            started |= {d.name for d in node.init.decls}
-        return assigned_names(node.stmt) | (stepped ^ started)
+        own = {d.name for d in node.init.decls} if isinstance(node.init, c_ast.DeclList) else set()
+        headers = [assigned_names(part) for part in (node.init, node.cond, node.next) if part is not None]
+        return assigned_names(node.stmt) | (set().union(*headers) - own)
     found: set[str] = set()
     if isinstance(node, c_ast.Assignment) and isinstance(node.lvalue, c_ast.ID):
         found.add(node.lvalue.name)
@@ -153,11 +189,6 @@ def assigned_names(node: c_ast.Node) -> set[str]:
 
 def _typedefs(text: str) -> str:
     return "".join(f"typedef int {name};\n" for name in sorted({*_TYPE.findall(text), "real_t"}))
-
-
-@lru_cache(maxsize=4096)
-def _function(text: str) -> c_ast.FuncDef:
-    return c_parser.CParser().parse(_typedefs(text) + text).ext[-1]
 
 
 @lru_cache(maxsize=4096)

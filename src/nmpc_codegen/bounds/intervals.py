@@ -39,9 +39,9 @@ def combined(op: str, a: Range, b: Range) -> Range:
             return (int(decided),) * 2
         return (0, 1) if None in (left, right) else (int(not decided),) * 2
     if a is None or b is None:
-        return (0, 1) if op in _COMPARISONS else None
-    if op in _COMPARISONS:
-        found = {_COMPARISONS[op](x, y) for x, y in _extremes(op, a, b)}
+        return (0, 1) if op in COMPARISONS else None
+    if op in COMPARISONS:
+        found = {COMPARISONS[op](x, y) for x, y in _extremes(op, a, b)}
         return (int(min(found)), int(max(found)))
     if op == "+":
         return a[0] + b[0], a[1] + b[1]
@@ -67,7 +67,7 @@ def _extremes(op: str, a: tuple[int, int], b: tuple[int, int]) -> list[tuple[int
     return pairs
 
 
-_COMPARISONS: Mapping[str, Callable[[int, int], bool]] = {
+COMPARISONS: Mapping[str, Callable[[int, int], bool]] = {
     "<": lambda x, y: x < y,
     "<=": lambda x, y: x <= y,
     ">": lambda x, y: x > y,

@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from nmpc_codegen.bounds.c_source import Type, constants, functions, macros, struct_members, tables
-from nmpc_codegen.bounds.worst_case import UnboundedError, Unit, WorstCase
+from nmpc_codegen.bounds.names import Unit
+from nmpc_codegen.bounds.worst_case import UnboundedError, WorstCase
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import CModule, Macro
 from nmpc_codegen.lowering.choose import CLOSE, Choice
