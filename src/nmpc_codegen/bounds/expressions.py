@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, cast
 
 from nmpc_codegen.bounds.intervals import COMPARISONS, Range, combined, entries, truth, union
 
@@ -64,11 +64,9 @@ def _interned(kind: Callable[..., Expression], arguments: tuple[Hashable, ...]) 
     return kind(*arguments)
 
 
-def made(kind: type[_E], *arguments: Hashable) -> _E:
+def made(kind: Callable[..., _E], *arguments: Hashable) -> _E:
     """The expression of a kind with these parts: the same object for the same parts."""
-    found = _interned(kind, arguments)
-    assert isinstance(found, kind)
-    return found
+    return cast(_E, _interned(kind, arguments))
 
 
 @dataclass(frozen=True, eq=False)
