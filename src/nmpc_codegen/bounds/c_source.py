@@ -29,6 +29,11 @@ _STRUCT = re.compile(r"typedef struct \{\n(.*?)\} (\w+);", re.DOTALL)
 _MEMBER = re.compile(r"(\w+) (\w+)((?:\[[^\]]+\])*);")
 
 
+#: Operators that change their operand, or give its address away.
+_CHANGING = ("++", "--", "p++", "p--", "&")
+_NAMELESS = (c_ast.ID, c_ast.Constant, c_ast.TypeDecl, c_ast.PtrDecl, c_ast.ArrayDecl, c_ast.Typename)
+
+
 @dataclass(frozen=True)
 class Type:
     """Type of an expression: "real", "int" or the name of another type, below ``depth`` pointers or arrays."""
@@ -167,23 +172,27 @@ def declared(node: c_ast.Node) -> Type:
     return Type({"real_t": "real"}.get(names[-1], names[-1]), depth)
 
 
-def assigned_names(node: c_ast.Node) -> set[str]:
-    """Variables that a statement changes, or whose address it takes; counters that its `for` loops declare excepted."""
+def assigned_names(node: c_ast.Node, bodies: dict[c_ast.For, set[str]]) -> set[str]:
+    """Variables that a statement changes, or whose address it takes; counters that its `for` loops declare excepted.
+
+    Those that the body of each of its `for` loops changes are added to ``bodies``.
+    """
+    found: set[str] = set()
+    if isinstance(node, _NAMELESS):
+        return found
     if isinstance(node, c_ast.For):
         own = {d.name for d in node.init.decls} if isinstance(node.init, c_ast.DeclList) else set()
-        headers = [assigned_names(part) for part in (node.init, node.cond, node.next) if part is not None]
-        return assigned_names(node.stmt) | (set().union(*headers) - own)
-    found: set[str] = set()
+        for part in (node.init, node.cond, node.next):
+            if part is not None:
+                found |= assigned_names(part, bodies)
+        bodies[node] = assigned_names(node.stmt, bodies)
+        return (found - own) | bodies[node]
     if isinstance(node, c_ast.Assignment) and isinstance(node.lvalue, c_ast.ID):
         found.add(node.lvalue.name)
-    if (
-        isinstance(node, c_ast.UnaryOp)
-        and node.op in ("++", "--", "p++", "p--", "&")
-        and isinstance(node.expr, c_ast.ID)
-    ):
+    elif isinstance(node, c_ast.UnaryOp) and node.op in _CHANGING and isinstance(node.expr, c_ast.ID):
         found.add(node.expr.name)
-    for _, child in node.children():
-        found |= assigned_names(child)
+    for child in node:
+        found |= assigned_names(child, bodies)
     return found
 
 

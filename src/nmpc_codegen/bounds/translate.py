@@ -59,7 +59,8 @@ class _Translator:
 
     def __init__(self, function: CFunction, names: Names) -> None:
         self._function = function
-        self._changed = assigned_names(function.tree.body)
+        self._bodies: dict[c_ast.For, set[str]] = {}
+        self._changed = assigned_names(function.tree.body, self._bodies)
         self._measure = Measure(function.name, names)
         self._counters = 0
 
@@ -191,7 +192,7 @@ class _Translator:
                 step, up = self._measure.value(node.next.rvalue, scope), node.next.op == "+="
             case _:
                 return None
-        if changed not in started or changed in assigned_names(node.stmt):
+        if changed not in started or changed in self._bodies[node]:
             return None
         return changed, self._measure.value(started[changed], scope), step, up
 
@@ -222,7 +223,7 @@ def _started(init: c_ast.Node | None) -> Mapping[str, c_ast.Node]:
 
 def _counters(node: c_ast.For) -> set[str]:
     """Variables that the steps of a loop change."""
-    return set() if node.next is None else assigned_names(node.next)
+    return set() if node.next is None else assigned_names(node.next, {})
 
 
 def _items(node: c_ast.Node | None) -> Sequence[c_ast.Node]:
