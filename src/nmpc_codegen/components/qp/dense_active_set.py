@@ -139,7 +139,7 @@ class DenseActiveSet(Defaults):
         }
 
     def search(self, dims: Dims) -> OpCount:
-        """A quarter of the variables enter or leave the working set, at about 2 n (n + ng) operations of a kind each."""
+        """A quarter of the variables enter or leave the working set, at about 2 n (n + ng) operations of a kind."""
         n = dims.qp.nv.value
         return OpCount(add=2, mul=2) * (n * (n + dims.ng.value)) * max(1, n // 4)
 
