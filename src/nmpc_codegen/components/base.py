@@ -12,18 +12,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, get_args
 
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.runtime.package_description import OpCount
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.stage_cost import StageCosts
     from nmpc_codegen.frontend.problem import Problem, Row
     from nmpc_codegen.ir.cmodule import Size, Struct, Table
-    from nmpc_codegen.ir.kernel import OpCount, Port
+    from nmpc_codegen.ir.kernel import Port
     from nmpc_codegen.ir.model import HessianModel, Interval, ModelFunctions
     from nmpc_codegen.ir.sweep import Call, Routine
     from nmpc_codegen.runtime.package_description import EntryPoint, Precision
 
 # C function -> operations of one run
-Counts = Mapping[str, "OpCount"]
+Counts = Mapping[str, OpCount]
 
 Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
 
