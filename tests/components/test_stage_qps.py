@@ -216,7 +216,7 @@ def recipe(
     return {"kind": kind, "seed": seed, "radius": radius, "active": active, "digits": digits}
 
 
-#: Pairs of QPs that are solved in any case. Weights of the rows in the first crane are a 10^14th of those in the second;
+#: Pairs of QPs that are solved in any case. Weights of rows in the first crane are a 10^14th of those in the second;
 #: of contradictory rows the first attempt of the dense solver takes one as satisfied up to rounding.
 HARD: dict[str, tuple[tuple[dict[str, Any], dict[str, Any]], ...]] = {
     "4x1x10,end=4": ((recipe("plain", 12), recipe("scaled", 213, 0.9, 0.7, 1)),),
