@@ -224,6 +224,10 @@ class QpSolver(Component, Protocol):
     automatic: ClassVar[bool]  # qp=None may choose it
     iteration: ClassVar[tuple[str, ...]]  # macros of what one iteration charges to a budget; none: it has no budget
 
+    def search(self, dims: Dims) -> OpCount:
+        """Estimate of the further operations of a sample whose working set is far from the predicted one."""
+        ...
+
 
 class Algorithm(Component, Protocol):
     """Solves the problem and defines the entry points of the package.
@@ -288,6 +292,9 @@ class Defaults:
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}
+
+    def search(self, dims: Dims) -> OpCount:
+        return OpCount()
 
     def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
         return {}

@@ -22,7 +22,11 @@ BLOCKS = (2, 3, 4, 5, 8, 10)
 
 @dataclass(frozen=True)
 class Candidate:
-    """A condensing, a solver for its QP, and the operations of a warm-started sample with an empty working set."""
+    """A condensing, a solver for its QP, and their operations.
+
+    ``operations``: of a warm-started sample with an empty working set; if there are soft rows, which are active in
+    blocks that come and go, also those of finding another working set.
+    """
 
     condensing: Condensing
     qp: QpSolver
@@ -68,18 +72,20 @@ def choose_qp(
         return Choice(condensing, options.qp, reasons)
     fitting = list(_pairs(given, options.qp))
     pairs = [pair for pair in fitting if grown.spares(problem, pair[0])] or fitting
-    candidates = []
+    candidates, soft = [], "soft rows" in problem.features
     for stated, qp in pairs:
         condensing = stated.adapted(problem)
         if all(problem.features <= c.supports for c in (condensing, qp)):
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian)
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
-            candidates.append(Candidate(condensing, qp, sum(counts, OpCount()).total))
+            total = sum(counts, qp.search(dims) if soft else OpCount())
+            candidates.append(Candidate(condensing, qp, total.total))
     if not candidates:
         return Choice(*pairs[0])  # the checks of this pair raise the error that says why
     ranked = sorted(candidates, key=lambda c: c.operations)
     table = "; ".join(map(str, ranked))
-    why = f"fewest operations of a warm-started sample ({table})"
+    sample = "warm-started sample and a search for its working set" if soft else "warm-started sample"
+    why = f"fewest operations of a {sample} ({table})"
     best, *others = (next(c for c in ranked if c.qp.name == name) for name in dict.fromkeys(c.qp.name for c in ranked))
 
     def chosen(c: Candidate) -> Choice:

@@ -131,6 +131,11 @@ class DenseActiveSet(Defaults):
             "qp_backward": substitution + scale,
         }
 
+    def search(self, dims: Dims) -> OpCount:
+        """A quarter of the variables enter or leave the working set, at about 2 n (n + ng) operations of a kind."""
+        n = dims.qp.nv.value
+        return OpCount(add=2, mul=2) * (n * (n + dims.ng.value)) * max(1, n // 4)
+
 
 def _working_memory(dims: Dims) -> tuple[Struct, ...]:
     """Factors of the working set, and the union through which the caller may use their memory before they exist."""

@@ -198,6 +198,18 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
     }
 
 
+def riccati_search(dims: Dims) -> OpCount:
+    """Operations of ten interior point iterations, which are typical where a working set is far from the predicted one.
+
+    A row takes about 40 of a kind, its products with a point, and those with itself.
+    """
+    counts, nz = riccati_cost(dims), dims.qp.nzs.value
+    iteration = counts["riccati_factorize"] + (counts["riccati_backward"] + counts["riccati_forward"]) * 2
+    iteration += OpCount(add=40, mul=40) * dims.qp.nv.value
+    iteration += OpCount(add=1, mul=1) * (40 + 4 * nz + nz * nz) * dims.ng.value
+    return iteration * 10
+
+
 def _stage_recursion(nx: int, nus: int) -> OpCount:
     ldx, ldz = _padded(nx), _padded(nx + nus)
     total = OpCount(add=nus)

@@ -17,6 +17,7 @@ from nmpc_codegen.components.allowed import Named, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.components.qp.riccati import (
     riccati_cost,
+    riccati_search,
     riccati_sizes,
     riccati_structs,
     stage_qp_fields,
@@ -27,6 +28,7 @@ from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
+    from nmpc_codegen.ir.kernel import OpCount
     from nmpc_codegen.ir.model import ModelFunctions
 
 
@@ -143,3 +145,7 @@ class RiccatiActiveSet(Defaults):
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The recursion and its substitutions; a warm-started sample needs one of each."""
         return riccati_cost(dims)
+
+    def search(self, dims: Dims) -> OpCount:
+        """The fall-back finds the working set."""
+        return riccati_search(dims)
