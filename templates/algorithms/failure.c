@@ -93,10 +93,22 @@ static void be_late(solver_t *s)
 }
 #endif
 
+static int plan_is_finite(const solver_t *s)
+{
+    int finite = 1;
+    for (int k = 0; k <= N; k++) {
+        finite &= all_finite(s->x[k], NX);
+    }
+    for (int k = 0; k < N; k++) {
+        finite &= all_finite(s->u[k], NU);
+    }
+    return finite;
+}
+
 /* Prevents a failure from repeating itself. A single failure may come from its sample alone: the plan is kept, and only
  * the working set is discarded if the QP solver did not converge. After the second failure in a row all states of the plan
  * restart at the measured state with the controls of the plan; if there is no finite linearisation at the plan (broken),
- * and after the third failure, nothing of the plan is kept. */
+ * and after the third failure, nothing of the plan is kept. A plan that is not finite is given up at the first failure. */
 static void recover(solver_t *s, status_t status, int broken)
 {
 #if BUDGET
@@ -110,7 +122,7 @@ static void recover(solver_t *s, status_t status, int broken)
         s->failing = FINE;
     } else if (status != NOT_FINITE && status != NOT_PREPARED) {
         s->failing += (s->failing < FOR_GOOD);
-        if (s->failing == TWICE && broken) {
+        if ((s->failing == TWICE && broken) || !plan_is_finite(s)) {
             s->failing = FOR_GOOD;
         }
         if (s->failing == FOR_GOOD) {

@@ -404,18 +404,6 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
     }
 }
 
-static int plan_is_finite(const solver_t *s)
-{
-    int finite = 1;
-    for (int k = 0; k <= N; k++) {
-        finite &= all_finite(s->x[k], NX);
-    }
-    for (int k = 0; k < N; k++) {
-        finite &= all_finite(s->u[k], NU);
-    }
-    return finite;
-}
-
 status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
 {
     status_t status;

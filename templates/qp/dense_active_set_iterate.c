@@ -24,6 +24,17 @@ static int qp_wrong_multiplier(const qp_t *q)
     return worst;
 }
 
+/* Removes member k, whose multiplier is at an end of its range. */
+static void qp_leave(qp_t *q, int k, int falls)
+{
+#if ELASTIC
+    qp_release(q, k, falls);
+#else
+    (void)falls;
+    qp_remove(q, k);
+#endif
+}
+
 /* Minimises on the working set and removes or saturates members with wrong multipliers, the worst first, until there is
  * none. */
 static status_t qp_restore_dual_feasibility(qp_t *q)
@@ -43,11 +54,7 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
             return ITERATION_LIMIT;
         }
         ++q->iterations;
-#if ELASTIC
-        qp_release(q, k, (q->lam[k] > R(0)) != (q->side[q->row[k]] > 0));
-#else
-        qp_remove(q, k);
-#endif
+        qp_leave(q, k, (q->lam[k] > R(0)) != (q->side[q->row[k]] > 0));
     }
 }
 
@@ -199,6 +206,17 @@ static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 }
 #endif
 
+/* The violated row c contradicts the rows of the working set. */
+static status_t qp_contradiction(qp_t *q, int c, int side, const real_t *r, real_t mm)
+{
+#if SOLVE
+    qp_certify(q, c, side, r, mm);
+#else
+    (void)q, (void)c, (void)side, (void)r, (void)mm;
+#endif
+    return INFEASIBLE;
+}
+
 /* Length of the full step, violation / v'v; infinite if the normal lies in the span of the working set. */
 static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
 {
@@ -213,6 +231,18 @@ static int qp_is_rounding(qp_t *q, int c, const real_t *r, real_t bound, real_t 
 {
     q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
     return violation <= q->slack[c];
+}
+
+/* Ends the dual step of row c after its multiplier has changed by `moved`: the row becomes a member, or its multiplier is
+ * at the end of its range. */
+static void qp_enter(qp_t *q, int c, int side, int member, real_t moved, real_t vv)
+{
+#if ELASTIC
+    qp_settle(q, c, side, member, moved, vv);
+#else
+    (void)member;
+    qp_append(q, c, side, vv, side > 0 ? moved : -moved);
+#endif
 }
 
 /* Takes dual steps until the violated row c is satisfied and in the working set, or its multiplier is at the end of its
@@ -246,13 +276,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         step = full <= step ? full : step;
         step = left < step ? left : step;
         if (!(step < (real_t)INFINITY)) {
-            if (qp_is_rounding(q, c, r, bound, mm, vv, violation)) {
-                return OK;
-            }
-#if SOLVE
-            qp_certify(q, c, side, r, mm);
-#endif
-            return INFEASIBLE;
+            return qp_is_rounding(q, c, r, bound, mm, vv, violation) ? OK : qp_contradiction(q, c, side, r, mm);
         }
         ++q->iterations;
         moved += step;
@@ -265,18 +289,12 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         }
 #endif
         if (last) {
-#if ELASTIC
-            qp_settle(q, c, side, full <= step, moved, vv);
-#else
-            qp_append(q, c, side, vv, sign * moved);
-#endif
+            qp_enter(q, c, side, full <= step, moved, vv);
             return OK;
         }
+        qp_leave(q, blocking, qp_falls(q, r, blocking, side));
 #if ELASTIC
         left -= step;
-        qp_release(q, blocking, qp_falls(q, r, blocking, side));
-#else
-        qp_remove(q, blocking);
 #endif
     }
     return isfinite(mm) ? ITERATION_LIMIT : NUMERICAL_FAILURE;

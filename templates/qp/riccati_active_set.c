@@ -97,8 +97,10 @@ static status_t qp_factorize(solver_t *s)
     const int plain = riccati_convexify(s);
 #endif
 #if NG
-    if (!q->scaled) {
+    if (q->scaled == SCALES_NONE) {
         qp_scale_rows(s);
+    } else {
+        q->scaled = SCALES_EARLIER;
     }
 #endif
     qp_enter(s);
@@ -138,12 +140,38 @@ static int qp_has_multipliers(const qp_t *q)
     return isfinite(sum);
 }
 
+#if NG
+/* Returns 1 if the last minimiser was refined with the scales of an earlier QP, to a residual that may be rounding. */
+static int qp_needs_scales(const qp_t *q)
+{
+    return q->scaled != SCALES_OWN && q->refined && q->residual <= TOL_RICCATI_ROUNDING;
+}
+
+/* Active-set iterations from the present working set with the scales of this QP. */
+static status_t qp_settle_in_own_scales(solver_t *s)
+{
+#if BUDGET
+    if (!qp_afford(&s->qp, COST_SCALES)) {
+        return ITERATION_LIMIT;
+    }
+#endif
+    qp_scale_rows(s);
+    qp_enter(s);
+    return qp_settle(s, QP_MAX_POLISH);
+}
+
+#endif
 /* Active-set iterations from the predicted working set, then the fallback. */
 static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
     q->exact = 1;
     status_t status = qp_settle(s, QP_MAX_ITERATIONS);
+#if NG
+    if (status == STALLED && qp_needs_scales(q)) {
+        status = qp_settle_in_own_scales(s);
+    }
+#endif
     if (status != OK) { /* a numerical failure that persists: unbounded QP or invalid data */
         const status_t next = qp_fall_back(s);
         status = (status == NUMERICAL_FAILURE && next == ITERATION_LIMIT) ? status : next;

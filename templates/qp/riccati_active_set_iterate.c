@@ -224,6 +224,18 @@ static status_t qp_minimize(solver_t *s, int *changed)
     return status;
 }
 
+/* Residual that is taken as rounding if refinement does not reduce it. Weights that are too small for the units of this
+ * QP let the corrections become slow at any level. */
+static real_t qp_least_residual(const qp_t *q)
+{
+#if NG
+    return q->scaled == SCALES_OWN ? TOL_RICCATI_ROUNDING : TOL_RICCATI_FEASIBILITY;
+#else
+    (void)q;
+    return TOL_RICCATI_ROUNDING;
+#endif
+}
+
 /* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself, its
  * members contradict one another, or the number of changes does not fall and the interior point method can take over;
  * ITERATION_LIMIT; NUMERICAL_FAILURE. */
@@ -252,7 +264,7 @@ static status_t qp_iterate(solver_t *s, int most)
         }
 #endif
         if (changed == 0) {
-            return q->residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
+            return q->residual <= qp_least_residual(q) ? OK : STALLED;
         }
         if (qp_seen(q, tried)) {
             return STALLED;

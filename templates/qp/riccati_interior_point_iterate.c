@@ -488,6 +488,31 @@ static int ipm_hands_over(ipm_t *q)
 }
 
 #endif
+/* Judges the present point, whose measures are known, and adapts the regularisations; changed becomes 1 if one has
+ * changed. Returns 1 if the iterations end here. */
+static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int *changed)
+{
+    ipm_t *q = &s->ipm;
+    int done;
+#if IPM_CROSSOVER
+    if (ipm_hands_over(q)) {
+        return 1;
+    }
+#endif
+    done = ipm_converged(s);
+    if (q->probing && (q->slope < (real_t)INFINITY || s->qp.iterations > 20) && ipm_any_violation(s)) {
+        return 1;
+    }
+    *changed |= ipm_soften(q, gradient_before) | ipm_loosen(q, gradient_before);
+    done &= !*changed;
+#if NG
+    done = ipm_ends(q, done, before);
+#else
+    (void)before;
+#endif
+    return done || ipm_suffices(s);
+}
+
 /* Iterations from the present point. Returns OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
 static status_t ipm_iterate(solver_t *s)
 {
@@ -506,28 +531,14 @@ static status_t ipm_iterate(solver_t *s)
         }
 #endif
         const real_t before = q->primal, gradient_before = q->slope;
-        int changed, done;
+        int changed;
         ipm_measure(s);
         changed = ipm_stiffen(q, before);
         ipm_cost_gradient(s);
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return NUMERICAL_FAILURE;
         }
-#if IPM_CROSSOVER
-        if (ipm_hands_over(q)) {
-            return OK;
-        }
-#endif
-        done = ipm_converged(s);
-        if (q->probing && (q->slope < (real_t)INFINITY || s->qp.iterations > 20) && ipm_any_violation(s)) {
-            return OK;
-        }
-        changed |= ipm_soften(q, gradient_before) | ipm_loosen(q, gradient_before);
-        done &= !changed;
-#if NG
-        done = ipm_ends(q, done, before);
-#endif
-        if (done || ipm_suffices(s)) {
+        if (ipm_ends_here(s, before, gradient_before, &changed)) {
             return OK;
         }
 #if NG

@@ -47,7 +47,7 @@ def settled(model: Model, name: str | None = None) -> CModule:
         return packages[0][1]
     choice, module = min(packages, key=lambda package: known[package[0].label])
     table = "; ".join(f"{label}: {count:,}" for label, count in known.items())
-    why = f"least worst case of a sample among solvers within {CLOSE} times of the fewest operations ({table})"
+    why = f"least worst case of a sample among solvers that need at most {CLOSE} times the least ({table})"
     return _because(module, f"qp: {choice.qp.name}; {why}")
 
 

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 #: Default cap on the number of working sets that are tried.
 MAX_ITERATIONS = 50
 
+#: Cap on the working sets that are tried from one that is expected to be nearly that of the solution.
+MAX_POLISH = 5
+
 
 # The fall-back runs after other working sets have failed, so no good starting point is known.
 _COLD = RiccatiInteriorPoint(warm_start=False)
@@ -76,13 +79,11 @@ class RiccatiActiveSet(Defaults):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions and caps."""
+        cap = MAX_ITERATIONS if self.max_iterations is None else self.max_iterations
         return (
             *riccati_sizes(dims),
-            (
-                "QP_MAX_ITERATIONS",
-                self.max_iterations or MAX_ITERATIONS,
-                "cap on the working sets of one feedback phase",
-            ),
+            ("QP_MAX_ITERATIONS", cap, "cap on the working sets of one feedback phase"),
+            ("QP_MAX_POLISH", min(cap, MAX_POLISH), "cap on the working sets near a solution"),
             ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
             *self._fallback_sizes(),
         )
@@ -92,7 +93,6 @@ class RiccatiActiveSet(Defaults):
             return ()
         return (
             ("QP_MAX_RISES", 3, "number of times that the changes may fail to become fewer"),
-            ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
             ("IPM_CROSSOVER", 1, "1: the interior point method may end once it indicates a working set"),
             ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on the interior point iterations of one QP"),
             ("IPM_WARM_START", int(self.fallback.warm_start), "1: start near the multipliers of the previous QP"),
@@ -124,7 +124,7 @@ class RiccatiActiveSet(Defaults):
                     Field("residual", (), "relative residual on the working set", "scratch"),
                     Field("raised", (ng,), "number of times that the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
-                    *((Field("scaled", (), "1: root is known", "keep", "int32"),) if ng.value else ()),
+                    *((Field("scaled", (), "root: 0 none, 1 earlier, 2 own", "keep", "int32"),) if ng.value else ()),
                     Field("rough", (), "1: the minimiser has errors beyond rounding", "scratch", "int32"),
                     Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
