@@ -34,13 +34,14 @@ static int hard_row_holds(const solver_t *s, int m, const real_t *size)
 }
 #endif
 
-/* Returns 1 if all control bounds and hard rows hold after the step. */
-static int rows_hold(const solver_t *s)
+/* Returns 1 if the step is finite and, if the rows are not relaxed, all control bounds and hard rows hold after it. */
+static int step_holds(const solver_t *s, int relaxed)
 {
     real_t size[NZ];
-    int holds = 1;
+    int holds;
     step_sizes(s, size);
-    for (int k = 0; k < N; k++) {
+    holds = all_finite(size, NZ);
+    for (int k = 0; k < N && !relaxed; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = s->u[k][j] + s->step.du[k][j];
             const real_t bound = clip(u, CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
@@ -48,7 +49,7 @@ static int rows_hold(const solver_t *s)
         }
     }
 #if HARD_ROWS
-    for (int m = 0; m < NG; m++) {
+    for (int m = 0; m < NG && !relaxed; m++) {
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
             continue;
@@ -86,17 +87,12 @@ static void check_controls(solver_t *s, int k, const real_t *w, real_t *rest, re
 }
 
 /* Returns 1 if the gradient vanishes up to rounding of its terms. */
-static int controls_hold(const solver_t *s, const real_t *rest, const real_t *terms)
+static int controls_hold(const real_t *rest, const real_t *terms)
 {
-    int holds = 1;
+    int holds = all_finite(terms, NU);
     for (int j = 0; j < NU; j++) {
         holds &= rest[j] <= TOL_STEP_GRADIENT * terms[j];
     }
-#if REGULARIZE_REDUCED
-    holds |= s->condensed.regularized;
-#else
-    (void)s;
-#endif
     return holds;
 }
 #endif

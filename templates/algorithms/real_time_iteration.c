@@ -243,6 +243,7 @@ static void scatter_multipliers(solver_t *s)
 #endif
 }
 
+#if SOLVE || !CHECK_STEP
 /* Returns 1 if the step of the QP is finite. */
 static int step_is_finite(const solver_t *s)
 {
@@ -259,6 +260,7 @@ static int step_is_finite(const solver_t *s)
     }
     return isfinite(probe) != 0;
 }
+#endif
 
 /* x += dx, u += du. The controls are clipped afterwards because u + (upper - u) can exceed the bound by one ulp. */
 static void take_step(solver_t *s)
@@ -320,11 +322,11 @@ static status_t run_qp(solver_t *s)
 
 #include "algorithms/failure.c"
 
-/* largest = max(largest, |value|), where NaN counts as the largest value. */
+/* largest = max(largest, |value|), where a value that is not finite counts as the largest and remains. */
 static void enlarge(real_t *largest, real_t value)
 {
     const real_t a = FABS(value);
-    if (!(a <= *largest)) {
+    if (!(a <= *largest) && isfinite(*largest)) {
         *largest = a;
     }
 }
@@ -372,7 +374,10 @@ static int recover_multipliers(solver_t *s)
 #endif
     }
 #if CHECK_GRADIENT
-    stationary = controls_hold(s, rest, terms);
+    stationary = controls_hold(rest, terms);
+#if REGULARIZE_REDUCED
+    stationary |= s->condensed.regularized;
+#endif
 #endif
 #if NF
     for (int f = 0; f < NF; f++) {
@@ -404,11 +409,12 @@ static status_t feedback_here(solver_t *s)
     if (status != OK && status != RELAXED) {
         return status;
     }
-    if (!step_is_finite(s)) {
+#if CHECK_STEP
+    if (!step_holds(s, status == RELAXED)) {
         return NUMERICAL_FAILURE;
     }
-#if CHECK_STEP
-    if (status == OK && !rows_hold(s)) {
+#else
+    if (!step_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
 #endif

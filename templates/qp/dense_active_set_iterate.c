@@ -24,17 +24,6 @@ static int qp_wrong_multiplier(const qp_t *q)
     return worst;
 }
 
-/* Removes member k, whose multiplier is at an end of its range. */
-static void qp_leave(qp_t *q, int k, int falls)
-{
-#if ELASTIC
-    qp_release(q, k, falls);
-#else
-    (void)falls;
-    qp_remove(q, k);
-#endif
-}
-
 /* Minimises on the working set and removes or saturates members with wrong multipliers, the worst first, until there is
  * none. */
 static status_t qp_restore_dual_feasibility(qp_t *q)
@@ -54,7 +43,11 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
             return ITERATION_LIMIT;
         }
         ++q->iterations;
-        qp_leave(q, k, (q->lam[k] > R(0)) != (q->side[q->row[k]] > 0));
+#if ELASTIC
+        qp_release(q, k, (q->lam[k] > R(0)) != (q->side[q->row[k]] > 0));
+#else
+        qp_remove(q, k);
+#endif
     }
 }
 
@@ -134,11 +127,10 @@ static int qp_takes_part(const qp_t *q, const real_t *r, int k, real_t mm)
 }
 
 /* First member whose multiplier lam - side step r, r = R^{-1} d, reaches an end of its range when that of the entering
- * row increases by `step` on the given side. Returns -1, with an infinite step, if there is none. */
+ * row increases on the given side, which shortens the step. Returns -1 if there is none within the step. */
 static int qp_blocking(const qp_t *q, const real_t *r, int side, real_t mm, real_t *step)
 {
     int first = -1;
-    *step = (real_t)INFINITY;
     for (int k = 0; k < q->nw; ++k) {
         const real_t room = qp_room(q, k, qp_falls(q, r, k, side)), rate = FABS(r[k]);
         if (room < *step * rate && qp_takes_part(q, r, k, mm)) {
@@ -172,12 +164,12 @@ static inline real_t qp_tolerance(void)
  * terms that it sums up. As entering would move y by violation / |v|, the multiple grows with |m| / |v| up to that of a
  * row that cannot enter. The part of v'y, which y0 dominates, is a multiple of |v| |y0|. If this has led to a residual
  * that is too large, the terms of the row itself count in place of |m| |y|. */
-static real_t qp_rounding(const qp_t *q, int c, const real_t *r, real_t bound, real_t mm, real_t vv)
+static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_t mm, real_t vv)
 {
     const real_t most = TOL_QP_REDUNDANT, least = TOL_QP_FEASIBILITY;
-    real_t size = qp_bound_size(q, c, bound);
+    real_t size = qp_bound_size(q, c, q->side[c] == INACTIVE ? side : q->side[c]);
     for (int k = 0; k < q->nw; ++k) {
-        size += qp_bound_size(q, q->row[k], qp_bound(q, q->row[k])) * FABS(r[k]);
+        size += qp_bound_size(q, q->row[k], q->side[q->row[k]]) * FABS(r[k]);
     }
     if (q->strict) {
         return q->strict > 1 ? R(0.25) * qp_tolerance() * qp_row_size(q, c)
@@ -206,17 +198,6 @@ static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 }
 #endif
 
-/* The violated row c contradicts the rows of the working set. */
-static status_t qp_contradiction(qp_t *q, int c, int side, const real_t *r, real_t mm)
-{
-#if SOLVE
-    qp_certify(q, c, side, r, mm);
-#else
-    (void)q, (void)c, (void)side, (void)r, (void)mm;
-#endif
-    return INFEASIBLE;
-}
-
 /* Length of the full step, violation / v'v; infinite if the normal lies in the span of the working set. */
 static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
 {
@@ -227,74 +208,71 @@ static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
 }
 
 /* Returns 1 if the violation of row c may be a rounding error; the bound for it is stored in slack[c]. */
-static int qp_is_rounding(qp_t *q, int c, const real_t *r, real_t bound, real_t mm, real_t vv, real_t violation)
+static int qp_is_rounding(qp_t *q, int c, const real_t *r, int side, real_t mm, real_t vv, real_t violation)
 {
-    q->slack[c] = qp_rounding(q, c, r, bound, mm, vv);
+    q->slack[c] = qp_rounding(q, c, r, side, mm, vv);
     return violation <= q->slack[c];
 }
 
-/* Ends the dual step of row c after its multiplier has changed by `moved`: the row becomes a member, or its multiplier is
- * at the end of its range. */
-static void qp_enter(qp_t *q, int c, int side, int member, real_t moved, real_t vv)
+/* Splits the normal m of the entering row, m = Q'R r + v. Returns v'v. */
+static real_t qp_split(qp_t *q, real_t *r, real_t mm)
 {
-#if ELASTIC
-    qp_settle(q, c, side, member, moved, vv);
-#else
-    (void)member;
-    qp_append(q, c, side, vv, side > 0 ? moved : -moved);
-#endif
+    const real_t vv = qp_project(q, mm);
+    copy(r, q->work.basis.d);
+    qp_solve_triangle(q, r);
+    return vv;
 }
 
 /* Takes dual steps until the violated row c is satisfied and in the working set, or its multiplier is at the end of its
  * range. A violation that may be a rounding error is accepted instead and stored in slack[c]. */
 static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
 {
+    const real_t sign = R(side), bound = (q->side[c] == INACTIVE ? side : q->side[c]) > 0 ? q->upper[c] : q->lower[c];
+    real_t r[LDV], moved = R(0), left = (real_t)INFINITY, mm = qp_normal(q, c);
 #if ELASTIC
-    const int at = q->side[c] == INACTIVE ? side : q->side[c];
-    real_t left = qp_reach(q, c);
-#else
-    const int at = side;
-    const real_t left = (real_t)INFINITY;
+    left = qp_reach(q, c);
 #endif
-    const real_t bound = at > 0 ? q->upper[c] : q->lower[c], sign = side > 0 ? R(1) : -R(1);
-    real_t r[LDV], step, moved = R(0), mm = qp_normal(q, c);
     while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
 #if BUDGET
         if (!qp_afford(q, COST_STEP)) {
             return ITERATION_LIMIT;
         }
 #endif
-        const real_t vv = qp_project(q, mm);
-        copy(r, q->work.basis.d);
-        qp_solve_triangle(q, r);
-        if (!(moved > R(0)) && qp_is_rounding(q, c, r, bound, mm, vv, violation)) {
+        const real_t vv = qp_split(q, r, mm);
+        if (!(moved > R(0)) && qp_is_rounding(q, c, r, side, mm, vv, violation)) {
             return OK;
         }
         violation = sign * (dot(q->work.basis.m, q->work.basis.y, LDV) - bound);
         const real_t full = qp_full_step(violation, mm, vv);
-        const int blocking = qp_blocking(q, r, side, mm, &step), last = full <= step || left <= step;
-        step = full <= step ? full : step;
-        step = left < step ? left : step;
+        real_t step = left < full ? left : full;
+        const int blocking = qp_blocking(q, r, side, mm, &step);
         if (!(step < (real_t)INFINITY)) {
-            return qp_is_rounding(q, c, r, bound, mm, vv, violation) ? OK : qp_contradiction(q, c, side, r, mm);
+#if SOLVE
+            qp_certify(q, c, side, r, mm);
+#endif
+            return qp_is_rounding(q, c, r, side, mm, vv, violation) ? OK : INFEASIBLE;
         }
         ++q->iterations;
         moved += step;
+        left -= step;
         qp_move(q, r, sign * step, full < (real_t)INFINITY);
 #if NSL
-        if (last && !(full <= step) && qp_can_yield(q, c)) {
-            mm += qp_yield_entering(q, c, side);
-            left = (real_t)INFINITY;
+        if (step < full && blocking < 0 && qp_yields(q, c, side, &mm, &left)) {
             continue;
         }
 #endif
-        if (last) {
-            qp_enter(q, c, side, full <= step, moved, vv);
+        if (blocking < 0) {
+#if ELASTIC
+            qp_settle(q, c, side, full <= step, moved, vv);
+#else
+            qp_append(q, c, side, vv, sign * moved);
+#endif
             return OK;
         }
-        qp_leave(q, blocking, qp_falls(q, r, blocking, side));
 #if ELASTIC
-        left -= step;
+        qp_release(q, blocking, qp_falls(q, r, blocking, side));
+#else
+        qp_remove(q, blocking);
 #endif
     }
     return isfinite(mm) ? ITERATION_LIMIT : NUMERICAL_FAILURE;

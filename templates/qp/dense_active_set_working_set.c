@@ -43,15 +43,14 @@ static inline real_t qp_value(const qp_t *q, int c, const real_t *z)
 }
 #endif
 
-/* Magnitude of a bound of row c and of the terms that it sums up. */
-static inline real_t qp_bound_size(const qp_t *q, int c, real_t bound)
+/* Magnitude of the bound of row c on the given side and of the terms that it sums up. */
+static inline real_t qp_bound_size(const qp_t *q, int c, int side)
 {
+    const real_t bound = FABS(side > 0 ? q->upper[c] : q->lower[c]);
 #if NG
-    return FABS(bound) + (c < NV ? R(0) : q->terms[c - NV]);
+    return c < NV ? bound : bound + q->terms[c - NV];
 #else
-    (void)q;
-    (void)c;
-    return FABS(bound);
+    return bound;
 #endif
 }
 

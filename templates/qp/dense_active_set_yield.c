@@ -20,12 +20,18 @@ static void qp_free_slack(qp_t *q, int c, int side)
     ++q->changes;
 }
 
-/* The slack of the entering row c with normal m moves. Returns its part of |m|^2. */
-static real_t qp_yield_entering(qp_t *q, int c, int side)
+/* The entering row c with normal m may have a fixed slack, which moves from here on: *mm = |m|^2 gets its part, and the
+ * multiplier of the row has no limit any more. Returns 0 if it has none. */
+static int qp_yields(qp_t *q, int c, int side, real_t *mm, real_t *left)
 {
+    if (!qp_can_yield(q, c)) {
+        return 0;
+    }
     qp_free_slack(q, c, side);
     q->work.basis.m[qp_slack(c)] = -q->inverse[qp_slack(c)];
-    return qp_compliance(q, c);
+    *mm += qp_compliance(q, c);
+    *left = (real_t)INFINITY;
+    return 1;
 }
 
 /* Member k, whose multiplier is at the limit of the given side, stays in the working set, but its slack moves. The

@@ -224,18 +224,6 @@ static status_t qp_minimize(solver_t *s, int *changed)
     return status;
 }
 
-/* Residual that is taken as rounding if refinement does not reduce it. Weights that are too small for the units of this
- * QP let the corrections become slow at any level. */
-static real_t qp_least_residual(const qp_t *q)
-{
-#if NG
-    return q->scaled == SCALES_OWN ? TOL_RICCATI_ROUNDING : TOL_RICCATI_FEASIBILITY;
-#else
-    (void)q;
-    return TOL_RICCATI_ROUNDING;
-#endif
-}
-
 /* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself, its
  * members contradict one another, or the number of changes does not fall and the interior point method can take over;
  * ITERATION_LIMIT; NUMERICAL_FAILURE. */
@@ -263,8 +251,13 @@ static status_t qp_iterate(solver_t *s, int most)
             continue;
         }
 #endif
-        if (changed == 0) {
-            return q->residual <= qp_least_residual(q) ? OK : STALLED;
+        if (changed == 0) { /* a residual that refinement does not reduce is rounding, or the weights are too small */
+#if NG
+            if (q->scaled != SCALES_OWN) {
+                return q->residual <= TOL_RICCATI_FEASIBILITY ? OK : STALLED;
+            }
+#endif
+            return q->residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
         }
         if (qp_seen(q, tried)) {
             return STALLED;

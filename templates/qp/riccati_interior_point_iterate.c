@@ -488,12 +488,13 @@ static int ipm_hands_over(ipm_t *q)
 }
 
 #endif
-/* Judges the present point, whose measures are known, and adapts the regularisations; changed becomes 1 if one has
+/* Judges the present point, whose measures are known, and adapts the regularisations; changed states whether one has
  * changed. Returns 1 if the iterations end here. */
 static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int *changed)
 {
     ipm_t *q = &s->ipm;
     int done;
+    *changed = ipm_stiffen(q, before);
 #if IPM_CROSSOVER
     if (ipm_hands_over(q)) {
         return 1;
@@ -507,8 +508,6 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
     done &= !*changed;
 #if NG
     done = ipm_ends(q, done, before);
-#else
-    (void)before;
 #endif
     return done || ipm_suffices(s);
 }
@@ -533,7 +532,6 @@ static status_t ipm_iterate(solver_t *s)
         const real_t before = q->primal, gradient_before = q->slope;
         int changed;
         ipm_measure(s);
-        changed = ipm_stiffen(q, before);
         ipm_cost_gradient(s);
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return NUMERICAL_FAILURE;

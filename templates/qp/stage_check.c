@@ -64,17 +64,14 @@ static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
 }
 
 #endif
+#if INTERIOR_POINT
 /* Magnitude that row c has in any case: near a plan that is a solution, everything else may vanish. */
 static inline real_t qp_least_size(const solver_t *s, int c, int full)
 {
-#if INTERIOR_POINT
     return full ? s->qp.least * s->units.reach[c] : R(0);
-#else
-    (void)s, (void)c, (void)full;
-    return R(0);
-#endif
 }
 
+#endif
 /* Returns 1 if all hard rows hold. */
 static int qp_rows_hold(solver_t *s, int full)
 {
@@ -82,12 +79,18 @@ static int qp_rows_hold(solver_t *s, int full)
     int holds = 1;
     qp_component_sizes(s, full, size);
     for (int c = 0; c < NV; c++) {
-        const real_t terms = size[NXS + c % NUS] + qp_least_size(s, c, full);
+        real_t terms = size[NXS + c % NUS];
+#if INTERIOR_POINT
+        terms += qp_least_size(s, c, full);
+#endif
         holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, full);
     }
 #if NG
     for (int m = 0; m < NG; m++) {
-        const real_t terms = qp_row_terms(s, m, size) + qp_least_size(s, NV + m, full);
+        real_t terms = qp_row_terms(s, m, size);
+#if INTERIOR_POINT
+        terms += qp_least_size(s, NV + m, full);
+#endif
         holds &= qp_row_holds(&s->qp, NV + m, !qp_is_soft(&s->qp, m), qp_row_value(s, m), terms, full);
     }
 #endif
@@ -112,7 +115,7 @@ static void qp_check_stage(solver_t *s, int k, int full, const real_t *lam, real
     riccati_combine(w, lam, S[0], NZS, NXS, NZS);
     for (int j = 0; j < NUS; j++) {
         const real_t amount = FABS(w[NXS + j] + s->qp.mult[first + j]);
-        rest[j] = (amount <= rest[j]) ? rest[j] : amount;
+        rest[j] = (amount <= rest[j] || !isfinite(rest[j])) ? rest[j] : amount;
     }
 }
 
@@ -161,7 +164,7 @@ static int qp_is_stationary(solver_t *s, int full)
         memcpy(lam, w, sizeof lam);
     }
     for (int j = 0; j < NUS; j++) {
-        holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j];
+        holds &= isfinite(terms[j]) && rest[j] <= TOL_QP_ACCEPTED * terms[j];
     }
 #if NF
     holds &= qp_free_is_stationary(s, lam);
