@@ -92,8 +92,8 @@ static int qp_is_stationary(const qp_t *q)
     return !q->semidefinite && terms <= R(64) * dot(q->work.basis.y, q->work.basis.y, LDV);
 }
 
-/* Returns 1 if x and mult satisfy the optimality conditions up to rounding. r: gradient of the Lagrangian, or 0 if it
- * need not be computed. */
+/* Returns 1 if x and mult satisfy the optimality conditions up to rounding: of the terms of a row or, if all of them
+ * nearly vanish, of the cancellation in y = y0 - Q'R lam. r: gradient of the Lagrangian, or 0 if it need not be computed. */
 static int qp_is_optimal(const qp_t *q, real_t *r, int refined)
 {
     real_t size[LDV];
@@ -106,7 +106,8 @@ static int qp_is_optimal(const qp_t *q, real_t *r, int refined)
         }
     }
     for (int c = 0; c < NV + NG && optimal; ++c) {
-        optimal = FABS(qp_excess(q, c)) <= qp_tolerance() * qp_row_size(q, c);
+        const real_t excess = FABS(qp_excess(q, c)) / qp_tolerance();
+        optimal = excess <= qp_row_size(q, c) || excess <= TOL_UNIT * q->scale * qp_row_norm(q, c);
     }
     return optimal;
 }
