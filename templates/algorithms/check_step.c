@@ -2,10 +2,10 @@
  * rows of the QP with all states and, if no QP solver on stages has checked it, the stationarity. Rounding errors of the
  * elimination show there. */
 
-/* size[]: largest magnitude of every component of (dx, du) over the horizon, and of the gaps of the states. */
-static void step_sizes(const solver_t *s, real_t *size)
+/* size[], which is 0: largest magnitude of every component of (dx, du) over the horizon, and of the gaps of the states.
+ * Returns 1 if the step is finite. */
+static int measure_step(const solver_t *s, real_t *size)
 {
-    memset(size, 0, NZ * sizeof *size);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
             enlarge(&size[i], s->step.dx[k][i]);
@@ -15,51 +15,34 @@ static void step_sizes(const solver_t *s, real_t *size)
             enlarge(&size[NX + j], s->step.du[k][j]);
         }
     }
+    return all_finite(size, NZ);
 }
 
 #if HARD_ROWS
-/* Returns 1 if the hard row m holds up to rounding of its terms. */
-static int hard_row_holds(const solver_t *s, int m, const real_t *size)
+/* Returns 1 if all hard rows hold after the step up to rounding of their terms. Control bounds are bounds of the QP. */
+static int rows_hold(const solver_t *s, const real_t *size)
 {
-    const real_t excess = FABS(row_excess(s, m));
-    real_t J[NZ], terms;
-    if (excess == R(0)) {
-        return 1;
-    }
-    terms = FABS(row_gradient(s, m, J));
-    for (int i = 0; i < NZ; i++) {
-        terms += FABS(J[i]) * size[i];
-    }
-    return excess <= TOL_STEP * terms;
-}
-#endif
-
-/* Returns 1 if the step is finite and, if the rows are not relaxed, all control bounds and hard rows hold after it. */
-static int step_holds(const solver_t *s, int relaxed)
-{
-    real_t size[NZ];
-    int holds;
-    step_sizes(s, size);
-    holds = all_finite(size, NZ);
-    for (int k = 0; k < N && !relaxed; k++) {
-        for (int j = 0; j < NU; j++) {
-            const real_t u = s->u[k][j] + s->step.du[k][j];
-            const real_t bound = clip(u, CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
-            holds &= FABS(u - bound) <= TOL_STEP * (size[NX + j] + FABS(bound));
-        }
-    }
-#if HARD_ROWS
-    for (int m = 0; m < NG && !relaxed; m++) {
+    real_t J[NZ];
+    for (int m = 0; m < NG; m++) {
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
             continue;
         }
 #endif
-        holds &= hard_row_holds(s, m, size);
+        const real_t excess = FABS(row_excess(s, m));
+        if (!(excess <= R(0))) {
+            real_t terms = FABS(row_gradient(s, m, J));
+            for (int i = 0; i < NZ; i++) {
+                terms += FABS(J[i]) * size[i];
+            }
+            if (!(excess <= TOL_STEP * terms)) {
+                return 0;
+            }
+        }
     }
-#endif
-    return holds;
+    return 1;
 }
+#endif
 
 #if CHECK_GRADIENT
 /* The gradient with respect to the controls of node k, where w holds that of the cost and dynamics: rest[] and terms[]
@@ -68,31 +51,22 @@ static void check_controls(solver_t *s, int k, const real_t *w, real_t *rest, re
 {
     const node_t *node = &s->node[k];
     real_t(*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
-    for (int i = NX; i < NZ; i++) {
-        const real_t mult = s->mu_u[k][i - NX];
-        real_t sum = w[i] + mult, size = FABS(node->g[i]) + FABS(mult) + FABS(Q[i][i] * s->step.du[k][i - NX]);
+    for (int j = 0; j < NU; j++) {
+        const real_t mult = s->mu_u[k][j];
+        const int i = NX + j;
+        real_t sum = w[i] + mult, size = FABS(node->g[i]) + FABS(mult) + FABS(Q[i][i] * s->step.du[k][j]);
         for (int l = 0; l < NX; l++) {
             size += FABS(node->S[l][i] * s->lam[k + 1][l]) + FABS(Q[i][l] * s->step.dx[k][l]);
         }
 #if NH
-        for (int j = 0; j < NH; j++) {
-            const real_t force = node->J[j][i] * s->mu[k][j];
+        for (int l = 0; l < NH; l++) {
+            const real_t force = node->J[l][i] * s->mu[k][l];
             sum += force;
             size += FABS(force);
         }
 #endif
-        enlarge(&rest[i - NX], sum);
-        enlarge(&terms[i - NX], size);
+        enlarge(&rest[j], sum);
+        enlarge(&terms[j], size);
     }
-}
-
-/* Returns 1 if the gradient vanishes up to rounding of its terms. */
-static int controls_hold(const real_t *rest, const real_t *terms)
-{
-    int holds = all_finite(terms, NU);
-    for (int j = 0; j < NU; j++) {
-        holds &= rest[j] <= TOL_STEP_GRADIENT * terms[j];
-    }
-    return holds;
 }
 #endif

@@ -97,10 +97,7 @@ static int plan_is_finite(const solver_t *s)
 {
     int finite = 1;
     for (int k = 0; k <= N; k++) {
-        finite &= all_finite(s->x[k], NX);
-    }
-    for (int k = 0; k < N; k++) {
-        finite &= all_finite(s->u[k], NU);
+        finite &= all_finite(s->x[k], NX) && (k == N || all_finite(s->u[k], NU));
     }
     return finite;
 }

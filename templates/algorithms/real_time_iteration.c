@@ -374,7 +374,9 @@ static int recover_multipliers(solver_t *s)
 #endif
     }
 #if CHECK_GRADIENT
-    stationary = controls_hold(rest, terms);
+    for (int j = 0; j < NU; j++) {
+        stationary &= isfinite(terms[j]) && rest[j] <= TOL_STEP_GRADIENT * terms[j];
+    }
 #if REGULARIZE_REDUCED
     stationary |= s->condensed.regularized;
 #endif
@@ -391,6 +393,9 @@ static int recover_multipliers(solver_t *s)
  * success. */
 static status_t feedback_here(solver_t *s)
 {
+#if CHECK_STEP
+    real_t size[NZ] = {0};
+#endif
     status_t status;
 #if SET_REFERENCE
     if (s->renewal == REFERENCE_CHANGED) {
@@ -410,9 +415,14 @@ static status_t feedback_here(solver_t *s)
         return status;
     }
 #if CHECK_STEP
-    if (!step_holds(s, status == RELAXED)) {
+    if (!measure_step(s, size)) {
         return NUMERICAL_FAILURE;
     }
+#if HARD_ROWS
+    if (status == OK && !rows_hold(s, size)) {
+        return NUMERICAL_FAILURE;
+    }
+#endif
 #else
     if (!step_is_finite(s)) {
         return NUMERICAL_FAILURE;

@@ -358,10 +358,9 @@ static void condense_embed(solver_t *s)
 }
 
 #if NG
-/* Largest magnitude of every component of c_0, c_1, ..., c_N. */
+/* size[], which is 0: largest magnitude of every component of c_0, c_1, ..., c_N. */
 static void condense_sizes(const solver_t *s, real_t *size)
 {
-    memset(size, 0, NX * sizeof *size);
     for (int k = 1; k <= N; ++k) {
         for (int i = 0; i < NX; ++i) {
             const real_t c = FABS(s->condensed.c[k][i]);
@@ -412,7 +411,7 @@ static void condense_rows(solver_t *s)
 {
     condense_gradient(s);
 #if NG
-    real_t size[NX];
+    real_t size[NX] = {0};
     condense_sizes(s, size);
     for (int m = 0; m < NG; ++m) {
         condense_value(s, m, size);

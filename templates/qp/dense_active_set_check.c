@@ -64,49 +64,26 @@ static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
  * towards the inside. Positive above the bound. */
 static real_t qp_excess(const qp_t *q, int c)
 {
-#if NG
-    const real_t value = qp_value(q, c, q->x);
-#else
-    const real_t value = q->x[c];
-#endif
-#if ELASTIC
-    if (qp_is_saturated(q, c)) {
-        const real_t excess = value - qp_bound(q, c);
-        return (excess < R(0)) == (q->side[c] > 0) ? excess : R(0);
-    }
-#endif
+    real_t over, under;
+    const real_t value = qp_violations(q, c, q->x, &over, &under);
     if (qp_is_member(q, c)) {
         return value - qp_bound(q, c);
     }
-    return value > q->upper[c] ? value - q->upper[c] : value < q->lower[c] ? value - q->lower[c] : R(0);
-}
-
-/* Returns 1 if the gradient of the Lagrangian is known to vanish up to rounding, as y = y0 - Q'R lam with a definite H is
- * no small difference of large terms. */
-static int qp_is_stationary(const qp_t *q)
-{
-    real_t terms = q->scale * q->scale;
-    for (int k = 0; k < q->nw; ++k) {
-        terms += q->lam[k] * q->lam[k] * qp_square(q, k);
-    }
-    return !q->semidefinite && terms <= R(64) * dot(q->work.basis.y, q->work.basis.y, LDV);
+    return over > R(0) ? over : under > R(0) ? -under : R(0);
 }
 
 /* Returns 1 if x and mult satisfy the optimality conditions up to rounding: of the terms of a row or, if all of them
- * nearly vanish, of the cancellation in y = y0 - Q'R lam. r: gradient of the Lagrangian, or 0 if it need not be computed. */
-static int qp_is_optimal(const qp_t *q, real_t *r, int refined)
+ * nearly vanish, of the cancellation in y = y0 - Q'R lam. r: gradient of the Lagrangian. */
+static int qp_is_optimal(const qp_t *q, real_t *r)
 {
     real_t size[LDV];
     int optimal = 1;
-    clear(r);
-    if (refined || !qp_is_stationary(q)) {
-        qp_stationarity(q, r, size);
-        for (int i = 0; i < NV; ++i) {
-            optimal &= FABS(r[i]) <= qp_tolerance() * size[i];
-        }
+    qp_stationarity(q, r, size);
+    for (int i = 0; i < NV; ++i) {
+        optimal &= FABS(r[i]) <= TOL_QP_RESIDUAL * size[i];
     }
     for (int c = 0; c < NV + NG && optimal; ++c) {
-        const real_t excess = FABS(qp_excess(q, c)) / qp_tolerance();
+        const real_t excess = FABS(qp_excess(q, c)) / TOL_QP_RESIDUAL;
         optimal = excess <= qp_row_size(q, c) || excess <= TOL_UNIT * q->scale * qp_row_norm(q, c);
     }
     return optimal;
@@ -138,7 +115,7 @@ static int qp_accept(qp_t *q)
 {
     real_t r[LDV];
     for (int step = 0; qp_write_result(q); ++step) { /* at most 3 passes */
-        if (qp_is_optimal(q, r, step)) {
+        if (qp_is_optimal(q, r)) {
             return 1;
         }
         if (step == 2) {

@@ -152,13 +152,6 @@ static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
     }
 }
 
-/* Residual of a row or of the gradient, relative to its terms, that an answer may have: 2^-35 in double precision, 2^-13
- * in single. */
-static inline real_t qp_tolerance(void)
-{
-    return TOL_QP_RESIDUAL / SQRT(SQRT(TOL_UNIT));
-}
-
 /* Violation of row c, with normal m = Q'R r + v, that is regarded as rounding error. The part of the members is a
  * multiple of size = |bound| + |t|'|r| + |m| (|y| / 4 + a small fraction of |y0|), where a bound t_k counts with the
  * terms that it sums up. As entering would move y by violation / |v|, the multiple grows with |m| / |v| up to that of a
@@ -172,7 +165,7 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_
         size += qp_bound_size(q, q->row[k], q->side[q->row[k]]) * FABS(r[k]);
     }
     if (q->strict) {
-        return q->strict > 1 ? R(0.25) * qp_tolerance() * qp_row_size(q, c)
+        return q->strict > 1 ? R(0.25) * TOL_QP_RESIDUAL * qp_row_size(q, c)
                              : R(0.25) * most * (size + qp_row_size(q, c));
     }
     size += SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);

@@ -68,7 +68,7 @@ def test_no_sample_exceeds_the_worst_case(problem: str, solver: str) -> None:
     loop = loop_of(problem, solver, algorithm=RealTimeIteration(relaxation=100.0))
     worst = package_of(loop).description.report.worst_operations
     assert worst["prepare"] + worst["feedback"] == worst["sample"]
-    (found,) = count(loop, hostile(loop, 80))
+    (found,) = count(loop, hostile(loop, 80), optimise=False)
     assert np.max(found.every) <= worst["sample"]
     assert np.min(found.every) > 0
 
@@ -81,7 +81,7 @@ def test_the_cap_on_iterations_counts(solver: str) -> None:
     loop = loop_of("soft rows", solver, qp=few)
     stated = package_of(loop).description.report.worst_operations["sample"]
     more = package_of(loop_of("soft rows", solver)).description.report.worst_operations["sample"]
-    (found,) = count(loop, hostile(loop, 80))
+    (found,) = count(loop, hostile(loop, 80), optimise=False)
     assert np.max(found.every) <= stated < more
 
 
@@ -142,7 +142,7 @@ def test_no_sample_exceeds_its_budget(problem: str, solver: str) -> None:
     require_tool("cxx")
     loop = with_budget(loop_of(problem, solver), 2 * least(problem, solver))
     module = package_of(loop)
-    (found,) = count(loop, hostile(loop, 80))
+    (found,) = count(loop, hostile(loop, 80), optimise=False)
     assert np.max(found.every) <= module.sizes["MAX_OPERATIONS"]
     assert np.any(found.status == Status.ITERATION_LIMIT)
     assert outside(module, found.u) == 0
@@ -152,8 +152,8 @@ def test_no_sample_exceeds_its_budget(problem: str, solver: str) -> None:
 def test_a_budget_that_binds_ends_the_sample_and_the_plan_recovers(solver: str) -> None:
     """The control is that of the plan meanwhile; later it is the one of a controller without a budget."""
     loop = with_budget(loop_of("boxes", solver), 2 * least("boxes", solver))
-    limited = build(PROBLEMS["boxes"](), loop.options)
-    free = build(PROBLEMS["boxes"](), Options(qp=SOLVERS[solver]))
+    limited = build(PROBLEMS["boxes"](), loop.options, profile="test")
+    free = build(PROBLEMS["boxes"](), Options(qp=SOLVERS[solver]), profile="test")
     rest = np.zeros(4)
     assert np.isfinite(limited.step(rest)).all()
     statuses = []
@@ -175,7 +175,10 @@ def test_a_budget_that_binds_ends_the_sample_and_the_plan_recovers(solver: str) 
 
 def test_solve_has_no_budget() -> None:
     loop = with_budget(loop_of("boxes", "dense"), least("boxes", "dense"))
-    limited, free = build(PROBLEMS["boxes"](), loop.options), build(PROBLEMS["boxes"](), Options(qp=DenseActiveSet()))
+    limited, free = (
+        build(PROBLEMS["boxes"](), loop.options, profile="test"),
+        build(PROBLEMS["boxes"](), Options(qp=DenseActiveSet()), profile="test"),
+    )
     far = np.array([3.0, 0.0, 0.4, 0.0])
     ours, theirs = limited.solve(far), free.solve(far)
     assert ours.status == theirs.status == Status.OK

@@ -36,7 +36,7 @@ CASES = (
 @functools.cache
 def controller(precision: str) -> Controller:
     require_tool("cc")
-    return build(stage_ocp(SHAPE), options("dense", precision), profile="fast")
+    return build(stage_ocp(SHAPE), options("dense", precision), profile="test")
 
 
 @pytest.mark.parametrize(("kind", "numbers", "precision"), CASES)
@@ -64,7 +64,7 @@ def test_condensing_that_loses_the_digits(kind: str, number: int) -> None:
     """A bound met up to the rounding of a large sum; dynamics that grow by 850 in 6 intervals: right, or not OK."""
     require_tool("cc")
     qp = draw(kind, number)
-    found = solve(build(stage_ocp(qp.shape), options("dense", "single"), profile="fast"), qp, "single")
+    found = solve(build(stage_ocp(qp.shape), options("dense", "single"), profile="test"), qp, "single")
     assert verdict_of(qp, found, "single") is None
 
 

@@ -19,10 +19,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     ),
     "step": (2.0**13, "the same in a result of a condensed QP, expanded, with less of the terms counted"),
     "step_gradient": (2.0**13, "the same for the gradient, in which condensing of an unstable plant costs digits"),
-    "qp_residual": (
-        2.0**4,
-        "residual of a row or of the gradient in an answer, relative to its terms, times eps^(1/4)",
-    ),
+    "qp_residual": (2.0**10, "residual of a row or of the gradient in an answer, relative to its terms"),
     "riccati_pivot": (2.0**5, "rounding of a pivot of the Riccati recursion, relative to its diagonal entry"),
     "riccati_feasibility": (2.0**6, "violation of a bound that is taken as rounding, relative to |a|'|z| + |bound|"),
     "riccati_sign": (2.0**8, "wrong sign of a multiplier that is taken as rounding, relative to its terms"),
@@ -50,7 +47,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
 ROOTS: dict[str, float] = {"qp_accepted": 0.25, "step": 0.5, "ipm_ray": 2.0**-4, "ipm_contradiction": 2.0**-10}
 
 #: Values below which a tolerance does not fall in any precision.
-FLOORS: dict[str, float] = {"step_gradient": 2.0**-20}
+FLOORS: dict[str, float] = {"step_gradient": 2.0**-20, "qp_residual": 2.0**-35}
 
 
 def tolerance(name: str, precision: str) -> float:
