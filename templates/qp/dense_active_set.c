@@ -124,10 +124,10 @@ static status_t qp_factorize(qp_t *q)
 }
 
 /* An answer that is not accepted is computed again with a smaller tolerance for rounding errors. The rows contradict one
- * another if both attempts with a smaller tolerance find that. */
+ * another if both attempts with a smaller tolerance prove that. */
 static status_t qp_solve(qp_t *q)
 {
-    int contradictions = 0;
+    int proofs = 0;
     status_t status = q->factorized ? qp_take_bounds(q) : NUMERICAL_FAILURE;
     q->iterations = q->searches = q->changes = 0;
     if (status != OK) {
@@ -143,8 +143,8 @@ static status_t qp_solve(qp_t *q)
         if (status == OK && qp_accept(q)) {
             return OK;
         }
-        contradictions += status == INFEASIBLE;
-        if (status != OK && (!q->strict || contradictions == 2)) {
+        proofs += status == INFEASIBLE;
+        if (status != OK && (!q->strict || proofs == 2)) {
             return status != NUMERICAL_FAILURE && qp_write_result(q) ? status : qp_fail(q, NUMERICAL_FAILURE);
         }
     }
