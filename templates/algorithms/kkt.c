@@ -4,7 +4,7 @@
 static void enlarge(real_t *largest, real_t value)
 {
     const real_t a = FABS(value);
-    if (!(a <= *largest)) {
+    if (a > *largest || a != a) {
         *largest = a;
     }
 }
