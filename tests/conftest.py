@@ -11,6 +11,9 @@ from pathlib import Path
 # The matrices of the tests are small: further threads of NumPy's BLAS would only spin, at the expense of other workers.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Otherwise every Python program that a test starts compiles the modules of the project again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 import pytest
 from hypothesis import settings
 
@@ -37,7 +40,7 @@ SECOND_COMPILER = frozenset(
     {
         "components",
         *("test_online.py", "test_start_cost.py", "test_closed_loop.py", "test_pathrows.py", "test_linearize.py"),
-        *("test_robustness.py", "test_solve.py"),
+        *("test_robustness.py", "test_solve.py", "test_cli.py"),
     }
 )
 

@@ -322,11 +322,11 @@ static status_t run_qp(solver_t *s)
 
 #include "algorithms/failure.c"
 
-/* largest = max(largest, |value|), where a value that is not finite counts as the largest and remains. */
+/* largest = max(largest, |value|), where NaN counts as the largest value. */
 static void enlarge(real_t *largest, real_t value)
 {
     const real_t a = FABS(value);
-    if (!(a <= *largest) && isfinite(*largest)) {
+    if (a > *largest || a != a) {
         *largest = a;
     }
 }

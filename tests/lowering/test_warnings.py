@@ -166,7 +166,8 @@ def pairwise() -> list[Choice]:
     pairs = [sum(1 << bits.setdefault(p, len(bits)) for p in itertools.combinations(enumerate(c), 2)) for c in every]
     missing, chosen = (1 << len(bits)) - 1, []
     while missing:
-        best = max(range(len(every)), key=lambda i: (pairs[i] & missing).bit_count())
+        found = [(pair & missing).bit_count() for pair in pairs]
+        best = found.index(max(found))
         chosen.append(every[best])
         missing &= ~pairs[best]
     return chosen

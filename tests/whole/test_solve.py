@@ -96,6 +96,18 @@ def test_kkt_residuals(name: str) -> None:
         assert ours.complementarity == pytest.approx(theirs.complementarity, rel=1e-10)
 
 
+@pytest.mark.parametrize("part", ["x", "u", "lam", "mu_u"])
+def test_residuals_of_a_plan_that_is_not_finite(part: str) -> None:
+    """NaN at one node shows, whatever the residuals of the other nodes are."""
+    c = problems.controller("crane").copy()
+    assert c.solve((1.0, 0.0, 0.0, 0.0)).status == Status.OK
+    values = getattr(c, part)
+    for node in range(len(values)):
+        broken = c.copy()
+        getattr(broken, part)[node, 0] = np.nan
+        assert np.isnan(broken.kkt().stationarity) or np.isnan(broken.kkt().equality), node
+
+
 @pytest.mark.parametrize("name", sorted(CASES))
 def test_cost(name: str) -> None:
     c, point = perturbed(name)
