@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import casadi as ca
 import numpy as np
+import pytest
 
 from examples import quadrotor
 from nmpc_codegen import OCP, NoCondensing, Options, RiccatiActiveSet, RiccatiInteriorPoint, Status, build
@@ -25,6 +26,15 @@ def test_without_fall_back_the_interior_point_method_is_not_in_the_package() -> 
     assert without.bytes < with_it.bytes
     assert "ipm" not in render(without)[f"{without.name}.c"]
     assert apply_setting(Options(), "qp.fallback", "None").qp == RiccatiActiveSet(fallback=None)
+
+
+@pytest.mark.parametrize("cap", [1, 4, None])
+def test_attempts_after_the_interior_point_method_fit_the_record_of_working_sets(cap: int | None) -> None:
+    """Also if fewer working sets may be tried: every one of them has its entry in history[]."""
+    module = module_of(problem_of("reactor"), Options(condensing=NoCondensing(), qp=RiccatiActiveSet(cap)))
+    (history,) = (f for s in module.structs if s.name == "qp" for f in s.fields if f.name == "history")
+    assert history.padded == (1 + module.sizes["QP_MAX_ITERATIONS"],)
+    assert module.sizes["QP_MAX_POLISH"] == min(5, module.sizes["QP_MAX_ITERATIONS"])
 
 
 def test_without_fall_back_closed_loops_are_the_same_where_it_is_not_needed() -> None:

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 #: Default cap on the number of working sets that are tried.
 MAX_ITERATIONS = 50
 
+#: Cap on the working sets that are tried from that of the interior point method.
+MAX_POLISH = 5
+
 
 # The fall-back runs after other working sets have failed, so no good starting point is known.
 _COLD = RiccatiInteriorPoint(warm_start=False)
@@ -85,8 +88,9 @@ class RiccatiActiveSet(Defaults):
     def _fallback_sizes(self) -> tuple[tuple[str, int, str], ...]:
         if self.fallback is None:
             return ()
+        cap = self.max_iterations or MAX_ITERATIONS
         return (
-            ("QP_MAX_POLISH", 5, "cap on the working sets after the interior point method"),
+            ("QP_MAX_POLISH", min(cap, MAX_POLISH), "cap on the working sets after the interior point method"),
             ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on the interior point iterations of one QP"),
             ("IPM_WARM_START", int(self.fallback.warm_start), "1: start near the multipliers of the previous QP"),
         )
