@@ -4,7 +4,7 @@
 
 /* size[], which is 0: largest magnitude of every component of (dx, du) over the horizon, and of the gaps of the states.
  * Returns 1 if the step is finite. */
-static int measure_step(const solver_t *s, real_t *size)
+static int step_sizes(const solver_t *s, real_t *size)
 {
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {

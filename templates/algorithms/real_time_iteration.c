@@ -415,7 +415,7 @@ static status_t feedback_here(solver_t *s)
         return status;
     }
 #if CHECK_STEP
-    if (!measure_step(s, size)) {
+    if (!step_sizes(s, size)) {
         return NUMERICAL_FAILURE;
     }
 #if HARD_ROWS
