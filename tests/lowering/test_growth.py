@@ -175,8 +175,8 @@ def test_the_compiler_leaves_out_what_loses_digits_and_says_so() -> None:
 def test_closed_loop_of_what_keeps_the_digits(N: int, options: Options) -> None:
     """What the compiler chooses in single precision, and full condensing in double, against stages in double."""
     require_tool("cc")
-    found = build(cart_pole(N), options)
-    exact = build(cart_pole(N), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
+    found = build(cart_pole(N), options, "test")
+    exact = build(cart_pole(N), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()), "test")
     assert worst_difference(found, exact) < 80 * 1e-3
 
 
@@ -184,8 +184,8 @@ def test_what_the_estimate_misses_is_not_called_ok(monkeypatch: pytest.MonkeyPat
     """Full condensing in single precision, not refused: what is called OK is right, or a failure is reported."""
     require_tool("cc")
     monkeypatch.setattr("nmpc_codegen.lowering.growth.REFUSED", 1.0)
-    exact = build(cart_pole(40), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
-    found = build(cart_pole(40), DENSE)
+    exact = build(cart_pole(40), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()), "test")
+    found = build(cart_pole(40), DENSE, "test")
     statuses, x = set(), np.array([0.2, 0.3, 0.0, 0.0])
     exact.x[:] = 0.0
     for _ in range(20):
@@ -209,7 +209,7 @@ def test_rows_that_the_eliminated_states_violate(monkeypatch: pytest.MonkeyPatch
     ocp.least_squares(ca.vertcat(x, y, u), weight=[1.0, 1.0, 1.0])
     ocp.subject_to(-2, u, 2)
     ocp.subject_to(0, ocp.x, 0, at="end")
-    controller = build(ocp, Options(condensing=condensing, precision="single"))
+    controller = build(ocp, Options(condensing=condensing, precision="single"), "test")
     rng = np.random.default_rng(0)
     for _ in range(30):
         controller.reset()
