@@ -14,7 +14,7 @@ from nmpc_codegen.runtime.status import Status
 OPTIONS = Options(qp=Osqp())
 
 
-@pytest.mark.parametrize("name", ["crane", "path_rows"])
+@pytest.mark.parametrize("name", ["crane", "path_rows", "state_bounds"])
 def test_the_same_steps_as_the_active_set(name: str) -> None:
     """Two samples of real-time iteration: equality constraints, bounds and rows, active ones among them."""
     case = problems.CASES[name]

@@ -154,7 +154,7 @@ def random_ocp(draw: Any) -> OCP:
     return OCP(draw(st.sampled_from(["a", "int", "a b"])), T=T, N=count)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=140, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_only_problem_errors(data: st.DataObject) -> None:
     with warnings.catch_warnings():
@@ -181,7 +181,7 @@ def test_only_problem_errors(data: st.DataObject) -> None:
             consistent(problem)
 
 
-@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=70, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_mutations_of_a_whole_problem(data: st.DataObject) -> None:
     """A valid problem, then a few random calls: still consistent, or a ProblemError."""

@@ -21,7 +21,7 @@ from benchmarks.lib.peers import SqpMethod, available, time_sqpmethod
 from benchmarks.lib.report import Report
 from benchmarks.lib.scenarios import Case, cases
 from examples import crane
-from nmpc_codegen import Options
+from nmpc_codegen import ExactHessian, Options
 
 X0 = (2.0, 0.0, 0.0, 0.0)
 SCENARIO = Scenario(X0, 0.3, 4, amplitude=0.01)
@@ -139,9 +139,10 @@ def test_every_topic_can_be_imported(topic: str) -> None:
     assert callable(importlib.import_module(f"benchmarks.{topic}").main)
 
 
-def test_phases_of_a_sample_are_timed() -> None:
+@pytest.mark.parametrize("hessian", [bioreactor.MIRROR, bioreactor.PROJECT])
+def test_phases_of_a_sample_are_timed(hessian: ExactHessian) -> None:
     require_tool("cc")
-    times = bioreactor.phases(bioreactor.condensed(bioreactor.MIRROR, unroll="none"), runs=1, steps=3)
+    times = bioreactor.phases(bioreactor.condensed(hessian, unroll="none"), runs=1, steps=3)
     assert len(times) == len(bioreactor.PHASES)
     assert min(times) >= 0
     assert max(times[:-1]) <= times[-1]

@@ -101,11 +101,11 @@ def test_residuals_of_a_plan_that_is_not_finite(part: str) -> None:
     """NaN at one node shows, whatever the residuals of the other nodes are."""
     c = problems.controller("crane").copy()
     assert c.solve((1.0, 0.0, 0.0, 0.0)).status == Status.OK
-    values = getattr(c, part)
-    for node in range(len(values)):
+    for node in range(len(getattr(c, part))):
         broken = c.copy()
         getattr(broken, part)[node, 0] = np.nan
-        assert np.isnan(broken.kkt().stationarity) or np.isnan(broken.kkt().equality), node
+        residuals = broken.kkt()
+        assert np.isnan(residuals.stationarity) or np.isnan(residuals.equality), node
 
 
 @pytest.mark.parametrize("name", sorted(CASES))

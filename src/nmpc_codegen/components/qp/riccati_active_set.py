@@ -72,15 +72,15 @@ class RiccatiActiveSet(Defaults):
         """Whether the fall-back is in the package."""
         return {"INTERIOR_POINT": int(self.fallback is not None)}
 
+    @property
+    def _cap(self) -> int:
+        return self.max_iterations or MAX_ITERATIONS
+
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions and caps."""
         return (
             *riccati_sizes(dims),
-            (
-                "QP_MAX_ITERATIONS",
-                self.max_iterations or MAX_ITERATIONS,
-                "cap on the working sets of one feedback phase",
-            ),
+            ("QP_MAX_ITERATIONS", self._cap, "cap on the working sets of one feedback phase"),
             ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
             *self._fallback_sizes(),
         )
@@ -88,9 +88,8 @@ class RiccatiActiveSet(Defaults):
     def _fallback_sizes(self) -> tuple[tuple[str, int, str], ...]:
         if self.fallback is None:
             return ()
-        cap = self.max_iterations or MAX_ITERATIONS
         return (
-            ("QP_MAX_POLISH", min(cap, MAX_POLISH), "cap on the working sets after the interior point method"),
+            ("QP_MAX_POLISH", min(self._cap, MAX_POLISH), "cap on the working sets after the interior point method"),
             ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on the interior point iterations of one QP"),
             ("IPM_WARM_START", int(self.fallback.warm_start), "1: start near the multipliers of the previous QP"),
         )
@@ -99,7 +98,7 @@ class RiccatiActiveSet(Defaults):
         """The recursion; the QP and its working set."""
         ng, nx = dims.ng, dims.qp.nxs
         nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
-        history = Size("QP_MAX_ITERATIONS + 1", (self.max_iterations or MAX_ITERATIONS) + 1)
+        history = Size("QP_MAX_ITERATIONS + 1", self._cap + 1)
         units, noise = units_structs(dims) if self.fallback is not None or ng.value > 0 else ((), None)
         corrected = (Field("lam", (nodes, nx), "multipliers of the dynamics while refining", "scratch"),)
         return (
