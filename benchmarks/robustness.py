@@ -11,13 +11,15 @@ from collections.abc import Callable
 
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import episodes, qps, returns, work
+from benchmarks.lib.robustness import episodes, qps, returns, violations, work, worst
 
 PARTS: dict[str, Callable[[Report, float], None]] = {
     "qps": qps.measure,
     "returns": returns.measure,
     "episodes": episodes.measure,
     "work": work.measure,
+    "worst": worst.measure,
+    "violations": violations.measure,
 }
 
 

@@ -79,10 +79,10 @@ static void solve_upper(const real_t (*C)[LDV], const real_t *inverse, real_t *y
     }
 }
 
-/* y := L^{-T} y; L unit lower triangular. */
-static void solve_unit_upper(const real_t (*L)[LDV], real_t *y)
+/* y := L^{-T} y, n entries, n a multiple of 4; L unit lower triangular. */
+static void solve_unit_upper(const real_t (*L)[LDV], real_t *y, int n)
 {
-    for (int b = LDV - 4; b >= 0; b -= 4) {
+    for (int b = n - 4; b >= 0; b -= 4) {
         const real_t *l1 = L[b + 1] + b, *l2 = L[b + 2] + b, *l3 = L[b + 3] + b;
         real_t x[4];
         x[3] = y[b + 3];

@@ -41,6 +41,7 @@ SWITCHES = {
     "BLOCK_ROWS": 1,
     "INTERIOR_POINT": 1,
     "SET_REFERENCE": 1,
+    "BUDGET": 0,
 }
 
 
@@ -54,6 +55,8 @@ def qp_dims(nv: int, ng: int) -> Dims:
         "nv": Size("NV", nv),
         "ng": Size("NG", ng),
         "ld": Size("LDV", -(-nv // 4) * 4),
+        "ldh": Size("LDH", -(-nv // 4) * 4),
+        "nsl": Size("NSL", 0),
     }
     condensed = QpDims(**{name: named[name] for name in QpDims.__dataclass_fields__})
     core = {name: named[name] for name in Dims.__dataclass_fields__ if name != "condensed"}
@@ -64,7 +67,16 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
     """Self-contained C text of the component with exported entry points test_init, test_factorize, ..."""
     component = component or DenseActiveSet()
     dims = qp_dims(nv, ng)
-    sizes = {"NS": 1, "NUS": nv, "NV": nv, "NG": ng, "LDV": dims.qp.ld.value, "ELASTIC": int(ng > 0)}
+    sizes = {
+        "NS": 1,
+        "NUS": nv,
+        "NV": nv,
+        "NG": ng,
+        "LDV": dims.qp.ld.value,
+        "LDH": dims.qp.ldh.value,
+        "NSL": 0,
+        "ELASTIC": int(ng > 0),
+    }
     sizes |= {name: value for name, value, _ in component.sizes(dims)}
     text = [unit_head(sizes, precision)]
     text += [struct_text(struct) for struct in component.structs(dims)]

@@ -82,6 +82,7 @@ static inline real_t *stage_b(solver_t *s, int k) { return s->stage.b[k]; }
 static inline real_t *stage_g(solver_t *s, int k) { return s->stage.g[k]; }
 static inline real_t (*stage_Q(solver_t *s, int k))[NZS] { return s->hessian.Q[k]; }
 static inline real_t (*stage_Q_N(solver_t *s))[NXS] { return s->hessian.Q_N; }
+static inline real_t stage_row_value(const solver_t *s, int m) { (void)s; (void)m; return R(0); }
 """
 ROW_ACCESSOR = "static inline const real_t *stage_row(const solver_t *s, int m) { return s->stage.J[m]; }\n"
 

@@ -3,7 +3,9 @@
     OCP --classify--> Problem --linearize--> Model --lower--> CModule --render--> Sources --build--> Controller
     (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C names)  (path -> text)  (NumPy views)
 
-Every stage is a pure function from frozen values to a frozen value; only OCP and Controller, at the ends, are mutable.
+settled() lowers the model, derives the worst case of a sample from the text of its functions and, where QP solvers are
+close, decides between them by it. Every stage is a pure function from frozen values to a frozen value; only OCP and
+Controller, at the ends, are mutable.
 CasADi is used up to linearize, jinja2 only in render, and cffi only in build.
 """
 
@@ -14,12 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nmpc_codegen.bounds.package import settled
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
-from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.build import load
@@ -56,7 +58,7 @@ def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) 
     """Run the pipeline up to the CModule, the last value before text. It raises the errors of generate()."""
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
-    return lower(linearize(classify(ocp), options or Options()), name)
+    return settled(linearize(classify(ocp), options or Options()), name)
 
 
 def export(

@@ -57,6 +57,11 @@ static void name_violation(solver_t *s)
  * options. */
 static status_t give_way(solver_t *s)
 {
+#if BUDGET
+    if (!qp_afford(&s->qp, COST_RELAXATION)) {
+        return ITERATION_LIMIT;
+    }
+#endif
     status_t status;
     s->relaxation = relaxation_weight[0];
     status = run_qp(s);
@@ -74,19 +79,56 @@ static status_t give_way(solver_t *s)
 #endif
 #endif
 
-/* Prevents a failure from repeating itself. After a numerical failure, and after the second failure of the QP in a row,
- * all states of the plan restart at the measured state, as the plan may be far from it; the controls are kept. If the
- * QP solver did not converge, its working set is discarded. */
-static void recover(solver_t *s, status_t status)
+#if BUDGET
+/* Called after a sample that its budget ended: plan and working set are kept, from which the next sample goes on. After
+ * every PATIENCE such samples without a success in between the plan restarts at the measured state with its controls at
+ * their references. */
+static void be_late(solver_t *s)
 {
-    const int solved = status == OK || status == RELAXED;
-    const int measured = status != NOT_FINITE && status != NOT_PREPARED;
-    if (measured) {
-        s->failing = solved ? 0 : s->failing ? 2 : 1;
-    }
-    if (status == NUMERICAL_FAILURE || (measured && s->failing == 2)) {
+    if (++s->late % PATIENCE == 0) {
+        forget_plan(s);
         start_at_measured(s);
-    } else if (status == ITERATION_LIMIT || status == STALLED) {
-        condense_init(s);
+        s->late = 0;
+    }
+}
+#endif
+
+static int plan_is_finite(const solver_t *s)
+{
+    int finite = 1;
+    for (int k = 0; k <= N; k++) {
+        finite &= all_finite(s->x[k], NX) && (k == N || all_finite(s->u[k], NU));
+    }
+    return finite;
+}
+
+/* Prevents a failure from repeating itself. A single failure may come from its sample alone: the plan is kept, and only
+ * the working set is discarded if the QP solver did not converge. After the second failure in a row all states of the plan
+ * restart at the measured state with the controls of the plan; if there is no finite linearisation at the plan (broken),
+ * and after the third failure, nothing of the plan is kept. A plan that is not finite is given up at the first failure. */
+static void recover(solver_t *s, status_t status, int broken)
+{
+#if BUDGET
+    if (status == ITERATION_LIMIT && s->qp.allowance == 0) {
+        be_late(s);
+        return;
+    }
+    s->late = (status == OK || status == RELAXED) ? 0 : s->late;
+#endif
+    if (status == OK || status == RELAXED) {
+        s->failing = FINE;
+    } else if (status != NOT_FINITE && status != NOT_PREPARED) {
+        s->failing += (s->failing < FOR_GOOD);
+        if ((s->failing == TWICE && broken) || !plan_is_finite(s)) {
+            s->failing = FOR_GOOD;
+        }
+        if (s->failing == FOR_GOOD) {
+            forget_plan(s);
+        }
+        if (s->failing >= TWICE) {
+            start_at_measured(s);
+        } else if (status == ITERATION_LIMIT || status == STALLED) {
+            condense_init(s);
+        }
     }
 }

@@ -1,14 +1,5 @@
 /* KKT residuals of the present iterate. */
 
-/* largest = max(largest, |value|), where NaN counts as the largest value. */
-static void enlarge(real_t *largest, real_t value)
-{
-    const real_t a = FABS(value);
-    if (a > *largest || a != a) {
-        *largest = a;
-    }
-}
-
 /* Residuals of one row lower <= value <= upper with multiplier mu: its violation, and |mu| times the distance to the
  * bound that the sign of mu selects. */
 static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t mu)

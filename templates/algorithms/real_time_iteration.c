@@ -1,6 +1,9 @@
 /* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt and, if SOLVE, _solve.
  * Here: real-time iteration, one QP and one full step per sample. */
 
+/* Values of failing: failures in a row, and how much of the plan is given up. */
+enum { FINE, ONCE, TWICE, FOR_GOOD };
+
 /* Control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
 static real_t safe_value(const solver_t *s, int k, int j)
 {
@@ -42,17 +45,33 @@ static void start_at_measured(solver_t *s)
     start_at(s, all_finite(s->xhat, NX) ? s->xhat : initial_state);
 }
 
-/* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
-static void algorithm_reset(solver_t *s)
+/* Sets the controls of the plan to their references, and free components of x_0 to their declared initial values. */
+static void forget_plan(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             s->u[k][j] = CONTROL_REFERENCE(s, k, j);
         }
     }
+#if NF
+    for (int f = 0; f < NF; f++) {
+        s->xhat[free_state[f]] = initial_state[free_state[f]];
+    }
+#endif
+}
+
+/* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
+static void algorithm_reset(solver_t *s)
+{
+    forget_plan(s);
     memcpy(s->xhat, initial_state, sizeof s->xhat);
     s->prepared = 0;
-    s->samples = s->failing = 0;
+    s->samples = 0;
+    s->failing = FINE;
+#if BUDGET
+    s->late = 0;
+    s->qp.allowance = 0;
+#endif
     s->status = (int32_t)OK;
 #if RELAXATION
     s->relaxation = (real_t)INFINITY;
@@ -117,6 +136,11 @@ static void linearize(solver_t *s)
 }
 
 #if SET_REFERENCE
+/* Values of renewal: gradients of the linearisation compared with references, weights and parameters. Weights and
+ * parameters act at the next prepare; once one of them has changed, so do further references, as gradients that mix new
+ * weights with the old linearisation would belong to no problem. */
+enum { UP_TO_DATE, REFERENCE_CHANGED, HELD };
+
 /* Recomputes the gradients after references have changed since prepare; the rest of the linearisation remains valid. */
 static void renew_gradients(solver_t *s)
 {
@@ -132,8 +156,19 @@ static void renew_gradients(solver_t *s)
     TERMINAL_GRADIENT(s, s->terminal.g);
 #endif
     condense_gradient(s);
-    s->reference_changed = 0;
+    s->renewal = UP_TO_DATE;
 }
+
+#if SET_WEIGHT || SET_PARAMETER
+/* Called before a weight or parameter changes: references that have changed before take effect with the old values. */
+static void hold_gradients(solver_t *s)
+{
+    if (s->prepared && s->renewal == REFERENCE_CHANGED) {
+        renew_gradients(s);
+    }
+    s->renewal = HELD;
+}
+#endif
 #endif
 
 /* The control returned if no new one could be computed: that of the plan or, if it is not finite, its reference,
@@ -151,6 +186,14 @@ static status_t finish(solver_t *s, status_t status)
     return status;
 }
 
+#if BUDGET
+/* ITERATION_LIMIT in place of a failure of a sample whose budget is used up. */
+static status_t within_budget(const solver_t *s, status_t status)
+{
+    return (status != OK && status != RELAXED && s->qp.allowance == 0) ? ITERATION_LIMIT : status;
+}
+
+#endif
 /* Preparation phase: linearises, evaluates the Hessian, condenses and factorises. */
 static status_t prepare_here(solver_t *s)
 {
@@ -159,7 +202,7 @@ static status_t prepare_here(solver_t *s)
     hessian(s);
 #endif
 #if SET_REFERENCE
-    s->reference_changed = 0;
+    s->renewal = UP_TO_DATE;
 #endif
     return condense_prepare(s);
 }
@@ -173,51 +216,20 @@ status_t API(prepare)(solver_t *s)
 #if SHIFT
     if (s->samples > 0 && !s->prepared) {
         API(shift)(s);
-        if (s->failing == 2) { /* states that the shift integrates may be as far off as the failed plan */
+        if (s->failing >= TWICE) { /* states that the shift integrates may be as far off as the failed plan */
             start_at_measured(s);
         }
     }
 #endif
+#if BUDGET
+    s->qp.allowance = ALLOWANCE;
+#endif
     status = prepare_here(s);
+#if BUDGET
+    status = within_budget(s, status);
+#endif
     s->prepared = 1;
     return finish(s, status);
-}
-
-/* lam_N = q_N + Q_N dx_N + (rows)_N,  lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + (rows)_k. */
-static void recover_multipliers(solver_t *s)
-{
-    real_t w[NZ];
-    TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
-    for (int k = N;; k--) {
-        for (int i = 0; i < NX; i++) {
-            w[i] += s->mu_x[k][i];
-#if NE
-            for (int j = 0; j < NE && (k == 0 || k == N); j++) {
-                w[i] += ((k == N) ? s->coupled.J_N[j][i] : s->coupled.J_0[j][i]) * s->eta[j];
-            }
-#endif
-#if NH
-            for (int j = 0; j < NH && k < N; j++) {
-                w[i] += s->node[k].J[j][i] * s->mu[k][j];
-            }
-#endif
-#if NH_N
-            for (int j = 0; j < NH_N && k == N; j++) {
-                w[i] += s->terminal.J[j][i] * s->mu_N[j];
-            }
-#endif
-            s->lam[k][i] = w[i];
-        }
-        if (k == 0) {
-            break;
-        }
-        ADJOINT_STEP(&s->node[k - 1], s->hessian.Q[NQ == 1 ? 0 : k - 1], s->step.dx[k - 1], s->step.du[k - 1], w);
-    }
-#if NF
-    for (int f = 0; f < NF; f++) {
-        s->lam[0][free_state[f]] = R(0);
-    }
-#endif
 }
 
 /* Copies the multipliers of the QP to the multipliers of the corresponding rows. */
@@ -231,6 +243,7 @@ static void scatter_multipliers(solver_t *s)
 #endif
 }
 
+#if SOLVE || !CHECK_STEP
 /* Returns 1 if the step of the QP is finite. */
 static int step_is_finite(const solver_t *s)
 {
@@ -247,6 +260,7 @@ static int step_is_finite(const solver_t *s)
     }
     return isfinite(probe) != 0;
 }
+#endif
 
 /* x += dx, u += du. The controls are clipped afterwards because u + (upper - u) can exceed the bound by one ulp. */
 static void take_step(solver_t *s)
@@ -308,13 +322,83 @@ static status_t run_qp(solver_t *s)
 
 #include "algorithms/failure.c"
 
-/* Feedback phase: embeds the measured state s->xhat, solves the QP and takes the full step. The iterate changes only on
+/* largest = max(largest, |value|), where NaN counts as the largest value. */
+static void enlarge(real_t *largest, real_t value)
+{
+    const real_t a = FABS(value);
+    if (a > *largest || a != a) {
+        *largest = a;
+    }
+}
+
+#if CHECK_STEP
+#include "algorithms/check_step.c"
+#endif
+
+/* lam_N = q_N + Q_N dx_N + (rows)_N,  lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + (rows)_k. Returns 0 if the
+ * gradient with respect to the controls is known not to vanish. */
+static int recover_multipliers(solver_t *s)
+{
+    int stationary = 1;
+    real_t w[NZ];
+#if CHECK_GRADIENT
+    real_t rest[NU] = {0}, terms[NU] = {0};
+#endif
+    TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
+    for (int k = N; k >= 0; k--) {
+        for (int i = 0; i < NX; i++) {
+            w[i] += s->mu_x[k][i];
+#if NE
+            for (int j = 0; j < NE && (k == 0 || k == N); j++) {
+                w[i] += ((k == N) ? s->coupled.J_N[j][i] : s->coupled.J_0[j][i]) * s->eta[j];
+            }
+#endif
+#if NH
+            for (int j = 0; j < NH && k < N; j++) {
+                w[i] += s->node[k].J[j][i] * s->mu[k][j];
+            }
+#endif
+#if NH_N
+            for (int j = 0; j < NH_N && k == N; j++) {
+                w[i] += s->terminal.J[j][i] * s->mu_N[j];
+            }
+#endif
+            s->lam[k][i] = w[i];
+        }
+        if (k == 0) {
+            break;
+        }
+        ADJOINT_STEP(&s->node[k - 1], s->hessian.Q[NQ == 1 ? 0 : k - 1], s->step.dx[k - 1], s->step.du[k - 1], w);
+#if CHECK_GRADIENT
+        check_controls(s, k - 1, w, rest, terms);
+#endif
+    }
+#if CHECK_GRADIENT
+    for (int j = 0; j < NU; j++) {
+        stationary &= isfinite(terms[j]) && rest[j] <= TOL_STEP_GRADIENT * terms[j];
+    }
+#if REGULARIZE_REDUCED
+    stationary |= s->condensed.regularized;
+#endif
+#endif
+#if NF
+    for (int f = 0; f < NF; f++) {
+        s->lam[0][free_state[f]] = R(0);
+    }
+#endif
+    return stationary;
+}
+
+/* Feedback phase: embeds the measured state s->xhat, solves the QP and takes the full step. States and controls change only on
  * success. */
 static status_t feedback_here(solver_t *s)
 {
+#if CHECK_STEP
+    real_t size[NZ] = {0};
+#endif
     status_t status;
 #if SET_REFERENCE
-    if (s->reference_changed) {
+    if (s->renewal == REFERENCE_CHANGED) {
         renew_gradients(s);
     }
 #endif
@@ -324,14 +408,30 @@ static status_t feedback_here(solver_t *s)
         status = give_way(s);
     }
 #endif
+#if BUDGET
+    status = within_budget(s, status);
+#endif
     if (status != OK && status != RELAXED) {
         return status;
     }
+#if CHECK_STEP
+    if (!step_sizes(s, size)) {
+        return NUMERICAL_FAILURE;
+    }
+#if HARD_ROWS
+    if (status == OK && !rows_hold(s, size)) {
+        return NUMERICAL_FAILURE;
+    }
+#endif
+#else
     if (!step_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
+#endif
     scatter_multipliers(s);
-    recover_multipliers(s);
+    if (!recover_multipliers(s)) {
+        return NUMERICAL_FAILURE;
+    }
     take_step(s);
     return status;
 }
@@ -339,18 +439,19 @@ static status_t feedback_here(solver_t *s)
 status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
 {
     status_t status;
-    int measured;
+    int measured, broken;
     if (s->magic != MAGIC) {
         memcpy(u0, default_control, sizeof default_control);
         return NOT_INITIALIZED;
     }
     measured = take_state(s, xhat);
+    broken = s->prepared && s->status != OK;
     forget_violation(s);
     if (!s->prepared) {
         status = NOT_PREPARED;
     } else if (!measured) {
         status = NOT_FINITE;
-    } else if (s->status != OK) {
+    } else if (broken) {
         status = (status_t)s->status;
     } else {
         status = feedback_here(s);
@@ -358,7 +459,7 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     s->prepared = 0;
     s->samples += (s->samples < MANY);
     safe_control(s, u0);
-    recover(s, status);
+    recover(s, status, broken);
     return finish(s, status);
 }
 

@@ -328,7 +328,7 @@ static status_t sqp_iteration(solver_t *s, int iteration)
         return NUMERICAL_FAILURE;
     }
     scatter_multipliers(s);
-    recover_multipliers(s);
+    (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
     update_weights(s);
     evaluate_constraints(s, &terms);
     start = merit_of(s, &terms);
@@ -404,18 +404,6 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
     }
 }
 
-static int plan_is_finite(const solver_t *s)
-{
-    int finite = 1;
-    for (int k = 0; k <= N; k++) {
-        finite &= all_finite(s->x[k], NX);
-    }
-    for (int k = 0; k < N; k++) {
-        finite &= all_finite(s->u[k], NU);
-    }
-    return finite;
-}
-
 status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
 {
     status_t status;
@@ -423,6 +411,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         return NOT_INITIALIZED;
     }
     s->prepared = 0;
+#if BUDGET
+    s->qp.allowance = -1;
+#endif
     if (!take_state(s, xhat)) {
         return finish(s, NOT_FINITE);
     }

@@ -10,7 +10,8 @@
  * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k. All states but dx_0 are eliminated in O(N^2), COLUMNS columns at
  * a time, in memory of the QP solver: qp.work.columns, which qp_factorize overwrites. The variables of the QP are
  * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
- * lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. */
+ * lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. The QP solver
+ * knows where slacks occur: neither the Hessian nor the rows have entries for them. */
 
 #include "generated/product_columns.c"
 
@@ -86,13 +87,13 @@ static inline void condense_store(const real_t *panel, int column, real_t *dx0, 
 {
     enum {
         BORDER = NX % COLUMNS, /* columns of dx_0 in a panel that has du_0, too */
-        LAST = LDV + NX < LDG ? LDV + NX + COLUMNS - LDG : COLUMNS /* columns of the last panel that H has */
+        LAST = LDH + NX < LDG ? LDH + NX + COLUMNS - LDG : COLUMNS /* columns of the last panel that H has */
     };
     if (column + COLUMNS <= NX) {
         memcpy(dx0 + column, panel, COLUMNS * sizeof *panel);
     } else if (column < NX) {
         memcpy(dx0 + column, panel, BORDER * sizeof *panel);
-        memcpy(du, panel + BORDER, (COLUMNS - BORDER < LDV ? COLUMNS - BORDER : LDV) * sizeof *panel);
+        memcpy(du, panel + BORDER, (COLUMNS - BORDER < LDH ? COLUMNS - BORDER : LDH) * sizeof *panel);
     } else if (column + COLUMNS < LDG) {
         memcpy(du + column - NX, panel, COLUMNS * sizeof *panel);
     } else {
@@ -162,19 +163,6 @@ static void condense_store_free(solver_t *s)
 }
 
 #endif
-#if NSL
-/* Hessian rows of the slacks: l2 on the diagonal. */
-static void condense_store_slacks(solver_t *s)
-{
-    for (int m = 0; m < NG; ++m) {
-        const int row = row_slack[m];
-        for (int i = 0; row >= 0 && i <= row; ++i) {
-            s->qp.H[row][i] = (i == row) ? ROW_CURVATURE(m) : R(0);
-        }
-    }
-}
-
-#endif
 #if GENERAL_ROWS || NE
 /* Panel of J_x G_k + J_u at du_k for the general or coupled row m; a coupled row also contains J_0 dx_0. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
@@ -232,22 +220,14 @@ static void condense_row(solver_t *s, int m, int column)
     condense_store(panel, column, s->condensed.Ax[m], s->qp.A[m]);
 }
 
-#if NF || NSL
-/* Entries of the rows at the free components of dx_0 and at the slacks. */
+#if NF
+/* Entries of the rows at the free components of dx_0. */
 static void condense_store_others(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
-        real_t *a = s->qp.A[m];
-#if NF
         for (int f = 0; f < NF; ++f) {
-            a[N * NU + f] = s->condensed.Ax[m][free_state[f]];
+            s->qp.A[m][N * NU + f] = s->condensed.Ax[m][free_state[f]];
         }
-#endif
-#if NSL
-        for (int i = N * NU + NF; i < NV; ++i) {
-            a[i] = (i == row_slack[m]) ? -R(1) : R(0);
-        }
-#endif
     }
 }
 
@@ -269,10 +249,7 @@ static void condense_matrices(solver_t *s)
 #if NF
     condense_store_free(s);
 #endif
-#if NSL
-    condense_store_slacks(s);
-#endif
-#if NG && (NF || NSL)
+#if NG && NF
     condense_store_others(s);
 #endif
 }
@@ -314,13 +291,14 @@ static void condense_embed_free(solver_t *s, const real_t *dx0)
 
 #endif
 #if NSL
-/* Gradient, bounds and penalties of the slacks; the rows with a slack are hard. */
+/* Gradient, bounds, curvatures and penalties of the slacks; the rows with a slack are hard. */
 static void condense_embed_slacks(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
         const int slack = row_slack[m];
         if (slack >= 0) {
             s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
+            s->qp.curvature[slack - (NV - NSL)] = ROW_CURVATURE(m);
             s->qp.penalty[slack] = ROW_PENALTY(s, m);
             s->qp.penalty[NV + m] = (real_t)INFINITY;
         }
@@ -333,7 +311,13 @@ static void condense_embed_slacks(solver_t *s)
 static void condense_embed_rows(solver_t *s, const real_t *dx0)
 {
     for (int m = 0; m < NG; ++m) {
-        const real_t value = condense_sum(s->condensed.v[m], s->condensed.Ax[m], dx0);
+        real_t value = s->condensed.v[m], terms = s->condensed.terms[m];
+        for (int i = 0; i < NX; ++i) {
+            const real_t term = s->condensed.Ax[m][i] * dx0[i];
+            value += term;
+            terms += FABS(term);
+        }
+        s->qp.terms[m] = terms;
         s->qp.lower[NV + m] = ROW_LOWER(s, m) - value;
         s->qp.upper[NV + m] = ROW_UPPER(s, m) - value;
 #if ELASTIC
@@ -373,26 +357,64 @@ static void condense_embed(solver_t *s)
 #endif
 }
 
-/* Gradients, and the values of the rows at du = 0, dx_0 = 0: v = row + J_x c_k. */
+#if NG
+/* size[], which is 0: largest magnitude of every component of c_0, c_1, ..., c_N. */
+static void condense_sizes(const solver_t *s, real_t *size)
+{
+    for (int k = 1; k <= N; ++k) {
+        for (int i = 0; i < NX; ++i) {
+            const real_t c = FABS(s->condensed.c[k][i]);
+            size[i] = c > size[i] ? c : size[i];
+        }
+    }
+}
+
+#if GENERAL_ROWS || NE
+/* J'c for the general or coupled row m; terms += |J|'size. */
+static inline real_t condense_change(const real_t *J, const real_t *c, const real_t *size, real_t *terms)
+{
+    real_t change = R(0);
+    for (int i = 0; i < NX; ++i) {
+        change += J[i] * c[i];
+        *terms += FABS(J[i]) * size[i];
+    }
+    return change;
+}
+
+#endif
+/* Value of the row m at du = 0, dx_0 = 0, v = row + J_x c_k, and the magnitude of its terms, where a state counts with
+ * its largest magnitude, because its rounding errors travel along the horizon. */
+static void condense_value(solver_t *s, int m, const real_t *size)
+{
+    const real_t *c = s->condensed.c[row_node[m]], constant = ROW_CONSTANT(s, m);
+    real_t change, terms = FABS(constant);
+#if STATE_ROWS && (GENERAL_ROWS || NE)
+    if (row_kind[m] == ROW_STATE) {
+        change = c[row_index[m]];
+        terms += size[row_index[m]];
+    } else {
+        change = condense_change(nodal_row(s, m), c, size, &terms);
+    }
+#elif STATE_ROWS
+    change = c[row_index[m]];
+    terms += size[row_index[m]];
+#else
+    change = condense_change(nodal_row(s, m), c, size, &terms);
+#endif
+    s->condensed.v[m] = constant + change;
+    s->condensed.terms[m] = terms;
+}
+
+#endif
+/* Gradients, and the values of the rows at du = 0, dx_0 = 0. */
 static void condense_rows(solver_t *s)
 {
     condense_gradient(s);
 #if NG
+    real_t size[NX] = {0};
+    condense_sizes(s, size);
     for (int m = 0; m < NG; ++m) {
-        const real_t *c = s->condensed.c[row_node[m]];
-#if STATE_ROWS && (GENERAL_ROWS || NE)
-        real_t change;
-        if (row_kind[m] == ROW_STATE) {
-            change = c[row_index[m]];
-        } else {
-            change = condense_sum(R(0), nodal_row(s, m), c);
-        }
-#elif STATE_ROWS
-        const real_t change = c[row_index[m]];
-#else
-        const real_t change = condense_sum(R(0), nodal_row(s, m), c);
-#endif
-        s->condensed.v[m] = ROW_CONSTANT(s, m) + change;
+        condense_value(s, m, size);
     }
 #endif
 }

@@ -15,7 +15,8 @@
  * constant: z = (dx, copies, du).
  * Controls beyond the horizon are padding with Hessian 1, no gradient and no bounds, so that they remain 0.
  * Data that a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles),
- * stage_row (gradient of a general row), and the tables stage_first, stage_of_row, stage_state. */
+ * stage_row (gradient of a general row), stage_row_value (constant of a row), and the tables stage_first, stage_of_row,
+ * stage_state. */
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);

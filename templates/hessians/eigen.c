@@ -127,7 +127,7 @@ static real_t ql_step(real_t (*W)[LDV], real_t *d, real_t *e, int l, int m, int 
         d[i] -= shift;
     }
     p = d[m];
-    for (int i = m - 1; i >= l; --i) {
+    for (int i = m - 1; i >= l; --i) { /* at most n - 1 - l passes */
         const real_t g = c * e[i], h = c * p, r = SQRT(p * p + e[i] * e[i]);
         real_t *w = W[i], *v = W[i + 1];
         c3 = c2;
@@ -159,7 +159,7 @@ static void decompose(real_t (*W)[LDV], real_t *d, real_t *e, int n)
         const real_t here = FABS(d[l]) + FABS(e[l]);
         size = (here > size) ? here : size;
         int m = l;
-        while (m < n - 1 && FABS(e[m]) > TOL_UNIT * size) {
+        while (m < n - 1 && FABS(e[m]) > TOL_UNIT * size) { /* at most n - 1 - l passes */
             ++m;
         }
         for (int iteration = 0; m > l && iteration < MAX_QL && FABS(e[l]) > TOL_UNIT * size; ++iteration) {

@@ -44,7 +44,8 @@ static int regularize_reduced(real_t (*H)[LDV], int n, real_t (*work)[LDV])
 static status_t condense_factorize(solver_t *s)
 {
     const status_t status = qp_factorize(&s->qp);
-    if (status != NUMERICAL_FAILURE) {
+    s->condensed.regularized = status == NUMERICAL_FAILURE;
+    if (!s->condensed.regularized) {
         return status;
     }
     condense_matrices(s);

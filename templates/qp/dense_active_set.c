@@ -27,7 +27,9 @@
  * side[] is the working set and is kept for the warm start (+-1: member at its upper or lower bound, +-2: saturated
  * there); the caller may change it before qp_factorize.
  * Between qp_solve and qp_factorize the caller may use all of `work`.
- * Columns NV to LDV of A are zero; those of H, its rows NV to LDV and its upper triangle are not read.
+ * The last NSL variables are the slacks of the rows that row_slack states; their curvature is in curvature[], and
+ * neither H nor A has entries for them: A has NV - NSL columns and zeros up to LDH. The other entries of H and its upper
+ * triangle are not read.
  *
  * Method (Goldfarb and Idnani 1983) in the coordinates y = C'z, where H = C C' and C is lower triangular. In them the
  * cost is 1/2 |y - y0|^2 with y0 = -C^{-1} g, and row a is m'y with m = C^{-1} a. The nw rows of the working set W are
@@ -44,10 +46,14 @@
  *
  * Storage: H holds D on its diagonal, L below and L' above it, C = L D^{1/2}, L unit lower triangular. R is stored
  * transposed (row j: coefficients of member j). Loops run over panels of four, for which every vector and matrix is
- * padded with zeros.
+ * padded with zeros. C continues with the square roots of the curvatures of the slacks.
  * ------------------------------------------------------------------------------------------------------------------ */
 
 #include "linear_algebra.c"
+
+#if BUDGET
+#include "qp/budget.c"
+#endif
 
 #include "qp/dense_active_set_factors.c"
 
@@ -56,6 +62,8 @@
 #include "qp/dense_active_set_iterate.c"
 
 #include "qp/dense_active_set_proximal.c"
+
+#include "qp/dense_active_set_check.c"
 
 static void qp_init(qp_t *q)
 {
@@ -69,36 +77,78 @@ static void qp_init(qp_t *q)
     }
 }
 
-/* Factorises H and the predicted working set: equalities first, then the inequalities that are members. */
+/* Adds the predicted members to the working set, either the equalities or the inequalities. */
+static status_t qp_predict(qp_t *q, int equality, int again, real_t fraction)
+{
+    status_t status = OK;
+    for (int c = 0; c < NV + NG && status == OK; ++c) {
+        if (qp_is_slack(c)) {
+            continue;
+        }
+        const int predicted = again ? q->side[c] == INACTIVE : qp_is_member(q, c) || (equality && !q->side[c]);
+        if (predicted && qp_is_equality(q, c) == equality) {
+#if BUDGET
+            if (!qp_afford(q, COST_PREDICTION)) {
+                break;
+            }
+#endif
+            status = qp_predict_active(q, c, fraction);
+        }
+    }
+    return status;
+}
+
+/* Factorises H and the predicted working set: equalities first, then the inequalities that are members. Equalities that
+ * nearly depend on others wait until the others are members, and those that remain nearly dependent until they are
+ * violated; this keeps the condition number of R small. */
 static status_t qp_factorize(qp_t *q)
 {
+    const real_t least = R(16) * SQRT(TOL_UNIT);
     status_t status = qp_factorize_hessian(q);
     clear(q->R_inverse);
     q->nw = 0;
-    for (int equality = 1; equality >= 0; --equality) {
-        for (int c = 0; c < NV + NG && status == OK; ++c) {
-            const int predicted = qp_is_member(q, c) || (equality && q->side[c] == INACTIVE);
-            if (predicted && qp_is_equality(q, c) == equality) {
-                status = qp_predict_active(q, c);
-            }
+#if NSL
+    qp_fix_slacks(q);
+#endif
+    if (status == OK) {
+        real_t fraction = R(0.5);
+        status = qp_predict(q, 1, 0, fraction);
+        while (fraction > least && status == OK) { /* at most 5 passes */
+            fraction = fraction * fraction > least ? fraction * fraction : least;
+            status = qp_predict(q, 1, 1, fraction);
         }
+        status = status == OK ? qp_predict(q, 0, 0, TOL_QP_DEPENDENT_PREDICTION) : status;
     }
     q->factorized = status == OK;
     return q->factorized ? OK : qp_fail(q, status);
 }
 
+/* An answer that is not accepted is computed again with a smaller tolerance for rounding errors. The rows contradict one
+ * another if both attempts with a smaller tolerance prove that. */
 static status_t qp_solve(qp_t *q)
 {
+    int proofs = 0;
     status_t status = q->factorized ? qp_take_bounds(q) : NUMERICAL_FAILURE;
-    q->iterations = q->changes = 0;
+    q->iterations = q->searches = q->changes = 0;
     if (status != OK) {
         return qp_fail(q, status);
     }
-    status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
-    if (status == NUMERICAL_FAILURE || !qp_write_result(q)) {
-        return qp_fail(q, NUMERICAL_FAILURE);
+    for (q->strict = 0; q->strict < 3; ++q->strict) { /* at most 3 passes */
+#if BUDGET
+        if (!qp_afford(q, COST_ATTEMPT)) {
+            return qp_fail(q, ITERATION_LIMIT);
+        }
+#endif
+        status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
+        if (status == OK && qp_accept(q)) {
+            return OK;
+        }
+        proofs += status == INFEASIBLE;
+        if (status != OK && (!q->strict || proofs == 2)) {
+            return status != NUMERICAL_FAILURE && qp_write_result(q) ? status : qp_fail(q, NUMERICAL_FAILURE);
+        }
     }
-    return status;
+    return qp_fail(q, NUMERICAL_FAILURE);
 }
 
 #if !SHIFT_RESAMPLE

@@ -15,7 +15,7 @@ static void qp_add_row(const qp_t *q, int c, real_t t, real_t *y)
         y[c] += t;
         return;
     }
-    for (int i = 0; i < LDV; ++i) {
+    for (int i = 0; i < LDH; ++i) {
         y[i] += t * q->A[c - NV][i];
     }
 }
@@ -36,11 +36,19 @@ static void qp_shift_origin(qp_t *q, real_t mult)
     q->scale += FABS(mult) * norm(q->work.basis.m);
 }
 
-/* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. */
+/* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. A row
+ * with a slack stays. */
 static void qp_saturate(qp_t *q, int k, int side)
 {
+    /* 0 <= k <= NV - 1 */
     const int c = q->row[k];
     const basis_t *w = &q->work.basis;
+#if NSL
+    if (qp_can_yield(q, c)) {
+        qp_yield(q, k, side);
+        return;
+    }
+#endif
     for (int i = 0; i <= k; ++i) {
         for (int j = 0; j < LDV; ++j) {
             q->y0[j] -= (side > 0 ? q->penalty[c] : -q->penalty[c]) * w->R[k][i] * w->Q[i][j];
@@ -136,14 +144,39 @@ static int qp_take_penalties(qp_t *q)
     return valid;
 }
 
+/* Moves a saturated variable that is inside its bound by rounding to the bound. */
+static void qp_clip_saturated(qp_t *q, int c)
+{
+    const real_t bound = qp_bound(q, c);
+    if ((q->x[c] < bound) == (q->side[c] > 0)) {
+        q->x[c] = bound;
+    }
+}
+
+/* Violation of row c, which is saturated or has a slack that moves; 0 for a slack itself. */
+static real_t qp_relaxation(const qp_t *q, int c)
+{
+#if NSL
+    if (c >= NV && qp_moving_slack(q, c) >= 0) {
+        return q->x[qp_slack(c)];
+    }
+#endif
+    return qp_is_saturated(q, c) && !qp_is_slack(c) ? qp_value(q, c, q->x) - qp_bound(q, c) : R(0);
+}
+
 /* Writes the multipliers of the saturated rows and counts the rows that are violated by more than rounding. */
 static void qp_write_saturated(qp_t *q)
 {
-    for (int c = NV; q->elastic && c < NV + NG; ++c) {
+    for (int c = 0; q->elastic && c < NV + NG; ++c) {
         if (qp_is_saturated(q, c)) {
-            const real_t bound = qp_bound(q, c), excess = qp_value(q, c, q->x) - bound;
             q->mult[c] = qp_outside_multiplier(q, c);
-            q->relaxed += FABS(excess) > TOL_QP_REDUNDANT * (qp_row_size(q, c) + FABS(bound));
+            if (c < NV) {
+                qp_clip_saturated(q, c);
+            }
+        }
+        const real_t excess = FABS(qp_relaxation(q, c));
+        if (excess > R(0)) {
+            q->relaxed += excess > TOL_QP_REDUNDANT * (qp_row_size(q, c) + FABS(qp_bound(q, c)));
         }
     }
 }

@@ -1,9 +1,11 @@
 /* Contract of this part: H = L D L' = C C' and the substitutions with its factors. */
 
-/* A pivot may be zero if it is below this fraction of the diagonal entry. */
+/* A pivot may be zero if it is below this fraction of the diagonal entry: 2^-40 in double precision, 2^-15.5 in
+ * single. */
 static inline real_t qp_zero_pivot(void)
 {
-    return SQRT(TOL_UNIT / 256);
+    const real_t root = SQRT(TOL_UNIT / 256), least = 4096 * TOL_UNIT;
+    return least < root ? least : root;
 }
 
 /* Weight of the proximal term as a fraction of the diagonal entry: 2^-17 in double precision, 2^-10 in single. */
@@ -15,15 +17,20 @@ static inline real_t qp_proximal_share(void)
 /* y := C^{-1} y = D^{-1/2} L^{-1} y, where y_i = 0 for i < first. */
 static void qp_forward(const qp_t *q, real_t *y, int first)
 {
-    for (int b = first - first % 4; b < LDV; b += 4) {
+    for (int b = first - first % 4; b < LDH; b += 4) {
         real_t c[4];
         solve_block(q->H + b, b, y + b, c);
         y[b] = c[0] * q->inverse[b];
         y[b + 1] = c[1] * q->inverse[b + 1];
         y[b + 2] = c[2] * q->inverse[b + 2];
         y[b + 3] = c[3] * q->inverse[b + 3];
-        subtract_panel(y, q->H + b, c, b + 4, LDV);
+        subtract_panel(y, q->H + b, c, b + 4, LDH);
     }
+#if NSL
+    for (int i = LDH; i < LDV; ++i) {
+        y[i] *= q->inverse[i];
+    }
+#endif
 }
 
 /* z = C^{-T} y = L^{-T} D^{-1/2} y. */
@@ -32,7 +39,7 @@ static void qp_backward(const qp_t *q, const real_t *y, real_t *z)
     for (int j = 0; j < LDV; ++j) {
         z[j] = y[j] * q->inverse[j];
     }
-    solve_unit_upper(q->H, z);
+    solve_unit_upper(q->H, z, LDH);
 }
 
 /* Median of the positive numbers in v; 1 if there is none. */
@@ -40,12 +47,12 @@ static real_t qp_median(const real_t *v)
 {
     real_t middle = R(0);
     int positive = 0;
-    for (int i = 0; i < NV; ++i) {
+    for (int i = 0; i < NV - NSL; ++i) {
         positive += v[i] > R(0);
     }
-    for (int i = 0; i < NV; ++i) {
+    for (int i = 0; i < NV - NSL; ++i) {
         int smaller = 0;
-        for (int j = 0; j < NV; ++j) {
+        for (int j = 0; j < NV - NSL; ++j) {
             smaller += v[j] > R(0) && v[j] < v[i];
         }
         middle = 2 * smaller <= positive && v[i] > middle ? v[i] : middle;
@@ -74,20 +81,20 @@ static real_t qp_length(const qp_t *q, int i)
  * relevant. Returns 0 if a diagonal entry is negative, or zero in a row that is not zero. */
 static int qp_add_proximal_term(qp_t *q, const real_t *reference)
 {
-    real_t length[NV], cost[NV];
+    real_t length[NV - NSL], cost[NV - NSL];
     int valid = 1;
-    for (int i = 0; i < NV; ++i) {
+    for (int i = 0; i < NV - NSL; ++i) {
         length[i] = qp_length(q, i);
         cost[i] = reference[i] * length[i] * length[i];
     }
     const real_t middle = qp_median(cost);
-    for (int i = 0; i < NV; ++i) {
+    for (int i = 0; i < NV - NSL; ++i) {
         const real_t other = middle / (length[i] * length[i]);
         const int known = reference[i] > TOL_QP_PIVOT * other;
         q->proximal[i] = known ? qp_proximal_share() * reference[i] : R(1.0 / 64) * other;
         q->H[i][i] += q->proximal[i];
         valid &= reference[i] >= R(0);
-        for (int j = 0; j < NV; ++j) {
+        for (int j = 0; j < NV - NSL; ++j) {
             const real_t x = j < i ? q->H[i][j] : q->H[j][i];
             valid &= known || j == i || x * x <= qp_zero_pivot() * other * reference[j];
         }
@@ -126,7 +133,7 @@ static void qp_factorize_diagonal(qp_t *q, int b, const real_t *reference)
 static void qp_factorize_panel(qp_t *q, int b)
 {
     const qp_t *known = q;
-    for (int i = b + 4; i < LDV; ++i) {
+    for (int i = b + 4; i < LDH; ++i) {
         real_t *h = q->H[i] + b, x[4];
         solve_block(known->H + b, b, h, x);
         memcpy(h, x, sizeof x);
@@ -135,7 +142,7 @@ static void qp_factorize_panel(qp_t *q, int b)
         q->H[b + 2][i] = x[2] * q->inverse[b + 2];
         q->H[b + 3][i] = x[3] * q->inverse[b + 3];
     }
-    for (int i = b + 4; i < NV; ++i) {
+    for (int i = b + 4; i < NV - NSL; ++i) {
         subtract_panel(q->H[i], known->H + b, q->H[i] + b, b + 4, i + 1);
         for (int l = b; l < b + 4; ++l) {
             q->H[i][l] *= q->inverse[l];
@@ -146,24 +153,36 @@ static void qp_factorize_panel(qp_t *q, int b)
 /* H = L D L' in place. Returns 0 if a pivot is not positive. */
 static int qp_factorize_panels(qp_t *q, const real_t *reference)
 {
-    for (int b = 0; b < LDV; b += 4) {
+    for (int b = 0; b < LDH; b += 4) {
         qp_factorize_diagonal(q, b, reference);
         qp_factorize_panel(q, b);
     }
-    return isfinite(q->inverse[LDV - 1]);
+    return isfinite(q->inverse[LDH - 1]);
 }
 
-/* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}. Rows NV to LDV are those of the identity, which completes
- * the last panel. If a pivot of H may be zero, H is restored from a copy, and the proximal term is added. */
+#if NSL
+/* Curvature of variable i, a slack or padding. */
+static real_t qp_curvature(const qp_t *q, int i)
+{
+    return i < NV ? q->curvature[i - (NV - NSL)] : R(1);
+}
+#endif
+
+/* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}. Rows of slacks and of the identity complete the last panel.
+ * If a pivot of H may be zero, H is restored from a copy, and the proximal term is added. */
 static status_t qp_factorize_hessian(qp_t *q)
 {
-    real_t reference[LDV];
+    real_t reference[LDH];
     int valid;
-    for (int i = NV; i < LDV; ++i) {
+    for (int i = NV - NSL; i < LDH; ++i) {
         clear(q->H[i]);
+#if NSL
+        q->H[i][i] = qp_curvature(q, i);
+#else
         q->H[i][i] = R(1);
+#endif
     }
-    for (int i = 0; i < LDV; ++i) {
+    for (int i = 0; i < LDH; ++i) {
         reference[i] = q->H[i][i];
         copy(q->work.basis.Q[i], q->H[i]);
     }
@@ -173,8 +192,13 @@ static status_t qp_factorize_hessian(qp_t *q)
         memcpy(q->H, q->work.basis.Q, sizeof q->H);
         valid = qp_add_proximal_term(q, reference) && qp_factorize_panels(q, reference);
     }
-    for (int i = 0; i < LDV; ++i) {
+    for (int i = 0; i < LDH; ++i) {
         q->inverse[i] = SQRT(q->inverse[i]);
     }
+#if NSL
+    for (int i = LDH; i < LDV; ++i) {
+        q->inverse[i] = R(1) / SQRT(qp_curvature(q, i));
+    }
+#endif
     return valid ? OK : NUMERICAL_FAILURE;
 }

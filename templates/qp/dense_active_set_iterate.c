@@ -28,7 +28,12 @@ static int qp_wrong_multiplier(const qp_t *q)
  * none. */
 static status_t qp_restore_dual_feasibility(qp_t *q)
 {
-    for (;;) {
+    for (;;) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
+#if BUDGET
+        if (!qp_afford(q, COST_RELEASE)) {
+            return ITERATION_LIMIT;
+        }
+#endif
         qp_minimize_on_working_set(q);
         const int k = qp_wrong_multiplier(q);
         if (k < 0) {
@@ -122,11 +127,10 @@ static int qp_takes_part(const qp_t *q, const real_t *r, int k, real_t mm)
 }
 
 /* First member whose multiplier lam - side step r, r = R^{-1} d, reaches an end of its range when that of the entering
- * row increases by `step` on the given side. Returns -1, with an infinite step, if there is none. */
+ * row increases on the given side, which shortens the step. Returns -1 if there is none within the step. */
 static int qp_blocking(const qp_t *q, const real_t *r, int side, real_t mm, real_t *step)
 {
     int first = -1;
-    *step = (real_t)INFINITY;
     for (int k = 0; k < q->nw; ++k) {
         const real_t room = qp_room(q, k, qp_falls(q, r, k, side)), rate = FABS(r[k]);
         if (room < *step * rate && qp_takes_part(q, r, k, mm)) {
@@ -148,17 +152,23 @@ static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
     }
 }
 
-/* Violation of the row with normal m = Q'R r + v that is regarded as rounding error. The part of the members is a
- * multiple of size = |bound| + |t|'|r| + |m| (|y| / 4 + a small fraction of |y0|). As entering would move y by
- * violation / |v|, the multiple grows with |m| / |v| up to that of a row that cannot enter. The part of v'y, which y0
- * dominates, is a multiple of |v| |y0|. */
-static real_t qp_rounding(const qp_t *q, const real_t *r, real_t bound, real_t mm, real_t vv)
+/* Violation of row c, with normal m = Q'R r + v, that is regarded as rounding error. The part of the members is a
+ * multiple of size = |bound| + |t|'|r| + |m| (|y| / 4 + a small fraction of |y0|), where a bound t_k counts with the
+ * terms that it sums up. As entering would move y by violation / |v|, the multiple grows with |m| / |v| up to that of a
+ * row that cannot enter. The part of v'y, which y0 dominates, is a multiple of |v| |y0|. If this has led to a residual
+ * that is too large, the terms of the row itself count in place of |m| |y|. */
+static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_t mm, real_t vv)
 {
     const real_t most = TOL_QP_REDUNDANT, least = TOL_QP_FEASIBILITY;
-    real_t size = FABS(bound) + SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);
+    real_t size = qp_bound_size(q, c, q->side[c] == INACTIVE ? side : q->side[c]);
     for (int k = 0; k < q->nw; ++k) {
-        size += FABS(qp_bound(q, q->row[k]) * r[k]);
+        size += qp_bound_size(q, q->row[k], q->side[q->row[k]]) * FABS(r[k]);
     }
+    if (q->strict) {
+        return q->strict > 1 ? R(0.25) * TOL_QP_RESIDUAL * qp_row_size(q, c)
+                             : R(0.25) * most * (size + qp_row_size(q, c));
+    }
+    size += SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);
     size *= vv * (most * most) > mm * (least * least) ? least * SQRT(mm / vv) : most;
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }
@@ -190,44 +200,61 @@ static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
     return violation > R(0) ? violation / vv : R(0);
 }
 
+/* Returns 1 if the violation of row c may be a rounding error; the bound for it is stored in slack[c]. */
+static int qp_is_rounding(qp_t *q, int c, const real_t *r, int side, real_t mm, real_t vv, real_t violation)
+{
+    q->slack[c] = qp_rounding(q, c, r, side, mm, vv);
+    return violation <= q->slack[c];
+}
+
+/* Splits the normal m of the entering row, m = Q'R r + v. Returns v'v. */
+static real_t qp_split(qp_t *q, real_t *r, real_t mm)
+{
+    const real_t vv = qp_project(q, mm);
+    copy(r, q->work.basis.d);
+    qp_solve_triangle(q, r);
+    return vv;
+}
+
 /* Takes dual steps until the violated row c is satisfied and in the working set, or its multiplier is at the end of its
  * range. A violation that may be a rounding error is accepted instead and stored in slack[c]. */
 static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
 {
+    const real_t sign = R(side), bound = (q->side[c] == INACTIVE ? side : q->side[c]) > 0 ? q->upper[c] : q->lower[c];
+    real_t r[LDV], moved = R(0), left = (real_t)INFINITY, mm = qp_normal(q, c);
 #if ELASTIC
-    const int at = q->side[c] == INACTIVE ? side : q->side[c];
-    real_t left = qp_reach(q, c);
-#else
-    const int at = side;
-    const real_t left = (real_t)INFINITY;
+    left = qp_reach(q, c);
 #endif
-    const real_t mm = qp_normal(q, c), bound = at > 0 ? q->upper[c] : q->lower[c], sign = side > 0 ? R(1) : -R(1);
-    real_t r[LDV], step, moved = R(0);
-    while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) {
-        const real_t vv = qp_project(q, mm);
-        copy(r, q->work.basis.d);
-        qp_solve_triangle(q, r);
-        if (!(moved > R(0))) {
-            q->slack[c] = qp_rounding(q, r, bound, mm, vv);
-            if (violation <= q->slack[c]) {
-                return OK;
-            }
+    while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
+#if BUDGET
+        if (!qp_afford(q, COST_STEP)) {
+            return ITERATION_LIMIT;
+        }
+#endif
+        const real_t vv = qp_split(q, r, mm);
+        if (!(moved > R(0)) && qp_is_rounding(q, c, r, side, mm, vv, violation)) {
+            return OK;
         }
         violation = sign * (dot(q->work.basis.m, q->work.basis.y, LDV) - bound);
         const real_t full = qp_full_step(violation, mm, vv);
-        const int blocking = qp_blocking(q, r, side, mm, &step), last = full <= step || left <= step;
-        step = full <= step ? full : step;
-        step = left < step ? left : step;
+        real_t step = left < full ? left : full;
+        const int blocking = qp_blocking(q, r, side, mm, &step);
         if (!(step < (real_t)INFINITY)) {
 #if SOLVE
             qp_certify(q, c, side, r, mm);
 #endif
-            return INFEASIBLE;
+            return qp_is_rounding(q, c, r, side, mm, vv, violation) ? OK : INFEASIBLE;
         }
         ++q->iterations;
         moved += step;
+        left -= step;
         qp_move(q, r, sign * step, full < (real_t)INFINITY);
-        if (last) {
+#if NSL
+        if (step < full && blocking < 0 && qp_yields(q, c, side, &mm, &left)) {
+            continue;
+        }
+#endif
+        if (blocking < 0) {
 #if ELASTIC
             qp_settle(q, c, side, full <= step, moved, vv);
 #else
@@ -236,7 +263,6 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
             return OK;
         }
 #if ELASTIC
-        left -= step;
         qp_release(q, blocking, qp_falls(q, r, blocking, side));
 #else
         qp_remove(q, blocking);
@@ -245,15 +271,16 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
     return isfinite(mm) ? ITERATION_LIMIT : NUMERICAL_FAILURE;
 }
 
-/* Adds row c to the predicted working set unless it depends on the rows already in it. */
-static status_t qp_predict_active(qp_t *q, int c)
+/* Adds row c to the predicted working set unless it depends on the rows already in it: a fraction of its normal must be
+ * outside their span. */
+static status_t qp_predict_active(qp_t *q, int c, real_t fraction)
 {
     const real_t mm = qp_normal(q, c);
     const int side = q->side[c] < 0 ? AT_LOWER : AT_UPPER;
     q->side[c] = INACTIVE;
     if (q->nw < NV && mm > R(0)) {
         const real_t vv = qp_project(q, mm);
-        if (vv > TOL_QP_DEPENDENT_PREDICTION * TOL_QP_DEPENDENT_PREDICTION * mm) {
+        if (vv > fraction * fraction * mm) {
             qp_append(q, c, side, vv, R(0));
         }
     }
@@ -268,7 +295,6 @@ static status_t qp_take_bounds(qp_t *q)
     for (int c = 0; c < NV + NG; ++c) {
         valid &= q->lower[c] < (real_t)INFINITY && q->upper[c] > -(real_t)INFINITY;
         ordered &= q->lower[c] <= q->upper[c];
-        q->slack[c] = R(0);
     }
 #if ELASTIC
     valid &= qp_take_penalties(q);
@@ -278,22 +304,34 @@ static status_t qp_take_bounds(qp_t *q)
     }
     for (int k = q->nw - 1; k >= 0; --k) {
         if (!isfinite(qp_bound(q, q->row[k]))) {
+#if BUDGET
+            if (!qp_afford(q, COST_REMOVAL)) {
+                return ITERATION_LIMIT;
+            }
+#endif
             qp_remove(q, k);
         }
     }
+#if NSL
+    qp_fix_slacks(q);
+    qp_share_penalties(q);
+#endif
     return OK;
 }
 
-/* Writes the results from y, lam and the working set. Active bounds hold exactly, and multipliers of the wrong sign
- * within rounding become 0. Returns 0 if the results are not finite. */
+/* Writes the results from y, lam and the working set. Bounds of variables hold exactly, and multipliers of the wrong
+ * sign within rounding become 0. Returns 0 if the results are not finite. */
 static int qp_write_result(qp_t *q)
 {
     real_t total = dot(q->x, q->x, LDV);
     q->dropped = q->relaxed = 0;
-    memcpy(q->z, q->x, sizeof q->z);
     memset(q->mult, 0, sizeof q->mult);
     for (int c = 0; c < NV + NG; ++c) {
-        q->dropped += q->side[c] == INACTIVE && qp_is_equality(q, c);
+        q->dropped += q->side[c] == INACTIVE && qp_is_equality(q, c) && !qp_is_slack(c);
+        if (c < NV && q->side[c] == INACTIVE) {
+            const real_t below = q->x[c] < q->lower[c] ? q->lower[c] : q->x[c];
+            q->x[c] = below > q->upper[c] ? q->upper[c] : below;
+        }
     }
 #if ELASTIC
     qp_write_saturated(q);
@@ -308,10 +346,10 @@ static int qp_write_result(qp_t *q)
         total += FABS(lam);
 #if NG
         if (c < NV) {
-            q->z[c] = qp_bound(q, c);
+            q->x[c] = qp_bound(q, c);
         }
 #else
-        q->z[c] = qp_bound(q, c);
+        q->x[c] = qp_bound(q, c);
 #endif
         if (qp_is_equality(q, c)) {
             q->side[c] = side;
@@ -320,6 +358,7 @@ static int qp_write_result(qp_t *q)
             q->mult[c] = lam;
         }
     }
+    memcpy(q->z, q->x, sizeof q->z);
     return isfinite(total);
 }
 
@@ -352,9 +391,18 @@ static status_t qp_iterate(qp_t *q)
 {
     int direct = 1, count = 0, side = INACTIVE;
     real_t violation = R(0);
+    memset(q->slack, 0, sizeof q->slack);
     qp_set_origin(q);
     status_t status = isfinite(q->scale) ? qp_restore_dual_feasibility(q) : NUMERICAL_FAILURE;
-    while (status == OK) {
+    while (status == OK) { /* at most QP_MAX_SEARCHES passes in qp_solve */
+#if BUDGET
+        if (!qp_afford(q, COST_SEARCH)) {
+            return ITERATION_LIMIT;
+        }
+#endif
+        if (q->searches++ >= QP_MAX_SEARCHES) {
+            return ITERATION_LIMIT;
+        }
         const int changes = q->changes;
         qp_backward(q, q->work.basis.y, q->x);
         const int c = qp_most_violated(q, &side, &violation);

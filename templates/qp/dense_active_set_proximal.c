@@ -1,16 +1,21 @@
 /* Contract of this part: proximal point iterations around the dual iterations, for a Hessian that is only
  * semidefinite. */
 
-/* u = C's. */
+/* u = C's, C' = D^{1/2} L'. */
 static void qp_to_working_coordinates(const qp_t *q, const real_t *s, real_t *u)
 {
-    for (int i = 0; i < LDV; ++i) {
-        u[i] = s[i];
-        for (int j = i + 1; j < LDV; ++j) {
-            u[i] += q->H[i][j] * s[j];
+    for (int k = 0; k < LDH; ++k) {
+        u[k] = s[k];
+        for (int i = k + 1; i < LDH; ++i) {
+            u[k] += q->H[k][i] * s[i];
         }
-        u[i] = u[i] / q->inverse[i];
+        u[k] *= q->H[k][k] * q->inverse[k];
     }
+#if NSL
+    for (int k = LDH; k < LDV; ++k) {
+        u[k] = s[k] / q->inverse[k];
+    }
+#endif
 }
 
 /* s'E s. */
@@ -108,6 +113,11 @@ static status_t qp_iterate_proximal(qp_t *q)
     q->total = R(0);
     q->step = (real_t)INFINITY;
     for (int step = 0; step < QP_MAX_PROXIMAL_STEPS && status == ITERATION_LIMIT; ++step) {
+#if BUDGET
+        if (!qp_afford(q, COST_PROXIMAL)) {
+            return ITERATION_LIMIT;
+        }
+#endif
         status = qp_iterate(q);
         if (status != OK) {
             return status;

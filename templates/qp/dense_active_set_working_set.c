@@ -13,19 +13,46 @@ static int qp_is_equality(const qp_t *q, int c)
     return q->lower[c] >= q->upper[c];
 }
 
+static inline int qp_is_slack(int c)
+{
+    return NV - NSL <= c && c < NV;
+}
+
 /* Bound of row c on its side. */
 static real_t qp_bound(const qp_t *q, int c)
 {
     return q->side[c] > 0 ? q->upper[c] : q->lower[c];
 }
 
+#if NSL
+#include "qp/dense_active_set_slack.c"
+#endif
+
 #if NG
 /* a_c'z */
 static inline real_t qp_value(const qp_t *q, int c, const real_t *z)
 {
-    return c < NV ? z[c] : dot(q->A[c - NV], z, LDV);
+    if (c < NV) {
+        return z[c];
+    }
+#if NSL
+    return dot(q->A[c - NV], z, LDH) - (qp_slack(c) < 0 ? R(0) : z[qp_slack(c)]);
+#else
+    return dot(q->A[c - NV], z, LDH);
+#endif
 }
 #endif
+
+/* Magnitude of the bound of row c on the given side and of the terms that it sums up. */
+static inline real_t qp_bound_size(const qp_t *q, int c, int side)
+{
+    const real_t bound = FABS(side > 0 ? q->upper[c] : q->lower[c]);
+#if NG
+    return c < NV ? bound : bound + q->terms[c - NV];
+#else
+    return bound;
+#endif
+}
 
 /* |D^{-1/2} a_c|, an estimate of |m|, where D^{1/2} is the diagonal of C. */
 static real_t qp_row_norm(const qp_t *q, int c)
@@ -33,25 +60,32 @@ static real_t qp_row_norm(const qp_t *q, int c)
 #if NG
     if (c >= NV) {
         real_t squares = R(0);
-        for (int j = 0; j < NV; ++j) {
+        for (int j = 0; j < NV - NSL; ++j) {
             squares += (q->A[c - NV][j] * q->inverse[j]) * (q->A[c - NV][j] * q->inverse[j]);
         }
+#if NSL
+        squares += qp_compliance(q, c);
+#endif
         return SQRT(squares);
     }
 #endif
     return q->inverse[c];
 }
 
-/* Magnitude of the terms of a_c'x, a lower bound. */
+/* Magnitude of the terms of a_c'x and of the bounds, a lower bound. */
 static real_t qp_row_size(const qp_t *q, int c)
 {
 #if NG
     if (c >= NV) {
-        real_t sum = R(0);
-        for (int j = 0; j < NV; ++j) {
+        real_t sum = q->terms[c - NV];
+        for (int j = 0; j < NV - NSL; ++j) {
             sum += FABS(q->A[c - NV][j] * q->x[j]);
         }
+#if NSL
+        return sum + (qp_slack(c) < 0 ? R(0) : FABS(q->x[qp_slack(c)]));
+#else
         return sum;
+#endif
     }
 #endif
     return FABS(q->x[c]) + q->inverse[c] * FABS(q->work.basis.y[c]);
@@ -92,13 +126,30 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
     solve_upper(q->work.basis.R, q->R_inverse, r, q->nw);
 }
 
+#if NG
+/* m = a_c of a general row. */
+static void qp_take_row(const qp_t *q, int c, real_t *m)
+{
+#if NSL
+    clear(m);
+    memcpy(m, q->A[c - NV], sizeof q->A[0]);
+    if (qp_moving_slack(q, c) >= 0) {
+        m[qp_slack(c)] = -R(1);
+    }
+#else
+    copy(m, q->A[c - NV]);
+#endif
+}
+#endif
+
 /* Normal of row c in the coordinates y: m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
 {
+    /* 0 <= c <= NV + NG - 1 */
     real_t *m = q->work.basis.m;
 #if NG
     if (c >= NV) {
-        copy(m, q->A[c - NV]);
+        qp_take_row(q, c, m);
         qp_forward(q, m, 0);
         return dot(m, m, LDV);
     }
@@ -186,6 +237,7 @@ static void qp_rotate(qp_t *q, int k)
 /* Removes member k from the working set. */
 static void qp_remove(qp_t *q, int k)
 {
+    /* 0 <= k <= NV - 1 */
     basis_t *w = &q->work.basis;
     const int last = q->nw - 1;
     q->side[q->row[k]] = INACTIVE;
@@ -203,6 +255,10 @@ static void qp_remove(qp_t *q, int k)
     clear(w->R[last]);
     ++q->changes;
 }
+
+#if NSL
+#include "qp/dense_active_set_yield.c"
+#endif
 
 #if ELASTIC
 #include "qp/dense_active_set_elastic.c"
@@ -241,18 +297,26 @@ static void qp_move_to_bounds(const qp_t *q, const real_t *w, real_t *c, real_t 
     qp_subtract_span(q, c, v);
 }
 
+/* w := R^{-T} w */
+static void qp_solve_transposed(const qp_t *q, real_t *w)
+{
+    for (int k = 0; k < q->nw; ++k) {
+        for (int j = 0; j < k; ++j) {
+            w[k] -= q->work.basis.R[k][j] * w[j];
+        }
+        w[k] *= q->R_inverse[k];
+    }
+}
+
 /* y and lam on the working set, where t are the active bounds: R'w = t, c = Q y0 - w, y = y0 - Q'c, lam = R^{-1} c.
  * After cancellation a second pass, with y in place of y0, restores Q y = w. */
 static void qp_minimize_on_working_set(qp_t *q)
 {
     real_t w[LDV];
     for (int k = 0; k < q->nw; ++k) {
-        real_t sum = qp_bound(q, q->row[k]);
-        for (int j = 0; j < k; ++j) {
-            sum -= q->work.basis.R[k][j] * w[j];
-        }
-        w[k] = sum * q->R_inverse[k];
+        w[k] = qp_bound(q, q->row[k]);
     }
+    qp_solve_transposed(q, w);
     copy(q->work.basis.y, q->y0);
     qp_move_to_bounds(q, w, q->lam, q->work.basis.y);
     qp_solve_triangle(q, q->lam);

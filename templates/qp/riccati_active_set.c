@@ -28,6 +28,8 @@
 
 #include "qp/stage_qp.c"
 
+#include "qp/stage_check.c"
+
 #include "qp/riccati_active_set_working_set.c"
 
 #include "qp/riccati_active_set_refine.c"
@@ -95,8 +97,10 @@ static status_t qp_factorize(solver_t *s)
     const int plain = riccati_convexify(s);
 #endif
 #if NG
-    if (!q->scaled) {
+    if (q->scaled == SCALES_NONE) {
         qp_scale_rows(s);
+    } else {
+        q->scaled = SCALES_EARLIER;
     }
 #endif
     qp_enter(s);
@@ -106,8 +110,13 @@ static status_t qp_factorize(solver_t *s)
     if (!qp_renew(s)) { /* weights and working set may belong to a QP with other scales */
         qp_start_empty(s);
         if (!qp_renew(s)) {
+#if INTERIOR_POINT
+            q->factorized = FACTORS_OTHER; /* the interior point method can regularise more */
+            return OK;
+#else
             q->factorized = FACTORS_NONE;
             return qp_fail(q, NUMERICAL_FAILURE);
+#endif
         }
     }
     q->factorized = FACTORS_READY;
@@ -131,19 +140,42 @@ static int qp_has_multipliers(const qp_t *q)
     return isfinite(sum);
 }
 
+#if NG
+/* Returns 1 if the last minimiser was refined with the scales of an earlier QP, to a residual that may be rounding. */
+static int qp_needs_scales(const qp_t *q)
+{
+    return q->scaled != SCALES_OWN && q->refined && q->residual <= TOL_RICCATI_ROUNDING;
+}
+
+/* Active-set iterations from the present working set with the scales of this QP. */
+static status_t qp_settle_in_own_scales(solver_t *s)
+{
+#if BUDGET
+    if (!qp_afford(&s->qp, COST_SCALES)) {
+        return ITERATION_LIMIT;
+    }
+#endif
+    qp_scale_rows(s);
+    qp_enter(s);
+    return qp_settle(s, QP_MAX_POLISH);
+}
+
+#endif
 /* Active-set iterations from the predicted working set, then the fallback. */
 static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
     q->exact = 1;
-    status_t status = qp_iterate(s, QP_MAX_ITERATIONS);
+    status_t status = qp_settle(s, QP_MAX_ITERATIONS);
+#if NG
+    if (status == STALLED && qp_needs_scales(q)) {
+        status = qp_settle_in_own_scales(s);
+    }
+#endif
     if (status != OK) { /* a numerical failure that persists: unbounded QP or invalid data */
         const status_t next = qp_fall_back(s);
         status = (status == NUMERICAL_FAILURE && next == ITERATION_LIMIT) ? status : next;
         status = qp_has_multipliers(q) ? status : NUMERICAL_FAILURE;
-    }
-    if (q->exact && status == OK) {
-        qp_finish(q);
     }
     return status;
 }

@@ -25,32 +25,63 @@ static void qp_take_back(solver_t *s)
     q->exact = 0;
 }
 
-/* Restarts from the empty working set. If this fails, runs the interior point method and restarts from the working set
- * that it indicates. */
-static status_t qp_fall_back(solver_t *s)
+/* Active-set iterations from the working set that the interior point iterate indicates. If they fail, that iterate is
+ * the result. */
+static status_t qp_polish(solver_t *s)
 {
-    qp_t *q = &s->qp;
-    qp_start_empty(s);
-    if (qp_iterate(s, QP_MAX_ITERATIONS) == OK) {
-        return OK;
+    status_t status;
+    qp_put_aside(s);
+    qp_enter(s);
+    status = qp_settle(s, QP_MAX_POLISH);
+    if (status != OK) {
+        qp_take_back(s);
     }
-    const int before = q->iterations;
+    return status;
+}
+
+/* The interior point method, which ends as soon as it indicates a working set, and continues if this set is not the one
+ * of the solution. The scales of the rows become those of this QP. */
+static status_t qp_cross_over(solver_t *s)
+{
+    status_t status;
     s->ipm.ready = 0;
-    const status_t status = ipm_solve(s);
-    q->iterations += before;
-    q->stale = q->stale_vectors = NS;
-    q->factorized = FACTORS_OTHER;
-    if (status != OK && status != ITERATION_LIMIT) {
-        return status;
-    }
+    s->ipm.crossing = CROSS_OVER;
+    status = ipm_solve(s);
 #if NG
     qp_set_units(s);
 #endif
-    qp_put_aside(s);
-    qp_enter(s);
-    if (qp_iterate(s, QP_MAX_POLISH) == OK) {
-        return OK;
+    if (s->ipm.crossing == HANDED_OVER) {
+        s->ipm.crossing = TO_THE_END;
+        if (qp_polish(s) == OK) {
+            return OK;
+        }
+        status = ipm_resume(s);
     }
-    qp_take_back(s);
+    s->ipm.crossing = TO_THE_END;
+    if (status == OK || status == ITERATION_LIMIT) {
+        status = (qp_polish(s) == OK) ? OK : status;
+    }
+    return status;
+}
+
+/* The interior point method; if it finds neither a solution nor a contradiction, active-set iterations from the empty
+ * working set. */
+static status_t qp_fall_back(solver_t *s)
+{
+    qp_t *q = &s->qp;
+    const int before = q->iterations;
+    status_t status;
+#if BUDGET
+    if (!qp_afford(q, COST_RESTART)) {
+        return ITERATION_LIMIT;
+    }
+#endif
+    status = qp_cross_over(s);
+    q->iterations += before;
+    if (status != OK && status != INFEASIBLE) {
+        qp_start_empty(s);
+        status = (qp_settle(s, QP_MAX_ITERATIONS) == OK) ? OK : status;
+    }
+    q->factorized = FACTORS_OTHER;
     return status;
 }

@@ -224,13 +224,22 @@ static status_t qp_minimize(solver_t *s, int *changed)
     return status;
 }
 
-/* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself or
- * its members contradict one another; ITERATION_LIMIT; NUMERICAL_FAILURE. */
+/* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself, its
+ * members contradict one another, or the number of changes does not fall and the interior point method can take over;
+ * ITERATION_LIMIT; NUMERICAL_FAILURE. */
 static status_t qp_iterate(solver_t *s, int most)
 {
     qp_t *q = &s->qp;
+#if INTERIOR_POINT
+    int before = 0, rises = 0;
+#endif
     qp_seen(q, 0);
     for (int tried = 1; tried <= most; tried++) {
+#if BUDGET
+        if (!qp_afford(&s->qp, COST_WORKING_SET)) {
+            return ITERATION_LIMIT;
+        }
+#endif
         int changed;
         const status_t status = qp_minimize(s, &changed);
         if (status == NUMERICAL_FAILURE || (status == OK && changed == 0)) {
@@ -242,12 +251,24 @@ static status_t qp_iterate(solver_t *s, int most)
             continue;
         }
 #endif
-        if (changed == 0) {
+        if (changed == 0) { /* a residual that refinement does not reduce is rounding, or the weights are too small */
+#if NG
+            if (q->scaled != SCALES_OWN) {
+                return q->residual <= TOL_RICCATI_FEASIBILITY ? OK : STALLED;
+            }
+#endif
             return q->residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
         }
         if (qp_seen(q, tried)) {
             return STALLED;
         }
+#if INTERIOR_POINT
+        rises += tried > 1 && changed > 2 && changed >= before;
+        before = changed;
+        if (rises == QP_MAX_RISES) {
+            return STALLED;
+        }
+#endif
         q->iterations++;
     }
     return ITERATION_LIMIT;
@@ -280,4 +301,18 @@ static void qp_finish(qp_t *q)
         q->relaxed += qp_is_violated(q->side[NV + m]);
     }
 #endif
+}
+
+/* The same, with the result completed and checked. Returns STALLED if it is not a solution of the original QP. */
+static status_t qp_settle(solver_t *s, int most)
+{
+    const status_t status = qp_iterate(s, most);
+    if (status != OK) {
+        return status;
+    }
+    qp_finish(&s->qp);
+#if INTERIOR_POINT
+    s->qp.least = R(0);
+#endif
+    return qp_is_solution(s) ? OK : STALLED;
 }

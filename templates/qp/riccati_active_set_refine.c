@@ -219,6 +219,11 @@ static status_t qp_refine(solver_t *s)
     q->refined = 1;
     q->residual = (real_t)INFINITY;
     for (int i = 0; i <= QP_MAX_REFINEMENTS; i++) {
+#if BUDGET
+        if (!qp_afford(q, COST_REFINEMENT)) {
+            return STALLED;
+        }
+#endif
         const real_t before = q->residual;
         int at_members;
         if (!qp_take_residuals(s, &at_members)) {

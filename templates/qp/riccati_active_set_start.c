@@ -38,7 +38,7 @@ static void qp_set_units(solver_t *s)
         q->weight[m] = q->root[m] * q->root[m] / SQRT(TOL_UNIT);
         q->raised[m] = 0;
     }
-    q->scaled = 1;
+    q->scaled = SCALES_OWN;
 }
 
 /* Scales of the rows, from the recursion without members. */

@@ -4,6 +4,9 @@
  *     center (a'z - t) + weight/2 (a'z - t)^2,   mult = center + weight (a'z - t)
  * A violated soft row has the cost +-l1 (a'z - t) + l2/2 (a'z - t)^2. */
 
+/* Values of scaled: scales of the rows unknown; those of an earlier QP, whose units may be others; of this QP. */
+enum { SCALES_NONE = 0, SCALES_EARLIER = 1, SCALES_OWN = 2 };
+
 static inline real_t qp_target(const qp_t *q, int c)
 {
     return q->side[c] > 0 ? q->upper[c] : q->lower[c];

@@ -14,6 +14,8 @@
 
 #include "qp/stage_qp.c"
 
+#include "qp/stage_check.c"
+
 #include "riccati/units.c"
 
 #include "qp/riccati_interior_point_core.c"

@@ -157,9 +157,9 @@ static int ipm_free_vanishes(solver_t *s, int j, const real_t *nu, const real_t 
 
 #endif
 /* The weights f of the rows leave sum_c f_c a_c = w for the controls and free states of stage k. The bound of control j
- * takes the weight -w_j if it is finite on that side; otherwise w_j must be zero up to rounding. Returns 0 if it is
- * not. */
-static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w)
+ * takes the weight -w_j if it is finite on that side; otherwise w_j must be zero up to rounding, and |w_j u_j| at the
+ * iterate is added to `rest`. Returns 0 if it is not. */
+static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w, real_t *rest)
 {
     for (int j = 0; j < NUS; j++) {
         const real_t f = -w[NXS + j];
@@ -168,6 +168,7 @@ static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w)
         if (!finite && !ipm_vanishes(s, k, NXS + j, nu, -f)) {
             return 0;
         }
+        *rest += finite ? R(0) : FABS(f * s->qp.z[k * NUS + j]);
     }
 #if NF
     for (int f = 0; k == 0 && f < NF; f++) {
@@ -184,13 +185,13 @@ static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w)
  * at all points that satisfy the dynamics, while f_c v_c <= f_c B_c implies a smaller sum. */
 static int ipm_contradiction(solver_t *s)
 {
-    real_t nu[NXS], w[NZS], gap = R(0), size = R(0);
+    real_t nu[NXS], w[NZS], gap = R(0), size = R(0), rest = R(0);
     memset(s->riccati.work.vectors.rhs.g, 0, sizeof s->riccati.work.vectors.rhs.g);
     ipm_add_forces(s, s->qp.certificate);
     memcpy(nu, s->riccati.work.vectors.rhs.g[NS], sizeof nu);
     for (int k = NS - 1; k >= 0; k--) {
         ipm_adjoint_step(s, k, nu, w);
-        if (!ipm_balance(s, k, nu, w)) {
+        if (!ipm_balance(s, k, nu, w, &rest)) {
             return 0;
         }
         for (int i = 0; i < NXS; i++) {
@@ -209,7 +210,7 @@ static int ipm_contradiction(solver_t *s)
         gap += term;
         size += FABS(term);
     }
-    return gap < -TOL_IPM_CONTRADICTION * size;
+    return gap < -TOL_IPM_CONTRADICTION * size - R(4) * rest;
 }
 
 /* Returns 1 if the weights prove infeasibility, and scales the largest to 1. Otherwise clears the certificate. */

@@ -32,18 +32,23 @@ static void ipm_write_active(solver_t *s)
 #endif
         if (q->lam[i] * square > q->t[i]) {
             s->qp.side[c] = side;
+            if (c < NV && q->t[i] <= TOL_UNIT * SQRT(q->unit) * s->units.reach[c]) {
+                s->qp.z[c] = ipm_bound(s, i); /* exact, as it may be 0 */
+            }
         }
     }
 }
 
 #if NG
-/* Marks a soft row that no control moves as violated if it has a multiplier. */
-static void ipm_write_constant(solver_t *s)
+/* Marks soft rows that are not among the sides as violated: those that no control moves, and those whose violation has
+ * no cost. */
+static void ipm_write_others(solver_t *s)
 {
-    for (int c = NV; c < NV + NG; c++) {
-        const real_t mult = ipm_constant_multiplier(s, c);
-        if (mult > R(0) || mult < R(0)) {
-            s->qp.side[c] = mult > R(0) ? ABOVE : BELOW;
+    const qp_t *q = &s->qp;
+    for (int m = 0; m < NG; m++) {
+        const int c = NV + m, listed = s->units.reach[c] > R(0) && q->penalty[m] + q->curvature[m] > R(0);
+        if (qp_is_soft(q, m) && !listed && ipm_violation(s, c) > R(0)) {
+            s->qp.side[c] = (s->ipm.v[c] > q->upper[c]) ? ABOVE : BELOW;
         }
     }
 }
@@ -61,7 +66,7 @@ static void ipm_write_sides(solver_t *s)
     }
     ipm_write_active(s);
 #if NG
-    ipm_write_constant(s);
+    ipm_write_others(s);
 #endif
     for (int c = 0; c < NV + NG; c++) {
         const real_t reach = s->units.reach[c];
@@ -140,7 +145,7 @@ static status_t ipm_run(solver_t *s)
 static status_t ipm_attempt(solver_t *s)
 {
     s->ipm.ready = 0;
-    if (!ipm_first_point(s)) {
+    if (!ipm_near_point(s)) {
         return NUMERICAL_FAILURE;
     }
 #if NG
@@ -152,7 +157,7 @@ static status_t ipm_attempt(solver_t *s)
 }
 
 #if IPM_WARM_START
-/* An attempt from the multipliers of the previous QP. If it has not converged after half of the iterations, a cold
+/* An attempt from the multipliers of the previous QP. If it has not converged after a quarter of the iterations, a cold
  * start replaces it. */
 static status_t ipm_attempts(solver_t *s)
 {
@@ -186,6 +191,24 @@ static status_t ipm_update(solver_t *s)
     return OK;
 }
 
+/* Sets the sides and checks the result, unless it only indicates a working set. Returns the final status. */
+static status_t ipm_finish(solver_t *s, status_t status)
+{
+    ipm_write_sides(s);
+#if IPM_CROSSOVER
+    if (s->ipm.crossing == HANDED_OVER) {
+        return status;
+    }
+#endif
+    if (status == OK && !ipm_is_solution(s)) {
+        status = ITERATION_LIMIT;
+    }
+    if (status == NUMERICAL_FAILURE) {
+        qp_clear_results(&s->qp);
+    }
+    return status;
+}
+
 /* Solves the QP for dx_0 and the present bounds. */
 static status_t ipm_solve(solver_t *s)
 {
@@ -203,10 +226,16 @@ static status_t ipm_solve(solver_t *s)
         qp_clear_results(&s->qp);
         return status;
     }
-    status = ipm_attempts(s);
-    ipm_write_sides(s);
-    if (status == NUMERICAL_FAILURE) {
-        qp_clear_results(&s->qp);
-    }
-    return status;
+    return ipm_finish(s, ipm_attempts(s));
 }
+
+#if IPM_CROSSOVER
+/* Continues after an iterate that indicates a working set, with x and z of that iterate. */
+static status_t ipm_resume(solver_t *s)
+{
+    ipm_take_kinds(s);
+    memset(s->riccati.du, 0, sizeof s->riccati.du);
+    ipm_gaps(s);
+    return ipm_finish(s, ipm_iterate(s));
+}
+#endif

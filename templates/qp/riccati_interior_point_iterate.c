@@ -141,7 +141,7 @@ static real_t ipm_inverse_step(const ipm_t *q)
         most = ipm_largest_ratio(most, q->lam[i], q->dlam[i]);
     }
 #if NG
-    for (int i = 0; i < q->sides - q->hard; i++) {
+    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         if (q->kappa[i] > R(0)) {
             most = ipm_largest_ratio(most, q->e[i], q->de[i]);
             most = ipm_largest_ratio(most, q->kappa[i], q->dkappa[i]);
@@ -160,7 +160,7 @@ static real_t ipm_reduction(const ipm_t *q, real_t step)
         then += (q->t[i] + step * q->dt[i]) * (q->lam[i] + step * q->dlam[i]);
     }
 #if NG
-    for (int i = 0; i < q->sides - q->hard; i++) {
+    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         now += q->e[i] * q->kappa[i];
         then += (q->e[i] + step * q->de[i]) * (q->kappa[i] + step * q->dkappa[i]);
     }
@@ -186,7 +186,7 @@ static void ipm_correct(ipm_t *q, real_t target, real_t share)
         q->dt[i] = (target - share * q->dt[i] * q->dlam[i]) / q->lam[i];
     }
 #if NG
-    for (int i = 0; i < q->sides - q->hard; i++) {
+    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         q->dkappa[i] = (q->kappa[i] > R(0)) ? (target - share * q->de[i] * q->dkappa[i]) / q->e[i] : R(0);
     }
 #endif
@@ -228,7 +228,7 @@ static void ipm_move(solver_t *s, real_t step)
         q->lam[i] += step * q->dlam[i];
     }
 #if NG
-    for (int i = 0; i < q->sides - q->hard; i++) {
+    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         q->e[i] += step * q->de[i];
         q->kappa[i] += step * q->dkappa[i];
     }
@@ -236,11 +236,12 @@ static void ipm_move(solver_t *s, real_t step)
 }
 
 /* Fraction of the distance to the boundary that is kept: small, and smaller near the solution. An iteration that is
- * still far from the solution after many steps cycles close to the boundary; a larger fraction ends the cycle. */
+ * still far from the solution after many steps, or takes short ones, cycles close to the boundary; a larger fraction
+ * ends the cycle. */
 static real_t ipm_setback(const solver_t *s)
 {
     const real_t gap = s->ipm.mu / s->ipm.unit;
-    if (s->qp.iterations > 15 && gap > SQRT(TOL_UNIT)) {
+    if (s->qp.iterations - s->ipm.begun > 15 && (gap > SQRT(TOL_UNIT) || s->ipm.step < R(0.5))) {
         return R(0.1);
     }
     return (gap > R(5e-4)) ? R(5e-3) : (gap < R(1e-7)) ? R(1e-6) : R(10) * gap;
@@ -352,14 +353,50 @@ static int ipm_converged(solver_t *s)
     return 1;
 }
 
+/* Returns 1 if the result is a solution. Rows are not exact: what moves the cost by no more than rounding of its unit is
+ * negligible, even if the bounds, and with them all terms of a row, vanish. */
+static int ipm_is_solution(solver_t *s)
+{
+    s->qp.least = R(16) * TOL_UNIT / TOL_QP_ACCEPTED * SQRT(s->ipm.unit);
+    return qp_is_solution(s);
+}
+
+/* Returns 1 if the iterate is good enough to end the iterations: without curvature, or after many of them, rounding
+ * errors may keep it from the tolerances that the iterations aim at. */
+static int ipm_suffices(solver_t *s)
+{
+    const ipm_t *q = &s->ipm;
+    if (!(q->damping > R(0) || s->qp.iterations - q->begun > 20) || q->primal > TOL_QP_ACCEPTED ||
+        q->mu > TOL_QP_ACCEPTED * q->unit) {
+        return 0;
+    }
+    ipm_stationarity(s); /* multipliers of fixed controls */
+    return ipm_is_solution(s);
+}
+
 /* Stiff rows may cover the gradient with rounding errors. If that persists, the stiffening is reset and limited to a
  * lower value for the rest of the solve. Returns 1 if it is. */
 static int ipm_soften(ipm_t *q, real_t gradient_before)
 {
-    if (q->stiffening > R(1) && q->slope < (real_t)INFINITY && q->slope > R(1024) &&
+    if (q->stiffening > ipm_least_stiffening(q) && q->slope < (real_t)INFINITY && q->slope > R(1024) &&
         q->slope > R(0.5) * gradient_before) {
         q->stiffest = R(0.0625) * q->stiffening;
-        q->stiffening = R(1);
+        q->stiffening = ipm_least_stiffening(q);
+        return 1;
+    }
+    return 0;
+}
+
+/* Proximal point steps are short along directions of little curvature. If the gradient decreases too slowly, the
+ * proximal term is reduced as far as rounding permits. Returns 1 if it is. */
+static int ipm_loosen(ipm_t *q, real_t gradient_before)
+{
+    if (q->damping > R(0) && q->slope < (real_t)INFINITY && q->slope > R(1) && q->slope > R(0.5) * gradient_before &&
+        q->proximity > R(8192) * SQRT(TOL_UNIT)) {
+        q->proximity *= R(0.0625);
+        for (int i = 0; i < NZS; i++) {
+            q->proximal[i] *= R(0.0625);
+        }
         return 1;
     }
     return 0;
@@ -370,11 +407,11 @@ static int ipm_soften(ipm_t *q, real_t gradient_before)
 static int ipm_weigh_and_factorize(solver_t *s)
 {
     ipm_weigh(s);
-    while (!ipm_factorize(s)) {
-        if (s->ipm.stiffening <= R(1)) {
+    while (!ipm_factorize(s)) { /* at most 2 passes */
+        if (s->ipm.stiffening <= ipm_least_stiffening(&s->ipm)) {
             return 0;
         }
-        s->ipm.stiffening = R(1);
+        s->ipm.stiffening = ipm_least_stiffening(&s->ipm);
         ipm_weigh(s);
     }
     return 1;
@@ -435,35 +472,71 @@ static inline int ipm_stagnates(const ipm_t *q, real_t before)
 }
 
 #endif
+#if IPM_CROSSOVER
+/* Values of crossing: iterations until the solution; until a working set is indicated; they ended so. */
+enum { TO_THE_END = 0, CROSS_OVER = 1, HANDED_OVER = 2 };
+
+/* Returns 1 if the iterate is so close to the solution that it indicates the working set, and the iterations are to end
+ * then. */
+static int ipm_hands_over(ipm_t *q)
+{
+    if (q->crossing == TO_THE_END || q->sides == 0 || q->mu > R(1e-4) * q->unit || q->primal > R(1e-4)) {
+        return 0;
+    }
+    q->crossing = HANDED_OVER;
+    return 1;
+}
+
+#endif
+/* Judges the present point, whose measures are known, and adapts the regularisations; changed states whether one has
+ * changed. Returns 1 if the iterations end here. */
+static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int *changed)
+{
+    ipm_t *q = &s->ipm;
+    int done;
+    *changed = ipm_stiffen(q, before);
+#if IPM_CROSSOVER
+    if (ipm_hands_over(q)) {
+        return 1;
+    }
+#endif
+    done = ipm_converged(s);
+    if (q->probing && (q->slope < (real_t)INFINITY || s->qp.iterations > 20) && ipm_any_violation(s)) {
+        return 1;
+    }
+    *changed |= ipm_soften(q, gradient_before) | ipm_loosen(q, gradient_before);
+    done &= !*changed;
+#if NG
+    done = ipm_ends(q, done, before);
+#endif
+    return done || ipm_suffices(s);
+}
+
 /* Iterations from the present point. Returns OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
 static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;
 #if IPM_WARM_START
-    const int cap = q->warm ? IPM_MAX_ITERATIONS / 2 : IPM_MAX_ITERATIONS;
+    const int cap = q->warm ? IPM_MAX_ITERATIONS / 4 : IPM_MAX_ITERATIONS;
 #else
     const int cap = IPM_MAX_ITERATIONS;
 #endif
     ipm_forget_progress(q);
-    for (;;) {
+    q->begun = s->qp.iterations;
+    for (;;) { /* at most IPM_MAX_ITERATIONS passes in ipm_solve */
+#if BUDGET
+        if (!qp_afford(&s->qp, COST_INTERIOR)) {
+            return ITERATION_LIMIT;
+        }
+#endif
         const real_t before = q->primal, gradient_before = q->slope;
-        int changed, done;
+        int changed;
         ipm_measure(s);
-        changed = ipm_stiffen(q, before);
         ipm_cost_gradient(s);
         if (!isfinite(q->mu) || !isfinite(q->primal)) {
             return NUMERICAL_FAILURE;
         }
-        done = ipm_converged(s);
-        if (q->probing && q->slope < (real_t)INFINITY && ipm_any_violation(s)) {
-            return OK;
-        }
-        changed |= ipm_soften(q, gradient_before);
-        done &= !changed;
-#if NG
-        done = ipm_ends(q, done, before);
-#endif
-        if (done) {
+        if (ipm_ends_here(s, before, gradient_before, &changed)) {
             return OK;
         }
 #if NG

@@ -199,7 +199,7 @@ static void ipm_side_residuals(solver_t *s)
         sum += q->t[i] * q->lam[i];
     }
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         const int j = i - q->hard, m = ipm_row(q, i) - NV;
         q->r[i] += q->e[j];
         q->r_e[j] = s->qp.penalty[m] + s->qp.curvature[m] * q->e[j] - q->lam[i] - q->kappa[j];
@@ -210,11 +210,24 @@ static void ipm_side_residuals(solver_t *s)
     q->mu = (pairs > 0) ? sum / (real_t)pairs : R(0);
 }
 
-/* omega = 1 / (t / lam + regularization + 1 / (l2 + kappa / e)), and the weights of the rows. */
+/* Regularisation of row c: its compliance beside that of its sides. */
+static inline real_t ipm_regularization(const solver_t *s, int c)
+{
+    const real_t reach = s->units.reach[c];
+    return TOL_IPM_DUAL_REGULARIZATION / s->ipm.stiffening * reach * reach;
+}
+
+/* Number of sides of the row of side i, which is the first of them: sides of one row are neighbours. */
+static inline int ipm_sides_of_row(const ipm_t *q, int i)
+{
+    return (i + 1 < q->sides && ipm_row(q, i) == ipm_row(q, i + 1)) ? 2 : 1;
+}
+
+/* omega = 1 / (t / lam + 1 / (l2 + kappa / e)) of every side, and the weights of the rows,
+ * 1 / (regularization + 1 / sum omega). */
 static void ipm_weigh(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    const real_t share = TOL_IPM_DUAL_REGULARIZATION / q->stiffening;
     memset(q->weight, 0, sizeof q->weight);
 #if NG
     for (int m = 0; m < NG; m++) {
@@ -222,11 +235,10 @@ static void ipm_weigh(solver_t *s)
     }
 #endif
     for (int i = 0; i < q->sides; i++) {
-        const real_t reach = s->units.reach[ipm_row(q, i)];
-        q->omega[i] = q->t[i] / q->lam[i] + share * reach * reach;
+        q->omega[i] = q->t[i] / q->lam[i];
     }
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         const int j = i - q->hard;
         q->compliance[j] = R(1) / (s->qp.curvature[ipm_row(q, i) - NV] + q->kappa[j] / q->e[j]);
         q->omega[i] += q->compliance[j];
@@ -236,13 +248,29 @@ static void ipm_weigh(solver_t *s)
         q->omega[i] = R(1) / q->omega[i];
         q->weight[ipm_row(q, i)] += q->omega[i];
     }
+    for (int i = 0; i < q->sides; i += ipm_sides_of_row(q, i)) { /* at most NV + NG passes */
+        const int c = ipm_row(q, i);
+        q->weight[c] = R(1) / (ipm_regularization(s, c) + R(1) / q->weight[c]);
+    }
     ipm_set_weights(s);
 }
 
+/* Mean of sign rho over the n sides of a row from side i on, with the weights omega. */
+static inline real_t ipm_mean(const ipm_t *q, int i, int n)
+{
+    real_t sum = R(0), total = R(0);
+    for (int j = i; j < i + n; j++) { /* at most 2 passes */
+        sum += ipm_sign(q, j) * q->omega[j] * q->dlam[j];
+        total += q->omega[j];
+    }
+    return sum / total;
+}
+
 /* With c_1 = -t lam + lam extra, c_2 = -kappa e + e extra_e the linearised conditions of a side
- *     dt = r - sign dv + de + regularization dlam,   lam dt + t dlam = c_1,
+ *     dt = r - sign dw + de,   dw = dv - regularization sum_sides sign dlam,   lam dt + t dlam = c_1,
  *     l2 de - dlam - dkappa = -r_e,   kappa de + e dkappa = c_2
- * give dlam = omega (sign dv + rho),  rho = extra - t - r - (extra_e - kappa - r_e) compliance.
+ * give dlam = omega (sign dw + rho),  rho = extra - t - r - (extra_e - kappa - r_e) compliance. The sides of a row
+ * share its regularisation, so that it delays their difference, not their sum.
  * On entry dt holds extra and dkappa holds extra_e; on return dlam holds rho, and force the multipliers for dv = 0. */
 static void ipm_forces(solver_t *s)
 {
@@ -258,13 +286,38 @@ static void ipm_forces(solver_t *s)
         q->dlam[i] = q->dt[i] - q->t[i] - q->r[i];
     }
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         const int j = i - q->hard;
         q->dlam[i] -= (q->dkappa[j] - q->kappa[j] - q->r_e[j]) * q->compliance[j];
     }
 #endif
     for (int i = 0; i < q->sides; i++) {
-        q->force[ipm_row(q, i)] += ipm_sign(q, i) * (q->lam[i] + q->omega[i] * q->dlam[i]);
+        q->force[ipm_row(q, i)] += ipm_sign(q, i) * q->lam[i];
+    }
+    for (int i = 0; i < q->sides; i += ipm_sides_of_row(q, i)) { /* at most NV + NG passes */
+        const int c = ipm_row(q, i);
+        q->force[c] += q->weight[c] * ipm_mean(q, i, ipm_sides_of_row(q, i));
+    }
+}
+
+/* Directions of lam and t from those of the rows. The sum of sign dlam over the sides of a row is
+ * dy = weight (dv + mean of sign rho), hence dlam = sign omega / (sum omega) dy + (rho_1 + rho_2) / (sum 1 / omega). */
+static void ipm_recover_sides(solver_t *s)
+{
+    ipm_t *q = &s->ipm;
+    for (int i = 0, n; i < q->sides; i += n) { /* at most NV + NG passes */
+        const int c = ipm_row(q, i);
+        real_t total = q->omega[i], both = R(0), dy;
+        n = ipm_sides_of_row(q, i);
+        if (n == 2) {
+            total += q->omega[i + 1];
+            both = (q->dlam[i] + q->dlam[i + 1]) * q->omega[i] * (q->omega[i + 1] / total);
+        }
+        dy = q->weight[c] * (q->dv[c] + ipm_mean(q, i, n));
+        for (int j = i; j < i + n; j++) { /* at most 2 passes */
+            q->dlam[j] = ipm_sign(q, j) * dy * (q->omega[j] / total) + both;
+            q->dt[j] = q->dt[j] - q->t[j] - q->t[j] / q->lam[j] * q->dlam[j];
+        }
     }
 }
 
@@ -280,12 +333,9 @@ static void ipm_direction(solver_t *s)
     memset(d->dx[0], 0, sizeof d->dx[0]);
     riccati_forward(s, d->dx, d->du);
     ipm_changes(s);
-    for (int i = 0; i < q->sides; i++) {
-        q->dlam[i] = q->omega[i] * (ipm_sign(q, i) * q->dv[ipm_row(q, i)] + q->dlam[i]);
-        q->dt[i] = q->dt[i] - q->t[i] - q->t[i] / q->lam[i] * q->dlam[i];
-    }
+    ipm_recover_sides(s);
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         const int j = i - q->hard;
         q->de[j] = (q->dlam[i] + q->dkappa[j] - q->kappa[j] - q->r_e[j]) * q->compliance[j];
         q->dkappa[j] = q->dkappa[j] - q->kappa[j] - q->kappa[j] / q->e[j] * q->de[j];

@@ -14,6 +14,11 @@ static int ipm_factorize(solver_t *s)
     r->regularize = 1;
     r->regularize_zero = s->ipm.least_pivot;
     for (int attempt = 0; attempt < 5; attempt++) {
+#if BUDGET
+        if (!qp_afford(&s->qp, COST_FACTORIZATION)) {
+            return 0;
+        }
+#endif
         if (riccati_factorize(s, NS)) {
             return 1;
         }
@@ -45,18 +50,35 @@ static real_t ipm_damping_cost(solver_t *s)
 static void ipm_set_proximal(solver_t *s)
 {
     ipm_t *q = &s->ipm;
+    q->proximity = R(1);
     for (int i = 0; i < NZS; i++) {
         real_t most = R(0);
         for (int k = 0; k < NS; k++) {
             most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
         }
-        most = SQRT(TOL_UNIT) * most;
-        q->proximal[i] = R(64) * ((most > R(0)) ? most : q->least_pivot);
+        q->proximal[i] = (most > R(0)) ? R(0.0009765625) * most : R(64) * q->least_pivot;
     }
 }
 
-/* Weights for the first factorisation: equations and, if the Hessian is singular, a damping of the rows with two
- * bounds. */
+/* Least stiffening: a damped problem, whose Hessian is small next to the weights of its rows, has them reduced. */
+static inline real_t ipm_least_stiffening(const ipm_t *q)
+{
+    const real_t least = R(0.0625) * TOL_IPM_DUAL_REGULARIZATION / SQRT(TOL_UNIT);
+    return (q->damping > R(0) && least < R(1)) ? least : R(1);
+}
+
+/* Distance between the bounds of row c, or a fraction of their magnitude if they are closer than that; 0 if one is
+ * infinite. */
+static real_t ipm_range(const qp_t *q, int c)
+{
+    const real_t d = q->upper[c] - q->lower[c], size = R(0.0625) * (FABS(q->lower[c]) + FABS(q->upper[c]));
+    if (!(d > R(0) && isfinite(d))) {
+        return R(0);
+    }
+    return (d > size) ? d : size;
+}
+
+/* Weights for the first factorisation: equations and, if it is damped, the rows with two bounds. */
 static void ipm_first_weights(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -64,9 +86,9 @@ static void ipm_first_weights(solver_t *s)
 #if NG
     memcpy(q->weight + NV, q->stiffness, sizeof q->stiffness);
 #endif
-    for (int c = 0; c < NV + NG; c++) {
-        const real_t d = s->qp.upper[c] - s->qp.lower[c];
-        if (q->damping > R(0) && q->kind[c] == INEQUALITY && d > R(0) && isfinite(d)) {
+    for (int c = 0; q->damping > R(0) && c < NV + NG; c++) {
+        const real_t d = ipm_range(&s->qp, c);
+        if (q->kind[c] == INEQUALITY && d > R(0)) {
             q->weight[c] = q->damping / (d * d);
         }
     }
@@ -90,6 +112,33 @@ static int ipm_set_stiffness(solver_t *s)
 }
 
 #endif
+/* The reach of the rows, and the factorisation with the equations if there are any. */
+static int ipm_add_equations(solver_t *s)
+{
+    riccati_set_reach(s);
+#if NG
+    if (ipm_set_stiffness(s)) {
+        ipm_first_weights(s);
+        return ipm_factorize(s);
+    }
+#endif
+    return 1;
+}
+
+/* First factorisation with damped rows, for a Hessian that is singular or vanishes next to the gradient. */
+static int ipm_damped_factorization(solver_t *s)
+{
+    ipm_t *q = &s->ipm;
+#if NG
+    memset(q->stiffness, 0, sizeof q->stiffness);
+#endif
+    q->damping = ipm_damping_cost(s);
+    q->stiffening = ipm_least_stiffening(q);
+    ipm_set_proximal(s);
+    ipm_first_weights(s);
+    return ipm_factorize(s) && ipm_add_equations(s);
+}
+
 /* Factorisation of the problem with equations only, and the reach of the rows. plain: as in ipm_prepare(). */
 static int ipm_first_factorization(solver_t *s, int plain)
 {
@@ -107,22 +156,7 @@ static int ipm_first_factorization(solver_t *s, int plain)
     for (int c = 0; c < NV; c++) {
         stands &= !s->riccati.fixed[c];
     }
-    if (!stands && !riccati_factorize(s, NS)) {
-        q->damping = ipm_damping_cost(s);
-        ipm_set_proximal(s);
-        ipm_first_weights(s);
-        if (!ipm_factorize(s)) {
-            return 0;
-        }
-    }
-    riccati_set_reach(s);
-#if NG
-    if (ipm_set_stiffness(s)) {
-        ipm_first_weights(s);
-        return ipm_factorize(s);
-    }
-#endif
-    return 1;
+    return (stands || riccati_factorize(s, NS)) ? ipm_add_equations(s) : ipm_damped_factorization(s);
 }
 
 /* Multipliers of the weighted rows at v = 0, from which the first point is computed, and the values of the fixed
@@ -195,6 +229,35 @@ static real_t ipm_violation(const solver_t *s, int c)
     const real_t amount = (over > under) ? over : under;
     const real_t bound = FABS((over > under) ? s->qp.upper[c] : s->qp.lower[c]);
     return (amount > TOL_IPM_VIOLATION * (bound + FABS(v))) ? amount : R(0);
+}
+
+/* Returns 1 if a row with two bounds is violated by many times the distance between them. */
+static int ipm_is_far(const solver_t *s)
+{
+    int far = 0;
+    for (int c = 0; c < NV + NG; c++) {
+        const real_t d = ipm_range(&s->qp, c);
+        far |= d > R(0) && ipm_violation(s, c) > R(1024) * d;
+    }
+    return far;
+}
+
+/* The first point; it is computed again with damped rows if it is far from the bounds, as with a nearly linear cost.
+ * Returns 0 if it is not finite. */
+static int ipm_near_point(solver_t *s)
+{
+    if (!ipm_first_point(s)) {
+        return 0;
+    }
+    if (s->ipm.damping > R(0) || !ipm_is_far(s)) {
+        return 1;
+    }
+    if (!ipm_damped_factorization(s)) {
+        return 0;
+    }
+    ipm_first_forces(s);
+    ipm_first_backward(s);
+    return ipm_first_point(s);
 }
 
 /* Cost of the violations, sum of (violation / reach)^2, and their number. */
@@ -288,15 +351,26 @@ static real_t ipm_warm_distance(const solver_t *s, int i, real_t mu, real_t most
 }
 
 #endif
-/* Distance t of side i without a multiplier: at most half the distance between the bounds, unless the value is
- * farther from the bound. */
+/* Distance t of side i without a multiplier: that of the value moved inside the bounds, sqrt(mu) reach from each of
+ * them or in the middle, so that the distances of a row sum up to the one between its bounds. */
 static real_t ipm_cold_distance(const solver_t *s, int i, real_t root_mu)
 {
     const int c = ipm_row(&s->ipm, i);
-    const real_t half = R(0.5) * (s->qp.upper[c] - s->qp.lower[c]), distance = ipm_distance(s, i);
+    const real_t range = s->qp.upper[c] - s->qp.lower[c], distance = ipm_distance(s, i);
     real_t t = root_mu * s->units.reach[c];
-    t = (half < t && half > R(0)) ? half : t;
+    t = (R(0.5) * range < t && range > R(0)) ? R(0.5) * range : t;
+    if (distance > range - t && range > R(0)) {
+        return range - t;
+    }
     return (distance > t) ? distance : t;
+}
+
+/* Makes the distances of the two sides of a row sum up to the distance d between its bounds; the smaller one counts. */
+static void ipm_match_sides(ipm_t *q, int i, real_t d)
+{
+    const int least = (q->t[i] < q->t[i + 1]) ? i : i + 1, other = 2 * i + 1 - least;
+    q->t[least] = (q->t[least] < R(0.5) * d) ? q->t[least] : R(0.5) * d;
+    q->t[other] = d - q->t[least];
 }
 
 /* Initial t and lam = mu / t of every side. */
@@ -314,10 +388,18 @@ static void ipm_start_sides(solver_t *s, real_t mu)
         const real_t warm = ipm_warm_distance(s, i, mu, most);
         q->t[i] = (warm > R(0)) ? warm : q->t[i];
 #endif
+    }
+    for (int i = 0; i < q->hard; i += ipm_sides_of_row(q, i)) { /* at most NV + NG passes */
+        const real_t d = s->qp.upper[ipm_row(q, i)] - s->qp.lower[ipm_row(q, i)];
+        if (ipm_sides_of_row(q, i) == 2 && d > R(0)) {
+            ipm_match_sides(q, i, d);
+        }
+    }
+    for (int i = 0; i < q->sides; i++) {
         q->lam[i] = mu / q->t[i];
     }
 #if NG
-    for (int i = q->hard; i < q->sides; i++) {
+    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         ipm_start_soft_side(s, i, mu);
     }
 #endif

@@ -44,6 +44,11 @@ static int riccati_units(solver_t *s, real_t *unit)
  * pivot is not positive. */
 static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hold, int given)
 {
+#if BUDGET
+    if (!qp_afford(&s->qp, COST_SHIFT)) {
+        return 0;
+    }
+#endif
     riccati_t *r = &s->riccati;
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS && k * NUS + j < N * NU; j++) {
@@ -74,12 +79,16 @@ static real_t riccati_smallest_shift(solver_t *s, const real_t *unit, int given)
         return least;
     }
     for (trial = 0; !riccati_try(s, unit, high, R(0), given); trial++) {
+        /* at most MAX_SHIFTS + 1 passes */
         if (trial == MAX_SHIFTS) {
             return -R(1);
         }
         high *= R(4);
     }
-    while (trial == 0 && high > R(4) * least && riccati_try(s, unit, R(0.25) * high, R(0), given)) {
+    for (int n = 0; n < MAX_SHIFTS && trial == 0 && high > R(4) * least; n++) {
+        if (!riccati_try(s, unit, R(0.25) * high, R(0), given)) {
+            break;
+        }
         high *= R(0.25);
     }
     s->riccati.shift = high;

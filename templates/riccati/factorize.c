@@ -66,6 +66,7 @@ static inline void riccati_collect_row(solver_t *s, int m, int n)
 /* Adds the n rows of a group to the Hessian of stage k. */
 static inline void riccati_add_group(riccati_t *r, int k, int n)
 {
+    /* 1 <= n <= 4 */
     const recursion_t *work = &r->work.recursion;
     riccati_update_states(r, k, work->W[0], work->T[0], n);
     if (k < NS) {

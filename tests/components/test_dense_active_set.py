@@ -595,4 +595,5 @@ def test_registered_under_its_name() -> None:
     assert {n: v for n, v, _ in DenseActiveSet().sizes(qp_dims(10, 4))} == {
         "QP_MAX_ITERATIONS": 190,
         "QP_MAX_PROXIMAL_STEPS": 200,
+        "QP_MAX_SEARCHES": 590,
     }

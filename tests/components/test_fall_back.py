@@ -1,4 +1,4 @@
-"""RiccatiActiveSet(fallback=None): the interior point method is omitted, and a QP that needs it ends with a status."""
+"""RiccatiActiveSet.fallback: when the interior point method takes over, at what cost, and what happens without it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from examples import quadrotor
+from examples import crane, quadrotor
 from nmpc_codegen import OCP, NoCondensing, Options, RiccatiActiveSet, RiccatiInteriorPoint, Status, build
 from nmpc_codegen.cli.settings import apply_setting
 from nmpc_codegen.lowering.render import render
@@ -73,3 +73,47 @@ def test_without_fall_back_an_infeasible_qp_ends_with_a_status_and_a_safe_contro
         assert np.all(np.abs(u0) <= 1)
         np.testing.assert_array_equal(controller.x, before)
     assert statuses == {False: Status.INFEASIBLE, True: Status.ITERATION_LIMIT}
+
+
+def gentle_crane() -> OCP:
+    """Soft rows that most samples violate at some nodes, in other places than the sample before."""
+    ocp = crane.build_ocp(False)
+    ocp.subject_to(-0.3, ocp.x[1], 0.3, name="speed", soft=(10.0, 0.0))
+    ocp.subject_to(-0.02, ocp.x[2], 0.02, name="angle", soft=(50.0, 10.0))
+    return ocp
+
+
+def test_soft_rows_in_use_need_few_iterations() -> None:
+    """Of both methods together; the result is exact, so that the interior point method alone finds the same control."""
+    c, other = (
+        build(gentle_crane(), Options(condensing=NoCondensing(), qp=qp), profile="test")
+        for qp in (RiccatiActiveSet(), RiccatiInteriorPoint())
+    )
+    x, iterations = np.random.default_rng(1).uniform(-0.8, 0.8, 4), []
+    for _ in range(25):
+        u = c.step(x)
+        assert c.status == Status.OK
+        np.testing.assert_allclose(other.step(x), u, rtol=0, atol=1e-6)
+        iterations.append(c.stats.qp_iterations)
+        x = np.asarray(c.integrate(x, u, 0.3))
+    assert max(iterations) > 5
+    assert max(iterations) <= 25
+
+
+def test_an_infeasible_qp_costs_little_more_than_its_proof() -> None:
+    """The load cannot come to rest in time; the proof takes a few iterations."""
+    iterations = {}
+    for qp in (RiccatiActiveSet(), RiccatiInteriorPoint()):
+        c = build(crane.build_ocp(), Options(condensing=NoCondensing(), qp=qp), profile="test")
+        c.step(np.array([1.0, 0.0, 0.5, 0.0]))
+        assert c.status == Status.INFEASIBLE
+        iterations[qp.name] = c.stats.qp_iterations
+    assert iterations["riccati_active_set"] <= iterations["riccati_interior_point"] + 10
+
+
+def test_the_interior_point_method_stays_at_a_plan_that_is_a_solution() -> None:
+    """The same state again and again: in the end steps and all that terminal rows sum up are rounding errors."""
+    c = build(crane.build_ocp(), Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint()), profile="test")
+    for _ in range(20):
+        c.step(np.array([2.0, 0.0, 0.0, 0.0]))
+        assert c.status == Status.OK

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from fractions import Fraction
 
 import casadi as ca
@@ -169,7 +170,8 @@ def test_auto_prefers_straight_line_code_of_a_limited_size(monkeypatch: pytest.M
     problem = stated("crane", True)
     whole = ExplicitRungeKutta(steps=3, unroll="all").interval(problem).linearize
     auto = ExplicitRungeKutta(steps=3, unroll="auto").interval(problem).linearize
-    assert auto == whole
+    assert isinstance(auto, Kernel)
+    assert vars(replace(auto)) == vars(replace(whole))
     limit = "nmpc_codegen.components.integrators.explicit_runge_kutta.AUTO_INSTRUCTIONS"
     monkeypatch.setattr(limit, len(whole.instructions) - 1)
     rolled = ExplicitRungeKutta(steps=3, unroll="auto").interval(problem).linearize

@@ -145,6 +145,24 @@ def test_equal_to_ipopt(case: str, form: str) -> None:
     assert max(solution.kkt.__dict__.values()) <= 1e-10
 
 
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_a_loop_with_violated_rows(precision: str) -> None:
+    """Rows with both penalties that are violated, met and left, an equality among them: always OK, with one control."""
+    dense, stages = (
+        build(soft_equality(), Options(qp=qp, precision=precision), profile="test")
+        for qp in (DenseActiveSet(), RiccatiInteriorPoint())
+    )
+    x, violated = np.array([0.6, 0.0]), []
+    for sample in range(25):
+        u = dense.step(x)
+        assert dense.status == Status.OK
+        np.testing.assert_allclose(u, stages.step(x), atol={"double": 1e-6, "single": 2e-3}[precision])
+        violated.append(dense.stats.relaxed_rows)
+        assert violated[-1] == np.sum(np.abs(dense.mu) > 0.0201) + np.sum(np.abs(dense.mu_x) > 0.301)
+        x = np.asarray(dense.integrate(x, u, 0.2)) + (sample == 12) * np.array([0.5, -0.5])
+    assert len(set(violated)) > 2
+
+
 def test_an_exact_penalty_is_the_hard_row() -> None:
     hard = pendulum("hard_bound")
     hard.subject_to(-0.2, hard.x[1], np.inf, name="speed")

@@ -68,7 +68,8 @@ static int locate(int k, int lowest, int highest, int copies, int *first, int *e
     return own || k == ALL;
 }
 
-/* Sets the reference of the path residual y. Takes effect in the next feedback. */
+/* Sets the reference of the path residual y. Takes effect in the next feedback, after a change of weights or
+ * parameters in the next prepare. */
 status_t golden_set_reference(solver_t *s, int k, const real_t yref[GOLDEN_NY])
 {
     int first, end;
@@ -86,7 +87,7 @@ status_t golden_set_reference(solver_t *s, int k, const real_t yref[GOLDEN_NY])
             s->yref[n][i] = yref[i];
         }
     }
-    s->reference_changed = 1;
+    s->renewal = (s->renewal == HELD) ? HELD : REFERENCE_CHANGED;
     return OK;
 }
 
@@ -101,7 +102,7 @@ status_t golden_set_terminal_reference(solver_t *s, const real_t yref[GOLDEN_NY_
     for (int i = 0; i < NY_N; i++) {
         s->yref_N[i] = yref[i];
     }
-    s->reference_changed = 1;
+    s->renewal = (s->renewal == HELD) ? HELD : REFERENCE_CHANGED;
     return OK;
 }
 
@@ -138,6 +139,7 @@ status_t golden_set_weight(solver_t *s, int k, const real_t W[GOLDEN_NW])
     if (!weight_is_valid(W, NY, NW)) {
         return BAD_ARGUMENT;
     }
+    hold_gradients(s);
     for (int n = first; n < end; n++) {
         memcpy(s->W[n], W, NW * sizeof(*W));
     }
@@ -152,6 +154,7 @@ status_t golden_set_terminal_weight(solver_t *s, const real_t W[GOLDEN_NW_N])
     if (!weight_is_valid(W, NY_N, NW_N)) {
         return BAD_ARGUMENT;
     }
+    hold_gradients(s);
     memcpy(s->W_N, W, NW_N * sizeof(*W));
     return OK;
 }
@@ -169,6 +172,7 @@ status_t golden_set_parameter(solver_t *s, int param, int k, const real_t *value
     if (!all_finite(values, parameter_offset[param + 1] - parameter_offset[param])) {
         return BAD_ARGUMENT;
     }
+    hold_gradients(s);
     for (int n = first; n < end; n++) {
         for (int i = parameter_offset[param]; i < parameter_offset[param + 1]; i++) {
             s->p[n][i] = values[i - parameter_offset[param]];

@@ -21,8 +21,8 @@
  *   terminal_rows                   printed kernel                                        2 operations
  *   integrator: explicit_runge_kutta integrators/explicit_runge_kutta.c                    - operations        0 bytes
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
- *   condensing: full                condensing/full.c                                   152 operations      136 bytes
- *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1432 bytes
+ *   condensing: full                condensing/full.c                                   157 operations      176 bytes
+ *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1480 bytes
  *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      360 bytes
  */
 #include "golden.h"
@@ -79,13 +79,16 @@ typedef golden_status_t status_t;
 #define NS GOLDEN_NS
 #define NUS GOLDEN_NUS
 #define NV GOLDEN_NV
+#define NSL GOLDEN_NSL
 #define LDV GOLDEN_LDV
+#define LDH GOLDEN_LDH
 #define PARAMS GOLDEN_PARAMS
 #define STEPS GOLDEN_STEPS
 #define COLUMNS GOLDEN_COLUMNS
 #define LDG GOLDEN_LDG
 #define QP_MAX_ITERATIONS GOLDEN_QP_MAX_ITERATIONS
 #define QP_MAX_PROXIMAL_STEPS GOLDEN_QP_MAX_PROXIMAL_STEPS
+#define QP_MAX_SEARCHES GOLDEN_QP_MAX_SEARCHES
 #define MAX_TRIALS GOLDEN_MAX_TRIALS
 #define MEMORY GOLDEN_MEMORY
 #define MANY GOLDEN_MANY
@@ -114,6 +117,9 @@ typedef golden_status_t status_t;
 #define TOL_QP_SIGN 1.4210854715202004e-14
 #define TOL_QP_PROXIMAL 5.684341886080802e-14
 #define TOL_QP_PROXIMAL_STAGNATION 9.094947017729282e-13
+#define TOL_STEP 7.450580596923828e-09
+#define TOL_STEP_GRADIENT 9.5367431640625e-07
+#define TOL_QP_RESIDUAL 2.9103830456733704e-11
 #define TOL_UNIT 2.220446049250313e-16
 #define TOL_MERIT_ROUNDING 1.4210854715202004e-14
 #define TOL_STEP_COUNT 9.094947017729282e-13

@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2552 bytes in size, holds no pointers and may be
+ * The caller owns the memory: one golden_solver_t is 2640 bytes in size, holds no pointers and may be
  * copied with '='. Only one execution context at a time may use an instance. An interrupt may change measurements
  * during a call: pass a copy of them. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
@@ -47,6 +47,7 @@ typedef double golden_real;
 #define GOLDEN_NV 2 /* variables of the QP */
 #define GOLDEN_NSL 0 /* slack variables of the QP */
 #define GOLDEN_LDV 4 /* NV rounded up to PANEL */
+#define GOLDEN_LDH 4 /* NV - NSL rounded up to PANEL */
 #define GOLDEN_PANEL 4 /* columns processed together */
 #define GOLDEN_SOFT_ROWS 0 /* rows with a penalty */
 #define GOLDEN_PARAMS 1 /* parameters by name */
@@ -56,6 +57,7 @@ typedef double golden_real;
 #define GOLDEN_LDG 8 /* columns of G_k: NX + N NU, rounded up to COLUMNS */
 #define GOLDEN_QP_MAX_ITERATIONS 120 /* cap on the active-set iterations of one feedback phase */
 #define GOLDEN_QP_MAX_PROXIMAL_STEPS 200 /* cap on the proximal steps for a semidefinite Hessian */
+#define GOLDEN_QP_MAX_SEARCHES 520 /* cap on the searches for violated rows */
 #define GOLDEN_SHIFT 0 /* 1: step() moves the plan before preparing */
 #define GOLDEN_MAX_TRIALS 30 /* halvings of the step in the line search of solve() */
 #define GOLDEN_MEMORY 8 /* merit values that the line search of solve() remembers */
@@ -123,8 +125,8 @@ typedef union { /* memory of phases that do not overlap */
 golden_status_t golden_init(golden_solver_t *s);
 golden_status_t golden_reset(golden_solver_t *s);
 
-/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; a NUMERICAL_FAILURE
- * that persists means that the plan itself is unusable: call reset. */
+/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; feedback restarts a
+ * plan that fails repeatedly. */
 golden_status_t golden_prepare(golden_solver_t *s);
 
 /* Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return. */

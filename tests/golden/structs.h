@@ -45,12 +45,13 @@ typedef struct { /* the condensed QP's dependence on dx_0 */
     golden_real c[GOLDEN_N + 1][GOLDEN_NX]; /* free response of the gaps b_k */
     golden_real Ax[GOLDEN_NG][GOLDEN_NX]; /* coupling of the rows to dx_0 */
     golden_real v[GOLDEN_NG]; /* values of the rows at du = 0, dx_0 = 0 */
+    golden_real terms[GOLDEN_NG]; /* magnitude of the terms of v */
 } golden_condensed_t;
 
 typedef struct { /* condensed QP and its active-set factorisation */
-    golden_real H[GOLDEN_LDV][GOLDEN_LDV]; /* Hessian (lower triangle); later D, L and L' of L D L' */
+    golden_real H[GOLDEN_LDH][GOLDEN_LDV]; /* Hessian (lower triangle); later D, L and L' of L D L' */
     golden_work_t work; /* factors of the working set; until qp_factorize the caller's */
-    golden_real A[GOLDEN_NG][GOLDEN_LDV]; /* general rows */
+    golden_real A[GOLDEN_NG][GOLDEN_LDH]; /* general rows */
     golden_real inverse[GOLDEN_LDV]; /* D^{-1/2} */
     golden_real R_inverse[GOLDEN_LDV]; /* inverse diagonal of R */
     golden_real lam[GOLDEN_LDV]; /* multipliers of the rows in the working set */
@@ -64,6 +65,7 @@ typedef struct { /* condensed QP and its active-set factorisation */
     int32_t row[GOLDEN_LDV]; /* rows in the working set, in the order of the basis */
     golden_real lower[GOLDEN_NV + GOLDEN_NG]; /* lower bounds of variables, then of general rows */
     golden_real upper[GOLDEN_NV + GOLDEN_NG]; /* upper bounds */
+    golden_real terms[GOLDEN_NG]; /* magnitude of the terms that the bounds of a general row sum up */
     golden_real mult[GOLDEN_NV + GOLDEN_NG]; /* multipliers, > 0 at the upper bound, < 0 at the lower */
     golden_real slack[GOLDEN_NV + GOLDEN_NG]; /* violation of a row that is accepted as rounding */
     golden_real scale; /* |y0|, and the terms that saturated rows add to it */
@@ -75,10 +77,12 @@ typedef struct { /* condensed QP and its active-set factorisation */
     int32_t snapshot[GOLDEN_NV + GOLDEN_NG]; /* earlier values of side, to detect cycles */
     int32_t nw; /* number of rows in the working set */
     int32_t factorized; /* 1: qp_factorize has succeeded */
+    int32_t strict; /* 1: rounding errors are judged by the terms of a row */
     int32_t semidefinite; /* 1: a pivot of H may be zero, E is not zero */
     int32_t face; /* value of changes when the direction was set */
     int32_t elastic; /* 1: a row has a finite penalty */
     int32_t iterations; /* active-set iterations of the last qp_solve */
+    int32_t searches; /* searches for violated rows in that call */
     int32_t changes; /* rows that entered or left the working set in that call */
     int32_t dropped; /* equalities left out as redundant */
     int32_t relaxed; /* elastic rows that are violated */
@@ -121,15 +125,15 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
     golden_step_t step; /* solution of the QP */
     golden_sqp_t sqp; /* line search of solve() */
-    int32_t reference_changed; /* 1: the references are newer than the gradients */
+    golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
+    int32_t renewal; /* 1: references are newer than the gradients, 2: so are weights or parameters */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
     int32_t samples; /* feedbacks since init or reset */
-    int32_t failing; /* 1: the last QP had no solution, 2: nor had the one before */
+    int32_t failing; /* failures in a row, at most 3 */
     golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
     golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
-    golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
     golden_qp_t qp; /* condensed QP and its active-set factorisation */
     int32_t magic; /* set by init */
     /* plan */

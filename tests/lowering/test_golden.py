@@ -156,7 +156,8 @@ def handwritten() -> Model:
         online=Online(),
         precision="double",
         solve=True,
-        choices=("written by hand",),
+        reasons=("written by hand",),
+        choice=None,
         constant_hessian=True,
     )
 

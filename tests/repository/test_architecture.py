@@ -63,8 +63,10 @@ ONLY_IN = {
         "components/hessians",
         "components/stage_cost",
         "lowering/linearize",
+        "lowering/growth",
     },
     "jinja2": {"lowering/render"},
+    "pycparser": {"bounds"},
     "cffi": {"runtime/build"},
 }
 

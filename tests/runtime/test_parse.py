@@ -85,7 +85,9 @@ def test_what_is_read_is_what_was_written(toy_files: Files) -> None:
     """Soft penalties, rows at the end and a report, which the hand-written toy.json does not contain."""
     read = PackageDescription.from_json(toy_files["toy.json"])
     rows = tuple(replace(row, name=f"r[{i}]_end", soft=(10.0, 0.5)) for i, row in enumerate(read.rows))
-    report = Report(8, {"kkt": 4}, {"linearize": OpCount(add=1, call=2)}, 3, ("qp: none",), ("path_exact",))
+    report = Report(
+        8, {"kkt": 4}, {"linearize": OpCount(add=1, call=2)}, 3, {"sample": 9}, ("qp: none",), ("path_exact",)
+    )
     described = replace(read, rows=rows, report=report)
     assert described != read
     assert PackageDescription.from_json(described.to_json()) == described

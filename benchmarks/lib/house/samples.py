@@ -253,10 +253,11 @@ def discrete_rows() -> OCP:
 
 
 FIXED = Online("fixed", "fixed", "fixed", "fixed")
+REFERENCES = Online("node", "fixed", "fixed", "fixed")
 SHARED = Online("shared", "shared", "shared", "shared")
 NODE = Online("node", "node", "node", "node", dense_weight=True)
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
-RELAXED = RealTimeIteration(relaxation=100.0)
+RELAXED, LIMITED = RealTimeIteration(relaxation=100.0), RealTimeIteration(budget=10**8)
 REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
 STAGES = NoCondensing()
 LOOPED = ExplicitRungeKutta(unroll="none")
@@ -268,6 +269,10 @@ def _dense(**more: Any) -> Options:
 
 def _riccati(**more: Any) -> Options:
     return Options(qp=RiccatiActiveSet(), condensing=STAGES, **more)
+
+
+def _riccati_alone(**more: Any) -> Options:
+    return Options(qp=RiccatiActiveSet(fallback=None), condensing=STAGES, **more)
 
 
 def _interior(**more: Any) -> Options:
@@ -301,7 +306,7 @@ SAMPLES = (
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare riccati", bare, _riccati(online=FIXED)),
     Sample("bare interior", bare, _interior(online=FIXED)),
-    Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=FIXED)),
+    Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
     Sample("single dense", single, _dense(hessian=ExactHessian())),
     Sample("single riccati", single, _riccati(algorithm=REPEAT)),
     Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single")),
@@ -320,7 +325,7 @@ SAMPLES = (
     Sample("path interior", path, _interior(online=SHARED, precision="single")),
     Sample("path OSQP", path, Options(qp=Osqp(), hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("final dense", final, _dense(hessian=GaussNewton(convex_rows=True), algorithm=REPEAT)),
-    Sample("final riccati", final, _riccati(hessian=ExactHessian())),
+    Sample("final riccati", final, _riccati(hessian=ExactHessian(), algorithm=LIMITED)),
     Sample("final interior", final, _interior(hessian=GaussNewton(convex_rows=True))),
     Sample("soft states dense", soft_states, _dense()),
     Sample("soft states riccati", soft_states, _riccati()),
@@ -341,14 +346,15 @@ SAMPLES = (
     Sample("arrival on path interior", arrival_on_path, _interior()),
     Sample("arrival rows interior", arrival_rows, _interior(hessian=ExactHessian())),
     Sample("ring dense", ring, _dense(hessian=ExactHessian(), algorithm=RELAXED)),
+    Sample("ring in time", ring, _dense(algorithm=RealTimeIteration(relaxation=100.0, budget=10**8))),
     Sample("ring interior", ring, _interior(hessian=ExactHessian())),
     Sample("closing interior", closing, _interior()),
     Sample("target dense", target, _dense(solve=False)),
     Sample("target riccati", target, _riccati(solve=False, online=FIXED)),
     Sample("target interior", target, _interior(solve=False, online=FIXED)),
     Sample("target partial", target, _partial(solve=False, online=FIXED)),
-    Sample("states alone", states, Options(qp=RiccatiActiveSet(fallback=None), condensing=STAGES, solve=False)),
-    Sample("controls alone", controls, Options(qp=RiccatiActiveSet(fallback=None), condensing=STAGES)),
+    Sample("states alone", states, _riccati_alone(solve=False)),
+    Sample("controls alone", controls, _riccati_alone(algorithm=LIMITED)),
     Sample("counted dense", counted, _dense(algorithm=PERIODIC, integrator=ExplicitRungeKutta(RK4, steps=1))),
     Sample("economic dense", economic, _dense(hessian=ExactHessian(), online=FIXED)),
     Sample("economic riccati", economic, _riccati(hessian=ExactHessian())),

@@ -1,7 +1,7 @@
 // Counts the operations of every sample of a recorded loop: additions, multiplications, divisions, roots and calls of math.h.
 // Compile as C++ with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"', the package's real type being counted.
 // Input: how many rows are opened, their numbers; then per sample 1 y... y_N... or 0, and the measured state.
-// Prints per sample: status, operations, u0... of prepare and feedback.
+// Prints per sample of prepare and feedback: status, these operations, all with comparisons and signs, u0...
 #include "counting.hpp"
 #include PACKAGE
 #include <stdio.h>
@@ -68,8 +68,8 @@ int main()
         counted::reset();
         const int prepared = (int)API(_prepare)(&solver);
         const int status = (int)API(_feedback)(&solver, x, u);
-        printf("%d %ld", prepared ? prepared : status,
-               counted::add + counted::mul + counted::div + counted::sqrt + counted::call);
+        const long operations = counted::add + counted::mul + counted::div + counted::sqrt + counted::call;
+        printf("%d %ld %ld", prepared ? prepared : status, operations, operations + counted::other);
         for (int j = 0; j < SIZE(_NU); j++) {
             printf(" %.17g", u[j].value);
         }

@@ -8,6 +8,7 @@ with a real type that counts. Counts are exact and repeatable. Recorded and coun
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
@@ -59,9 +60,10 @@ class Recorded:
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Operations (n,), status (n,) and controls (n, nu) of the samples."""
+    """Operations (n,), those with comparisons, signs and magnitudes (n,), status (n,), controls (n, nu) of samples."""
 
     operations: Array
+    every: Array
     status: Array
     u: Array
 
@@ -169,8 +171,11 @@ def soft_rows(c: Controller) -> list[int]:
     return [i for i, row in enumerate(c.description.rows) if row.soft]
 
 
-def count(loop: Loop, *played: Recorded) -> list[Counted]:
-    """Play recordings to the package with the counting type."""
+def count(loop: Loop, *played: Recorded, optimise: bool = True) -> list[Counted]:
+    """Play recordings to the package with the counting type.
+
+    Without optimiser the program is there four times as fast, and as much slower.
+    """
     sources = generate(loop.make(), loop.options)
     name = next(path[:-2] for path in sources if path.endswith(".h"))
     with tempfile.TemporaryDirectory(prefix="counted-") as temporary:
@@ -179,7 +184,8 @@ def count(loop: Loop, *played: Recorded) -> list[Counted]:
         (folder / f"{name}.h").write_text(counting_header(sources[f"{name}.h"], name), encoding="utf-8")
         (folder / f"{name}.c").write_text(sources[f"{name}.c"], encoding="utf-8")
         define = [f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"']
-        command = ["g++", "-std=c++17", "-O1", "-w", *define, f"-I{folder}", str(DRIVER), "-o", "loop", "-lm"]
+        compiler = ["g++", "-O1"] if optimise else [shutil.which("clang++") or "g++", "-O0"]
+        command = [*compiler, "-std=c++17", "-w", *define, f"-I{folder}", str(DRIVER), "-o", "loop", "-lm"]
         subprocess.run(command, cwd=folder, check=True)
         return [_play(folder / "loop", recorded) for recorded in played]
 
@@ -192,10 +198,10 @@ def _play(program: Path, recorded: Recorded) -> Counted:
     text = "\n".join(lines) + "\n"
     out = subprocess.run([program], input=text, capture_output=True, text=True, check=True).stdout
     table = np.array([[float(v) for v in line.split()] for line in out.splitlines()])
-    return Counted(table[:, 1], table[:, 0].astype(int), table[:, 2:])
+    return Counted(table[:, 1], table[:, 2], table[:, 0].astype(int), table[:, 3:])
 
 
-def _steps(loop: Loop, scale: float) -> int:
+def steps_of(loop: Loop, scale: float) -> int:
     """The share that is asked for, but enough for something to happen."""
     return min(loop.steps, max(LEAST, round(1.2 * loop.scenario.period), round(scale * loop.steps)))
 
@@ -209,7 +215,7 @@ def _difference(recorded: Recorded, counted: Counted) -> float:
 def worst_over_median(report: Report, scale: float) -> None:
     """All loops of the other benchmarks."""
     for loop in closed_loops():
-        steps = _steps(loop, scale)
+        steps = steps_of(loop, scale)
         recorded = record(loop, steps, [])
         (found,) = count(loop, recorded)
         worst, middle = int(np.argmax(found.operations)), float(np.median(found.operations))
@@ -221,7 +227,7 @@ def worst_over_median(report: Report, scale: float) -> None:
 def soft_over_hard(report: Report, scale: float) -> None:
     """Loops with soft rows, then without: bounds of the soft rows opened at run time, everything else alike."""
     for loop in soft_loops():
-        steps = _steps(loop, scale)
+        steps = steps_of(loop, scale)
         opened = soft_rows(build(loop.make(), loop.options, profile="fast"))
         used, free = record(loop, steps, []), record(loop, steps, opened)
         with_rows, without = count(loop, used, free)

@@ -117,6 +117,9 @@ def _print_package(printer: Printer, package: Package, folder: Path, verbose: bo
         bytes_of_struct = f"{package.report['ram_bytes']:,} bytes of solver struct"
         printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack")
     _print_operations(printer, package.report.get("operations", {}), verbose)
+    worst = package.report.get("worst_operations", {})
+    if worst:
+        printer.line("worst   " + ", ".join(f"{phase} {count:,}" for phase, count in worst.items()) + " operations")
 
 
 def _print_operations(printer: Printer, operations: Mapping[str, Mapping[str, Any]], verbose: bool) -> None:

@@ -12,18 +12,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, get_args
 
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.runtime.package_description import OpCount
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.stage_cost import StageCosts
     from nmpc_codegen.frontend.problem import Problem, Row
     from nmpc_codegen.ir.cmodule import Size, Struct, Table
-    from nmpc_codegen.ir.kernel import OpCount, Port
+    from nmpc_codegen.ir.kernel import Port
     from nmpc_codegen.ir.model import HessianModel, Interval, ModelFunctions
     from nmpc_codegen.ir.sweep import Call, Routine
     from nmpc_codegen.runtime.package_description import EntryPoint, Precision
 
 # C function -> operations of one run
-Counts = Mapping[str, "OpCount"]
+Counts = Mapping[str, OpCount]
 
 Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
 
@@ -78,7 +79,8 @@ class QpDims:
     nzs: Size  # nxs + nus
     nv: Size  # variables of the QP
     nsl: Size  # slacks among them
-    ld: Size  # leading dimension of condensed matrices: nv rounded up to PANEL
+    ld: Size  # nv rounded up to PANEL
+    ldh: Size  # nv - nsl rounded up to PANEL
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,10 @@ class Component(Protocol):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The structs that it owns inside the solver struct."""
+        ...
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Integer members of its structs that limit loops -> least and largest value, for the worst case."""
         ...
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
@@ -217,6 +223,11 @@ class QpSolver(Component, Protocol):
 
     takes: ClassVar[str]  # "condensed" or "stages"
     automatic: ClassVar[bool]  # qp=None may choose it
+    iteration: ClassVar[tuple[str, ...]]  # macros of what one iteration charges to a budget; none: it has no budget
+
+    def search(self, dims: Dims) -> OpCount:
+        """Estimate of the further operations of a sample whose working set is far from the predicted one."""
+        ...
 
 
 class Algorithm(Component, Protocol):
@@ -277,8 +288,14 @@ class Defaults:
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         return ()
 
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        return {}
+
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}
+
+    def search(self, dims: Dims) -> OpCount:
+        return OpCount()
 
     def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
         return {}

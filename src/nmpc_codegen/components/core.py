@@ -60,7 +60,9 @@ def _coupled(dims: Dims) -> Struct:
 
 
 def _renewal() -> Struct:
-    note = Field("reference_changed", (), "1: the references are newer than the gradients", "keep", "int32")
+    note = Field(
+        "renewal", (), "1: references are newer than the gradients, 2: so are weights or parameters", "keep", "int32"
+    )
     return Struct("solver", "", (replace(note, only="SET_REFERENCE"),))
 
 

@@ -128,6 +128,8 @@ class CModule:
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
     diagonal_weight: bool
     diagonal_weight_N: bool
+    ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # integer member -> least and largest value
+    iteration: tuple[str, ...] = ()  # macros of what one iteration of the QP solver charges to a budget
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 
     @property

@@ -124,7 +124,7 @@ class Instruction(NamedTuple):
     constant: float = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Kernel:
     """A straight-line C function: all inputs are loaded before the first store, so outputs may alias inputs.
 

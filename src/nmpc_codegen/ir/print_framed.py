@@ -8,6 +8,8 @@ results. A direct call needs neither.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
+from functools import lru_cache
 from textwrap import wrap
 
 import casadi as ca
@@ -28,7 +30,7 @@ def print_framed(routine: LoopedRoutine, style: CStyle) -> str:
     sweep, frame = routine.sweep, routine.sweep.frame
     assert frame is not None
     count = ", ".join(f"{v} {k}" for k, v in routine.count.as_dict().items() if v) or "no operations"
-    lines = _body(routine, frame, style)
+    lines = _body(routine, style)
     parameters = [text for name, text in named(frame).items() if name in _names(lines)]
     head = f"static {'inline ' if frame.inline else ''}void {sweep.name}({', '.join(parameters)})"
     return "\n".join([f"/* {sweep.doc}: {count} */", head, "{", *lines, "}"])
@@ -39,7 +41,7 @@ def call(routine: LoopedRoutine, style: CStyle) -> tuple[tuple[str, ...], str]:
     frame = routine.sweep.frame
     assert frame is not None
     names = tuple(named(frame))
-    used = _names(_body(routine, frame, style))
+    used = _names(_body(routine, style))
     return names, f"{routine.name}({', '.join(name for name in names if name in used)})"
 
 
@@ -49,13 +51,16 @@ def named(frame: Frame) -> dict[str, str]:
     return {s.split("*")[-1].split(" ")[-1]: p for s, p in zip(stripped, frame.parameters, strict=True)}
 
 
-def _body(routine: LoopedRoutine, frame: Frame, style: CStyle) -> list[str]:
-    """The statements of the function."""
+@lru_cache(maxsize=256)
+def _body(routine: LoopedRoutine, style: CStyle) -> tuple[str, ...]:
+    """The statements of the function; its definition and its calls name those parameters that they use."""
+    frame = routine.sweep.frame
+    assert frame is not None
     printer = _Printer(routine, frame, style)
-    return _declarations(routine, frame, style) + printer.block(routine.sweep.body, "    ", {}, set())
+    return (*_declarations(routine, frame, style), *printer.block(routine.sweep.body, "    ", {}, set()))
 
 
-def _names(lines: list[str]) -> set[str]:
+def _names(lines: Iterable[str]) -> set[str]:
     return set(re.findall(r"\w+", "\n".join(lines)))
 
 

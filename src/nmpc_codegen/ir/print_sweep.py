@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import lru_cache
 
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.print_c import CStyle, comment, print_body, print_kernel, signature
@@ -10,8 +11,9 @@ from nmpc_codegen.ir.print_framed import print_framed
 from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Routine, Slice, calls, passed
 
 
+@lru_cache(maxsize=256)
 def print_routine(routine: Routine, style: CStyle) -> str:
-    """C text of a routine."""
+    """C text of a routine; a package reads it twice, for its bounds and for its file."""
     if isinstance(routine, Kernel):
         return print_kernel(routine, style)
     if routine.sweep.frame:

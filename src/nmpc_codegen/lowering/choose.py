@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from nmpc_codegen.components.base import Condensing, QpSolver, called
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
@@ -13,6 +13,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.lowering.dimensions import dimensions
+from nmpc_codegen.lowering.growth import Growth
 from nmpc_codegen.options import Options
 
 #: Block lengths of partial condensing that are considered.
@@ -21,7 +22,11 @@ BLOCKS = (2, 3, 4, 5, 8, 10)
 
 @dataclass(frozen=True)
 class Candidate:
-    """A condensing, a solver for its QP, and the operations of a warm-started sample with an empty working set."""
+    """A condensing, a solver for its QP, and their operations.
+
+    ``operations``: of a warm-started sample with an empty working set; if there are soft rows, which are active in
+    blocks that come and go, also those of finding another working set.
+    """
 
     condensing: Condensing
     qp: QpSolver
@@ -31,38 +36,66 @@ class Candidate:
         return f"{self.condensing.label} + {self.qp.name}: {self.operations:,}"
 
 
-#: Condensing, QP solver, and the reasons for the choice.
-Choice = tuple[Condensing, QpSolver, tuple[str, ...]]
+#: A solver that takes at most this many times the fewest operations is close: the worst case decides between them.
+CLOSE = 1.5
 
 
-def choose_qp(problem: Problem, options: Options, constant_hessian: bool, model: ModelFunctions) -> Choice:
+@dataclass(frozen=True)
+class Choice:
+    """Condensing, QP solver, the reasons for them, and the candidates with other solvers that are close to them."""
+
+    condensing: Condensing
+    qp: QpSolver
+    reasons: tuple[str, ...] = ()
+    rivals: tuple[Choice, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Both in words."""
+        return f"{self.condensing.label} + {self.qp.name}"
+
+
+def choose_qp(
+    problem: Problem, options: Options, constant_hessian: bool, model: ModelFunctions, grown: Growth
+) -> Choice:
     """Condensing and QP solver: those that are given, adapted to the problem, completed by the choice that takes the
-    fewest operations. The reason for this choice is the table of all candidates.
+    fewest operations of those that keep enough digits. The reason for this choice is the table of all candidates.
 
     Raises:
-        OptionError: the two that are given clash.
+        OptionError: the two that are given clash, or too few digits remain with every condensing that fits.
     """
     given = options.condensing
     if given is not None and options.qp is not None:
         _check_forms(given, options.qp)
         condensing = given.adapted(problem)
-        return condensing, options.qp, _instead(given, condensing)
-    pairs = list(_pairs(given, options.qp))
-    candidates = []
+        reasons = (*_instead(given, condensing), *grown.warning(problem, condensing))
+        return Choice(condensing, options.qp, reasons)
+    fitting = list(_pairs(given, options.qp))
+    pairs = [pair for pair in fitting if grown.spares(problem, pair[0])] or fitting
+    candidates, soft = [], "soft rows" in problem.features
     for stated, qp in pairs:
         condensing = stated.adapted(problem)
         if all(problem.features <= c.supports for c in (condensing, qp)):
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian)
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
-            candidates.append(Candidate(condensing, qp, sum(counts, OpCount()).total))
+            total = sum(counts, qp.search(dims) if soft else OpCount())
+            candidates.append(Candidate(condensing, qp, total.total))
     if not candidates:
-        return *pairs[0], ()  # the checks of this pair raise the error that says why
-    best = min(candidates, key=lambda c: c.operations)
-    table = "; ".join(map(str, sorted(candidates, key=lambda c: c.operations)))
-    why = f"fewest operations of a warm-started sample ({table})"
-    chosen = [f"condensing: {best.condensing.name}"] if given is None else []
-    chosen += [f"qp: {best.qp.name}"] if options.qp is None else []
-    return best.condensing, best.qp, (*_instead(given, best.condensing), f"{', '.join(chosen)}; {why}")
+        return Choice(*pairs[0])  # the checks of this pair raise the error that says why
+    ranked = sorted(candidates, key=lambda c: c.operations)
+    table = "; ".join(map(str, ranked))
+    sample = "warm-started sample and a search for its working set" if soft else "warm-started sample"
+    why = f"fewest operations of a {sample} ({table})"
+    best, *others = (next(c for c in ranked if c.qp.name == name) for name in dict.fromkeys(c.qp.name for c in ranked))
+
+    def chosen(c: Candidate) -> Choice:
+        words = [f"condensing: {c.condensing.name}"] if given is None else []
+        words += [f"qp: {c.qp.name}"] if options.qp is None else []
+        lossy = grown.warning(problem, c.condensing) or grown.left_out(problem, [pair[0] for pair in fitting])
+        return Choice(c.condensing, c.qp, (*_instead(given, c.condensing), f"{', '.join(words)}; {why}", *lossy))
+
+    close = (chosen(c) for c in others if c.operations <= CLOSE * best.operations)
+    return replace(chosen(best), rivals=tuple(close))
 
 
 def _instead(stated: Condensing | None, condensing: Condensing) -> tuple[str, ...]:

@@ -45,8 +45,9 @@ def _qp_dims(problem: Problem, shape: QpShape) -> QpDims:
         "NV": shape.variables,
         "NSL": shape.slacks,
         "LDV": -(-shape.variables // PANEL) * PANEL,
+        "LDH": -(-(shape.variables - shape.slacks) // PANEL) * PANEL,
     }
-    return QpDims(**_sizes(sizes, {"LDV": "ld"}))
+    return QpDims(**_sizes(sizes, {"LDV": "ld", "LDH": "ldh"}))
 
 
 def _sizes(values: Mapping[str, int], fields: Mapping[str, str]) -> dict[str, Size]:

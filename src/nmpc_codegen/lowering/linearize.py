@@ -15,7 +15,8 @@ from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
 from nmpc_codegen.ir.stage_products import Pattern, pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.choose import choose_qp
+from nmpc_codegen.lowering.choose import Choice, choose_qp
+from nmpc_codegen.lowering.growth import growth
 from nmpc_codegen.options import REGISTRIES, Online, Options
 from nmpc_codegen.runtime.package_description import Precision
 
@@ -24,7 +25,8 @@ from nmpc_codegen.runtime.package_description import Precision
 class Model(ModelFunctions):
     """The problem, the components that solve it with the reasons for their choice, and every function of the package.
 
-    ``constant_hessian``: the path Hessian block is the same at all nodes.
+    ``choice``: condensing and QP solver with their reasons, if the algorithm has a QP; ``reasons``: those for other
+    parts. ``constant_hessian``: the path Hessian block is the same at all nodes.
     """
 
     problem: Problem
@@ -32,8 +34,14 @@ class Model(ModelFunctions):
     online: Online
     precision: Precision
     solve: bool
-    choices: tuple[str, ...]
+    reasons: tuple[str, ...]
+    choice: Choice | None
     constant_hessian: bool
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """All choices with their reasons."""
+        return (*self.reasons, *(() if self.choice is None else self.choice.reasons))
 
     @property
     def options(self) -> Options:
@@ -62,10 +70,11 @@ def linearize(problem: Problem, options: Options) -> Model:
     functions = _functions(problem, integrator, options.hessian)
     constant = _constant_hessian(problem, online, functions)
     parts = Parts(integrator, options.algorithm, options.hessian)
-    why: tuple[str, ...] = ()
+    choice: Choice | None = None
     if "qp" in options.algorithm.needs:
-        condensing, qp, why = choose_qp(problem, options, constant, functions)
-        parts = replace(parts, condensing=condensing, qp=qp)
+        grown = growth(problem, integrator, options.precision)
+        choice = choose_qp(problem, options, constant, functions, grown)
+        parts = replace(parts, condensing=choice.condensing, qp=choice.qp)
     _check(problem, *parts.components)
     return Model(
         **{field.name: getattr(functions, field.name) for field in fields(ModelFunctions)},
@@ -74,7 +83,8 @@ def linearize(problem: Problem, options: Options) -> Model:
         online=online,
         precision=options.precision,
         solve=options.solve,
-        choices=(*choices, *why),
+        reasons=choices,
+        choice=choice,
         constant_hessian=constant,
     )
 

@@ -88,6 +88,8 @@ def lower(model: Model, name: str | None = None) -> CModule:
         ),
         diagonal_weight=problem.path.diagonal_weight,
         diagonal_weight_N=problem.terminal.diagonal_weight,
+        ranges={name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()},
+        iteration=() if model.parts.qp is None else model.parts.qp.iteration,
         foreign={
             path: text
             for c in model.parts.components
@@ -143,7 +145,11 @@ def _switches(model: Model) -> dict[str, int]:
         switches |= component.switches
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
-    return {**switches, "RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
+    switches |= {"RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
+    condensing = parts.condensing
+    checked = condensing is not None and condensing.eliminates and not switches.get("APPROXIMATE", 0)
+    gradient = condensing is not None and checked and condensing.gives == "condensed"
+    return {**switches, "CHECK_STEP": int(checked), "CHECK_GRADIENT": int(gradient)}
 
 
 def _section_count(counts: Counts) -> OpCount | None:
@@ -181,6 +187,7 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
         "NSL": "slack variables of the QP",
         "NG": "scalar rows of all nodes besides control bounds",
         "LDV": "NV rounded up to PANEL",
+        "LDH": "NV - NSL rounded up to PANEL",
     }
     core = [s for s in vars(dims).values() if isinstance(s, Size) and (s.text != "NQ" or model.parts.hessian)]
     of_qp: Iterable[Size] = () if dims.condensed is None else vars(dims.condensed).values()

@@ -81,6 +81,11 @@ def render(module: CModule, resolved: bool = True) -> Sources:
     return {**sources, **module.foreign}
 
 
+def unit_text(module: CModule) -> str:
+    """The translation unit after its tables."""
+    return render_unit(module, _names(module))
+
+
 def _names(module: CModule) -> dict[str, Any]:
     style = unit_style(module.precision)
     names: dict[str, Any] = context(module.name, module.precision)

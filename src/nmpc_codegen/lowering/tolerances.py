@@ -1,5 +1,7 @@
 """All tolerances of the generated code, as named multiples of the machine epsilon of the working precision."""
 
+import math
+
 EPS = {"double": 2.0**-52, "single": 2.0**-23}
 
 TOLERANCES: dict[str, tuple[float, str]] = {
@@ -11,6 +13,13 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "qp_sign": (2.0**6, "wrong sign of a multiplier that is taken as rounding: |m| |lam| relative to |y0| + |y|"),
     "qp_proximal": (2.0**8, "step of the proximal point method that is taken as rounding, relative to |y0| + |y|"),
     "qp_proximal_stagnation": (2.0**12, "the same if the step does not decrease any more"),
+    "qp_accepted": (
+        2.0**12,
+        "residual of a row or of the gradient in a result that is called OK, relative to its terms",
+    ),
+    "step": (2.0**13, "the same in a result of a condensed QP, expanded, with less of the terms counted"),
+    "step_gradient": (2.0**13, "the same for the gradient, in which condensing of an unstable plant costs digits"),
+    "qp_residual": (2.0**10, "residual of a row or of the gradient in an answer, relative to its terms"),
     "riccati_pivot": (2.0**5, "rounding of a pivot of the Riccati recursion, relative to its diagonal entry"),
     "riccati_feasibility": (2.0**6, "violation of a bound that is taken as rounding, relative to |a|'|z| + |bound|"),
     "riccati_sign": (2.0**8, "wrong sign of a multiplier that is taken as rounding, relative to its terms"),
@@ -23,8 +32,8 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "ipm_primal": (2.0**2, "residual of a row, relative to its size"),
     "ipm_stationarity": (2.0**8, "gradient of the Lagrangian, relative to its largest term"),
     "ipm_violation": (2.0**8, "violation of a row without multiplier that is taken as rounding, relative to its size"),
-    "ipm_ray": (2.0**22, "rest of a sum of row gradients that is taken as zero, relative to its terms"),
-    "ipm_contradiction": (2.0**16, "contradiction of weighted bounds that may be rounding, relative to its terms"),
+    "ipm_ray": (2.0**12, "rest of a sum of row gradients that is taken as zero, relative to its terms"),
+    "ipm_contradiction": (2.0**12, "contradiction of weighted bounds that may be rounding, relative to its terms"),
     "unit": (1.0, "the machine epsilon; its square root separates a zero pivot from a positive one"),
     "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),
     "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),
@@ -34,6 +43,14 @@ TOLERANCES: dict[str, tuple[float, str]] = {
 }
 
 
+#: Multiples of the square root of the machine epsilon below which a tolerance does not fall.
+ROOTS: dict[str, float] = {"qp_accepted": 0.25, "step": 0.5, "ipm_ray": 2.0**-4, "ipm_contradiction": 2.0**-10}
+
+#: Values below which a tolerance does not fall in any precision.
+FLOORS: dict[str, float] = {"step_gradient": 2.0**-20, "qp_residual": 2.0**-35}
+
+
 def tolerance(name: str, precision: str) -> float:
     """Value of a named tolerance in the given precision."""
-    return TOLERANCES[name][0] * EPS[precision]
+    eps = EPS[precision]
+    return max(TOLERANCES[name][0] * eps, ROOTS.get(name, 0.0) * math.sqrt(eps), FLOORS.get(name, 0.0))

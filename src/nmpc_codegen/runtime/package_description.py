@@ -224,14 +224,16 @@ class Report:
 
     ``ram_bytes``: size of the solver struct; ``ram_bytes_by_struct``: sizes of the structs in it; ``operations``: of
     one call of every C function for which they do not depend on data; ``linearization_operations``: of all nodes
-    together; ``choices``: the chosen components and the reasons; ``looped``: functions with loops instead of
-    straight-line code.
+    together; ``worst_operations``: at most, of "prepare" and "feedback" at the caps on iterations and of the "sample"
+    that calls both, or of the sample alone if it has a budget; empty if unknown; ``choices``: the chosen components and
+    the reasons; ``looped``: functions with loops instead of straight-line code.
     """
 
     ram_bytes: int = 0
     ram_bytes_by_struct: Mapping[str, int] = field(default_factory=dict)
     operations: Mapping[str, OpCount] = field(default_factory=dict)
     linearization_operations: int = 0
+    worst_operations: Mapping[str, int] = field(default_factory=dict)
     choices: tuple[str, ...] = ()
     looped: tuple[str, ...] = ()
 
@@ -242,6 +244,7 @@ class Report:
             "ram_bytes_by_struct": dict(self.ram_bytes_by_struct),
             "operations": {name: count.as_dict() for name, count in self.operations.items()},
             "linearization_operations": self.linearization_operations,
+            "worst_operations": dict(self.worst_operations),
             "choices": list(self.choices),
             "looped": list(self.looped),
         }
@@ -559,11 +562,13 @@ def _report(entry: Entry) -> Report:
     sizes = raw.get("ram_bytes_by_struct", empty).object()
     operations = raw.get("operations", empty).object()
     total = raw.get("linearization_operations", Entry("", 0))
+    worst = raw.get("worst_operations", empty).object()
     return Report(
         ram_bytes=raw.get("ram_bytes", Entry("", 0)).integer(),
         ram_bytes_by_struct={name: size.integer() for name, size in sizes.items()},
         operations={name: _operations(count) for name, count in operations.items()},
         linearization_operations=total.integer(high=MAX_COUNT),
+        worst_operations={phase: count.integer(high=MAX_COUNT) for phase, count in worst.items()},
         choices=tuple(choice.text() for choice in raw.get("choices", Entry("", [])).items()),
         looped=tuple(name.identifier() for name in raw.get("looped", Entry("", [])).items()),
     )

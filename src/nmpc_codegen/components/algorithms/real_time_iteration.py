@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.allowed import Number, Words, check_options, option
+from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
@@ -27,8 +27,8 @@ _U0 = Argument("u0", "real", ("NU",))
 PHASES = (
     EntryPoint(
         "prepare",
-        "Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; a "
-        "NUMERICAL_FAILURE that persists means that the plan itself is unusable: call reset.",
+        "Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; feedback "
+        "restarts a plan that fails repeatedly.",
     ),
     EntryPoint(
         "feedback",
@@ -49,6 +49,8 @@ SOLVE = EntryPoint(
 SHIFTS = (None, "repeat", "periodic", "resample")
 MAX_TRIALS = 30
 MEMORY = 8
+#: Samples in a row that the budget ends until the plan restarts.
+PATIENCE = 10
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,9 @@ class RealTimeIteration(Defaults):
     0. "resample": the old plan is evaluated ``sampling_time`` (s) later, on any grid. "repeat" and "periodic" are
     right only if the sampling time equals the first interval.
 
+    ``budget``: floating-point operations that one sample, prepare and feedback, may take; past it the sample ends with
+    ITERATION_LIMIT and the control of the plan. It does not concern solve().
+
     ``relaxation``: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
     is then RELAXED. None: the status is INFEASIBLE, and the plan does not change.
     """
@@ -67,6 +72,7 @@ class RealTimeIteration(Defaults):
     shift: str | None = option(None, Words(SHIFTS))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
     relaxation: float | None = option(None, Number(optional=True))
+    budget: int | None = option(None, Whole(optional=True))
 
     seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
@@ -95,12 +101,13 @@ class RealTimeIteration(Defaults):
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """How shift() moves the plan (all 0: by one interval), and whether infeasible QPs are relaxed."""
+        """How shift() moves the plan (all 0: by one interval); whether hard rows are relaxed, operations limited."""
         return {
             "SHIFT_RESAMPLE": int(self.shift == "resample"),
             "INTEGRATE_PLAN": int(self.shift == "resample"),
             "SHIFT_PERIODIC": int(self.shift == "periodic"),
             "RELAX": int(self.relaxation is not None),
+            "BUDGET": int(self.budget is not None),
         }
 
     def check(self, problem: Problem) -> None:
@@ -141,7 +148,12 @@ class RealTimeIteration(Defaults):
         return accumulators
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        budget = (
+            ("MAX_OPERATIONS", self.budget or 0, "operations of a sample at most"),
+            ("PATIENCE", PATIENCE, "samples ended by the budget until the plan restarts"),
+        )
         return (
+            *(budget if self.budget is not None else ()),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
             ("MEMORY", MEMORY, "merit values that the line search of solve() remembers"),
@@ -153,7 +165,8 @@ class RealTimeIteration(Defaults):
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
-            Field("failing", (), "1: the last QP had no solution, 2: nor had the one before", "keep", "int32"),
+            Field("failing", (), "failures in a row, at most 3", "keep", "int32"),
+            Field("late", (), "samples since the last success that the budget ended", "keep", "int32", only="BUDGET"),
         )
         results = (
             Field("stats", (), "counters", "result", "stats"),

@@ -104,6 +104,8 @@ class FullCondensing(Defaults):
                     Field("Hx", (dims.qp.nv, dims.nx), "coupling of the controls to dx_0", "data"),
                     Field("Ax", (dims.ng, dims.nx), "coupling of the rows to dx_0", "data"),
                     Field("v", (dims.ng,), "values of the rows at du = 0, dx_0 = 0", "data"),
+                    Field("terms", (dims.ng,), "magnitude of the terms of v", "data"),
+                    Field("regularized", (), "1: the Hessian was changed", "data", "int32", only="REGULARIZE_REDUCED"),
                 ),
             ),
         )
@@ -119,11 +121,12 @@ class FullCondensing(Defaults):
         hessian += model.products.terminal_panel * panels(nx + N * nu, 0, 1)
         hessian += model.products.backward_panel * panels(nx + nu, nu, N)
         gradient = (model.products.state_step + model.products.adjoint_step) * N + model.products.terminal_adjoint
-        rows = N * nu + ng
         return {
             "condense_hessian": hessian,
             "condense_add_curvature": OpCount(add=nu * (nu + 1) // 2) * N,
             "condense_gradient": gradient,
-            "condense_embed": OpCount(add=nx + 2, mul=nx) * rows + OpCount(add=nx, mul=nx) * nf,
+            "condense_embed": OpCount(add=nx + 2, mul=nx) * (N * nu)
+            + OpCount(add=2 * nx + 2, mul=nx) * ng
+            + OpCount(add=nx, mul=nx) * nf,
             "condense_expand": model.products.state_step * N,
         }

@@ -8,6 +8,7 @@ The preparation phase factorises at the predicted working set; the feedback phas
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,6 +20,9 @@ from nmpc_codegen.ir.kernel import OpCount
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
     from nmpc_codegen.ir.model import ModelFunctions
+
+#: Cap on the proximal steps for a semidefinite Hessian.
+PROXIMAL_STEPS = 200
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,7 @@ class DenseActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = True
+    iteration: ClassVar[tuple[str, ...]] = ("COST_ATTEMPT", "COST_SEARCH")
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -48,12 +53,13 @@ class DenseActiveSet(Defaults):
         cap = 10 * (dims.qp.nv.value + dims.ng.value) + 50 if self.max_iterations is None else self.max_iterations
         return (
             ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one feedback phase"),
-            ("QP_MAX_PROXIMAL_STEPS", 200, "cap on the proximal steps for a semidefinite Hessian"),
+            ("QP_MAX_PROXIMAL_STEPS", PROXIMAL_STEPS, "cap on the proximal steps for a semidefinite Hessian"),
+            ("QP_MAX_SEARCHES", cap + 2 * PROXIMAL_STEPS, "cap on the searches for violated rows"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The QP: data, result, factors and working set."""
-        nv, ng, ld = dims.qp.nv, dims.ng, dims.qp.ld
+        nv, ng, ld, ldh = dims.qp.nv, dims.ng, dims.qp.ld, dims.qp.ldh
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
         return (
             *_working_memory(dims),
@@ -61,11 +67,13 @@ class DenseActiveSet(Defaults):
                 "qp",
                 "condensed QP and its active-set factorisation",
                 (
-                    Field("H", (ld, ld), "Hessian (lower triangle); later D, L and L' of L D L'", "scratch"),
-                    Field("A", (ng, ld), "general rows", "scratch"),
+                    Field("H", (ldh, ld), "Hessian (lower triangle); later D, L and L' of L D L'", "scratch"),
+                    Field("A", (ng, ldh), "general rows", "scratch"),
+                    Field("curvature", (dims.qp.nsl,), "quadratic penalties of the slacks", "scratch"),
                     Field("g", (nv,), "gradient", "scratch"),
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
                     Field("upper", (rows,), "upper bounds", "scratch"),
+                    Field("terms", (ng,), "magnitude of the terms that the bounds of a general row sum up", "scratch"),
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("inverse", (ld,), "D^{-1/2}", "scratch"),
@@ -90,10 +98,13 @@ class DenseActiveSet(Defaults):
                     Field("snapshot", (rows,), "earlier values of side, to detect cycles", "scratch", "int32"),
                     Field("nw", (), "number of rows in the working set", "scratch", "int32"),
                     Field("factorized", (), "1: qp_factorize has succeeded", "scratch", "int32"),
+                    Field("strict", (), "1: rounding errors are judged by the terms of a row", "scratch", "int32"),
                     Field("semidefinite", (), "1: a pivot of H may be zero, E is not zero", "scratch", "int32"),
                     Field("face", (), "value of changes when the direction was set", "scratch", "int32"),
                     Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
+                    Field("searches", (), "searches for violated rows in that call", "scratch", "int32"),
+                    Field("allowance", (), "operations left; -1: no limit", "scratch", "int32", only="BUDGET"),
                     Field("changes", (), "rows that entered or left the working set in that call", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "elastic rows that are violated", "result", "int32"),
@@ -101,20 +112,29 @@ class DenseActiveSet(Defaults):
             ),
         )
 
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """The working set has at most as many rows as the QP has variables."""
+        return {"nw": (0, dims.qp.nv.value)}
+
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Operations of the functions whose count depends on sizes alone (padded columns included)."""
-        n = dims.qp.ld.value
+        n, slacks = dims.qp.ldh.value, dims.qp.ld.value - dims.qp.ldh.value
         panels = n // 4
         # Per panel b: entries to the right of it, and to the left.
         right = sum(n - 4 * k - 4 for k in range(panels))
         block = OpCount(add=6, mul=6)
-        scale = OpCount(mul=n)
+        scale = OpCount(mul=n + slacks)
         substitution = block * panels + OpCount(add=4, mul=4) * right
         return {
             "qp_factorize_hessian": _factorization(dims),
             "qp_forward": substitution + scale,
             "qp_backward": substitution + scale,
         }
+
+    def search(self, dims: Dims) -> OpCount:
+        """A quarter of the variables enter or leave the working set, at about 2 n (n + ng) operations of a kind."""
+        n = dims.qp.nv.value
+        return OpCount(add=2, mul=2) * (n * (n + dims.ng.value)) * max(1, n // 4)
 
 
 def _working_memory(dims: Dims) -> tuple[Struct, ...]:
@@ -136,8 +156,9 @@ def _working_memory(dims: Dims) -> tuple[Struct, ...]:
 
 def _factorization(dims: Dims) -> OpCount:
     """Operations of L D L' of a positive definite H, panel by panel."""
-    n, ld = dims.qp.nv.value, dims.qp.ld.value
-    total = OpCount(sqrt=ld)
+    n, ld = dims.qp.nv.value - dims.qp.nsl.value, dims.qp.ldh.value
+    slacks = dims.qp.ld.value - ld
+    total = OpCount(sqrt=ld + slacks, div=slacks)
     for b in range(0, ld, 4):
         total += OpCount(add=10, mul=20, div=4)
         total += OpCount(add=6, mul=10) * (ld - b - 4)

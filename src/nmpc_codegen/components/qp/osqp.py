@@ -39,12 +39,18 @@ class Osqp(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = False
+    iteration: ClassVar[tuple[str, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "coupled rows"}
     )
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """Its results satisfy their conditions up to ``eps``."""
+        return {"APPROXIMATE": 1}
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Numbers of entries of the two matrices, which OSQP stores as compressed columns."""
@@ -78,6 +84,9 @@ class Osqp(Defaults):
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
                     Field("upper", (rows,), "upper bounds", "scratch"),
                     Field("penalty", (rows,), "infinite: every row is hard", "keep", only="ELASTIC"),
+                    Field(
+                        "terms", (ng,), "not used: magnitude of the terms that the bounds of a row sum up", "scratch"
+                    ),
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),

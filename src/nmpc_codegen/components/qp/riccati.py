@@ -168,8 +168,10 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         Field("z", (nv,), "minimiser: controls", "result"),
         Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
         *(certificate if ng.value else ()),
+        Field("least", (), "least magnitude of a row in units of its reach", "scratch", only="INTERIOR_POINT"),
         Field("side", (rows,), "+-1: at the upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"),
         Field("iterations", (), "iterations, or changes of the working set, of the last qp_solve", "result", "int32"),
+        Field("allowance", (), "operations left; -1: no limit", "scratch", "int32", only="BUDGET"),
         Field("changes", (), "rows that became active or inactive in that call", "result", "int32"),
         Field("dropped", (), "equalities left out as redundant", "result", "int32"),
         Field("relaxed", (), "soft rows that are violated", "result", "int32"),
@@ -194,6 +196,18 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
         "riccati_backward": backward * ns + OpCount(add=copies),
         "riccati_forward": forward * ns + free,
     }
+
+
+def riccati_search(dims: Dims) -> OpCount:
+    """Operations of ten interior point iterations, which are typical where a working set is far from the predicted one.
+
+    A row takes about 40 of a kind, its products with a point, and those with itself.
+    """
+    counts, nz = riccati_cost(dims), dims.qp.nzs.value
+    iteration = counts["riccati_factorize"] + (counts["riccati_backward"] + counts["riccati_forward"]) * 2
+    iteration += OpCount(add=40, mul=40) * dims.qp.nv.value
+    iteration += OpCount(add=1, mul=1) * (40 + 4 * nz + nz * nz) * dims.ng.value
+    return iteration * 10
 
 
 def _stage_recursion(nx: int, nus: int) -> OpCount:

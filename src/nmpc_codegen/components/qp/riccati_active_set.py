@@ -17,6 +17,7 @@ from nmpc_codegen.components.allowed import Named, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.components.qp.riccati import (
     riccati_cost,
+    riccati_search,
     riccati_sizes,
     riccati_structs,
     stage_qp_fields,
@@ -27,13 +28,14 @@ from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
+    from nmpc_codegen.ir.kernel import OpCount
     from nmpc_codegen.ir.model import ModelFunctions
 
 
 #: Default cap on the number of working sets that are tried.
 MAX_ITERATIONS = 50
 
-#: Cap on the working sets that are tried from that of the interior point method.
+#: Cap on the working sets that are tried from one that is expected to be nearly that of the solution.
 MAX_POLISH = 5
 
 
@@ -47,8 +49,10 @@ class RiccatiActiveSet(Defaults):
     """Options of the Riccati active-set solver.
 
     ``max_iterations``: maximum number of working sets that are tried in one feedback phase; None: 50. ``fallback``: the
-    method, with its options, that solves a QP for which no working set is found. With None such a QP, even an
-    infeasible one, ends with ITERATION_LIMIT (crossed bounds with INFEASIBLE), and the package is smaller.
+    method, with its options, that takes over earlier, once the number of changes has failed to fall three times. It
+    continues until its iterate indicates a working set, from which the active-set method finishes. With None a QP for
+    which no working set is found, even an infeasible one, ends with ITERATION_LIMIT (crossed bounds with INFEASIBLE),
+    and the package is smaller.
     """
 
     seam: ClassVar[Seam] = "qp"
@@ -57,6 +61,7 @@ class RiccatiActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = True
+    iteration: ClassVar[tuple[str, ...]] = ("COST_WORKING_SET",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -81,6 +86,7 @@ class RiccatiActiveSet(Defaults):
         return (
             *riccati_sizes(dims),
             ("QP_MAX_ITERATIONS", self._cap, "cap on the working sets of one feedback phase"),
+            ("QP_MAX_POLISH", min(self._cap, MAX_POLISH), "cap on the working sets near a solution"),
             ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
             *self._fallback_sizes(),
         )
@@ -89,7 +95,8 @@ class RiccatiActiveSet(Defaults):
         if self.fallback is None:
             return ()
         return (
-            ("QP_MAX_POLISH", min(self._cap, MAX_POLISH), "cap on the working sets after the interior point method"),
+            ("QP_MAX_RISES", 3, "number of times that the changes may fail to become fewer"),
+            ("IPM_CROSSOVER", 1, "1: the interior point method may end once it indicates a working set"),
             ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on the interior point iterations of one QP"),
             ("IPM_WARM_START", int(self.fallback.warm_start), "1: start near the multipliers of the previous QP"),
         )
@@ -104,7 +111,7 @@ class RiccatiActiveSet(Defaults):
         return (
             *units,
             *riccati_structs(dims, () if noise is None else (noise,), corrected),
-            *((interior_point_struct(dims, self.fallback),) if self.fallback is not None else ()),
+            *((interior_point_struct(dims, self.fallback, crossover=True),) if self.fallback is not None else ()),
             Struct(
                 "qp",
                 "working set of the stage QP",
@@ -120,7 +127,7 @@ class RiccatiActiveSet(Defaults):
                     Field("residual", (), "relative residual on the working set", "scratch"),
                     Field("raised", (ng,), "number of times that the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
-                    *((Field("scaled", (), "1: root is known", "keep", "int32"),) if ng.value else ()),
+                    *((Field("scaled", (), "root: 0 none, 1 earlier, 2 own", "keep", "int32"),) if ng.value else ()),
                     Field("rough", (), "1: the minimiser has errors beyond rounding", "scratch", "int32"),
                     Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
@@ -132,6 +139,16 @@ class RiccatiActiveSet(Defaults):
             ),
         )
 
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Stages, and sides of the interior point method."""
+        stages = (-1, dims.qp.ns.value)
+        sides: Mapping[str, tuple[int, int]] = {} if self.fallback is None else self.fallback.ranges(dims)
+        return {"stale": stages, "stale_vectors": stages, **sides}
+
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The recursion and its substitutions; a warm-started sample needs one of each."""
         return riccati_cost(dims)
+
+    def search(self, dims: Dims) -> OpCount:
+        """The fall-back finds the working set."""
+        return riccati_search(dims)

@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 80
 
 
-def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
-    """The struct ``ipm`` of the solver: iterate and directions of the method."""
+def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: bool = False) -> Struct:
+    """The struct ``ipm`` of the solver: iterate and directions of the method.
+
+    ``crossover``: another method may take over.
+    """
     ng = dims.ng
     rows, sides = _rows_and_sides(dims)
     soft = Size(f"2 * {ng.text}", 2 * ng.value)
@@ -60,6 +63,11 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint) -> Struct:
             Field("de", (soft,), "direction of e", "scratch"),
             Field("dkappa", (soft,), "correction of the products e kappa, later the direction of kappa", "scratch"),
             *_progress(dims, options.warm_start),
+            *(
+                (Field("crossing", (), "whether and when another method takes over", "scratch", "int32"),)
+                if crossover
+                else ()
+            ),
         ),
     )
 
@@ -85,6 +93,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("stiffening", (), "divisor of the regularisation of the rows", "scratch"),
         Field("stiffest", (), "upper limit of stiffening", "scratch"),
         Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
+        Field("proximity", (), "factor by which the proximal term has been reduced", "scratch"),
         Field("least_pivot", (), "value added to pivots that are zero", "scratch"),
         Field("place", (sides,), "twice the row of a side, plus 1 if it is the upper one", "scratch", "int32"),
         Field("kind", (rows,), "inequality, equation or given control", "scratch", "int32"),
@@ -92,6 +101,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("hard", (), "number of hard ones among them, which come first", "scratch", "int32"),
         *((Field("warm", (), "1: the multipliers of the previous QP are used", "scratch", "int32"),) if warm else ()),
         *((Field("solved", (), "1: the last QP was solved", "keep", "int32"),) if warm else ()),
+        Field("begun", (), "iterations before the present attempt", "scratch", "int32"),
         Field("closed_gaps", (), "number of times that the gaps of the dynamics were closed", "scratch", "int32"),
         *((stretched,) if dims.ng.value else ()),
         Field("probing", (), "1: violated inequalities end the iterations", "scratch", "int32"),
@@ -116,6 +126,7 @@ class RiccatiInteriorPoint(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = False
+    iteration: ClassVar[tuple[str, ...]] = ("COST_INTERIOR",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -134,7 +145,13 @@ class RiccatiInteriorPoint(Defaults):
             *riccati_sizes(dims),
             ("IPM_MAX_ITERATIONS", self.max_iterations, "cap on the interior point iterations of one QP"),
             ("IPM_WARM_START", int(self.warm_start), "1: start near the multipliers of the previous QP"),
+            ("IPM_CROSSOVER", 0, "1: the iterations may end once they indicate a working set"),
         )
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Every row has two sides at most."""
+        sides = (0, 2 * (dims.qp.nv.value + dims.ng.value))
+        return {"sides": sides, "hard": sides}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion, the method, the QP."""

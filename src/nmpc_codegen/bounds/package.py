@@ -1,0 +1,133 @@
+"""Worst case of a sample: CModule -> CModule with bounds on its operations in the report, and the budget checked.
+
+With a budget B, a sample computes what charges for itself only as long as ALLOWANCE = B - (bound on all other
+operations of prepare and feedback) lasts, so that it never takes more than B operations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from nmpc_codegen.bounds.c_source import Type, constants, functions, macros, struct_members, tables
+from nmpc_codegen.bounds.names import Unit
+from nmpc_codegen.bounds.worst_case import UnboundedError, WorstCase
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.ir.cmodule import CModule, Macro
+from nmpc_codegen.lowering.choose import CLOSE, Choice
+from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.preamble import all_definitions
+from nmpc_codegen.lowering.render import unit_text
+
+#: The phases of a sample.
+PHASES = ("prepare", "feedback")
+
+
+def settled(model: Model, name: str | None = None) -> CModule:
+    """The package with the QP solver whose worst case is least among those that are close; see bounded().
+
+    Raises:
+        OptionError: the one that raises it for the model itself, if no package exists.
+    """
+    if model.choice is None or not model.choice.rivals:
+        return bounded(lower(model, name))
+    packages: list[tuple[Choice, CModule]] = []
+    errors: list[OptionError] = []
+    for choice in (model.choice, *model.choice.rivals):
+        try:
+            packages.append((choice, bounded(lower(_with(model, choice), name))))
+        except OptionError as error:
+            errors.append(error)
+    if not packages:
+        raise errors[0]
+    worst = {c.label: m.description.report.worst_operations.get("sample") for c, m in packages}
+    known = {label: count for label, count in worst.items() if count is not None}
+    if len(known) < len(packages):
+        return packages[0][1]
+    choice, module = min(packages, key=lambda package: known[package[0].label])
+    table = "; ".join(f"{label}: {count:,}" for label, count in known.items())
+    why = f"least worst case of a sample among solvers that need at most {CLOSE} times the least ({table})"
+    return _because(module, f"qp: {choice.qp.name}; {why}")
+
+
+def _with(model: Model, choice: Choice) -> Model:
+    """The model with another QP solver and its reasons."""
+    parts = replace(model.parts, condensing=choice.condensing, qp=choice.qp)
+    return replace(model, parts=parts, choice=choice)
+
+
+def _because(module: CModule, reason: str) -> CModule:
+    """The module with one more reason."""
+    report = module.description.report
+    report = replace(report, choices=(*report.choices, reason))
+    return replace(module, description=replace(module.description, report=report))
+
+
+def bounded(module: CModule) -> CModule:
+    """The module with the worst case of its phases in the report; with a budget, also the costs that are charged.
+
+    Raises:
+        OptionError: the budget is less than what every sample may need, or its QP solver has no budget.
+    """
+    if not {entry.name for entry in module.entry_points}.issuperset(PHASES):
+        return module
+    budget = module.sizes.get("MAX_OPERATIONS")
+    if budget is not None and not module.iteration:
+        raise OptionError(
+            f"RealTimeIteration(budget={budget}) (--set algorithm.budget={budget}) clashes with a QP solver whose "
+            f"operations are not counted: {', '.join(module.folders)}; choose another one, or no budget"
+        )
+    try:
+        found = WorstCase(_unit(module, unit_text(module)))
+        worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
+    except UnboundedError as error:
+        if budget is not None:
+            raise OptionError(
+                f"RealTimeIteration(budget={budget}) (--set algorithm.budget={budget}) clashes with options whose "
+                f"worst case is unknown: {error}"
+            ) from error
+        return module  # without a statement on its worst case
+    if budget is None:
+        return _stated(module, worst | {"sample": sum(worst.values())}, {})
+    fixed = sum(worst.values())
+    needed = fixed + sum(found.charges[name] for name in module.iteration)
+    if budget < needed:
+        raise OptionError(
+            f"RealTimeIteration.budget: {budget} operations; a sample needs up to {needed} for linearisation, "
+            "condensing, factorisation, one iteration and checks; expected at least that (--set algorithm.budget=...)"
+        )
+    costs = {name: (count, "operations that are charged at once") for name, count in sorted(found.charges.items())}
+    costs["ALLOWANCE"] = (budget - fixed, "operations of a sample that may be charged")
+    return _stated(module, {"sample": budget}, costs)
+
+
+def _stated(module: CModule, worst: Mapping[str, int], more: Mapping[str, tuple[int, str]]) -> CModule:
+    """The module with this worst case and further size macros."""
+    description = module.description
+    sizes = {**description.sizes, **{name: value for name, (value, _) in more.items()}}
+    added = tuple(Macro(name, value, doc) for name, (value, doc) in more.items())
+    report = replace(description.report, worst_operations=worst)
+    return replace(
+        module, macros=(*module.macros, *added), description=replace(description, sizes=sizes, report=report)
+    )
+
+
+def _unit(module: CModule, text: str) -> Unit:
+    members: dict[str, list[Type]] = {}
+    for struct in module.structs:
+        for member in struct.fields:
+            base = "int" if member.ctype.startswith("int") else member.ctype
+            members.setdefault(member.name, []).append(Type(base, len(member.shape)))
+    for name, types in struct_members(text).items():
+        members.setdefault(name, []).extend(types)
+    counted = (*module.routines, *module.called_products)
+    return Unit(
+        functions=functions(text),
+        macros=macros(all_definitions(module)),
+        counts={routine.name: routine.count.total for routine in counted},
+        sizes={**constants(text), **{macro.name: macro.value for macro in module.macros}},
+        tables={**tables(text), **{t.name: [int(v) for v in t.values] for t in module.tables if t.ctype == "int"}},
+        ranges=module.ranges,
+        members=members,
+    )

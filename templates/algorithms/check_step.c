@@ -1,0 +1,72 @@
+/* Contract of this part: the check before OK of a QP whose states were eliminated. Its solution must satisfy the hard
+ * rows of the QP with all states and, if no QP solver on stages has checked it, the stationarity. Rounding errors of the
+ * elimination show there. */
+
+/* size[], which is 0: largest magnitude of every component of (dx, du) over the horizon, and of the gaps of the states.
+ * Returns 1 if the step is finite. */
+static int step_sizes(const solver_t *s, real_t *size)
+{
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            enlarge(&size[i], s->step.dx[k][i]);
+            enlarge(&size[i], (k < N) ? s->node[k].b[i] : R(0));
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            enlarge(&size[NX + j], s->step.du[k][j]);
+        }
+    }
+    return all_finite(size, NZ);
+}
+
+#if HARD_ROWS
+/* Returns 1 if all hard rows hold after the step up to rounding of their terms. Control bounds are bounds of the QP. */
+static int rows_hold(const solver_t *s, const real_t *size)
+{
+    real_t J[NZ];
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+        const real_t excess = FABS(row_excess(s, m));
+        if (!(excess <= R(0))) {
+            real_t terms = FABS(row_gradient(s, m, J));
+            for (int i = 0; i < NZ; i++) {
+                terms += FABS(J[i]) * size[i];
+            }
+            if (!(excess <= TOL_STEP * terms)) {
+                return 0;
+            }
+        }
+    }
+    return 1;
+}
+#endif
+
+#if CHECK_GRADIENT
+/* The gradient with respect to the controls of node k, where w holds that of the cost and dynamics: rest[] and terms[]
+ * become the largest magnitudes over all nodes of its components and of the sums of their terms. */
+static void check_controls(solver_t *s, int k, const real_t *w, real_t *rest, real_t *terms)
+{
+    const node_t *node = &s->node[k];
+    real_t(*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
+    for (int j = 0; j < NU; j++) {
+        const real_t mult = s->mu_u[k][j];
+        const int i = NX + j;
+        real_t sum = w[i] + mult, size = FABS(node->g[i]) + FABS(mult) + FABS(Q[i][i] * s->step.du[k][j]);
+        for (int l = 0; l < NX; l++) {
+            size += FABS(node->S[l][i] * s->lam[k + 1][l]) + FABS(Q[i][l] * s->step.dx[k][l]);
+        }
+#if NH
+        for (int l = 0; l < NH; l++) {
+            const real_t force = node->J[l][i] * s->mu[k][l];
+            sum += force;
+            size += FABS(force);
+        }
+#endif
+        enlarge(&rest[j], sum);
+        enlarge(&terms[j], size);
+    }
+}
+#endif

@@ -1,0 +1,127 @@
+/* Contract of this part: the optimality conditions of an answer, recomputed from the data, and iterative refinement. */
+
+/* r = H x, where H = L D L' - E, and size = |L| D |L'| |x| + a small multiple of sqrt(D) (|y0| + |y|), for y may be a
+ * small difference. */
+static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
+{
+    const real_t unit = R(1.0 / 256) * (q->scale + norm(q->work.basis.y));
+    clear(r);
+    for (int k = 0; k < LDH; ++k) {
+        size[k] = unit * q->H[k][k] * q->inverse[k];
+    }
+    for (int k = 0; k < NV - NSL; ++k) {
+        const real_t *column = q->H[k];
+        real_t u = q->x[k], terms = FABS(u);
+        for (int i = k + 1; i < NV - NSL; ++i) {
+            const real_t term = column[i] * q->x[i];
+            u += term;
+            terms += FABS(term);
+        }
+        u *= column[k];
+        terms *= column[k];
+        r[k] += q->semidefinite ? u - q->proximal[k] * q->x[k] : u;
+        size[k] += terms;
+        for (int i = k + 1; i < NV - NSL; ++i) {
+            r[i] += column[i] * u;
+            size[i] += FABS(column[i]) * terms;
+        }
+    }
+#if NSL
+    for (int i = NV - NSL; i < NV; ++i) {
+        r[i] = qp_curvature(q, i) * q->x[i];
+        size[i] = unit / q->inverse[i] + FABS(r[i]);
+    }
+#endif
+}
+
+/* r = H x + g + mult[0..NV) + A'mult[NV..NV+NG), and size, the sum of the magnitudes of the terms. */
+static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
+{
+    qp_multiply_hessian(q, r, size);
+    for (int i = 0; i < NV; ++i) {
+        r[i] += q->g[i] + q->mult[i];
+        size[i] += FABS(q->g[i]) + FABS(q->mult[i]);
+    }
+#if NG
+    for (int c = NV; c < NV + NG; ++c) {
+        for (int i = 0; q->side[c] != INACTIVE && i < NV - NSL; ++i) {
+            const real_t term = q->A[c - NV][i] * q->mult[c];
+            r[i] += term;
+            size[i] += FABS(term);
+        }
+#if NSL
+        const int slack = qp_moving_slack(q, c);
+        if (slack >= 0) {
+            r[slack] -= q->mult[c];
+            size[slack] += FABS(q->mult[c]);
+        }
+#endif
+    }
+#endif
+}
+
+/* Violation of row c by x, in both directions if the row is a member; of a saturated row the distance from its bound
+ * towards the inside. Positive above the bound. */
+static real_t qp_excess(const qp_t *q, int c)
+{
+    real_t over, under;
+    const real_t value = qp_violations(q, c, q->x, &over, &under);
+    if (qp_is_member(q, c)) {
+        return value - qp_bound(q, c);
+    }
+    return over > R(0) ? over : under > R(0) ? -under : R(0);
+}
+
+/* Returns 1 if x and mult satisfy the optimality conditions up to rounding: of the terms of a row or, if all of them
+ * nearly vanish, of the cancellation in y = y0 - Q'R lam. r: gradient of the Lagrangian. */
+static int qp_is_optimal(const qp_t *q, real_t *r)
+{
+    real_t size[LDV];
+    int optimal = 1;
+    qp_stationarity(q, r, size);
+    for (int i = 0; i < NV; ++i) {
+        optimal &= FABS(r[i]) <= TOL_QP_RESIDUAL * size[i];
+    }
+    for (int c = 0; c < NV + NG && optimal; ++c) {
+        const real_t excess = FABS(qp_excess(q, c)) / TOL_QP_RESIDUAL;
+        optimal = excess <= qp_row_size(q, c) || excess <= TOL_UNIT * q->scale * qp_row_norm(q, c);
+    }
+    return optimal;
+}
+
+/* One step of iterative refinement on the working set: x and lam take the corrections for the gradient r and for the
+ * residuals of the members. */
+static void qp_refine(qp_t *q, real_t *r)
+{
+    real_t c[LDV], w[LDV];
+    for (int k = 0; k < q->nw; ++k) {
+        w[k] = qp_excess(q, q->row[k]);
+    }
+    qp_forward(q, r, 0);
+    qp_solve_transposed(q, w);
+    qp_move_to_bounds(q, w, c, r);
+    qp_solve_triangle(q, c);
+    qp_backward(q, r, r);
+    for (int i = 0; i < LDV; ++i) {
+        q->x[i] -= r[i];
+    }
+    for (int k = 0; k < q->nw; ++k) {
+        q->lam[k] -= c[k];
+    }
+}
+
+/* Writes the result; what fails its conditions is refined up to twice. Returns 0 if they still do not hold. */
+static int qp_accept(qp_t *q)
+{
+    real_t r[LDV];
+    for (int step = 0; qp_write_result(q); ++step) { /* at most 3 passes */
+        if (qp_is_optimal(q, r)) {
+            return 1;
+        }
+        if (step == 2) {
+            return 0;
+        }
+        qp_refine(q, r);
+    }
+    return 0;
+}

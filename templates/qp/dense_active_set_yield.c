@@ -1,0 +1,74 @@
+/* Contract of this part: slacks begin to move when the multiplier of their row exceeds the penalty, and are fixed again
+ * before the next problem. */
+
+/* Returns 1 if c is a general row whose slack is fixed. */
+static int qp_can_yield(const qp_t *q, int c)
+{
+    return c >= NV && qp_slack(c) >= 0 && q->side[qp_slack(c)] == INACTIVE;
+}
+
+/* Saturates the bound of the slack of row c, which is not a member, at the multiplier +-penalty of the row. The row
+ * becomes hard. */
+static void qp_free_slack(qp_t *q, int c, int side)
+{
+    const int slack = qp_slack(c);
+    const real_t size = q->penalty[slack] * q->inverse[slack];
+    q->side[slack] = 2 * side;
+    q->penalty[c] = (real_t)INFINITY;
+    q->y0[slack] = side > 0 ? -size : size;
+    q->scale += size;
+    ++q->changes;
+}
+
+/* The entering row c with normal m may have a fixed slack, which moves from here on: *mm = |m|^2 gets its part, and the
+ * multiplier of the row has no limit any more. Returns 0 if it has none. */
+static int qp_yields(qp_t *q, int c, int side, real_t *mm, real_t *left)
+{
+    if (!qp_can_yield(q, c)) {
+        return 0;
+    }
+    qp_free_slack(q, c, side);
+    q->work.basis.m[qp_slack(c)] = -q->inverse[qp_slack(c)];
+    *mm += qp_compliance(q, c);
+    *left = (real_t)INFINITY;
+    return 1;
+}
+
+/* Member k, whose multiplier is at the limit of the given side, stays in the working set, but its slack moves. The
+ * normal m of another row is kept. */
+static void qp_yield(qp_t *q, int k, int side)
+{
+    const int c = q->row[k];
+    const real_t limit = q->penalty[c];
+    real_t other[LDV];
+    copy(other, q->work.basis.m);
+    qp_remove(q, k);
+    qp_free_slack(q, c, side);
+    qp_append(q, c, side, qp_project(q, qp_normal(q, c)), side > 0 ? limit : -limit);
+    copy(q->work.basis.m, other);
+}
+
+/* Fixes the saturated slacks of rows that are not members on the same side; all slacks if there is no working set. */
+static void qp_fix_slacks(qp_t *q)
+{
+    for (int c = NV; c < NV + NG; ++c) {
+        const int slack = qp_slack(c);
+        if (slack < 0) {
+            continue;
+        }
+        const int saturated = q->side[slack] == 2 || q->side[slack] == -2;
+        if (saturated ? 2 * q->side[c] != q->side[slack] : q->nw == 0) {
+            q->side[slack] = INACTIVE;
+        }
+    }
+}
+
+/* Every row with a slack has the penalty of the slack while that is fixed, and is hard otherwise. */
+static void qp_share_penalties(qp_t *q)
+{
+    for (int c = NV; c < NV + NG; ++c) {
+        if (qp_slack(c) >= 0) {
+            q->penalty[c] = qp_can_yield(q, c) ? q->penalty[qp_slack(c)] : (real_t)INFINITY;
+        }
+    }
+}

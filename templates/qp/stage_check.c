@@ -1,0 +1,184 @@
+/* Contract of this part: the check before OK. The result (x, z, mult) must satisfy the hard rows and the stationarity
+ * of the original QP, whatever the solver has concluded from its own, perturbed, conditions. */
+
+/* size[]: largest magnitude of every component of x and z over the stages; full: also of the sum of the terms of a
+ * state in the dynamics, which may cancel. */
+static void qp_component_sizes(solver_t *s, int full, real_t *size)
+{
+    const qp_t *q = &s->qp;
+    for (int k = 0; k <= NS; k++) {
+        for (int i = 0; i < NXS; i++) {
+            size[i] = (FABS(q->x[k][i]) > size[i]) ? FABS(q->x[k][i]) : size[i];
+        }
+        for (int j = 0; k < NS && j < NUS; j++) {
+            const real_t u = FABS(q->z[k * NUS + j]);
+            size[NXS + j] = (u > size[NXS + j]) ? u : size[NXS + j];
+        }
+    }
+    for (int k = 0; full && k < NS; k++) {
+        real_t z[NZS];
+        qp_stage_point(q, k, z);
+        for (int i = 0; i < NXS; i++) {
+            real_t sum = FABS(stage_b(s, k)[i]);
+            for (int j = 0; j < NZS; j++) {
+                sum += FABS(stage_S(s, k)[i][j] * z[j]);
+            }
+            size[i] = (sum > size[i]) ? sum : size[i];
+        }
+    }
+}
+
+/* Checks row c with value v, whose terms have the magnitude `size`. A multiplier counts only if the value is at the
+ * bound that it belongs to: otherwise it becomes 0 (full), so that complementarity is checked with the gradient, or the
+ * row does not hold. */
+static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, int full)
+{
+    const real_t over = v - q->upper[c], under = q->lower[c] - v;
+    const real_t at_upper = TOL_QP_ACCEPTED * (size + FABS(q->upper[c]));
+    const real_t at_lower = TOL_QP_ACCEPTED * (size + FABS(q->lower[c]));
+    int holds = !hard || (over <= at_upper && under <= at_lower);
+    if ((q->mult[c] > R(0) && !(over >= -at_upper && over > -(real_t)INFINITY)) ||
+        (q->mult[c] < R(0) && !(under >= -at_lower && under > -(real_t)INFINITY))) {
+        holds &= full;
+        q->mult[c] = full ? R(0) : q->mult[c];
+    }
+    return holds;
+}
+
+#if NG
+/* Sum of |a_i| size_i over the terms of row m, and its constant, which has been subtracted from the bounds. */
+static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
+{
+    real_t sum = FABS(stage_row_value(s, m));
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+    if (stage_state[m] < 0) {
+        const real_t *a = stage_row(s, m);
+        for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
+            sum += FABS(a[i]) * size[i];
+        }
+        return sum;
+    }
+#endif
+    sum += size[stage_state[m]];
+    return sum;
+}
+
+#endif
+#if INTERIOR_POINT
+/* Magnitude that row c has in any case: near a plan that is a solution, everything else may vanish. */
+static inline real_t qp_least_size(const solver_t *s, int c, int full)
+{
+    return full ? s->qp.least * s->units.reach[c] : R(0);
+}
+
+#endif
+/* Returns 1 if all hard rows hold. */
+static int qp_rows_hold(solver_t *s, int full)
+{
+    real_t size[NZS] = {0};
+    int holds = 1;
+    qp_component_sizes(s, full, size);
+    for (int c = 0; c < NV; c++) {
+        real_t terms = size[NXS + c % NUS];
+#if INTERIOR_POINT
+        terms += qp_least_size(s, c, full);
+#endif
+        holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, full);
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        real_t terms = qp_row_terms(s, m, size);
+#if INTERIOR_POINT
+        terms += qp_least_size(s, NV + m, full);
+#endif
+        holds &= qp_row_holds(&s->qp, NV + m, !qp_is_soft(&s->qp, m), qp_row_value(s, m), terms, full);
+    }
+#endif
+    return holds;
+}
+
+/* w = gradient of the Lagrangian at stage k with the multipliers lam of x_{k+1}; for the controls of the stage, rest[]
+ * and terms[] become the largest magnitude of w and of the sum of its terms, those of the dynamics only if `full`. */
+static void qp_check_stage(solver_t *s, int k, int full, const real_t *lam, real_t *w, real_t *rest, real_t *terms)
+{
+    const int first = k * NUS;
+    const real_t *g = stage_g(s, k);
+    real_t(*S)[NZS] = stage_S(s, k);
+    for (int j = 0; j < NUS; j++) {
+        const int i = NXS + j;
+        real_t sum = FABS(g[i]) + FABS(w[i] - g[i]) + FABS(s->qp.mult[first + j]);
+        for (int l = 0; full && l < NXS; l++) {
+            sum += FABS(S[l][i] * lam[l]);
+        }
+        terms[j] = (sum > terms[j]) ? sum : terms[j];
+    }
+    riccati_combine(w, lam, S[0], NZS, NXS, NZS);
+    for (int j = 0; j < NUS; j++) {
+        const real_t amount = FABS(w[NXS + j] + s->qp.mult[first + j]);
+        rest[j] = (amount <= rest[j] || !isfinite(rest[j])) ? rest[j] : amount;
+    }
+}
+
+#if NF
+/* Returns 1 if the gradient with respect to the free components of x_0 vanishes: that of the stage, lam. */
+static int qp_free_is_stationary(solver_t *s, real_t *lam)
+{
+    const real_t *g = stage_g(s, 0);
+    int holds = 1;
+    real_t size[NXS];
+    for (int i = 0; i < NXS; i++) {
+        size[i] = FABS(g[i]) + FABS(s->riccati.work.vectors.rhs.g[0][i] - g[i]) +
+            FABS(lam[i] - s->riccati.work.vectors.rhs.g[0][i]);
+    }
+#if NXS > NX
+    for (int c = 0; c < NXS - NX; c++) {
+        lam[copied_state[c]] += lam[NX + c];
+        size[copied_state[c]] += size[NX + c];
+    }
+#endif
+    for (int f = 0; f < NF; f++) {
+        holds &= FABS(lam[free_state[f]]) <= TOL_QP_ACCEPTED * size[free_state[f]];
+    }
+    return holds;
+}
+
+#endif
+/* Returns 1 if the gradient of the Lagrangian vanishes up to its tolerance. The multipliers of the dynamics follow from
+ * the states, so that only the components of the controls and of a free x_0 remain. */
+static int qp_is_stationary(solver_t *s, int full)
+{
+    real_t(*y)[NZS] = s->riccati.work.vectors.rhs.g;
+    real_t lam[NXS], w[NZS], rest[NUS] = {0}, terms[NUS] = {0};
+    int holds = 1;
+    for (int k = NS; k >= 0; k--) {
+        qp_cost_gradient(s, k, y[k]);
+#if NG
+        for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+            qp_add_row(s, m, s->qp.mult[NV + m]);
+        }
+#endif
+        memcpy(w, y[k], sizeof w[0] * (k < NS ? NZS : NXS));
+        if (k < NS) {
+            qp_check_stage(s, k, full, lam, w, rest, terms);
+        }
+        memcpy(lam, w, sizeof lam);
+    }
+    for (int j = 0; j < NUS; j++) {
+        holds &= isfinite(terms[j]) && rest[j] <= TOL_QP_ACCEPTED * terms[j];
+    }
+#if NF
+    holds &= qp_free_is_stationary(s, lam);
+#endif
+    return holds;
+}
+
+/* Returns 1 if the result is a solution: first by less than the sums of the terms, which are cheaper to compute.
+ * Otherwise multipliers of rows that are not at their bounds become 0. */
+static int qp_is_solution(solver_t *s)
+{
+    int solution = 0;
+    for (int full = 0; full <= 1 && !solution; full++) {
+        solution = qp_rows_hold(s, full) && qp_is_stationary(s, full);
+    }
+    return solution;
+}

@@ -1,0 +1,123 @@
+"""One bad datum does not outlive itself, and a feedback uses the data of one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from nmpc_codegen import OCP, Controller, Options, Status, build
+
+
+def oscillator(name: str = "spring", **initial: float) -> OCP:
+    """x'' = -x + 0.3 x^3 + u. Far from the origin one integration step overflows."""
+    ocp = OCP(name, T=2.0, N=10)
+    x, v, u = ocp.state("x"), ocp.state("v", **initial), ocp.control("u")
+    ocp.dynamics({x: v, v: -x + 0.3 * x**3 + u})
+    ocp.least_squares(ca.vertcat(x, v, u), weight=[10, 1, 0.1])
+    ocp.terminal_least_squares(ca.vertcat(x, v), weight=[10, 10])
+    return ocp
+
+
+@pytest.fixture(scope="module")
+def controller() -> Controller:
+    return build(oscillator(), Options(), "test")
+
+
+def recovered(controller: Controller, xhat: list[float], samples: int) -> np.ndarray:
+    """The control after so many good samples; the last one is OK."""
+    for _ in range(samples):
+        u = controller.step(xhat)
+    assert controller.status is Status.OK
+    return u
+
+
+@pytest.mark.parametrize("spike", [30.0, -1e4, 1e300, np.nan, np.inf])
+def test_a_spike_in_the_measurement_costs_few_samples(controller: Controller, spike: float) -> None:
+    peaceful, struck = controller.copy(), controller.copy()
+    for ctrl in (peaceful, struck):
+        recovered(ctrl, [0.4, 0.0], 20)
+    struck.step([spike, 0.0])
+    recovered(struck, [0.4, 0.0], 4)
+    np.testing.assert_allclose(recovered(struck, [0.4, 0.0], 16), recovered(peaceful, [0.4, 0.0], 1), rtol=1e-8)
+
+
+@pytest.mark.parametrize("value", [1e200, -1e30, np.nan])
+def test_a_spoilt_plan_is_given_up(controller: Controller, value: float) -> None:
+    peaceful, spoilt = controller.copy(), controller.copy()
+    spoilt.x[:], spoilt.u[:], spoilt.lam[:] = value, value, value
+    recovered(spoilt, [0.4, 0.0], 4)
+    np.testing.assert_allclose(recovered(spoilt, [0.4, 0.0], 16), recovered(peaceful, [0.4, 0.0], 20), rtol=1e-8)
+
+
+def test_a_free_component_does_not_restart_from_a_spoilt_plan() -> None:
+    ocp = oscillator("part", initial=0.1)
+    ocp.free_initial(ocp.x[1])
+    ctrl = build(ocp, Options(), "test")
+    peaceful = recovered(ctrl.copy(), [0.4, 0.0], 20)
+    ctrl.x[:], ctrl.u[:] = 1e150, 1e150
+    recovered(ctrl, [0.4, 0.0], 4)
+    np.testing.assert_allclose(recovered(ctrl, [0.4, 0.0], 16), peaceful, rtol=1e-7)
+
+
+def reactor() -> OCP:
+    ocp = OCP("reactor", T=1.0, N=5)
+    x, u, w = ocp.state("x"), ocp.control("u"), ocp.parameter("w", value=1.0)
+    ocp.dynamics({x: -x + u * w})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1, 1])
+    ocp.subject_to(-3, u, 3)
+    return ocp
+
+
+Change = Callable[[Controller], None]
+CHANGES: dict[str, Change] = {
+    "weight": lambda c: c.set_weight([9, 2]),
+    "parameter": lambda c: c.set_parameter("w", 3.0),
+    "same reference": lambda c: c.set_reference([0, 0]),
+    "reference": lambda c: c.set_reference([1, 0]),
+}
+
+
+@pytest.fixture(scope="module")
+def linear() -> Controller:
+    return build(reactor(), Options(), "test")
+
+
+def between(controller: Controller, *changes: str) -> tuple[np.ndarray, np.ndarray]:
+    """Controls of the feedback with these changes after its prepare, and of the next sample."""
+    ctrl = controller.copy()
+    ctrl.prepare()
+    for change in changes:
+        CHANGES[change](ctrl)
+    return ctrl.feedback([0.7], "raise"), ctrl.step([0.7], "raise")
+
+
+@pytest.mark.parametrize(
+    ("changes", "like"),
+    [
+        (("weight",), ()),
+        (("parameter",), ()),
+        (("weight", "same reference"), ()),
+        (("parameter", "same reference"), ()),
+        (("weight", "reference"), ()),
+        (("reference", "weight"), ("reference",)),
+        (("reference", "parameter"), ("reference",)),
+        (("reference", "weight", "same reference"), ("reference",)),
+    ],
+)
+def test_a_feedback_uses_weights_and_parameters_of_its_prepare(
+    linear: Controller, changes: tuple[str, ...], like: tuple[str, ...]
+) -> None:
+    np.testing.assert_array_equal(between(linear, *changes)[0], between(linear, *like)[0])
+
+
+def test_the_next_sample_uses_all_changes(linear: Controller) -> None:
+    after = between(linear, "weight", "reference")[1]
+    fresh = linear.copy()
+    for change in ("weight", "reference"):
+        CHANGES[change](fresh)
+    fresh.step([0.7])
+    np.testing.assert_allclose(after, fresh.step([0.7]), rtol=1e-9)
+    assert not np.allclose(after, between(linear, "reference")[1])
