@@ -5,13 +5,7 @@
 enum { ROW_STATE = 0, ROW_GENERAL = 1, ROW_COUPLED = 2 }; /* values of row_kind */
 
 #endif
-static real_t clip(real_t value, real_t lower, real_t upper)
-{
-    if (value < lower) {
-        return lower;
-    }
-    return (value > upper) ? upper : value;
-}
+#include "clip.c"
 
 static int all_finite(const real_t *v, int n)
 {

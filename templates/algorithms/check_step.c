@@ -19,7 +19,8 @@ static int step_sizes(const solver_t *s, real_t *size)
 }
 
 #if HARD_ROWS
-/* Returns 1 if all hard rows hold after the step up to rounding of their terms. Control bounds are bounds of the QP. */
+/* Returns 1 if all hard rows hold after the step up to rounding of their terms, and those with a multiplier are at its
+ * bound. Control bounds are bounds of the QP. */
 static int rows_hold(const solver_t *s, const real_t *size)
 {
     real_t J[NZ];
@@ -29,7 +30,7 @@ static int rows_hold(const solver_t *s, const real_t *size)
             continue;
         }
 #endif
-        const real_t excess = FABS(row_excess(s, m));
+        const real_t excess = FABS(row_excess(s, m, s->step.mult[m]));
         if (!(excess <= R(0))) {
             real_t terms = FABS(row_gradient(s, m, J));
             for (int i = 0; i < NZ; i++) {

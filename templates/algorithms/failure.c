@@ -8,8 +8,8 @@ static void forget_violation(solver_t *s)
 
 #if HARD_ROWS || (SOLVE && NG)
 /* Amount by which the linearised row m violates its bounds after the step; positive at the upper bound,
- * negative at the lower one. */
-static real_t row_excess(const solver_t *s, int m)
+ * negative at the lower one. With a multiplier it is the distance from the bound to which that belongs. */
+static real_t row_excess(const solver_t *s, int m, real_t mult)
 {
     real_t J[NZ];
     real_t value = row_gradient(s, m, J);
@@ -27,7 +27,8 @@ static real_t row_excess(const solver_t *s, int m)
     for (int i = 0; k < N && i < NU; i++) {
         value += J[NX + i] * s->step.du[k][i];
     }
-    return value - clip(value, ROW_LOWER(s, m), ROW_UPPER(s, m));
+    return value -
+        clip(value, mult > R(0) ? ROW_UPPER(s, m) : ROW_LOWER(s, m), mult < R(0) ? ROW_LOWER(s, m) : ROW_UPPER(s, m));
 }
 #endif
 
@@ -38,7 +39,7 @@ static void name_violation(solver_t *s)
 {
     forget_violation(s);
     for (int m = 0; m < NG; m++) {
-        const real_t excess = FABS(row_excess(s, m));
+        const real_t excess = FABS(row_excess(s, m, R(0)));
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
             continue;
@@ -103,9 +104,10 @@ static int plan_is_finite(const solver_t *s)
 }
 
 /* Prevents a failure from repeating itself. A single failure may come from its sample alone: the plan is kept, and only
- * the working set is discarded if the QP solver did not converge. After the second failure in a row all states of the plan
- * restart at the measured state with the controls of the plan; if there is no finite linearisation at the plan (broken),
- * and after the third failure, nothing of the plan is kept. A plan that is not finite is given up at the first failure. */
+ * the working set is discarded if the QP solver did not converge. After the second failure in a row all states of the
+ * plan restart at the measured state with the controls of the plan. Nothing of the plan is kept if there is no finite
+ * linearisation at it (broken), after the third failure in a row, or after a failure among the first PATIENCE successes
+ * after a restart. A plan that is not finite is given up at the first failure. */
 static void recover(solver_t *s, status_t status, int broken)
 {
 #if BUDGET
@@ -116,9 +118,9 @@ static void recover(solver_t *s, status_t status, int broken)
     s->late = (status == OK || status == RELAXED) ? 0 : s->late;
 #endif
     if (status == OK || status == RELAXED) {
-        s->failing = FINE;
+        s->failing = (s->failing >= TWICE) ? -PATIENCE : (s->failing < FINE) ? s->failing + 1 : FINE;
     } else if (status != NOT_FINITE && status != NOT_PREPARED) {
-        s->failing += (s->failing < FOR_GOOD);
+        s->failing = (s->failing < FINE) ? FOR_GOOD : s->failing + (s->failing < FOR_GOOD);
         if ((s->failing == TWICE && broken) || !plan_is_finite(s)) {
             s->failing = FOR_GOOD;
         }

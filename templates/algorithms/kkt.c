@@ -4,17 +4,9 @@
  * bound that the sign of mu selects. */
 static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t mu)
 {
-    if (!(value >= lower)) {
-        enlarge(&kkt->inequality, lower - value);
-    }
-    if (!(value <= upper)) {
-        enlarge(&kkt->inequality, value - upper);
-    }
-    if (lower < upper && mu > R(0)) {
-        enlarge(&kkt->complementarity, mu * (upper - value));
-    }
-    if (lower < upper && mu < R(0)) {
-        enlarge(&kkt->complementarity, mu * (value - lower));
+    enlarge(&kkt->inequality, value - clip(value, lower, upper));
+    if (lower < upper && (mu > R(0) || mu < R(0))) {
+        enlarge(&kkt->complementarity, mu * (mu > R(0) ? upper - value : value - lower));
     }
 }
 
@@ -83,9 +75,14 @@ static void add_coupled_forces(const solver_t *s, int k, real_t *sum)
 /* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + mu_x, mu_u + J' mu, and the gap. */
 static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 {
-    real_t sum[NZ];
+    real_t sum[NZ] = {R(0)};
+#if NE
+    if (k == 0) {
+        add_coupled_forces(s, k, sum);
+    }
+#endif
     for (int i = 0; i < NZ; i++) {
-        sum[i] = node->g[i];
+        sum[i] += node->g[i];
         for (int j = 0; j < NX; j++) {
             sum[i] += node->S[j][i] * s->lam[k + 1][j];
         }
@@ -95,36 +92,25 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
         }
 #endif
         sum[i] += (i < NX) ? s->mu_x[k][i] - s->lam[k][i] : s->mu_u[k][i - NX];
-    }
-#if NE
-    if (k == 0) {
-        add_coupled_forces(s, k, sum);
-    }
-#endif
-    for (int i = 0; i < NZ; i++) {
         enlarge(&kkt->stationarity, sum[i]);
-    }
-    for (int i = 0; i < NX; i++) {
-        enlarge(&kkt->equality, node->b[i]);
+        enlarge(&kkt->equality, (i < NX) ? node->b[i] : R(0));
     }
 }
 
 /* The terminal node: gradient of the Lagrangian, and residual of the initial condition. */
 static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
 {
-    real_t sum[NX];
+    real_t sum[NX] = {R(0)};
+#if NE
+    add_coupled_forces(s, N, sum);
+#endif
     for (int i = 0; i < NX; i++) {
-        sum[i] = terminal->g[i] + s->mu_x[N][i] - s->lam[N][i];
+        sum[i] += terminal->g[i] + s->mu_x[N][i] - s->lam[N][i];
 #if NH_N
         for (int j = 0; j < NH_N; j++) {
             sum[i] += terminal->J[j][i] * s->mu_N[j];
         }
 #endif
-    }
-#if NE
-    add_coupled_forces(s, N, sum);
-#endif
-    for (int i = 0; i < NX; i++) {
         enlarge(&kkt->stationarity, sum[i]);
 #if NF
         if (!is_measured[i] && !is_accumulator[i]) {

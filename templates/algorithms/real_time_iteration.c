@@ -1,7 +1,8 @@
 /* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt and, if SOLVE, _solve.
  * Here: real-time iteration, one QP and one full step per sample. */
 
-/* Values of failing: failures in a row, and how much of the plan is given up. */
+/* Values of failing: failures in a row, and how much of the plan is given up. After a restart it is negative until
+ * PATIENCE samples have succeeded. */
 enum { FINE, ONCE, TWICE, FOR_GOOD };
 
 /* Control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
@@ -9,6 +10,22 @@ static real_t safe_value(const solver_t *s, int k, int j)
 {
     const real_t u = s->u[k][j];
     return clip(isfinite(u) ? u : CONTROL_REFERENCE(s, k, j), CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+}
+
+static void forget_multipliers(solver_t *s)
+{
+    memset(s->lam, 0, sizeof s->lam);
+    memset(s->mu_x, 0, sizeof s->mu_x);
+    memset(s->mu_u, 0, sizeof s->mu_u);
+#if NH
+    memset(s->mu, 0, sizeof s->mu);
+#endif
+#if NH_N
+    memset(s->mu_N, 0, sizeof s->mu_N);
+#endif
+#if NE
+    memset(s->eta, 0, sizeof s->eta);
+#endif
 }
 
 /* Restarts the plan: sets every state to x, replaces controls that are not finite by their references, sets all
@@ -25,18 +42,7 @@ static void start_at(solver_t *s, const real_t *x)
             s->u[k][j] = safe_value(s, k, j);
         }
     }
-    memset(s->lam, 0, sizeof s->lam);
-    memset(s->mu_x, 0, sizeof s->mu_x);
-    memset(s->mu_u, 0, sizeof s->mu_u);
-#if NH
-    memset(s->mu, 0, sizeof s->mu);
-#endif
-#if NH_N
-    memset(s->mu_N, 0, sizeof s->mu_N);
-#endif
-#if NE
-    memset(s->eta, 0, sizeof s->eta);
-#endif
+    forget_multipliers(s);
     condense_init(s);
 }
 
@@ -66,8 +72,14 @@ static void algorithm_reset(solver_t *s)
     forget_plan(s);
     memcpy(s->xhat, initial_state, sizeof s->xhat);
     s->prepared = 0;
+#if SHIFT
     s->samples = 0;
+#endif
     s->failing = FINE;
+#if LAGRANGIAN
+    s->unsettled = 0;
+    memset(s->lam_before, 0, sizeof s->lam_before);
+#endif
 #if BUDGET
     s->late = 0;
     s->qp.allowance = 0;
@@ -207,6 +219,19 @@ static status_t prepare_here(solver_t *s)
     return condense_prepare(s);
 }
 
+/* largest = max(largest, |value|), where NaN counts as the largest value. */
+static void enlarge(real_t *largest, real_t value)
+{
+    const real_t a = FABS(value);
+    if (a > *largest || a != a) {
+        *largest = a;
+    }
+}
+
+#if LAGRANGIAN
+#include "algorithms/settle.c"
+
+#endif
 status_t API(prepare)(solver_t *s)
 {
     status_t status;
@@ -221,6 +246,9 @@ status_t API(prepare)(solver_t *s)
         }
     }
 #endif
+#if LAGRANGIAN
+    settle(s);
+#endif
 #if BUDGET
     s->qp.allowance = ALLOWANCE;
 #endif
@@ -232,9 +260,10 @@ status_t API(prepare)(solver_t *s)
     return finish(s, status);
 }
 
-/* Copies the multipliers of the QP to the multipliers of the corresponding rows. */
+/* Copies the multipliers of the QP to the multipliers of the corresponding rows; those of states without a row are 0. */
 static void scatter_multipliers(solver_t *s)
 {
+    memset(s->mu_x, 0, sizeof s->mu_x);
     memcpy(s->mu_u, s->step.mult_u, sizeof s->mu_u);
 #if NG
     for (int m = 0; m < NG; m++) {
@@ -321,15 +350,6 @@ static status_t run_qp(solver_t *s)
 }
 
 #include "algorithms/failure.c"
-
-/* largest = max(largest, |value|), where NaN counts as the largest value. */
-static void enlarge(real_t *largest, real_t value)
-{
-    const real_t a = FABS(value);
-    if (a > *largest || a != a) {
-        *largest = a;
-    }
-}
 
 #if CHECK_STEP
 #include "algorithms/check_step.c"
@@ -432,6 +452,9 @@ static status_t feedback_here(solver_t *s)
     if (!recover_multipliers(s)) {
         return NUMERICAL_FAILURE;
     }
+#if LAGRANGIAN
+    watch_multipliers(s);
+#endif
     take_step(s);
     return status;
 }
@@ -457,7 +480,9 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
         status = feedback_here(s);
     }
     s->prepared = 0;
+#if SHIFT
     s->samples += (s->samples < MANY);
+#endif
     safe_control(s, u0);
     recover(s, status, broken);
     return finish(s, status);

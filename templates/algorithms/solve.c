@@ -299,9 +299,9 @@ static real_t merit_slope(const solver_t *s, const merit_terms_t *terms)
     memset(&later, 0, sizeof later);
     for (int m = 0; m < NG; m++) {
 #if SOFT_ROWS
-        add_violation(m, FABS(row_excess(s, m)), &later);
+        add_violation(m, FABS(row_excess(s, m, R(0))), &later);
 #else
-        later.violation += FABS(row_excess(s, m));
+        later.violation += FABS(row_excess(s, m, R(0)));
 #endif
     }
 #endif
@@ -436,6 +436,11 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         name_violation(s);
     }
 #endif
+#if SHIFT
     s->samples += (s->samples < MANY);
+#endif
+#if LAGRANGIAN
+    s->unsettled = 0;
+#endif
     return finish(s, status);
 }

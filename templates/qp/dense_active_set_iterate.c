@@ -329,8 +329,7 @@ static int qp_write_result(qp_t *q)
     for (int c = 0; c < NV + NG; ++c) {
         q->dropped += q->side[c] == INACTIVE && qp_is_equality(q, c) && !qp_is_slack(c);
         if (c < NV && q->side[c] == INACTIVE) {
-            const real_t below = q->x[c] < q->lower[c] ? q->lower[c] : q->x[c];
-            q->x[c] = below > q->upper[c] ? q->upper[c] : below;
+            q->x[c] = clip(q->x[c], q->lower[c], q->upper[c]);
         }
     }
 #if ELASTIC

@@ -83,9 +83,7 @@ status_t golden_set_reference(solver_t *s, int k, const real_t yref[GOLDEN_NY])
         return BAD_ARGUMENT;
     }
     for (int n = first; n < end; n++) {
-        for (int i = 0; i < NY; i++) {
-            s->yref[n][i] = yref[i];
-        }
+        memcpy(s->yref[n], yref, sizeof s->yref[n]);
     }
     s->renewal = (s->renewal == HELD) ? HELD : REFERENCE_CHANGED;
     return OK;
@@ -99,9 +97,7 @@ status_t golden_set_terminal_reference(solver_t *s, const real_t yref[GOLDEN_NY_
     if (!all_finite(yref, NY_N)) {
         return BAD_ARGUMENT;
     }
-    for (int i = 0; i < NY_N; i++) {
-        s->yref_N[i] = yref[i];
-    }
+    memcpy(s->yref_N, yref, sizeof s->yref_N);
     s->renewal = (s->renewal == HELD) ? HELD : REFERENCE_CHANGED;
     return OK;
 }
@@ -205,10 +201,7 @@ status_t golden_set_bounds(solver_t *s, int row, int k, real_t lower, real_t upp
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
-    if (row < 0 || row >= NR || !locate(k, N, N, 2, &first, &end)) {
-        return BAD_INDEX;
-    }
-    if (k != ALL && !row_holds(row, k)) {
+    if (row < 0 || row >= NR || !locate(k, N, N, 2, &first, &end) || (k != ALL && !row_holds(row, k))) {
         return BAD_INDEX;
     }
     if (!(lower <= upper && lower < (real_t)INFINITY && upper > -(real_t)INFINITY)) {

@@ -129,8 +129,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     int32_t renewal; /* 1: references are newer than the gradients, 2: so are weights or parameters */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
     int32_t prepared; /* 1 between prepare and feedback */
-    int32_t samples; /* feedbacks since init or reset */
-    int32_t failing; /* failures in a row, at most 3 */
+    int32_t failing; /* failures in a row, at most 3; < 0: successes lacking since a restart */
     golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
     golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */

@@ -179,6 +179,14 @@ def test_replay_prints_the_data_and_the_residuals(capsys: pytest.CaptureFixture[
     assert "answer: Verdict" in text
 
 
+def test_a_row_with_a_multiplier_is_at_its_bound() -> None:
+    """Eliminated states lose the digits that the nearly linear cost leaves in single precision."""
+    require_tool("cc")
+    qp = draw("nearly linear", 420)
+    controller = build(stage_ocp(qp.shape), options("dense", "single"), profile="test")
+    assert qps.verdict_of(qp, qps.solve(controller, qp, "single"), "single") is None
+
+
 # Bad data -------------------------------------------------------------------------------------------------------------
 
 
@@ -192,7 +200,8 @@ def subject() -> tuple[Candidate, Controller]:
 
 def job(count: int) -> tuple[Controller, np.ndarray, np.ndarray, int, int]:
     chosen, controller = subject()
-    return controller.copy(), chosen.subject.rest, chosen.subject.spread, 0, count
+    number = [str(c) for c in candidates()].index(str(chosen))
+    return controller.copy(), chosen.subject.rest, chosen.subject.spread, number, count
 
 
 def test_combinations_cover_everything() -> None:
@@ -210,6 +219,39 @@ def test_episodes_of_a_good_controller() -> None:
     assert out.episodes == out.compared == 60
     assert out.lockups == 0
     assert {"state", "plan", "reference", "weight", "parameter", "bounds"} <= set(out.recovery)
+
+
+@pytest.mark.parametrize(
+    ("label", "number"),
+    [
+        ("crane, interior, double, exact, shift repeat", 147),  # a multiplier of a state without a row is NaN
+        ("unbounded, riccati, double, exact, shift repeat", 63),  # restarts with the controls that have failed
+        ("general_rows, interior, double, exact, shift resample", 93),  # multipliers of 1e149 in the Hessian
+    ],
+)
+def test_a_controller_finds_back(label: str, number: int) -> None:
+    """Episodes after which controllers have stayed elsewhere."""
+    require_tool("cc")
+    seed, chosen = next((i, c) for i, c in enumerate(candidates()) if str(c) == label)
+    controller = build(chosen.subject.make(), chosen.options, profile="test")
+    out = episodes.Outcome()
+    with np.errstate(all="ignore"):
+        episodes.Loop(controller, chosen.subject.rest, chosen.subject.spread, seed).episode(out, number)
+    assert out.episodes == out.compared == 1
+    assert out.lockups == 0
+    assert not out.other_solutions
+
+
+def test_what_stands_at_a_solution_is_told_from_what_does_not() -> None:
+    """IPOPT and the KKT residuals confirm the plan of a controller that has converged, and no other one."""
+    loop = episodes.Loop(*job(0)[:4])
+    peace = loop.peaceful[1]
+    loop.c._memory[:] = peace.memory
+    assert "in peace" in loop._other_solution(peace)
+    loop.c._memory[:] = peace.memory
+    loop.c.step = lambda xhat: loop.c.u[0]  # type: ignore[method-assign]
+    loop.c.u[0] *= 0.9
+    assert loop._other_solution(peace) == ""
 
 
 def test_a_datum_that_stays_bad_is_a_lockup(monkeypatch: pytest.MonkeyPatch) -> None:

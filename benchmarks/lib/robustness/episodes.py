@@ -7,20 +7,28 @@ A controller that has converged for a measured state gets one sample with a bad 
 parameter, bounds, or numbers written over its plan. From then on everything is as before. It is locked up if it is not
 OK within 20 samples, or if after 100 samples its control is not that of the controller that was left in peace. It is
 watched until it has agreed with that one for some samples on end, at most 100.
+
+Problems that are not convex have several solutions, and a plan that was optimal for the bad datum may lead to another
+one. Such an episode goes on for as many samples as a controller is given to converge in peace. If the KKT residuals of
+the plan then vanish, recomputed from the problem, or if IPOPT, started there, returns its control, the controller is at
+a solution: the episode counts under other_solutions, with both costs, and not as a lock-up.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness.hostile import Data, spoiled
 from benchmarks.lib.robustness.subjects import Candidate, built, candidates, in_processes
-from nmpc_codegen import Controller, Status
+from nmpc_codegen import Controller, ExplicitRungeKutta, Status
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import Reference
+from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, evaluate_cost, kkt_residuals, node_data
 
 Array = np.ndarray
 
@@ -32,6 +40,10 @@ PATIENCE, LATER, AGREED = 20, 100, 6
 #: What the last samples of a converged controller may differ by, and a recovered one from it; relative to the range.
 CONVERGED = {"double": 1e-8, "single": 1e-3}
 EQUAL = {"double": 1e-6, "single": 1e-2}
+#: The same for a control that IPOPT confirms; a plan that is shifted while the state is held is off by a little.
+CONFIRMED = {"double": 1e-3, "single": 1e-2}
+#: KKT residuals of a plan that is a solution, in double.
+STATIONARY = 1e-9
 
 
 @dataclass
@@ -53,6 +65,7 @@ class Outcome:
     compared: int = 0
     never_ok: Counter[str] = field(default_factory=Counter)
     elsewhere: Counter[str] = field(default_factory=Counter)
+    other_solutions: list[str] = field(default_factory=list)
     recovery: dict[str, list[int]] = field(default_factory=dict)
     examples: list[str] = field(default_factory=list)
 
@@ -105,6 +118,24 @@ class Loop:
             c.step(xhat)
             self.data.restore()
 
+    def _other_solution(self, peace: Peace) -> str:
+        """Costs at the solution at which the controller stands, and at that of the peaceful one; empty: it is none."""
+        for _ in range(SETTLING):
+            self.c.step(peace.xhat)
+        subject = candidates()[self.seed].subject
+        scheme = replace(CLASSICAL, steps=(subject.integrator or ExplicitRungeKutta()).steps)
+        problem = classify(subject.make())
+        data = node_data(problem, x0=peace.xhat)
+        plan = point(self.c)
+        found = Reference(problem, scheme).solve(data, x=plan.x, u=plan.u)
+        off = float(np.max(np.abs(found.u[0] - plan.u[0]) / self.unit(peace.u)))
+        if kkt_residuals(problem, plan, data, scheme).worst > STATIONARY and off > CONFIRMED[self.precision]:
+            return ""
+        self.c._memory[:] = peace.memory
+        other = point(self.c)
+        costs = [evaluate_cost(problem, p.x, p.u, data, scheme) for p in (plan, other)]
+        return f"cost {costs[0]:.6g}; {costs[1]:.6g} in peace"
+
     def episode(self, out: Outcome, number: int) -> None:
         """One bad datum."""
         peace = self.peaceful[number % STATES]
@@ -134,9 +165,17 @@ class Loop:
         if not 0 < first <= PATIENCE:
             out.never_ok[kind] += 1
             out.examples.append(f"{number}, {kind}: {Counter(statuses).most_common(2)}")
+        elif agreed == 0 and (found := self._other_solution(peace)):
+            out.other_solutions.append(f"{number}, {kind}: {found}")
         elif agreed == 0:
             out.elsewhere[kind] += 1
             out.examples.append(f"{number}, {kind}: {u} for {peace.u}, {Counter(statuses).most_common(2)}")
+
+
+def point(controller: Controller) -> Point:
+    """Primal and dual variables of its plan."""
+    names = Point.__dataclass_fields__
+    return Point(**{name: np.array(controller._optional(name), dtype=float) for name in names})
 
 
 def run(job: tuple[Controller, Array, Array, int, int]) -> Outcome:
@@ -163,12 +202,15 @@ def report_outcomes(report: Report, chosen: tuple[Candidate, ...], outcomes: lis
     report.add("episodes", total, limit=EPISODES * scale, at_least=True)
     report.add("episodes_compared", sum(o.compared for o in outcomes), n=total)
     report.add("lockups", sum(o.lockups for o in outcomes), case="all", n=total, limit=0)
+    report.add("other_solutions", sum(len(o.other_solutions) for o in outcomes), case="all", n=total)
     every: dict[str, list[int]] = {}
     for candidate, out in zip(chosen, outcomes, strict=True):
         kinds = [f"{n} {kind} never OK" for kind, n in sorted(out.never_ok.items())]
         kinds += [f"{n} {kind} elsewhere" for kind, n in sorted(out.elsewhere.items())]
         case = ": ".join([str(candidate), ", ".join(kinds)]) if kinds else str(candidate)
         report.add("lockups", out.lockups, case=case, n=out.episodes, limit=0)
+        for line in out.other_solutions:
+            report.add("other_solutions", 1, case=f"{candidate}/{line}", n=out.episodes)
         for kind, samples in out.recovery.items():
             every.setdefault(kind, []).extend(samples)
         for line in out.examples[:2]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from threading import Lock
 
 from nmpc_codegen.bounds.c_source import Type, constants, functions, macros, struct_members, tables
 from nmpc_codegen.bounds.names import Unit
@@ -19,6 +20,9 @@ from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.preamble import all_definitions
 from nmpc_codegen.lowering.render import unit_text
+
+#: Held during an analysis: syntax trees of functions that packages share are made once, also for threads.
+_TREES = Lock()
 
 #: The phases of a sample.
 PHASES = ("prepare", "feedback")
@@ -79,8 +83,9 @@ def bounded(module: CModule) -> CModule:
             f"operations are not counted: {', '.join(module.folders)}; choose another one, or no budget"
         )
     try:
-        found = WorstCase(_unit(module, unit_text(module)))
-        worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
+        with _TREES:
+            found = WorstCase(_unit(module, unit_text(module)))
+            worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
     except UnboundedError as error:
         if budget is not None:
             raise OptionError(

@@ -139,6 +139,7 @@ def _switches(model: Model) -> dict[str, int]:
         "CONTROL_BOUNDS": int(any(row.kind == "control" for row in p.rows)),
         "ACCUMULATORS": int(bool(p.accumulators)),
         "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
+        "LAGRANGIAN": 0,
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
     for component in parts.components:

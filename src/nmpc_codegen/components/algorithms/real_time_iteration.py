@@ -49,7 +49,7 @@ SOLVE = EntryPoint(
 SHIFTS = (None, "repeat", "periodic", "resample")
 MAX_TRIALS = 30
 MEMORY = 8
-#: Samples in a row that the budget ends until the plan restarts.
+#: Samples in a row without success, or without convergence, until more of the plan is given up.
 PATIENCE = 10
 
 
@@ -148,11 +148,9 @@ class RealTimeIteration(Defaults):
         return accumulators
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        budget = (
-            ("MAX_OPERATIONS", self.budget or 0, "operations of a sample at most"),
-            ("PATIENCE", PATIENCE, "samples ended by the budget until the plan restarts"),
-        )
+        budget = (("MAX_OPERATIONS", self.budget or 0, "operations of a sample at most"),)
         return (
+            ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
             *(budget if self.budget is not None else ()),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
@@ -164,8 +162,11 @@ class RealTimeIteration(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            Field("samples", (), "feedbacks since init or reset", "keep", "int32"),
-            Field("failing", (), "failures in a row, at most 3", "keep", "int32"),
+            *((Field("samples", (), "feedbacks since init or reset", "keep", "int32"),) if self.shift else ()),
+            Field(
+                "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
+            ),
+            *_watched(dims),
             Field("late", (), "samples since the last success that the budget ended", "keep", "int32", only="BUDGET"),
         )
         results = (
@@ -186,6 +187,17 @@ class RealTimeIteration(Defaults):
         at_ends = operations(model.start.gradient, terminal.gradient, terminal.rows, model.coupled)
         added = OpCount(add=dims.nx.value if model.start.gradient.writes else 0)
         return {"linearize": node * dims.N.value + at_ends + added}
+
+
+def _watched(dims: Dims) -> tuple[Field, ...]:
+    """What tells whether multipliers on which the Hessian depends converge."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    return (
+        Field(
+            "unsettled", (), "samples on end in which lam changed by half its size", "keep", "int32", only="LAGRANGIAN"
+        ),
+        Field("lam_before", (nodes, dims.nx), "lam after the sample before", "keep", only="LAGRANGIAN"),
+    )
 
 
 def _stats() -> Struct:

@@ -166,8 +166,9 @@ class ExactHessian(Defaults):
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """Which indefinite Hessian is changed: the block of every stage, or the reduced one."""
-        return {f"REGULARIZE_{where}": int(self.level == level) for where, level in LEVELS}
+        """The Hessian depends on multipliers; which indefinite one is changed: the block of every stage, or the reduced
+        one."""
+        return {"LAGRANGIAN": 1} | {f"REGULARIZE_{where}": int(self.level == level) for where, level in LEVELS}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""
