@@ -34,6 +34,11 @@
 
 #include "qp/riccati_active_set_refine.c"
 
+#if NG
+#include "qp/riccati_active_set_complement.c"
+
+#endif
+
 #include "qp/riccati_active_set_iterate.c"
 
 #include "riccati/units.c"
@@ -64,6 +69,7 @@ static void qp_init(solver_t *s)
     riccati_init(s);
     s->riccati.regularize = 1;
 #if NG
+    memset(&s->schur, 0, sizeof s->schur);
     for (int m = 0; m < NG; m++) {
         s->qp.root[m] = R(1);
     }
@@ -72,8 +78,9 @@ static void qp_init(solver_t *s)
 
 #if REGULARIZE_REDUCED
 /* The last stage with a member of the working set, or -1. The factors of later stages are those without members. */
-static int qp_last_member(const qp_t *q)
+static int qp_last_member(const solver_t *s)
 {
+    const qp_t *q = &s->qp;
     int last = -1;
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS; j++) {
@@ -83,7 +90,7 @@ static int qp_last_member(const qp_t *q)
 #if NG
     for (int m = 0; m < NG; m++) {
         const int k = stage_of_row[m];
-        last = (q->side[NV + m] != INACTIVE && k > last) ? k : last;
+        last = (s->riccati.weight[m] > R(0) && k > last) ? k : last;
     }
 #endif
     return last;
@@ -102,12 +109,20 @@ static status_t qp_factorize(solver_t *s)
     } else {
         q->scaled = SCALES_EARLIER;
     }
+    schur_begin(s);
 #endif
     qp_enter(s);
 #if REGULARIZE_REDUCED
-    q->stale = plain ? qp_last_member(q) : NS;
+    q->stale = plain ? qp_last_member(s) : NS;
 #endif
-    if (!qp_renew(s)) { /* weights and working set may belong to a QP with other scales */
+    int ready = qp_renew(s);
+#if NG
+    if (s->schur.active && !(ready && s->schur.applies)) {
+        qp_dissolve(s);
+        ready = qp_renew(s);
+    }
+#endif
+    if (!ready) { /* weights and working set may belong to a QP with other scales */
         qp_start_empty(s);
         if (!qp_renew(s)) {
 #if INTERIOR_POINT
@@ -147,6 +162,16 @@ static int qp_needs_scales(const qp_t *q)
     return q->scaled != SCALES_OWN && q->refined && q->residual <= TOL_RICCATI_ROUNDING;
 }
 
+/* Active-set iterations with rows as equations. If they fail, members have weights from now on. */
+static status_t qp_settle_with_complement(solver_t *s)
+{
+    const status_t status = qp_settle(s, QP_MAX_POLISH);
+    if (status != OK) {
+        qp_dissolve(s);
+    }
+    return status;
+}
+
 /* Active-set iterations from the present working set with the scales of this QP. */
 static status_t qp_settle_in_own_scales(solver_t *s)
 {
@@ -166,7 +191,14 @@ static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
     q->exact = 1;
+#if NG
+    status_t status = s->schur.active ? qp_settle_with_complement(s) : STALLED;
+    if (status != OK) {
+        status = qp_settle(s, QP_MAX_ITERATIONS);
+    }
+#else
     status_t status = qp_settle(s, QP_MAX_ITERATIONS);
+#endif
 #if NG
     if (status == STALLED && qp_needs_scales(q)) {
         status = qp_settle_in_own_scales(s);

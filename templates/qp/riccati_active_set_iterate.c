@@ -167,9 +167,15 @@ static int qp_renew(solver_t *s)
     if (q->stale >= 0 && !riccati_factorize(s, q->stale)) {
         return 0;
     }
+#if NG
+    schur_update(s);
+#endif
     if (q->stale_vectors >= 0) {
         qp_load(s);
         riccati_backward(s, q->stale_vectors);
+#if NG
+        schur_set_origin(s);
+#endif
     }
     q->stale = q->stale_vectors = -1;
     return 1;
@@ -207,10 +213,18 @@ static status_t qp_minimize(solver_t *s, int *changed)
         return NUMERICAL_FAILURE;
     }
     memcpy(q->x[0], s->step.dx[0], sizeof s->step.dx[0]);
-    riccati_forward(s, q->x, q->z);
-    if (!qp_measure(q) || !qp_take_multipliers(s)) {
+#if NG
+    if (s->schur.active && !schur_substitute(s)) {
+        return STALLED;
+    }
+    if (!s->schur.active && !qp_substitute(s)) {
         return NUMERICAL_FAILURE;
     }
+#else
+    if (!qp_substitute(s)) {
+        return NUMERICAL_FAILURE;
+    }
+#endif
     q->refined = 0;
     q->rough = qp_is_approximate(s);
     *changed = qp_revise(s);
@@ -246,6 +260,9 @@ static status_t qp_iterate(solver_t *s, int most)
             return status;
         }
 #if NG
+        if (s->schur.active && !s->schur.applies) {
+            return STALLED;
+        }
         if (changed == 0 && qp_raise_weights(s)) {
             q->iterations++;
             continue;

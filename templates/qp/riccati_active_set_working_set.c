@@ -37,19 +37,25 @@ static real_t qp_row_size(const solver_t *s, int m)
 }
 
 #endif
+/* Marks the vectors of the stages 0 .. k as stale. */
+static inline void qp_outdate_vectors(qp_t *q, int k)
+{
+    q->stale_vectors = k > q->stale_vectors ? k : q->stale_vectors;
+}
+
 /* Marks the factors and vectors of the stages 0 .. k as stale after a change of the working set. */
 static inline void qp_outdate(qp_t *q, int k)
 {
     q->stale = k > q->stale ? k : q->stale;
-    q->stale_vectors = k > q->stale_vectors ? k : q->stale_vectors;
+    qp_outdate_vectors(q, k);
 }
 
 /* Marks the vectors of the stages 0 .. k as stale if the bound of a member has changed. */
-static inline void qp_outdate_vectors(qp_t *q, int c, int k, real_t target)
+static inline void qp_follow_bound(qp_t *q, int c, int k, real_t target)
 {
     /* Exact comparison: an unchanged bound is the same number. */
     if (q->side[c] != INACTIVE && qp_target(q, c) != target) {
-        q->stale_vectors = k > q->stale_vectors ? k : q->stale_vectors;
+        qp_outdate_vectors(q, k);
     }
 }
 
@@ -67,12 +73,12 @@ static void qp_set_control(solver_t *s, int k, int j, int side)
 
 #if NG
 /* Weight of a a' in the Hessian that row m adds. */
-static inline real_t qp_weight(const qp_t *q, int m, int side)
+static inline real_t qp_weight(const solver_t *s, int m, int side)
 {
-    if (side == INACTIVE) {
+    if (side == INACTIVE || (s->schur.active && qp_is_member(side))) {
         return R(0);
     }
-    return qp_is_member(side) ? q->weight[m] : q->curvature[m];
+    return qp_is_member(side) ? s->qp.weight[m] : s->qp.curvature[m];
 }
 
 /* Sets the side of row m; a new member starts with multiplier 0. */
@@ -81,11 +87,16 @@ static void qp_set_row(solver_t *s, int m, int side)
     qp_t *q = &s->qp;
     const int c = NV + m;
     if (side != q->side[c]) {
+        const real_t weight = qp_weight(s, m, side);
         q->side[c] = side;
         q->changes++;
         q->mult[c] = R(0);
-        s->riccati.weight[m] = qp_weight(q, m, side);
-        qp_outdate(q, stage_of_row[m]);
+        qp_outdate_vectors(q, stage_of_row[m]);
+        if (!s->schur.active || weight > s->riccati.weight[m] || weight < s->riccati.weight[m]) {
+            qp_outdate(q, stage_of_row[m]);
+        }
+        s->riccati.weight[m] = weight;
+        s->schur.swept = 0;
     }
 }
 
@@ -123,13 +134,16 @@ static void qp_take_bounds(solver_t *s)
         for (int j = 0; j < NUS; j++) {
             const int c = k * NUS + j;
             qp_set_control(s, k, j, qp_allowed(q, c, q->side[c]));
-            qp_outdate_vectors(q, c, k, s->riccati.du[c]);
+            qp_follow_bound(q, c, k, s->riccati.du[c]);
         }
     }
 #if NG
     for (int m = 0; m < NG; m++) {
         qp_set_row(s, m, qp_allowed_row(q, m, q->side[NV + m]));
-        qp_outdate_vectors(q, NV + m, stage_of_row[m], q->target[m]);
+        if (s->schur.active && qp_is_member(q->side[NV + m])) { /* the gradient does not contain the bound */
+            q->target[m] = qp_target(q, NV + m);
+        }
+        qp_follow_bound(q, NV + m, stage_of_row[m], q->target[m]);
     }
 #endif
 }
@@ -219,4 +233,11 @@ static int qp_take_multipliers(solver_t *s)
     }
 #endif
     return isfinite(sum);
+}
+
+/* The minimiser from the present vectors of the substitution, and its multipliers. Returns 0 if they are not finite. */
+static int qp_substitute(solver_t *s)
+{
+    riccati_forward(s, s->qp.x, s->qp.z);
+    return qp_measure(&s->qp) && qp_take_multipliers(s);
 }
