@@ -78,24 +78,30 @@ static void qp_init(solver_t *s)
 
 #if REGULARIZE_REDUCED
 /* The last stage with a member of the working set, or -1. The factors of later stages are those without members. */
-static int qp_last_member(const solver_t *s)
+static int qp_last_member(const qp_t *q)
 {
-    const qp_t *q = &s->qp;
     int last = -1;
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS; j++) {
             last = (q->side[k * NUS + j] != INACTIVE) ? k : last;
         }
     }
-#if NG
-    for (int m = 0; m < NG; m++) {
-        const int k = stage_of_row[m];
-        last = (s->riccati.weight[m] > R(0) && k > last) ? k : last;
-    }
-#endif
     return last;
 }
 
+#if NG
+/* The last stage with a row that has a weight, or `last` if that is later. */
+static int qp_last_weight(const solver_t *s, int last)
+{
+    int found = last; /* -1 <= found <= NS */
+    for (int m = 0; m < NG; m++) {
+        const int k = stage_of_row[m];
+        found = (s->riccati.weight[m] > R(0) && k > found) ? k : found;
+    }
+    return found;
+}
+
+#endif
 #endif
 static status_t qp_factorize(solver_t *s)
 {
@@ -113,16 +119,17 @@ static status_t qp_factorize(solver_t *s)
 #endif
     qp_enter(s);
 #if REGULARIZE_REDUCED
-    q->stale = plain ? qp_last_member(s) : NS;
-#endif
-    int ready = qp_renew(s);
+    q->stale = plain ? qp_last_member(q) : NS;
 #if NG
-    if (s->schur.active && !(ready && s->schur.applies)) {
+    q->stale = qp_last_weight(s, q->stale);
+#endif
+#endif
+#if NG
+    if (s->schur.active && !(qp_renew(s) && s->schur.applies)) {
         qp_dissolve(s);
-        ready = qp_renew(s);
     }
 #endif
-    if (!ready) { /* weights and working set may belong to a QP with other scales */
+    if (!qp_renew(s)) { /* weights and working set may belong to a QP with other scales */
         qp_start_empty(s);
         if (!qp_renew(s)) {
 #if INTERIOR_POINT

@@ -11,7 +11,8 @@
  *   schur_update      push, pull, C and its factors for the present members and factors. `applies` becomes 0 if there are
  *                     too many members, or if a pivot of H was raised.
  *   schur_set_origin  values of the members for dx_0 = 0.
- *   schur_substitute  the minimiser. `applies` becomes 0 if members are off their bounds, as when they contradict one
+ *   schur_predict     called before the forward substitution from dx_0.
+ *   schur_holds       called after it. `applies` becomes 0 if members are off their bounds, as when they contradict one
  *                     another: members that depend on others keep their multipliers. */
 
 /* Number of QPs for which members have weights after a pivot was raised. */
@@ -252,27 +253,6 @@ static void schur_set_origin(solver_t *s)
     }
 }
 
-/* Distances of the members from their bounds for dx_0 = step.dx[0]. */
-static void schur_predict(const solver_t *s, real_t *distance)
-{
-    const schur_t *c = &s->schur;
-    real_t x[LDX] = {0};
-    memcpy(x, s->step.dx[0], sizeof x[0] * NXS);
-#if NF
-    for (int f = 0; f < NF; f++) {
-        x[free_state[f]] = R(0);
-    }
-#endif
-#if NXS > NX
-    for (int i = NX; i < NXS; i++) {
-        x[i] = R(0);
-    }
-#endif
-    for (int i = 0; i < c->joint; i++) {
-        distance[i] = c->origin[i] + riccati_dot(c->pull[i], x, LDX) - s->qp.target[c->member[i]];
-    }
-}
-
 /* d = C^{-1} d, 0 for members that depend on others. */
 static void schur_solve(const schur_t *c, real_t *d)
 {
@@ -315,22 +295,50 @@ static void schur_correct(solver_t *s, real_t *distance)
     c->shifted = 1;
 }
 
-/* The minimiser on the working set. Returns 0 if the method does not apply: members are still off their bounds. */
-static int schur_substitute(solver_t *s)
+/* Distances of the members from their bounds for dx_0 = step.dx[0]. */
+static void schur_distances(const solver_t *s, real_t *distance)
 {
-    schur_t *c = &s->schur;
-    real_t distance[QP_MAX_JOINT];
-    if (c->applies && c->joint > 0) {
-        schur_predict(s, distance);
+    const schur_t *c = &s->schur;
+    real_t x[LDX] = {0};
+    memcpy(x, s->step.dx[0], sizeof x[0] * NXS);
+#if NF
+    for (int f = 0; f < NF; f++) {
+        x[free_state[f]] = R(0);
+    }
+#endif
+#if NXS > NX
+    for (int i = NX; i < NXS; i++) {
+        x[i] = R(0);
+    }
+#endif
+    for (int i = 0; i < c->joint; i++) {
+        distance[i] = c->origin[i] + riccati_dot(c->pull[i], x, LDX) - s->qp.target[c->member[i]];
+    }
+}
+
+/* Corrects the vectors of the substitution for the members and dx_0, if the Schur complement is in use. */
+static void schur_predict(solver_t *s)
+{
+    if (s->schur.active && s->schur.applies && s->schur.joint > 0) {
+        real_t distance[QP_MAX_JOINT];
+        schur_distances(s, distance);
         schur_correct(s, distance);
     }
-    c->applies = c->applies && qp_substitute(s);
+}
+
+/* Returns 1 if the minimiser satisfies the members, if need be after a second correction, which removes the rounding
+ * errors of the first one. */
+static int schur_holds(solver_t *s)
+{
+    schur_t *c = &s->schur;
     if (c->applies && qp_distance(s) > TOL_RICCATI_FEASIBILITY) {
+        real_t distance[QP_MAX_JOINT];
         for (int i = 0; i < c->joint; i++) {
-            distance[i] = qp_offset(&s->qp, c->member[i]); /* contains the rounding errors of the first correction */
+            distance[i] = qp_offset(&s->qp, c->member[i]);
         }
         schur_correct(s, distance);
-        c->applies = qp_substitute(s) && qp_distance(s) <= TOL_RICCATI_FEASIBILITY;
+        riccati_forward(s, s->qp.x, s->qp.z);
+        c->applies = qp_measure(&s->qp) && qp_take_multipliers(s) && qp_distance(s) <= TOL_RICCATI_FEASIBILITY;
     }
     return c->applies;
 }

@@ -214,15 +214,15 @@ static status_t qp_minimize(solver_t *s, int *changed)
     }
     memcpy(q->x[0], s->step.dx[0], sizeof s->step.dx[0]);
 #if NG
-    if (s->schur.active && !schur_substitute(s)) {
+    schur_predict(s);
+#endif
+    riccati_forward(s, q->x, q->z);
+    if (!qp_measure(q) || !qp_take_multipliers(s)) {
+        return NUMERICAL_FAILURE;
+    }
+#if NG
+    if (s->schur.active && !schur_holds(s)) {
         return STALLED;
-    }
-    if (!s->schur.active && !qp_substitute(s)) {
-        return NUMERICAL_FAILURE;
-    }
-#else
-    if (!qp_substitute(s)) {
-        return NUMERICAL_FAILURE;
     }
 #endif
     q->refined = 0;

@@ -37,25 +37,19 @@ static real_t qp_row_size(const solver_t *s, int m)
 }
 
 #endif
-/* Marks the vectors of the stages 0 .. k as stale. */
-static inline void qp_outdate_vectors(qp_t *q, int k)
-{
-    q->stale_vectors = k > q->stale_vectors ? k : q->stale_vectors;
-}
-
 /* Marks the factors and vectors of the stages 0 .. k as stale after a change of the working set. */
 static inline void qp_outdate(qp_t *q, int k)
 {
     q->stale = k > q->stale ? k : q->stale;
-    qp_outdate_vectors(q, k);
+    q->stale_vectors = k > q->stale_vectors ? k : q->stale_vectors;
 }
 
 /* Marks the vectors of the stages 0 .. k as stale if the bound of a member has changed. */
-static inline void qp_follow_bound(qp_t *q, int c, int k, real_t target)
+static inline void qp_outdate_vectors(qp_t *q, int c, int k, real_t target)
 {
     /* Exact comparison: an unchanged bound is the same number. */
     if (q->side[c] != INACTIVE && qp_target(q, c) != target) {
-        qp_outdate_vectors(q, k);
+        q->stale_vectors = k > q->stale_vectors ? k : q->stale_vectors;
     }
 }
 
@@ -91,7 +85,6 @@ static void qp_set_row(solver_t *s, int m, int side)
         q->side[c] = side;
         q->changes++;
         q->mult[c] = R(0);
-        qp_outdate_vectors(q, stage_of_row[m]);
         if (!s->schur.active || weight > s->riccati.weight[m] || weight < s->riccati.weight[m]) {
             qp_outdate(q, stage_of_row[m]);
         }
@@ -134,7 +127,7 @@ static void qp_take_bounds(solver_t *s)
         for (int j = 0; j < NUS; j++) {
             const int c = k * NUS + j;
             qp_set_control(s, k, j, qp_allowed(q, c, q->side[c]));
-            qp_follow_bound(q, c, k, s->riccati.du[c]);
+            qp_outdate_vectors(q, c, k, s->riccati.du[c]);
         }
     }
 #if NG
@@ -143,7 +136,7 @@ static void qp_take_bounds(solver_t *s)
         if (s->schur.active && qp_is_member(q->side[NV + m])) { /* the gradient does not contain the bound */
             q->target[m] = qp_target(q, NV + m);
         }
-        qp_follow_bound(q, NV + m, stage_of_row[m], q->target[m]);
+        qp_outdate_vectors(q, NV + m, stage_of_row[m], q->target[m]);
     }
 #endif
 }
@@ -233,11 +226,4 @@ static int qp_take_multipliers(solver_t *s)
     }
 #endif
     return isfinite(sum);
-}
-
-/* The minimiser from the present vectors of the substitution, and its multipliers. Returns 0 if they are not finite. */
-static int qp_substitute(solver_t *s)
-{
-    riccati_forward(s, s->qp.x, s->qp.z);
-    return qp_measure(&s->qp) && qp_take_multipliers(s);
 }
