@@ -15,8 +15,8 @@
  *   schur_holds       called after it. `applies` becomes 0 if members are off their bounds, as when they contradict one
  *                     another: members that depend on others keep their multipliers. */
 
-/* Number of QPs for which members have weights after a pivot was raised. */
-enum { WEIGHTED_QPS = 16 };
+/* Number of QPs for which members have weights after the method has failed. */
+enum { WEIGHTED_QPS = 8 };
 
 /* Returns 1 if a pivot of the recursion was raised. */
 static int qp_is_raised(const solver_t *s)
@@ -204,7 +204,6 @@ static int schur_renew(solver_t *s)
     }
     if (c->joint > 0) {
         if (qp_is_raised(s)) {
-            c->weighted = WEIGHTED_QPS;
             return 0;
         }
 #if BUDGET

@@ -29,10 +29,11 @@ static void qp_enter(solver_t *s)
 }
 
 #if NG
-/* Gives weights to the rows of the working set, which were equations. */
+/* Gives weights to the rows of the working set, which were equations, in this QP and some of the next ones. */
 static void qp_dissolve(solver_t *s)
 {
     s->schur.active = 0;
+    s->schur.weighted = WEIGHTED_QPS;
     qp_enter(s);
 }
 
