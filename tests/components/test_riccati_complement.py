@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.riccati import StageProblem, StageQP, random_problem, residuals
+from oracles.riccati import StageProblem, StageQP, equality_solution, random_problem, residuals
 from riccati_harness import RiccatiQP, Shape
 
 from examples import crane
@@ -121,8 +121,83 @@ def test_with_controls_at_their_bounds(seed: int) -> None:
         return
     for _ in range(SETTLED):
         assert s.run(qp) == "OK"
-    assert np.any(s["side"][: shape.ns * shape.nus])
-    holds(s, qp, 1e-10)
+    bounds = shape.ns * shape.nus
+    side = s["side"][:bounds].copy()
+    assert np.any(side)
+    near = moved(rng, qp, 1e-7)
+    for _ in range(2):  # the second time with other bounds of the active controls, without a preparation
+        s.load_bounds(near)
+        assert s.solve(near.problem.x_0) == "OK"
+        holds(s, near, 1e-10)
+        lower, upper = near.lower.copy(), near.upper.copy()
+        lower[:bounds] += 1e-7 * (side < 0) * rng.uniform(size=bounds)
+        upper[:bounds] -= 1e-7 * (side > 0) * rng.uniform(size=bounds)
+        near = dataclasses.replace(near, lower=lower, upper=upper)
+
+
+@few
+@given(seed=seeds)
+def test_a_control_that_reaches_its_bound_needs_no_correction(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = SHAPES["on the way"]
+    s, qp = solver(shape), drawn(rng, shape)
+    assert s.run(qp) == "OK"
+    c = int(np.argmax(np.abs(s.u)))
+    lower, upper = qp.lower.copy(), qp.upper.copy()
+    lower[c], upper[c] = -0.99 * np.abs(s.u).max(), 0.99 * np.abs(s.u).max()
+    near = dataclasses.replace(qp, lower=lower, upper=upper)
+    s.load_bounds(near)
+    assert s.solve(near.problem.x_0) == "OK"
+    assert (s["iterations"], s["refinements"]) == (1, 0)
+    assert residuals(near, s.x, s.u, s.mult).worst <= 1e-10
+
+
+@few
+@given(seed=seeds, name=st.sampled_from(["terminal", "general", "on the way", "one stage"]))
+def test_what_the_preparation_knows(seed: int, name: str) -> None:
+    """Values of the members as a function of dx_0, and C, are those of the dense QP without the rows."""
+    rng = np.random.default_rng(seed)
+    shape = SHAPES[name]
+    s, qp = solver(shape), drawn(rng, shape)
+    s.load(qp)
+    assert s.factorize() == "OK"
+    schur, n = s.memory["schur"], len(shape.rows)
+    dense = np.zeros((n, qp.problem.size))
+    for a, k, row in zip(qp.rows, qp.at, dense, strict=True):
+        row[qp.problem.x(k)] = a[: shape.nx]
+        if k < shape.ns:
+            row[qp.problem.u(k)] = a[shape.nx :]
+
+    def values(**data: np.ndarray) -> np.ndarray:
+        return dense @ equality_solution(dataclasses.replace(qp.problem, **data), dense[:0], np.zeros(0))[0]
+
+    at_zero = values(x_0=np.zeros(shape.nx))
+    scale = np.abs(at_zero).max()
+    np.testing.assert_allclose(schur["origin"], at_zero, rtol=0, atol=1e-10 * scale)
+    predicted = schur["origin"] + schur["pull"][:, : shape.nx] @ qp.problem.x_0
+    np.testing.assert_allclose(predicted, values(), rtol=0, atol=1e-10 * scale)
+    L = np.tril(schur["complement"], -1) + np.eye(n)
+    C = L @ np.diag(1 / np.diag(schur["complement"])) @ L.T
+    mult = equality_solution(qp.problem, dense, qp.lower[-n:])[2]
+    np.testing.assert_allclose(
+        C @ mult, values() - qp.lower[-n:], rtol=0, atol=1e-9 * np.abs(mult).max() * np.abs(C).max()
+    )
+
+
+@few
+@given(seed=seeds, name=st.sampled_from(["terminal", "general", "on the way"]))
+def test_the_feedback_phase_has_no_backward_substitution(seed: int, name: str) -> None:
+    """Not even if the values of the equations change: p is neither read nor written."""
+    rng = np.random.default_rng(seed)
+    s, qp = solver(SHAPES[name]), drawn(rng, SHAPES[name])
+    s.load(qp)
+    assert s.factorize() == "OK"
+    s.memory["riccati"]["p"][...] = np.nan
+    near = moved(rng, qp, 1.0)
+    s.load_bounds(near)
+    assert s.solve(near.problem.x_0) == "OK"
+    holds(s, near, 1e-10)
+    assert np.all(np.isnan(s.memory["riccati"]["p"]))
 
 
 @few
