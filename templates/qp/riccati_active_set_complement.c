@@ -11,7 +11,7 @@
  *   schur_update      push, pull, C and its factors for the present members and factors. `applies` becomes 0 if there are
  *                     too many members, or if a pivot of H was raised.
  *   schur_set_origin  values of the members for dx_0 = 0.
- *   schur_predict     called before the forward substitution from dx_0.
+ *   schur_impose     called before the forward substitution from dx_0.
  *   schur_holds       called after it. `applies` becomes 0 if members are off their bounds, as when they contradict one
  *                     another: members that depend on others keep their multipliers. */
 
@@ -253,7 +253,7 @@ static void schur_set_origin(solver_t *s)
 }
 
 /* d = C^{-1} d, 0 for members that depend on others. */
-static void schur_solve(const schur_t *c, real_t *d)
+static void schur_substitute(const schur_t *c, real_t *d)
 {
     for (int i = 1; i < c->joint; i++) {
         for (int j = 0; j < i; j++) {
@@ -273,7 +273,7 @@ static void schur_correct(solver_t *s, real_t *distance)
 {
     riccati_t *r = &s->riccati;
     schur_t *c = &s->schur;
-    schur_solve(c, distance);
+    schur_substitute(c, distance);
     for (int i = 0; i < c->joint; i++) {
         s->qp.center[c->member[i]] += distance[i];
 #if NF
@@ -316,7 +316,7 @@ static void schur_distances(const solver_t *s, real_t *distance)
 }
 
 /* Corrects the vectors of the substitution for the members and dx_0, if the Schur complement is in use. */
-static void schur_predict(solver_t *s)
+static void schur_impose(solver_t *s)
 {
     if (s->schur.active && s->schur.applies && s->schur.joint > 0) {
         real_t distance[QP_MAX_JOINT];

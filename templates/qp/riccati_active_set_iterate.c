@@ -214,7 +214,7 @@ static status_t qp_minimize(solver_t *s, int *changed)
     }
     memcpy(q->x[0], s->step.dx[0], sizeof s->step.dx[0]);
 #if NG
-    schur_predict(s);
+    schur_impose(s);
 #endif
     riccati_forward(s, q->x, q->z);
     if (!qp_measure(q) || !qp_take_multipliers(s)) {
