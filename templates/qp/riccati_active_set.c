@@ -18,8 +18,9 @@
  * for a violation v; `relaxed` is the number of violated soft rows.
  * side[] is the working set and is kept for the warm start; the caller may change it before qp_factorize.
  *
- * Method: one Riccati recursion gives the minimiser on the working set. Controls in the working set are eliminated;
- * rows in the working set are treated by the method of multipliers, which requires no decision on their rank. Then
+ * Method: one Riccati recursion gives the minimiser on the working set. Controls in the working set are eliminated. A
+ * small number of rows is treated by their Schur complement; where this does not lead to a solution, rows in the
+ * working set are treated by the method of multipliers, which requires no decision on their rank. Then
  * every side is updated from the values and the signs of the multipliers (primal-dual active set; Hintermueller, Ito,
  * Kunisch 2003). The recursion is repeated from the last stage with a change down to stage 0.
  * ------------------------------------------------------------------------------------------------------------------ */

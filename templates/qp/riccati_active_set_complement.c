@@ -11,7 +11,7 @@
  *   schur_update      push, pull, C and its factors for the present members and factors. `applies` becomes 0 if there are
  *                     too many members, or if a pivot of H was raised.
  *   schur_set_origin  values of the members for dx_0 = 0.
- *   schur_impose     called before the forward substitution from dx_0.
+ *   schur_impose      called before the forward substitution from dx_0.
  *   schur_holds       called after it. `applies` becomes 0 if members are off their bounds, as when they contradict one
  *                     another: members that depend on others keep their multipliers. */
 
@@ -65,6 +65,8 @@ static inline void schur_load(const solver_t *s, int m, real_t *w)
         memcpy(w, stage_row(s, m), sizeof w[0] * (stage_of_row[m] < NS ? NZS : NXS));
         return;
     }
+#else
+    (void)s;
 #endif
     w[stage_state[m]] = R(1);
 }

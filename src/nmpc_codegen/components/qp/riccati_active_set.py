@@ -3,8 +3,8 @@
     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + 1/2 x_NS'Q_NS x_NS + g_NS'x_NS   s.t.  x_{k+1} = S_k z_k + b_k,
     lower <= (u, rows) <= upper
 
-The preparation phase runs the recursion at the predicted working set; if this set is right, the feedback phase is one
-forward substitution.
+The preparation phase runs the recursion at the predicted working set, and sweeps through the stages once for every row
+in this set; if the set is right, the feedback phase is one forward substitution.
 """
 
 from __future__ import annotations
