@@ -18,8 +18,9 @@
  * for a violation v; `relaxed` is the number of violated soft rows.
  * side[] is the working set and is kept for the warm start; the caller may change it before qp_factorize.
  *
- * Method: one Riccati recursion gives the minimiser on the working set. Controls in the working set are eliminated;
- * rows in the working set are treated by the method of multipliers, which requires no decision on their rank. Then
+ * Method: one Riccati recursion gives the minimiser on the working set. Controls in the working set are eliminated. A
+ * small number of rows is treated by their Schur complement; where this does not lead to a solution, rows in the
+ * working set are treated by the method of multipliers, which requires no decision on their rank. Then
  * every side is updated from the values and the signs of the multipliers (primal-dual active set; Hintermueller, Ito,
  * Kunisch 2003). The recursion is repeated from the last stage with a change down to stage 0.
  * ------------------------------------------------------------------------------------------------------------------ */
@@ -33,6 +34,11 @@
 #include "qp/riccati_active_set_working_set.c"
 
 #include "qp/riccati_active_set_refine.c"
+
+#if NG
+#include "qp/riccati_active_set_complement.c"
+
+#endif
 
 #include "qp/riccati_active_set_iterate.c"
 
@@ -64,6 +70,7 @@ static void qp_init(solver_t *s)
     riccati_init(s);
     s->riccati.regularize = 1;
 #if NG
+    memset(&s->schur, 0, sizeof s->schur);
     for (int m = 0; m < NG; m++) {
         s->qp.root[m] = R(1);
     }
@@ -80,15 +87,22 @@ static int qp_last_member(const qp_t *q)
             last = (q->side[k * NUS + j] != INACTIVE) ? k : last;
         }
     }
-#if NG
-    for (int m = 0; m < NG; m++) {
-        const int k = stage_of_row[m];
-        last = (q->side[NV + m] != INACTIVE && k > last) ? k : last;
-    }
-#endif
     return last;
 }
 
+#if NG
+/* The last stage with a row that has a weight, or `last` if that is later. */
+static int qp_last_weight(const solver_t *s, int last)
+{
+    int found = last; /* -1 <= found <= NS */
+    for (int m = 0; m < NG; m++) {
+        const int k = stage_of_row[m];
+        found = (s->riccati.weight[m] > R(0) && k > found) ? k : found;
+    }
+    return found;
+}
+
+#endif
 #endif
 static status_t qp_factorize(solver_t *s)
 {
@@ -102,10 +116,19 @@ static status_t qp_factorize(solver_t *s)
     } else {
         q->scaled = SCALES_EARLIER;
     }
+    schur_begin(s);
 #endif
     qp_enter(s);
 #if REGULARIZE_REDUCED
     q->stale = plain ? qp_last_member(q) : NS;
+#if NG
+    q->stale = qp_last_weight(s, q->stale);
+#endif
+#endif
+#if NG
+    if (s->schur.active && !(qp_renew(s) && s->schur.applies)) {
+        qp_dissolve(s);
+    }
 #endif
     if (!qp_renew(s)) { /* weights and working set may belong to a QP with other scales */
         qp_start_empty(s);
@@ -147,6 +170,16 @@ static int qp_needs_scales(const qp_t *q)
     return q->scaled != SCALES_OWN && q->refined && q->residual <= TOL_RICCATI_ROUNDING;
 }
 
+/* Active-set iterations with rows as equations. If they fail, members have weights from now on. */
+static status_t qp_settle_with_complement(solver_t *s)
+{
+    const status_t status = qp_settle(s, QP_MAX_POLISH);
+    if (status != OK) {
+        qp_dissolve(s);
+    }
+    return status;
+}
+
 /* Active-set iterations from the present working set with the scales of this QP. */
 static status_t qp_settle_in_own_scales(solver_t *s)
 {
@@ -166,7 +199,14 @@ static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
     q->exact = 1;
+#if NG
+    status_t status = s->schur.active ? qp_settle_with_complement(s) : STALLED;
+    if (status != OK) {
+        status = qp_settle(s, QP_MAX_ITERATIONS);
+    }
+#else
     status_t status = qp_settle(s, QP_MAX_ITERATIONS);
+#endif
 #if NG
     if (status == STALLED && qp_needs_scales(q)) {
         status = qp_settle_in_own_scales(s);

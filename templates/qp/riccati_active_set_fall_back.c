@@ -71,6 +71,9 @@ static status_t qp_fall_back(solver_t *s)
     qp_t *q = &s->qp;
     const int before = q->iterations;
     status_t status;
+#if NG
+    s->schur.active = 0;
+#endif
 #if BUDGET
     if (!qp_afford(q, COST_RESTART)) {
         return ITERATION_LIMIT;

@@ -167,9 +167,15 @@ static int qp_renew(solver_t *s)
     if (q->stale >= 0 && !riccati_factorize(s, q->stale)) {
         return 0;
     }
+#if NG
+    schur_update(s);
+#endif
     if (q->stale_vectors >= 0) {
         qp_load(s);
         riccati_backward(s, q->stale_vectors);
+#if NG
+        schur_set_origin(s);
+#endif
     }
     q->stale = q->stale_vectors = -1;
     return 1;
@@ -207,10 +213,18 @@ static status_t qp_minimize(solver_t *s, int *changed)
         return NUMERICAL_FAILURE;
     }
     memcpy(q->x[0], s->step.dx[0], sizeof s->step.dx[0]);
+#if NG
+    schur_impose(s);
+#endif
     riccati_forward(s, q->x, q->z);
     if (!qp_measure(q) || !qp_take_multipliers(s)) {
         return NUMERICAL_FAILURE;
     }
+#if NG
+    if (s->schur.active && !schur_holds(s)) {
+        return STALLED;
+    }
+#endif
     q->refined = 0;
     q->rough = qp_is_approximate(s);
     *changed = qp_revise(s);
@@ -246,6 +260,9 @@ static status_t qp_iterate(solver_t *s, int most)
             return status;
         }
 #if NG
+        if (s->schur.active && !s->schur.applies) {
+            return STALLED;
+        }
         if (changed == 0 && qp_raise_weights(s)) {
             q->iterations++;
             continue;

@@ -12,7 +12,7 @@ static int qp_is_approximate(const solver_t *s)
     }
 #if NG
     for (int m = 0; m < NG; m++) {
-        approximate |= qp_is_member(s->qp.side[NV + m]);
+        approximate |= qp_is_member(s->qp.side[NV + m]) && !s->schur.active;
     }
 #endif
     return approximate;

@@ -19,13 +19,24 @@ static void qp_enter(solver_t *s)
 #if NG
     for (int m = 0; m < NG; m++) {
         q->side[NV + m] = qp_allowed_row(q, m, q->side[NV + m]);
-        r->weight[m] = qp_weight(q, m, q->side[NV + m]);
+        r->weight[m] = qp_weight(s, m, q->side[NV + m]);
     }
 #endif
     q->stale = q->stale_vectors = NS;
+#if NG
+    s->schur.swept = 0;
+#endif
 }
 
 #if NG
+/* Gives weights to the rows of the working set, which were equations, in this QP and some of the next ones. */
+static void qp_dissolve(solver_t *s)
+{
+    s->schur.active = 0;
+    s->schur.weighted = WEIGHTED_QPS;
+    qp_enter(s);
+}
+
 /* Moving a row by one costs at least root^2 / 2. The weight of a member is root^2 / sqrt(machine epsilon): one
  * correction then removes the error of the weighting, and the rounding error due to the weight is no larger than
  * that. */
@@ -61,6 +72,7 @@ static void qp_start_empty(solver_t *s)
     memset(s->qp.side, 0, sizeof s->qp.side);
     memset(s->qp.mult, 0, sizeof s->qp.mult);
 #if NG
+    s->schur.active = 0;
     qp_scale_rows(s);
 #endif
     qp_enter(s);

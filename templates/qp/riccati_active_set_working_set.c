@@ -67,12 +67,12 @@ static void qp_set_control(solver_t *s, int k, int j, int side)
 
 #if NG
 /* Weight of a a' in the Hessian that row m adds. */
-static inline real_t qp_weight(const qp_t *q, int m, int side)
+static inline real_t qp_weight(const solver_t *s, int m, int side)
 {
-    if (side == INACTIVE) {
+    if (side == INACTIVE || (s->schur.active && qp_is_member(side))) {
         return R(0);
     }
-    return qp_is_member(side) ? q->weight[m] : q->curvature[m];
+    return qp_is_member(side) ? s->qp.weight[m] : s->qp.curvature[m];
 }
 
 /* Sets the side of row m; a new member starts with multiplier 0. */
@@ -81,11 +81,15 @@ static void qp_set_row(solver_t *s, int m, int side)
     qp_t *q = &s->qp;
     const int c = NV + m;
     if (side != q->side[c]) {
+        const real_t weight = qp_weight(s, m, side);
         q->side[c] = side;
         q->changes++;
         q->mult[c] = R(0);
-        s->riccati.weight[m] = qp_weight(q, m, side);
-        qp_outdate(q, stage_of_row[m]);
+        if (!s->schur.active || weight > s->riccati.weight[m] || weight < s->riccati.weight[m]) {
+            qp_outdate(q, stage_of_row[m]);
+        }
+        s->riccati.weight[m] = weight;
+        s->schur.swept = 0;
     }
 }
 
@@ -129,6 +133,9 @@ static void qp_take_bounds(solver_t *s)
 #if NG
     for (int m = 0; m < NG; m++) {
         qp_set_row(s, m, qp_allowed_row(q, m, q->side[NV + m]));
+        if (s->schur.active && qp_is_member(q->side[NV + m])) { /* the gradient does not contain the bound */
+            q->target[m] = qp_target(q, NV + m);
+        }
         qp_outdate_vectors(q, NV + m, stage_of_row[m], q->target[m]);
     }
 #endif

@@ -347,6 +347,7 @@ SAMPLES = (
     Sample("arrival rows interior", arrival_rows, _interior(hessian=ExactHessian())),
     Sample("ring dense", ring, _dense(hessian=ExactHessian(), algorithm=RELAXED)),
     Sample("ring in time", ring, _dense(algorithm=RealTimeIteration(relaxation=100.0, budget=10**8))),
+    Sample("cycle riccati", cycle, _riccati(algorithm=PERIODIC)),
     Sample("ring interior", ring, _interior(hessian=ExactHessian())),
     Sample("closing interior", closing, _interior()),
     Sample("target dense", target, _dense(solve=False)),

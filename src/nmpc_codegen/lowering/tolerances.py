@@ -21,6 +21,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "step_gradient": (2.0**13, "the same for the gradient, in which condensing of an unstable plant costs digits"),
     "qp_residual": (2.0**10, "residual of a row or of the gradient in an answer, relative to its terms"),
     "riccati_pivot": (2.0**5, "rounding of a pivot of the Riccati recursion, relative to its diagonal entry"),
+    "riccati_dependent": (2.0**10, "part of a row outside the span of others that counts as zero, relative, squared"),
     "riccati_feasibility": (2.0**6, "violation of a bound that is taken as rounding, relative to |a|'|z| + |bound|"),
     "riccati_sign": (2.0**8, "wrong sign of a multiplier that is taken as rounding, relative to its terms"),
     "riccati_refined": (2.0**2, "residual on a working set that is taken as rounding, relative to its terms"),

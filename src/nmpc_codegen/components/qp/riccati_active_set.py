@@ -3,8 +3,8 @@
     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + 1/2 x_NS'Q_NS x_NS + g_NS'x_NS   s.t.  x_{k+1} = S_k z_k + b_k,
     lower <= (u, rows) <= upper
 
-The preparation phase runs the recursion at the predicted working set; if this set is right, the feedback phase is one
-forward substitution.
+The preparation phase runs the recursion at the predicted working set, and sweeps through the stages once for every row
+in this set; if the set is right, the feedback phase is one forward substitution.
 """
 
 from __future__ import annotations
@@ -42,6 +42,34 @@ MAX_POLISH = 5
 # The fall-back runs after other working sets have failed, so no good starting point is known.
 _COLD = RiccatiInteriorPoint(warm_start=False)
 _FALLBACKS: dict[str, RiccatiInteriorPoint | None] = {"riccati_interior_point": _COLD, "None": None}
+
+
+def _joint(dims: Dims) -> int:
+    """Cap on the rows in the Schur complement: more of them than states are rarely independent, and cost memory."""
+    return min(dims.ng.value, dims.qp.nxs.value)
+
+
+def _schur_struct(dims: Dims) -> Struct:
+    """Rows of the working set as equations."""
+    joint, stages = Size("QP_MAX_JOINT", _joint(dims)), dims.qp.ns
+    ldx = Size("LDX", riccati_sizes(dims)[0][1])
+    return Struct(
+        "schur",
+        "rows of the working set as equations",
+        (
+            Field("push", (stages, joint, dims.qp.nus), "gradient of the controls for a unit multiplier", "scratch"),
+            Field("pull", (joint, ldx), "gradient of x_0 for a unit multiplier", "scratch"),
+            Field("complement", (joint, joint), "L D L' of the Schur complement, 1 / D on the diagonal", "scratch"),
+            Field("origin", (joint,), "values of the rows for dx_0 = 0", "scratch"),
+            Field("member", (joint,), "the rows", "scratch", "int32"),
+            Field("joint", (), "number of rows", "scratch", "int32"),
+            Field("active", (), "1: rows in the set are equations; 0: they have weights", "scratch", "int32"),
+            Field("applies", (), "1: no obstacle to the method has been found", "scratch", "int32"),
+            Field("swept", (), "1: the Schur complement is up to date", "scratch", "int32"),
+            Field("shifted", (), "1: the vectors of the substitution contain corrections", "scratch", "int32"),
+            Field("weighted", (), "number of QPs for which rows are to have weights", "keep", "int32"),
+        ),
+    )
 
 
 @dataclass(frozen=True)
@@ -88,6 +116,7 @@ class RiccatiActiveSet(Defaults):
             ("QP_MAX_ITERATIONS", self._cap, "cap on the working sets of one feedback phase"),
             ("QP_MAX_POLISH", min(self._cap, MAX_POLISH), "cap on the working sets near a solution"),
             ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
+            *((("QP_MAX_JOINT", _joint(dims), "cap on the rows of the Schur complement"),) if dims.ng.value else ()),
             *self._fallback_sizes(),
         )
 
@@ -111,6 +140,7 @@ class RiccatiActiveSet(Defaults):
         return (
             *units,
             *riccati_structs(dims, () if noise is None else (noise,), corrected),
+            *((_schur_struct(dims),) if ng.value > 0 else ()),
             *((interior_point_struct(dims, self.fallback, crossover=True),) if self.fallback is not None else ()),
             Struct(
                 "qp",
@@ -143,7 +173,7 @@ class RiccatiActiveSet(Defaults):
         """Stages, and sides of the interior point method."""
         stages = (-1, dims.qp.ns.value)
         sides: Mapping[str, tuple[int, int]] = {} if self.fallback is None else self.fallback.ranges(dims)
-        return {"stale": stages, "stale_vectors": stages, **sides}
+        return {"stale": stages, "stale_vectors": stages, "joint": (0, _joint(dims)), **sides}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The recursion and its substitutions; a warm-started sample needs one of each."""
