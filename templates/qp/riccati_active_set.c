@@ -25,6 +25,10 @@
  * Kunisch 2003). The recursion is repeated from the last stage with a change down to stage 0.
  * ------------------------------------------------------------------------------------------------------------------ */
 
+#if BUDGET
+#include "qp/budget.c"
+#endif
+
 #include "riccati/kernel.c"
 
 #include "qp/stage_qp.c"

@@ -2,10 +2,6 @@
  * and clearing of results. A row has its gradient in the variables of one stage; a bound on a state is stored as the
  * index of its component. */
 
-#if BUDGET
-#include "qp/budget.c"
-#endif
-
 /* Side of a row. A member of the working set is an equation at its bound; a soft row may be violated. */
 enum { BELOW = -2, AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1, ABOVE = 2 };
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from conftest import require_tool
 
+from benchmarks.lib import quality
 from benchmarks.lib.house.coverage import all_parts, covering, gaps, reached
-from benchmarks.lib.house.samples import SAMPLES
+from benchmarks.lib.house.samples import SAMPLES, Sample
 from benchmarks.lib.house.unresolved import lowered, objects_differ, texts
+from nmpc_codegen import generate
 from nmpc_codegen.ir.cmodule import CModule
 
 
@@ -17,6 +20,17 @@ def modules() -> tuple[CModule, ...]:
 
 def test_every_part_is_used_and_every_condition_true_once_and_false_once(modules: tuple[CModule, ...]) -> None:
     assert gaps(modules) == []
+
+
+LIMITED = [s for s in SAMPLES if getattr(s.options.algorithm, "budget", None) is not None]
+
+
+@pytest.mark.parametrize("sample", LIMITED, ids=lambda sample: sample.name)
+def test_packages_with_a_budget_compile(sample: Sample) -> None:
+    """The charges of a budget are spread over many parts, which include one another in several orders."""
+    require_tool("cc")
+    sources = generate(sample.make(), sample.options)
+    assert quality.warnings_of(sources, ("-fsyntax-only",), ("C99",)) == ""
 
 
 def test_names_are_unique() -> None:
