@@ -326,7 +326,7 @@ SAMPLES = (
     Sample("path OSQP", path, Options(qp=Osqp(), hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("final dense", final, _dense(hessian=GaussNewton(convex_rows=True), algorithm=REPEAT)),
     Sample("final riccati", final, _riccati(hessian=ExactHessian(), algorithm=LIMITED)),
-    Sample("final interior", final, _interior(hessian=GaussNewton(convex_rows=True))),
+    Sample("final interior", final, _interior(hessian=GaussNewton(convex_rows=True), algorithm=LIMITED)),
     Sample("soft states dense", soft_states, _dense()),
     Sample("soft states riccati", soft_states, _riccati()),
     Sample("soft states interior", soft_states, _interior()),
