@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
+import pickle
 import subprocess
 import sys
 import sysconfig
@@ -200,6 +202,35 @@ def test_no_python_headers(toy_files: Files, cold: Path, tmp_path: Path, monkeyp
     monkeypatch.setattr(build.sysconfig, "get_path", lambda _: str(tmp_path))
     with pytest.raises(BuildError, match=r"apt install python3-dev.*dnf install python3-devel.*brew install python"):
         load(toy_files, "toy")
+
+
+def test_a_library_needs_no_python_headers(
+    toy_files: Files, cold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build.sysconfig, "get_path", lambda _: str(tmp_path))
+    assert load(toy_files, "toy", "test").step([0.1, 0.0]).shape == (1,)
+
+
+def test_a_library_and_a_module_are_the_same_controller(toy_files: Files) -> None:
+    """The same object code, once called by declarations, once by a wrapper: the same memory after the same samples."""
+    flags = PROFILES["test"].flags
+    library, module = (load(toy_files, "toy", Profile("plain", flags, wrapper)) for wrapper in (False, True))
+    for x in ([0.1, 0.0], [np.nan, 0.0], [-0.2, 0.3]):
+        np.testing.assert_array_equal(library.step(x), module.step(x))
+        assert library.status is module.status
+    assert library._memory.tobytes() == module._memory.tobytes()
+    assert pickle.loads(pickle.dumps(library))._memory.tobytes() == module._memory.tobytes()
+
+
+def test_functions_of_a_library_outlive_their_package(toy_files: Files, cold: Path) -> None:
+    """The library stays loaded though nobody holds it and its file is gone."""
+    ctrl = load(toy_files, "toy", "test")
+    ffi, function = ctrl._package.ffi, ctrl._package.function("status_string")
+    del ctrl
+    gc.collect()
+    for path in modules(cold):
+        path.unlink()
+    assert ffi.string(function(0)) == b"ok"
 
 
 def test_refused_code_shows_the_first_lines_and_keeps_the_source(toy_files: Files, cold: Path) -> None:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 
@@ -74,6 +75,14 @@ class Outcome:
         return sum(self.never_ok.values()) + sum(self.elsewhere.values())
 
 
+@cache
+def oracle_of(number: int) -> Reference:
+    """The nonlinear program of a candidate."""
+    subject = candidates()[number].subject
+    steps = (subject.integrator or ExplicitRungeKutta()).steps
+    return Reference(classify(subject.make()), replace(CLASSICAL, steps=steps))
+
+
 class Loop:
     """A controller in operation."""
 
@@ -122,12 +131,11 @@ class Loop:
         """Costs at the solution at which the controller stands, and at that of the peaceful one; empty: it is none."""
         for _ in range(SETTLING):
             self.c.step(peace.xhat)
-        subject = candidates()[self.seed].subject
-        scheme = replace(CLASSICAL, steps=(subject.integrator or ExplicitRungeKutta()).steps)
-        problem = classify(subject.make())
+        oracle = oracle_of(self.seed)
+        problem, scheme = oracle.problem, oracle.integrator
         data = node_data(problem, x0=peace.xhat)
         plan = point(self.c)
-        found = Reference(problem, scheme).solve(data, x=plan.x, u=plan.u)
+        found = oracle.solve(data, x=plan.x, u=plan.u)
         off = float(np.max(np.abs(found.u[0] - plan.u[0]) / self.unit(peace.u)))
         if kkt_residuals(problem, plan, data, scheme).worst > STATIONARY and off > CONFIRMED[self.precision]:
             return ""
@@ -219,15 +227,16 @@ def report_outcomes(report: Report, chosen: tuple[Candidate, ...], outcomes: lis
         report.add("recovery_p99", float(np.percentile(samples, 99)), "samples", case=kind, n=len(samples))
 
 
-def replay(name: str) -> None:
+def replay(name: str, profile: str = "fast") -> None:
     """Print an episode: the bad sample and those after it.
 
     Args:
         name: "controller/number", as the benchmark prints it.
+        profile: of the controller that replays it.
     """
     label, _, number = name.rpartition("/")
     seed, candidate = next((i, c) for i, c in enumerate(candidates()) if str(c) == label)
-    (controller,) = built([candidate])
+    (controller,) = built([candidate], profile)
     with np.errstate(all="ignore"):
         loop = Loop(controller, candidate.subject.rest, candidate.subject.spread, seed)
         peace = loop.peaceful[int(number) % STATES]

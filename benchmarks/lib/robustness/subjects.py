@@ -191,10 +191,10 @@ def candidates() -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def built(chosen: Iterable[Candidate]) -> list[Controller]:
+def built(chosen: Iterable[Candidate], profile: str = "fast") -> list[Controller]:
     """Their controllers, compiled side by side."""
     with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(lambda c: build(c.subject.make(), c.options, profile="fast"), chosen))
+        return list(pool.map(lambda c: build(c.subject.make(), c.options, profile=profile), chosen))
 
 
 def in_processes(run: Callable[[Job], Outcome], chosen: Sequence[Candidate], count: int) -> list[Outcome]:
