@@ -38,7 +38,7 @@ Files = dict[str, str]
 #: Folders and files whose tests run what clang compiles.
 SECOND_COMPILER = frozenset(
     {
-        "components",
+        *("bounds", "components", "test_growth.py", "test_recovery.py"),
         *("test_online.py", "test_start_cost.py", "test_closed_loop.py", "test_pathrows.py", "test_linearize.py"),
         *("test_robustness.py", "test_solve.py", "test_cli.py"),
     }

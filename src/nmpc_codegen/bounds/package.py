@@ -6,7 +6,7 @@ operations of prepare and feedback) lasts, so that it never takes more than B op
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from threading import Lock
 
@@ -20,6 +20,10 @@ from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.preamble import all_definitions
 from nmpc_codegen.lowering.render import unit_text
+
+#: Results of the last analyses: an export and a build of one problem, or another printed style, ask the same.
+_KNOWN: dict[Hashable, tuple[dict[str, int], dict[str, int]]] = {}
+MOST_KNOWN = 100
 
 #: Held during an analysis: syntax trees of functions that packages share are made once, also for threads.
 _TREES = Lock()
@@ -83,9 +87,7 @@ def bounded(module: CModule) -> CModule:
             f"operations are not counted: {', '.join(module.folders)}; choose another one, or no budget"
         )
     try:
-        with _TREES:
-            found = WorstCase(_unit(module, unit_text(module)))
-            worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
+        worst, charges = _bounds(module)
     except UnboundedError as error:
         if budget is not None:
             raise OptionError(
@@ -96,15 +98,37 @@ def bounded(module: CModule) -> CModule:
     if budget is None:
         return _stated(module, worst | {"sample": sum(worst.values())}, {})
     fixed = sum(worst.values())
-    needed = fixed + sum(found.charges[name] for name in module.iteration)
+    needed = fixed + sum(charges[name] for name in module.iteration)
     if budget < needed:
         raise OptionError(
             f"RealTimeIteration.budget: {budget} operations; a sample needs up to {needed} for linearisation, "
             "condensing, factorisation, one iteration and checks; expected at least that (--set algorithm.budget=...)"
         )
-    costs = {name: (count, "operations that are charged at once") for name, count in sorted(found.charges.items())}
+    costs = {name: (count, "operations that are charged at once") for name, count in sorted(charges.items())}
     costs["ALLOWANCE"] = (budget - fixed, "operations of a sample that may be charged")
     return _stated(module, {"sample": budget}, costs)
+
+
+def _bounds(module: CModule) -> tuple[dict[str, int], dict[str, int]]:
+    """Operations of the phases and of what is charged, computed once for equal texts with equal data."""
+    text = unit_text(module)
+    key = (
+        text,
+        tuple(all_definitions(module)),
+        tuple((m.name, m.value) for m in module.macros),
+        tuple((t.name, *t.values) for t in module.tables if t.ctype == "int"),
+        tuple((s.name, *((f.name, f.ctype, len(f.shape)) for f in s.fields)) for s in module.structs),
+        tuple((r.name, r.count.total) for r in (*module.routines, *module.called_products)),
+        tuple(sorted(module.ranges.items())),
+    )
+    with _TREES:
+        if key not in _KNOWN:
+            found = WorstCase(_unit(module, text))
+            worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
+            if len(_KNOWN) == MOST_KNOWN:
+                _KNOWN.pop(next(iter(_KNOWN)))
+            _KNOWN[key] = worst, found.charges
+        return _KNOWN[key]
 
 
 def _stated(module: CModule, worst: Mapping[str, int], more: Mapping[str, tuple[int, str]]) -> CModule:
