@@ -57,16 +57,15 @@ static int schur_list(solver_t *s)
     return 1;
 }
 
-/* w = gradient of row m in the variables of its stage. */
-static inline void schur_load(const solver_t *s, int m, real_t *w)
+/* w = gradient of member i in the variables of its stage. */
+static inline void schur_load(const solver_t *s, int i, real_t *w)
 {
+    const int m = s->schur.member[i];
 #if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         memcpy(w, stage_row(s, m), sizeof w[0] * (stage_of_row[m] < NS ? NZS : NXS));
         return;
     }
-#else
-    (void)s;
 #endif
     w[stage_state[m]] = R(1);
 }
@@ -79,7 +78,7 @@ static inline void schur_sweep_stage(solver_t *s, int k, int i)
     const int m = c->member[i];
     real_t w[NZS] = {0};
     if (stage_of_row[m] == k) {
-        schur_load(s, m, w);
+        schur_load(s, i, w);
     } else {
         riccati_combine(w, c->pull[i], stage_S(s, k)[0], NZS, NXS, NZS);
     }
@@ -122,7 +121,7 @@ static void schur_sweep(solver_t *s)
     memset(c->complement, 0, sizeof c->complement);
     for (int i = 0; i < c->joint; i++) {
         if (stage_of_row[c->member[i]] == NS) {
-            schur_load(s, c->member[i], c->pull[i]);
+            schur_load(s, i, c->pull[i]);
         }
     }
     for (int k = NS - 1; k >= 0; k--) {
