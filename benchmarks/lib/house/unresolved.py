@@ -24,6 +24,7 @@ from pathlib import Path
 
 from benchmarks.lib.house.timed import Sample
 from benchmarks.lib.quality import package_name
+from nmpc_codegen.bounds.package import bounded
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
@@ -41,8 +42,8 @@ _TYPEDEF = re.compile(r"^typedef \w+ (\w+);$", re.MULTILINE)
 
 @cache
 def lowered(sample: Sample) -> CModule:
-    """The CModule of a sample, before rendering."""
-    return lower(linearize(classify(sample.make()), sample.options), None)
+    """The CModule of a sample, before rendering; with a budget it has the charges."""
+    return bounded(lower(linearize(classify(sample.make()), sample.options), None))
 
 
 def texts(sample: Sample, resolved: bool = True) -> Sources:
