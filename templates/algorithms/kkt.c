@@ -75,7 +75,7 @@ static void add_coupled_forces(const solver_t *s, int k, real_t *sum)
 /* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + mu_x, mu_u + J' mu, and the gap. */
 static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 {
-    real_t sum[NZ] = {R(0)};
+    real_t sum[NZ] = {0};
 #if NE
     if (k == 0) {
         add_coupled_forces(s, k, sum);
@@ -100,7 +100,7 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 /* The terminal node: gradient of the Lagrangian, and residual of the initial condition. */
 static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
 {
-    real_t sum[NX] = {R(0)};
+    real_t sum[NX] = {0};
 #if NE
     add_coupled_forces(s, N, sum);
 #endif

@@ -355,6 +355,30 @@ static status_t run_qp(solver_t *s)
 #include "algorithms/check_step.c"
 #endif
 
+#if NE || NH || NH_N
+/* w += gradient of the general and coupled rows of node k with respect to its state, times their multipliers. */
+static void add_row_forces(const solver_t *s, int k, real_t *w)
+{
+    for (int i = 0; i < NX; i++) {
+#if NE
+        for (int j = 0; j < NE && (k == 0 || k == N); j++) {
+            w[i] += ((k == N) ? s->coupled.J_N[j][i] : s->coupled.J_0[j][i]) * s->eta[j];
+        }
+#endif
+#if NH
+        for (int j = 0; j < NH && k < N; j++) {
+            w[i] += s->node[k].J[j][i] * s->mu[k][j];
+        }
+#endif
+#if NH_N
+        for (int j = 0; j < NH_N && k == N; j++) {
+            w[i] += s->terminal.J[j][i] * s->mu_N[j];
+        }
+#endif
+    }
+}
+#endif
+
 /* lam_N = q_N + Q_N dx_N + (rows)_N,  lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + (rows)_k. Returns 0 if the
  * gradient with respect to the controls is known not to vanish. */
 static int recover_multipliers(solver_t *s)
@@ -366,23 +390,11 @@ static int recover_multipliers(solver_t *s)
 #endif
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
     for (int k = N; k >= 0; k--) {
+#if NE || NH || NH_N
+        add_row_forces(s, k, w);
+#endif
         for (int i = 0; i < NX; i++) {
             w[i] += s->mu_x[k][i];
-#if NE
-            for (int j = 0; j < NE && (k == 0 || k == N); j++) {
-                w[i] += ((k == N) ? s->coupled.J_N[j][i] : s->coupled.J_0[j][i]) * s->eta[j];
-            }
-#endif
-#if NH
-            for (int j = 0; j < NH && k < N; j++) {
-                w[i] += s->node[k].J[j][i] * s->mu[k][j];
-            }
-#endif
-#if NH_N
-            for (int j = 0; j < NH_N && k == N; j++) {
-                w[i] += s->terminal.J[j][i] * s->mu_N[j];
-            }
-#endif
             s->lam[k][i] = w[i];
         }
         if (k == 0) {

@@ -296,7 +296,7 @@ static void condense_embed_slacks(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
         const int slack = row_slack[m];
-        if (slack >= 0) {
+        if (slack >= NV - NSL) {
             s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
             s->qp.curvature[slack - (NV - NSL)] = ROW_CURVATURE(m);
             s->qp.penalty[slack] = ROW_PENALTY(s, m);

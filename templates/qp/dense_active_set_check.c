@@ -93,7 +93,7 @@ static int qp_is_optimal(const qp_t *q, real_t *r)
  * residuals of the members. */
 static void qp_refine(qp_t *q, real_t *r)
 {
-    real_t c[LDV], w[LDV];
+    real_t c[LDV] = {0}, w[LDV];
     for (int k = 0; k < q->nw; ++k) {
         w[k] = qp_excess(q, q->row[k]);
     }

@@ -238,6 +238,17 @@ static status_t qp_minimize(solver_t *s, int *changed)
     return status;
 }
 
+/* A residual that refinement does not reduce is rounding, or the weights are too small. */
+static status_t qp_at_rest(const qp_t *q)
+{
+#if NG
+    if (q->scaled != SCALES_OWN) {
+        return q->residual <= TOL_RICCATI_FEASIBILITY ? OK : STALLED;
+    }
+#endif
+    return q->residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
+}
+
 /* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself, its
  * members contradict one another, or the number of changes does not fall and the interior point method can take over;
  * ITERATION_LIMIT; NUMERICAL_FAILURE. */
@@ -268,13 +279,8 @@ static status_t qp_iterate(solver_t *s, int most)
             continue;
         }
 #endif
-        if (changed == 0) { /* a residual that refinement does not reduce is rounding, or the weights are too small */
-#if NG
-            if (q->scaled != SCALES_OWN) {
-                return q->residual <= TOL_RICCATI_FEASIBILITY ? OK : STALLED;
-            }
-#endif
-            return q->residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
+        if (changed == 0) {
+            return qp_at_rest(q);
         }
         if (qp_seen(q, tried)) {
             return STALLED;

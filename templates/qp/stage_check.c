@@ -78,12 +78,15 @@ static int qp_rows_hold(solver_t *s, int full)
     real_t size[NZS] = {0};
     int holds = 1;
     qp_component_sizes(s, full, size);
-    for (int c = 0; c < NV; c++) {
-        real_t terms = size[NXS + c % NUS];
+    for (int k = 0; k < NS; k++) {
+        for (int j = 0; j < NUS; j++) {
+            const int c = k * NUS + j;
+            real_t terms = size[NXS + j];
 #if INTERIOR_POINT
-        terms += qp_least_size(s, c, full);
+            terms += qp_least_size(s, c, full);
 #endif
-        holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, full);
+            holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, full);
+        }
     }
 #if NG
     for (int m = 0; m < NG; m++) {
