@@ -269,3 +269,14 @@ class RiccatiQP:
     def mult(self) -> np.ndarray:
         n = self.shape.ns * self.shape.nus + len(self.shape.rows)
         return self["mult"][:n].astype(float)
+
+
+def drawn_rows(rng: np.random.Generator, shape: Shape) -> np.ndarray:
+    """Gradients of the rows; unit vectors if the shape requires them."""
+    rows = rng.normal(size=(len(shape.rows), shape.nx + shape.nus))
+    for m, (k, state) in enumerate(shape.rows):
+        if state >= 0:
+            rows[m] = np.eye(1, rows.shape[1], state)
+        elif k == shape.ns:
+            rows[m, shape.nx :] = 0
+    return rows

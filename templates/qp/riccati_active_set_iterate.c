@@ -310,8 +310,7 @@ static inline int qp_wrong_sign(const qp_t *q, int c)
 static void qp_finish(qp_t *q)
 {
     for (int c = 0; c < NV; c++) {
-        q->z[c] = q->z[c] > q->upper[c] ? q->upper[c] : q->z[c];
-        q->z[c] = q->z[c] < q->lower[c] ? q->lower[c] : q->z[c];
+        q->z[c] = clip(q->z[c], q->lower[c], q->upper[c]);
     }
     for (int c = 0; c < NV + NG; c++) {
         if (q->lower[c] < q->upper[c] && qp_wrong_sign(q, c)) {

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.riccati import StageProblem, StageQP, constructed, random_problem, residuals
 from qp_harness import FAST
-from riccati_harness import RiccatiQP, Shape, solver_source
+from riccati_harness import RiccatiQP, Shape, drawn_rows, solver_source
 
 from nmpc_codegen.components.qp import REGISTRY, RiccatiActiveSet
 from nmpc_codegen.errors import OptionError
@@ -41,17 +41,6 @@ KINDS = {
 seeds = st.integers(0, 2**32 - 1)
 many = settings(max_examples=25, deadline=None)
 few = settings(max_examples=8, deadline=None)
-
-
-def drawn_rows(rng: np.random.Generator, shape: Shape) -> np.ndarray:
-    """Gradients of the rows; unit vectors if the shape requires them."""
-    rows = rng.normal(size=(len(shape.rows), shape.nx + shape.nus))
-    for m, (k, state) in enumerate(shape.rows):
-        if state >= 0:
-            rows[m] = np.eye(1, rows.shape[1], state)
-        elif k == shape.ns:
-            rows[m, shape.nx :] = 0
-    return rows
 
 
 def drawn(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.riccati import StageProblem, StageQP, equality_solution, random_problem, residuals
-from riccati_harness import RiccatiQP, Shape
+from riccati_harness import RiccatiQP, Shape, drawn_rows
 
 from examples import crane
 from nmpc_codegen import Options, build
@@ -36,16 +36,6 @@ def solver(shape: Shape, precision: str = "double") -> RiccatiQP:
     return RiccatiQP(shape, RiccatiActiveSet(), precision, PROFILES["test"].flags)
 
 
-def gradients(rng: np.random.Generator, shape: Shape) -> np.ndarray:
-    rows = rng.normal(size=(len(shape.rows), shape.nx + shape.nus))
-    for m, (k, state) in enumerate(shape.rows):
-        if state >= 0:
-            rows[m] = np.eye(1, rows.shape[1], state)
-        elif k == shape.ns:
-            rows[m, shape.nx :] = 0
-    return rows
-
-
 def equations(
     problem: StageProblem, shape: Shape, rows: np.ndarray, values: np.ndarray, box: float = np.inf
 ) -> StageQP:
@@ -59,7 +49,7 @@ def equations(
 
 def drawn(rng: np.random.Generator, shape: Shape, box: float = np.inf) -> StageQP:
     problem = random_problem(rng, shape.ns, shape.nx, shape.nus, shape.free)
-    return equations(problem, shape, gradients(rng, shape), 0.3 * rng.normal(size=len(shape.rows)), box)
+    return equations(problem, shape, drawn_rows(rng, shape), 0.3 * rng.normal(size=len(shape.rows)), box)
 
 
 def moved(rng: np.random.Generator, qp: StageQP, amount: float) -> StageQP:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles.riccati import StageProblem, equality_solution, random_problem
-from riccati_harness import KERNEL, Shape, compiled, memory_layout, source
+from riccati_harness import KERNEL, Shape, compiled, drawn_rows, memory_layout, source
 
 SHAPES = {
     "smallest": Shape(1, 1, 1),
@@ -97,12 +97,7 @@ class Kernel:
 def drawn(shape: Shape, rng: np.random.Generator) -> dict[str, Any]:
     """A problem with rows, weights, an additional diagonal and fixed controls."""
     problem = random_problem(rng, shape.ns, shape.nx, shape.nus, shape.free)
-    rows = rng.normal(size=(len(shape.rows), shape.nx + shape.nus))
-    for m, (k, state) in enumerate(shape.rows):
-        if state >= 0:
-            rows[m] = np.eye(1, rows.shape[1], state)
-        elif k == shape.ns:
-            rows[m, shape.nx :] = 0
+    rows = drawn_rows(rng, shape)
     weight = rng.choice([0.0, 1.0, 30.0], size=len(rows)) * rng.random(len(rows))
     diagonal, diagonal_free = rng.random((shape.ns, shape.nus)), rng.random(len(shape.free))
     fixed = rng.random((shape.ns, shape.nus)) < rng.choice([0.0, 0.3, 1.0])
