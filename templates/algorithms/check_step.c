@@ -2,28 +2,46 @@
  * rows of the QP with all states and, if no QP solver on stages has checked it, the stationarity. Rounding errors of the
  * elimination show there. */
 
+/* size = max(size, |v|) by components, n of them; NaN where v has not been finite. */
+static inline void widen(real_t *size, const real_t *v, int n)
+{
+    for (int i = 0; i < n; i++) {
+        const real_t a = FABS(v[i]);
+        size[i] = ((a > size[i]) ? a : size[i]) + R(0) * a;
+    }
+}
+
 /* size[], which is 0: largest magnitude of every component of (dx, du) over the horizon, and of the gaps of the states.
  * Returns 1 if the step is finite. */
 static int step_sizes(const solver_t *s, real_t *size)
 {
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            enlarge(&size[i], s->step.dx[k][i]);
-            enlarge(&size[i], (k < N) ? s->node[k].b[i] : R(0));
-        }
-        for (int j = 0; k < N && j < NU; j++) {
-            enlarge(&size[NX + j], s->step.du[k][j]);
-        }
+    widen(size, s->step.dx[N], NX);
+    for (int k = 0; k < N; k++) {
+        widen(size, s->step.dx[k], NX);
+        widen(size, s->node[k].b, NX);
+        widen(size + NX, s->step.du[k], NU);
     }
     return all_finite(size, NZ);
 }
 
 #if HARD_ROWS
+#if GENERAL_ROWS || NE
+/* Sum of the magnitudes of the terms that change the general or coupled row m, where size[] holds those of (dx, du). */
+static real_t nodal_terms(const solver_t *s, int m, const real_t *size)
+{
+    const real_t *J = nodal_row(s, m);
+    real_t terms = R(0);
+    for (int i = 0; i < (row_node[m] < N ? NZ : NX); i++) {
+        terms += FABS(J[i]) * size[i];
+    }
+    return terms;
+}
+
+#endif
 /* Returns 1 if all hard rows hold after the step up to rounding of their terms, and those with a multiplier are at its
  * bound. Control bounds are bounds of the QP. */
 static int rows_hold(const solver_t *s, const real_t *size)
 {
-    real_t J[NZ];
     for (int m = 0; m < NG; m++) {
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
@@ -32,10 +50,14 @@ static int rows_hold(const solver_t *s, const real_t *size)
 #endif
         const real_t excess = FABS(row_excess(s, m, s->step.mult[m]));
         if (!(excess <= R(0))) {
-            real_t terms = FABS(row_gradient(s, m, J));
-            for (int i = 0; i < NZ; i++) {
-                terms += FABS(J[i]) * size[i];
-            }
+            real_t terms = FABS(ROW_CONSTANT(s, m));
+#if STATE_ROWS && (GENERAL_ROWS || NE)
+            terms += (row_kind[m] == ROW_STATE) ? size[row_index[m]] : nodal_terms(s, m, size);
+#elif STATE_ROWS
+            terms += size[row_index[m]];
+#else
+            terms += nodal_terms(s, m, size);
+#endif
             if (!(excess <= TOL_STEP * terms)) {
                 return 0;
             }

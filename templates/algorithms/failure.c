@@ -7,26 +7,42 @@ static void forget_violation(solver_t *s)
 }
 
 #if HARD_ROWS || (SOLVE && NG)
-/* Amount by which the linearised row m violates its bounds after the step; positive at the upper bound,
- * negative at the lower one. With a multiplier it is the distance from the bound to which that belongs. */
-static real_t row_excess(const solver_t *s, int m, real_t mult)
+#if GENERAL_ROWS || NE
+/* Change of the general or coupled row m due to the step. */
+static real_t nodal_change(const solver_t *s, int m)
 {
-    real_t J[NZ];
-    real_t value = row_gradient(s, m, J);
+    const real_t *J = nodal_row(s, m);
     const int k = row_node[m];
+    real_t change = R(0);
     for (int i = 0; i < NX; i++) {
-        value += J[i] * s->step.dx[k][i];
+        change += J[i] * s->step.dx[k][i];
     }
 #if NE
     if (IS_COUPLED(m)) {
         for (int i = 0; i < NX; i++) {
-            value += s->coupled.J_0[row_index[m]][i] * s->step.dx[0][i];
+            change += s->coupled.J_0[row_index[m]][i] * s->step.dx[0][i];
         }
     }
 #endif
     for (int i = 0; k < N && i < NU; i++) {
-        value += J[NX + i] * s->step.du[k][i];
+        change += J[NX + i] * s->step.du[k][i];
     }
+    return change;
+}
+
+#endif
+/* Amount by which the linearised row m violates its bounds after the step; positive at the upper bound,
+ * negative at the lower one. With a multiplier it is the distance from the bound to which that belongs. */
+static real_t row_excess(const solver_t *s, int m, real_t mult)
+{
+    real_t value = ROW_CONSTANT(s, m);
+#if STATE_ROWS && (GENERAL_ROWS || NE)
+    value += (row_kind[m] == ROW_STATE) ? s->step.dx[row_node[m]][row_index[m]] : nodal_change(s, m);
+#elif STATE_ROWS
+    value += s->step.dx[row_node[m]][row_index[m]];
+#else
+    value += nodal_change(s, m);
+#endif
     return value -
         clip(value, mult > R(0) ? ROW_UPPER(s, m) : ROW_LOWER(s, m), mult < R(0) ? ROW_LOWER(s, m) : ROW_UPPER(s, m));
 }

@@ -36,9 +36,7 @@ static void start_at(solver_t *s, const real_t *x)
         for (int i = 0; i < NX; i++) {
             s->x[k][i] = x[i];
         }
-    }
-    for (int k = 0; k < N; k++) {
-        for (int j = 0; j < NU; j++) {
+        for (int j = 0; k < N && j < NU; j++) {
             s->u[k][j] = safe_value(s, k, j);
         }
     }
@@ -298,9 +296,7 @@ static void take_step(solver_t *s)
         for (int i = 0; i < NX; i++) {
             s->x[k][i] += s->step.dx[k][i];
         }
-    }
-    for (int k = 0; k < N; k++) {
-        for (int j = 0; j < NU; j++) {
+        for (int j = 0; k < N && j < NU; j++) {
             s->u[k][j] += s->step.du[k][j];
             s->u[k][j] = safe_value(s, k, j);
         }

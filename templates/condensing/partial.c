@@ -149,6 +149,25 @@ static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int n
 }
 
 #if NG
+/* Gradient J = (d row / dx, d row / du) of row m at the linearisation point; J = d row / dx_N for a coupled row.
+ * Returns the value of the row. */
+static real_t row_gradient(const solver_t *s, int m, real_t *J)
+{
+    memset(J, 0, NZ * sizeof *J);
+#if STATE_ROWS && (GENERAL_ROWS || NE)
+    if (row_kind[m] == ROW_STATE) {
+        J[row_index[m]] = R(1);
+    } else {
+        memcpy(J, nodal_row(s, m), (row_node[m] < N ? NZ : NX) * sizeof *J);
+    }
+#elif STATE_ROWS
+    J[row_index[m]] = R(1);
+#else
+    memcpy(J, nodal_row(s, m), (row_node[m] < N ? NZ : NX) * sizeof *J);
+#endif
+    return ROW_CONSTANT(s, m);
+}
+
 /* Gradients of the rows of a node in the variables of its block: J_x G_j, and J_u at du_j. At the terminal node the
  * gradient is J_x, with J_0 at the copies for a coupled row. */
 static void condense_block_rows(solver_t *s, int node)

@@ -77,25 +77,28 @@ static void qp_init(qp_t *q)
     }
 }
 
-/* Adds the predicted members to the working set, either the equalities or the inequalities. */
-static status_t qp_predict(qp_t *q, int equality, int again, real_t fraction)
+/* Adds the predicted members to the working set, either the equalities or the inequalities; again: only equalities that
+ * have not been taken. Returns the number of rows that it does not take, or -1 if one is not finite. */
+static int qp_predict(qp_t *q, int equality, int again, real_t fraction)
 {
-    status_t status = OK;
-    for (int c = 0; c < NV + NG && status == OK; ++c) {
-        if (qp_is_slack(c)) {
+    int waiting = 0;
+    for (int c = 0; c < NV + NG; ++c) {
+        if (qp_is_equality(q, c) != equality || qp_is_slack(c)) {
             continue;
         }
-        const int predicted = again ? q->side[c] == INACTIVE : qp_is_member(q, c) || (equality && !q->side[c]);
-        if (predicted && qp_is_equality(q, c) == equality) {
+        if (qp_is_member(q, c) ? !again : equality && q->side[c] == INACTIVE) {
 #if BUDGET
             if (!qp_afford(q, COST_PREDICTION)) {
                 break;
             }
 #endif
-            status = qp_predict_active(q, c, fraction);
+            if (!qp_predict_active(q, c, fraction)) {
+                return -1;
+            }
+            waiting += q->side[c] == INACTIVE;
         }
     }
-    return status;
+    return waiting;
 }
 
 /* Factorises H and the predicted working set: equalities first, then the inequalities that are members. Equalities that
@@ -112,12 +115,14 @@ static status_t qp_factorize(qp_t *q)
 #endif
     if (status == OK) {
         real_t fraction = R(0.5);
-        status = qp_predict(q, 1, 0, fraction);
-        while (fraction > least && status == OK) { /* at most 5 passes */
+        int waiting = qp_predict(q, 1, 0, fraction);
+        while (waiting > 0 && fraction > least) { /* at most 5 passes */
             fraction = fraction * fraction > least ? fraction * fraction : least;
-            status = qp_predict(q, 1, 1, fraction);
+            waiting = qp_predict(q, 1, 1, fraction);
         }
-        status = status == OK ? qp_predict(q, 0, 0, TOL_QP_DEPENDENT_PREDICTION) : status;
+        if (waiting < 0 || qp_predict(q, 0, 0, TOL_QP_DEPENDENT_PREDICTION) < 0) {
+            status = NUMERICAL_FAILURE;
+        }
     }
     q->factorized = status == OK;
     return q->factorized ? OK : qp_fail(q, status);

@@ -1,33 +1,46 @@
 /* Contract of this part: the optimality conditions of an answer, recomputed from the data, and iterative refinement. */
 
+/* y += c a and size += m |a|, n entries. */
+static inline void add_multiple(real_t *y, real_t *size, const real_t *a, real_t c, real_t m, int n)
+{
+    const int fours = n / 4 * 4;
+    for (int j = 0; j < fours; j += 4) {
+        for (int l = 0; l < 4; ++l) {
+            y[j + l] += c * a[j + l];
+            size[j + l] += m * FABS(a[j + l]);
+        }
+    }
+    for (int j = fours; j < n; ++j) {
+        y[j] += c * a[j];
+        size[j] += m * FABS(a[j]);
+    }
+}
+
 /* r = H x, where H = L D L' - E, and size = |L| D |L'| |x| + a small multiple of sqrt(D) (|y0| + |y|), for y may be a
  * small difference. */
 static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
 {
+    const int n = NV - NSL;
     const real_t unit = R(1.0 / 256) * (q->scale + norm(q->work.basis.y));
-    clear(r);
-    for (int k = 0; k < LDH; ++k) {
-        size[k] = unit * q->H[k][k] * q->inverse[k];
+    copy(r, q->x);
+    for (int i = 0; i < LDV; ++i) {
+        size[i] = FABS(r[i]);
     }
-    for (int k = 0; k < NV - NSL; ++k) {
+    for (int i = 0; i < n; ++i) {
+        add_multiple(r, size, q->H[i], q->x[i], FABS(q->x[i]), i);
+    }
+    for (int k = n - 1; k >= 0; --k) {
         const real_t *column = q->H[k];
-        real_t u = q->x[k], terms = FABS(u);
-        for (int i = k + 1; i < NV - NSL; ++i) {
-            const real_t term = column[i] * q->x[i];
-            u += term;
-            terms += FABS(term);
-        }
-        u *= column[k];
-        terms *= column[k];
-        r[k] += q->semidefinite ? u - q->proximal[k] * q->x[k] : u;
-        size[k] += terms;
-        for (int i = k + 1; i < NV - NSL; ++i) {
-            r[i] += column[i] * u;
-            size[i] += FABS(column[i]) * terms;
-        }
+        r[k] *= column[k];
+        size[k] *= column[k];
+        add_multiple(r + k + 1, size + k + 1, column + k + 1, r[k], size[k], n - k - 1);
+    }
+    for (int k = 0; k < n; ++k) {
+        r[k] -= q->semidefinite ? q->proximal[k] * q->x[k] : R(0);
+        size[k] += unit * q->H[k][k] * q->inverse[k];
     }
 #if NSL
-    for (int i = NV - NSL; i < NV; ++i) {
+    for (int i = n; i < NV; ++i) {
         r[i] = qp_curvature(q, i) * q->x[i];
         size[i] = unit / q->inverse[i] + FABS(r[i]);
     }
@@ -38,17 +51,14 @@ static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
 static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
 {
     qp_multiply_hessian(q, r, size);
-    for (int i = 0; i < NV; ++i) {
-        r[i] += q->g[i] + q->mult[i];
-        size[i] += FABS(q->g[i]) + FABS(q->mult[i]);
-    }
+    add_multiple(r, size, q->g, R(1), R(1), NV);
+    add_multiple(r, size, q->mult, R(1), R(1), NV);
 #if NG
     for (int c = NV; c < NV + NG; ++c) {
-        for (int i = 0; q->side[c] != INACTIVE && i < NV - NSL; ++i) {
-            const real_t term = q->A[c - NV][i] * q->mult[c];
-            r[i] += term;
-            size[i] += FABS(term);
+        if (q->side[c] == INACTIVE) {
+            continue;
         }
+        add_multiple(r, size, q->A[c - NV], q->mult[c], FABS(q->mult[c]), NV - NSL);
 #if NSL
         const int slack = qp_moving_slack(q, c);
         if (slack >= 0) {
@@ -83,8 +93,9 @@ static int qp_is_optimal(const qp_t *q, real_t *r)
         optimal &= FABS(r[i]) <= TOL_QP_RESIDUAL * size[i];
     }
     for (int c = 0; c < NV + NG && optimal; ++c) {
-        const real_t excess = FABS(qp_excess(q, c)) / TOL_QP_RESIDUAL;
-        optimal = excess <= qp_row_size(q, c) || excess <= TOL_UNIT * q->scale * qp_row_norm(q, c);
+        const real_t excess = FABS(qp_excess(q, c));
+        optimal = excess <= R(0) || excess <= TOL_QP_RESIDUAL * qp_row_size(q, c) ||
+            excess <= TOL_QP_RESIDUAL * TOL_UNIT * q->scale * qp_row_norm(q, c);
     }
     return optimal;
 }

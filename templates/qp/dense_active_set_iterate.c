@@ -272,8 +272,8 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
 }
 
 /* Adds row c to the predicted working set unless it depends on the rows already in it: a fraction of its normal must be
- * outside their span. */
-static status_t qp_predict_active(qp_t *q, int c, real_t fraction)
+ * outside their span. Returns 0 if its normal is not finite. */
+static int qp_predict_active(qp_t *q, int c, real_t fraction)
 {
     const real_t mm = qp_normal(q, c);
     const int side = q->side[c] < 0 ? AT_LOWER : AT_UPPER;
@@ -284,7 +284,7 @@ static status_t qp_predict_active(qp_t *q, int c, real_t fraction)
             qp_append(q, c, side, vv, R(0));
         }
     }
-    return isfinite(mm) ? OK : NUMERICAL_FAILURE;
+    return isfinite(mm);
 }
 
 /* Checks the present bounds (crossed bounds: infeasible). A member whose active bound has become infinite is

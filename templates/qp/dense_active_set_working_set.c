@@ -61,7 +61,8 @@ static real_t qp_row_norm(const qp_t *q, int c)
     if (c >= NV) {
         real_t squares = R(0);
         for (int j = 0; j < NV - NSL; ++j) {
-            squares += (q->A[c - NV][j] * q->inverse[j]) * (q->A[c - NV][j] * q->inverse[j]);
+            const real_t a = q->A[c - NV][j] * q->inverse[j];
+            squares += a * a;
         }
 #if NSL
         squares += qp_compliance(q, c);

@@ -157,22 +157,29 @@ static inline real_t riccati_dot(const real_t *a, const real_t *b, int n)
     return sum + ((s[0] + s[2]) + (s[1] + s[3]));
 }
 
-/* y += Q z, where Q is symmetric of n rows (lower triangle), in blocks of four rows. */
+/* y += Q z, where Q is symmetric of n rows (lower triangle). Every entry is read once, in blocks of four. */
 static void riccati_add_symmetric(real_t *y, const real_t *Q, int ld, const real_t *z, int n)
 {
-    const real_t *block = Q;
-    for (int i = 0; i < n; i += 4) {
-        const int rows = (n - i < 4) ? n - i : 4;
-        const real_t *row = block;
-        riccati_combine(y, z + i, block, ld, rows, i);
-        for (int r = i; r < i + rows; r++) {
-            y[r] += riccati_dot(row, z, i) + row[r] * z[r];
-            for (int c = i; c < r; c++) {
-                y[r] += row[c] * z[c];
-                y[c] += row[c] * z[r];
+    const real_t *row = Q;
+    for (int i = 0; i < n; i++) {
+        const int fours = i / 4 * 4;
+        const real_t z_i = z[i];
+        real_t s[4] = {0}, sum = row[i] * z_i;
+        for (int j = 0; j < fours; j += 4) {
+            real_t t[4];
+            for (int l = 0; l < 4; l++) {
+                s[l] += row[j + l] * z[j + l];
+                t[l] = y[j + l] + z_i * row[j + l];
             }
-            row += ld;
+            for (int l = 0; l < 4; l++) {
+                y[j + l] = t[l];
+            }
         }
-        block = row;
+        for (int j = fours; j < i; j++) {
+            y[j] += z_i * row[j];
+            sum += row[j] * z[j];
+        }
+        y[i] += sum + ((s[0] + s[2]) + (s[1] + s[3]));
+        row += ld;
     }
 }

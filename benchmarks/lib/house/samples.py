@@ -318,6 +318,7 @@ SAMPLES = (
     Sample("controls interior alone", controls, _alone(RiccatiInteriorPoint())),
     Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None))),
     Sample("states dense", states, _dense(hessian=ExactHessian(regularization=None))),
+    Sample("states partial", states, _partial()),
     Sample("states riccati", states, _riccati(hessian=IdentityHessian(), algorithm=RESAMPLE)),
     Sample("states interior", states, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("path dense", path, _dense(hessian=GaussNewton(convex_rows=True), integrator=LOOPED)),

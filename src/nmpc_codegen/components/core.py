@@ -9,7 +9,7 @@ from nmpc_codegen.components.base import Core, Dims
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
 
 #: Word of Core -> the templates that belong to it; the other words have none.
-PARTS: dict[Core, tuple[str, ...]] = {"nodes": ("row_gradient.c",)}
+PARTS: dict[Core, tuple[str, ...]] = {"nodes": ("nodal_row.c",)}
 
 
 def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
