@@ -1,6 +1,7 @@
 """Generated C in a shared library: single printed routines, and static functions of complete packages.
 
-All code is compiled with the flags of the profile "test"; every warning that the project forbids is an error.
+All code is compiled with the flags of the profile "test"; every warning that the project forbids, and that the compiler
+knows, is an error.
 """
 
 from __future__ import annotations

@@ -35,20 +35,23 @@ DATA = Path(__file__).parent / "data"
 
 Files = dict[str, str]
 
-#: Folders and files whose tests run what clang compiles.
-SECOND_COMPILER = frozenset(
-    {
-        *("bounds", "components", "test_growth.py", "test_recovery.py"),
-        *("test_online.py", "test_start_cost.py", "test_closed_loop.py", "test_pathrows.py", "test_linearize.py"),
-        *("test_robustness.py", "test_solve.py", "test_cli.py"),
-    }
-)
+#: Folders and files whose tests run what another compiler than gcc compiles, the more specific ones first.
+OTHER_COMPILERS = {
+    "clang": frozenset(
+        {
+            *("test_growth.py", "test_recovery.py", "test_soft_and_coupled_rows.py"),
+            *("test_online.py", "test_start_cost.py", "test_closed_loop.py", "test_pathrows.py", "test_linearize.py"),
+        }
+    ),
+    "tcc": frozenset({"bounds", "components"}),
+}
 
 #: Key of NMPC_REQUIRE -> programs, any of which is sufficient.
 TOOLS = {
     "cc": ("gcc", "cc", "clang"),
     "cxx": ("g++", "c++", "clang++"),
     "clang": ("clang",),
+    "tcc": ("tcc",),
     "tidy": ("clang-tidy",),
     "cppcheck": ("cppcheck",),
     "cmake": ("cmake",),
@@ -97,11 +100,13 @@ def compiler() -> tuple[str, ...]:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _both_compilers_run(request: pytest.FixtureRequest) -> Iterator[None]:
-    """The C that the tests of SECOND_COMPILER run is clang's if there is a clang, that of all others gcc's."""
+def _all_compilers_run(request: pytest.FixtureRequest) -> Iterator[None]:
+    """The C that a test runs is that of its compiler in OTHER_COMPILERS if there is such a program, else gcc's."""
+    mine = (name for name, tests in OTHER_COMPILERS.items() if tests.intersection(request.path.parts))
     with pytest.MonkeyPatch.context() as patch:
-        if SECOND_COMPILER.intersection(request.path.parts) and "CC" not in os.environ and shutil.which("clang"):
-            patch.setenv("CC", "clang")
+        name = next(mine, None)
+        if name is not None and "CC" not in os.environ and shutil.which(name):
+            patch.setenv("CC", name)
         yield
 
 

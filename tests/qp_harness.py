@@ -20,6 +20,7 @@ from nmpc_codegen.ir.cmodule import Size, Struct
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.tolerances import TOLERANCES
+from nmpc_codegen.runtime.build import find_compiler
 from nmpc_codegen.runtime.package_description import union_dtype
 
 STATUSES = (
@@ -168,7 +169,7 @@ def library(
     )
     stem.with_suffix(".c").write_text(source(nv, ng, precision, DenseActiveSet(max_iterations)) + ENTRY_POINTS)
     subprocess.run(
-        ["gcc", "-std=c99", *WARNINGS, *flags, "-shared", "-fPIC",
+        [*(("gcc",) if flags == FAST else find_compiler()), "-std=c99", *WARNINGS, *flags, "-shared", "-fPIC",
          "-o", stem.with_suffix(".so"), stem.with_suffix(".c"), "-lm"],
         check=True,
     )  # fmt: skip

@@ -177,7 +177,7 @@ def _compile(sources: Any, folder: Path) -> Path:
     (folder / "main.c").write_text(MAIN, encoding="utf-8")
     compiler = find_compiler()
     # gcc leaves out all that is not called from main.c before it is compiled: most of a package.
-    alone = () if "clang" in compiler[0] else ("-fwhole-program",)
+    alone = ("-fwhole-program",) if "gcc" in compiler[0] else ()
     command = [
         *compiler,
         *PROFILES["test"].flags,

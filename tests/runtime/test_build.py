@@ -6,6 +6,7 @@ import gc
 import json
 import os
 import pickle
+import shlex
 import subprocess
 import sys
 import sysconfig
@@ -196,6 +197,22 @@ def test_named_compiler_does_not_exist(toy_files: Files, monkeypatch: pytest.Mon
 def test_compiler_that_fails_on_its_flags(toy_files: Files) -> None:
     with pytest.raises(BuildError, match="no-such-flag"):
         load(toy_files, "toy", Profile("odd", ("-fno-such-flag",)))
+
+
+def test_compiler_that_cannot_show_its_commands(
+    toy_files: Files, tmp_path: Path, compiler: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its version identifies it."""
+    plain = tmp_path / "plain"
+    plain.write_text(
+        f'#!/bin/sh\nfor word; do [ "$word" = "-###" ] && exit 1; done\nexec {shlex.join(compiler)} "$@"\n'
+    )
+    plain.chmod(0o755)
+    monkeypatch.setenv("CC", str(plain))
+    assert load(toy_files, "toy", "test").step([0.1, 0.0]).shape == (1,)
+    assert "version" in build._identity((str(plain),), ("-O0",), "")
+    with pytest.raises(BuildError, match="failed"):
+        build._identity((str(plain),), ("-O0", "-no-such-option"), "")
 
 
 def test_no_python_headers(toy_files: Files, cold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -182,14 +182,18 @@ def _key(
 def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> str:
     """Version and target of the compiler, and its flags with -march=native resolved for this machine.
 
-    ``-###`` prints the command that the driver would run; gcc and clang both support it. ``path`` is only a key of
-    lru_cache.
+    ``-###`` prints the command that the driver would run; gcc and clang both support it. A compiler that compiles an
+    empty file, but does not know the option, tells its version. ``path`` is only a key of lru_cache.
     """
     command = [*compiler, *flags, "-###", "-E", "-x", "c", os.devnull]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
-    if result.returncode != 0:
-        raise BuildError(f"'{' '.join(command)}' failed:\n{_head(result.stderr)}")
-    return result.stderr
+    if result.returncode == 0:
+        return result.stderr
+    plain = subprocess.run([*compiler, *flags, "-E", "-x", "c", os.devnull], capture_output=True, check=False)
+    version = subprocess.run([*compiler, "-v"], capture_output=True, text=True, check=False)
+    if plain.returncode == 0 and version.returncode == 0:
+        return version.stdout + version.stderr
+    raise BuildError(f"'{' '.join(command)}' failed:\n{_head(result.stderr)}")
 
 
 def _suffix() -> str:
@@ -204,14 +208,33 @@ def _compile(
     module: str | None,
     folder: Path,
 ) -> None:
-    """Compile the package in an empty folder and link it into the file PRODUCT there; with the name of a Python module
-    its wrapper is compiled at the same time."""
-    includes = _python_includes() if module else []
+    """Write the files to an empty folder and make PRODUCT there: the Python module with this name, or a library."""
     for path, text in files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_text(text, encoding="utf-8")
-    shown = ["-fvisibility=hidden"] if module else []
-    common = [*compiler, "-c", "-fPIC", *shown]
+    if module is None:
+        _compile_library(files, name, flags, compiler, folder)
+    else:
+        _compile_module(files, name, flags, compiler, module, folder)
+
+
+def _compile_library(
+    files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], folder: Path
+) -> None:
+    """One call of the compiler for the package."""
+    foreign = _compile_foreign(files, flags, compiler, folder)
+    command = [*compiler, *_link_flags(), "-fPIC", *flags, f"{name}.c", *foreign, "-o", PRODUCT, "-lm"]
+    made = _run(command, folder)
+    if made.returncode != 0:
+        raise BuildError(_refused(compiler, f"{name}.c", made.stderr, folder))
+
+
+def _compile_module(
+    files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], module: str, folder: Path
+) -> None:
+    """The package and its wrapper are compiled at the same time, then linked."""
+    includes = _python_includes()
+    common = [*compiler, "-c", "-fPIC", "-fvisibility=hidden"]
     package = subprocess.Popen(
         [*common, *flags, f"{name}.c", "-o", "package.o"],
         cwd=folder,
@@ -220,20 +243,18 @@ def _compile(
         text=True,
         errors="replace",
     )
-    second: subprocess.CompletedProcess[str] | None = None
     try:
-        if module:
-            _write_wrapper(files[f"{name}.h"], name, module, folder / "wrapper.c")
-            level = "-O0" if "-O0" in flags else "-O1"
-            second = _run([*common, level, "-w", *includes, "wrapper.c", "-o", "wrapper.o"], folder)
+        _write_wrapper(files[f"{name}.h"], name, module, folder / "wrapper.c")
+        level = "-O0" if "-O0" in flags else "-O1"
+        wrapper = _run([*common, level, "-w", *includes, "wrapper.c", "-o", "wrapper.o"], folder)
     finally:
         _, errors = package.communicate()
     if package.returncode != 0:
         raise BuildError(_refused(compiler, f"{name}.c", errors, folder))
-    if second is not None and second.returncode != 0:
-        raise BuildError(_refused(compiler, f"the wrapper of {name}", second.stderr, folder))
-    objects = ["package.o", *(["wrapper.o"] if module else []), *_compile_foreign(files, flags, compiler, folder)]
-    linked = _run([*compiler, *_link_flags(), *objects, "-o", PRODUCT, "-lm"], folder)
+    if wrapper.returncode != 0:
+        raise BuildError(_refused(compiler, f"the wrapper of {name}", wrapper.stderr, folder))
+    foreign = _compile_foreign(files, flags, compiler, folder)
+    linked = _run([*compiler, *_link_flags(), "package.o", "wrapper.o", *foreign, "-o", PRODUCT, "-lm"], folder)
     if linked.returncode != 0:
         raise BuildError(_refused(compiler, f"linking {name}", linked.stderr, folder))
 

@@ -72,6 +72,29 @@ class CompiledPackage:
         prefix = f"{self.name}_"
         return {n.removeprefix(prefix): getattr(self.lib, n) for n in dir(self.lib) if n.startswith(prefix)}
 
+    def _type(self, word: str) -> Any:
+        """cffi's type <prefix>_<word>_t."""
+        name = f"{self.name}_{word}_t"
+        return self._types.get(name) or self.ffi.typeof(name)
+
+    @cached_property
+    def _types(self) -> dict[str, Any]:
+        """Types that the arguments and results of functions contain, by name: cffi parses C for a name, but not for a
+        member."""
+        found: dict[str, Any] = {}
+        waiting = [self.ffi.typeof(function) for function in self._functions.values() if callable(function)]
+        while waiting:
+            ctype = waiting.pop()
+            if ctype.kind == "function":
+                waiting += [ctype.result, *ctype.args]
+            elif ctype.kind in ("pointer", "array"):
+                waiting.append(ctype.item)
+            elif ctype.cname not in found:
+                found[ctype.cname] = ctype
+                members = (ctype.fields or ()) if ctype.kind in ("struct", "union") else ()
+                waiting += [member.type for _, member in members]
+        return found
+
     # -- does the description fit the compiled code? ----------------------------------------------------------------
 
     def _refuse(self, what: str) -> NoReturn:
@@ -107,7 +130,7 @@ class CompiledPackage:
         if self.description.statuses != statuses:
             self._refuse(f"its status values are {self.description.statuses}, those of this version {statuses}")
         described = {f"{self.name.upper()}_{status}": i for i, status in enumerate(statuses)}
-        self._same("the status type", described, dict(self.ffi.typeof(f"{self.name}_status_t").relements))
+        self._same("the status type", described, dict(self._type("status").relements))
         self._check_numbers("ROW", "row", [row.name for row in self.description.rows])
         self._check_numbers("PARAM", "parameter", [p.name for p in self.description.parameters])
 
@@ -118,16 +141,16 @@ class CompiledPackage:
 
     def _check_entry_points(self) -> None:
         """Check that every entry point exists, with arguments of the described types."""
-        words = {"real": self.ffi.typeof(f"{self.name}_real").cname, "int": "int"}
+        words = {"real": C_REAL[self.description.precision], "int": "int"}
         for entry in self.description.entry_points:
-            arguments = [self.ffi.typeof(f"{self.name}_solver_t *").cname]
+            arguments = [f"{self._type('solver').cname} *"]
             arguments += [words[a.ctype] + (" *" if a.shape else "") for a in (*entry.inputs, *entry.outputs)]
             compiled = self.ffi.typeof(self.function(entry.name))
             self._same(f"{entry.name}(): the arguments", arguments, [a.cname for a in compiled.args])
 
     def _check_members(self, struct: Struct) -> None:
         """Compare names, element types and shapes of all members."""
-        compiled = self.ffi.typeof(f"{self.name}_{struct.name}_t")
+        compiled = self._type(struct.name)
         self._same(f"{struct.name}: the kind", "union" if struct.union else "struct", compiled.kind)
         fields = dict(compiled.fields or ())
         differing = sorted(set(fields) ^ {member.name for member in struct.fields})
@@ -146,7 +169,7 @@ class CompiledPackage:
         if word == "real":
             return C_REAL[self.description.precision]
         if any(word == struct.name for struct in self.description.structs):
-            return str(self.ffi.typeof(f"{self.name}_{word}_t").cname)
+            return str(self._type(word).cname)
         return str(self.ffi.typeof(f"{word}_t").cname)
 
     def _check_roles(self) -> None:
@@ -215,7 +238,7 @@ class CompiledPackage:
 
     def _check_layout(self, struct: str, expected: np.dtype[Any]) -> None:
         """Compare size and offset of every member with the compiled struct."""
-        ctype = self.ffi.typeof(f"{self.name}_{struct}_t")
+        ctype = self._type(struct)
         layout: Mapping[str, Any] = expected.fields or {}
         for member, entry in layout.items():
             place = self.ffi.offsetof(ctype, member)
