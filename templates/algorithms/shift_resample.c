@@ -22,7 +22,7 @@ static void shift_plan(solver_t *s)
     memcpy(last, s->x[N - 1], sizeof last);
     for (int k = 0; k <= N; k++) {
         const real_t t = node_time[k] + sampling_time[0];
-        while (n + 1 < N && node_time[n + 1] <= t) {
+        while (n + 1 < N && node_time[n + 1] <= t) { /* at most N passes in shift_plan */
             n++;
         }
         integrate_plan(s, n, (n < N - 1) ? s->x[n] : last, t - node_time[n], s->x[k]);

@@ -29,7 +29,7 @@ static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt,
     for (int i = 0; i < NX; i++) {
         x_next[i] = x[i];
     }
-    for (int n = 0; n < steps; n++) {
+    for (int n = 0; n < steps; n++) { /* at most PLAN_STEPS passes */
         INTEGRATOR_STEP(s, k, x_next, s->u[k], &h, x_next);
     }
 }

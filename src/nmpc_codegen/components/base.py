@@ -251,6 +251,10 @@ class Algorithm(Component, Protocol):
         """The C functions that a sample calls; with ``solve`` also the one that iterates to convergence."""
         ...
 
+    def reach(self, problem: Problem) -> float:
+        """Longest time (s) over which the plan is integrated from one of its nodes, besides the intervals; 0: none."""
+        ...
+
 
 @dataclass(frozen=True)
 class Parts:

@@ -37,6 +37,9 @@ from nmpc_codegen.runtime.status import Status
 
 # Maximum value of counters, and maximum number of steps of integrate().
 MANY = 1_000_000
+# Part of an integration step by which rounding errors of times may exceed a number of steps.
+ROUNDING_OF_STEPS = 1e-3
+
 # Marks a solver struct that init() has initialised.
 MAGIC = 0x4E4D5043
 
@@ -200,6 +203,11 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
     macros += [Macro(f"SIZE_{s.name.upper()}", s.size, f"elements of {s.name}") for s in model.problem.parameters]
     for component in model.parts.components:
         macros += [Macro(*entry) for entry in component.sizes(dims)]
+    parts = model.parts
+    reach = parts.algorithm.reach(model.problem) / parts.integrator.longest_step(model.problem)
+    if reach:
+        steps = math.ceil(reach + ROUNDING_OF_STEPS)
+        macros.append(Macro("PLAN_STEPS", steps, "integration steps from a node of the plan to a new one, at most"))
     macros.append(Macro("MANY", MANY, "maximum value of counters"))
     macros.append(Macro("MAGIC", MAGIC, "marks a struct that init has initialised"))
     return tuple(macros)
