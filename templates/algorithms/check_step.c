@@ -68,18 +68,31 @@ static int rows_hold(const solver_t *s, const real_t *size)
 #endif
 
 #if CHECK_GRADIENT
-/* The gradient with respect to the controls of node k, where w holds that of the cost and dynamics: rest[] and terms[]
- * become the largest magnitudes over all nodes of its components and of the sums of their terms. */
-static void check_controls(solver_t *s, int k, const real_t *w, real_t *rest, real_t *terms)
+/* Sum of the magnitudes of the terms of the cost of the step. */
+static real_t cost_terms(const solver_t *s)
+{
+    real_t sum = R(0);
+    for (int k = 0; k < N; k++) {
+        for (int i = 0; i < NZ; i++) {
+            const real_t z = FABS(i < NX ? s->step.dx[k][i] : s->step.du[k][i - NX]);
+            sum += (FABS(s->node[k].g[i]) + s->hessian.Q[NQ == 1 ? 0 : k][i][i] * z) * z;
+        }
+    }
+    return sum;
+}
+
+/* Returns 1 if the gradient with respect to the controls of node k vanishes, where w holds that of the cost and
+ * dynamics: relative to its terms, or because it moves the cost by less than `least` squared, as its terms may all be
+ * rounding errors of others. *least < 0: not known yet. If a term is not finite, neither is the excess. */
+static int controls_hold(solver_t *s, int k, const real_t *w, real_t *least)
 {
     const node_t *node = &s->node[k];
-    real_t(*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
     for (int j = 0; j < NU; j++) {
         const real_t mult = s->mu_u[k][j];
         const int i = NX + j;
-        real_t sum = w[i] + mult, size = FABS(node->g[i]) + FABS(mult) + FABS(Q[i][i] * s->step.du[k][j]);
+        real_t sum = w[i] + mult, size = FABS(node->g[i]) + FABS(mult);
         for (int l = 0; l < NX; l++) {
-            size += FABS(node->S[l][i] * s->lam[k + 1][l]) + FABS(Q[i][l] * s->step.dx[k][l]);
+            size += FABS(node->S[l][i] * s->lam[k + 1][l]);
         }
 #if NH
         for (int l = 0; l < NH; l++) {
@@ -88,8 +101,14 @@ static void check_controls(solver_t *s, int k, const real_t *w, real_t *rest, re
             size += FABS(force);
         }
 #endif
-        enlarge(&rest[j], sum);
-        enlarge(&terms[j], size);
+        const real_t excess = (FABS(sum) - TOL_STEP_GRADIENT * size) * s->qp.inverse[j];
+        if (excess > R(0) && *least < R(0)) {
+            *least = TOL_STEP_GRADIENT * SQRT(cost_terms(s));
+        }
+        if (!(excess <= R(0) || excess <= *least)) {
+            return 0;
+        }
     }
+    return 1;
 }
 #endif

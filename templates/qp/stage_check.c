@@ -122,9 +122,52 @@ static void qp_check_stage(solver_t *s, int k, int full, const real_t *lam, real
     }
 }
 
+/* Magnitude of the terms of the cost at stage k, where y is the gradient: |g'z| and |y'z|. */
+static real_t qp_cost_terms(solver_t *s, int k, const real_t *y)
+{
+    real_t sum = R(0);
+    for (int i = 0; i < ((k < NS) ? NZS : NXS); i++) {
+        const real_t z = (i < NXS) ? s->qp.x[k][i] : s->qp.z[k * NUS + i - NXS];
+        sum += (FABS(stage_g(s, k)[i]) + FABS(y[i])) * FABS(z);
+    }
+    return sum;
+}
+
+/* Returns 1 if a gradient with respect to control j is a rounding error: it is of the size of the noise, and moves this
+ * cost by less than a rounding error. */
+static int qp_is_noise(solver_t *s, int j, real_t gradient, real_t noise, real_t cost)
+{
+    real_t curvature = R(0);
+    for (int k = 0; k < NS; k++) {
+        const real_t d = stage_Q(s, k)[NXS + j][NXS + j];
+        curvature = (d > curvature) ? d : curvature;
+    }
+    return gradient <= TOL_QP_NOISE * noise && gradient <= TOL_QP_ACCEPTED * SQRT(cost * curvature);
+}
+
+/* noise[]: all that the gradient with respect to the states of stage k sums up, from the noise of stage k + 1; most[]:
+ * the largest of the controls. size[]: magnitudes of the components of x and z. All terms of a part of a QP that falls
+ * into parts may be rounding errors of another part, and lam may be the rest of a sum that vanishes. */
+static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *size, real_t *noise, real_t *most)
+{
+    const int n = (k < NS) ? NZS : NXS;
+    real_t sum[NZS];
+    for (int i = 0; i < n; i++) {
+        sum[i] = FABS(stage_g(s, k)[i]) + FABS(y[i]);
+        sum[i] += ((k < NS) ? stage_Q(s, k)[i][i] : stage_Q_N(s)[i][i]) * size[i];
+        for (int l = 0; k < NS && l < NXS; l++) {
+            sum[i] += FABS(stage_S(s, k)[l][i]) * noise[l];
+        }
+    }
+    memcpy(noise, sum, sizeof sum[0] * NXS);
+    for (int j = 0; k < NS && j < NUS; j++) {
+        most[j] = (sum[NXS + j] > most[j]) ? sum[NXS + j] : most[j];
+    }
+}
+
 #if NF
 /* Returns 1 if the gradient with respect to the free components of x_0 vanishes: that of the stage, lam. */
-static int qp_free_is_stationary(solver_t *s, real_t *lam)
+static int qp_free_is_stationary(solver_t *s, real_t *lam, real_t *noise)
 {
     const real_t *g = stage_g(s, 0);
     int holds = 1;
@@ -137,10 +180,12 @@ static int qp_free_is_stationary(solver_t *s, real_t *lam)
     for (int c = 0; c < NXS - NX; c++) {
         lam[copied_state[c]] += lam[NX + c];
         size[copied_state[c]] += size[NX + c];
+        noise[copied_state[c]] += noise[NX + c];
     }
 #endif
     for (int f = 0; f < NF; f++) {
-        holds &= FABS(lam[free_state[f]]) <= TOL_QP_ACCEPTED * size[free_state[f]];
+        const int i = free_state[f];
+        holds &= FABS(lam[i]) <= TOL_QP_ACCEPTED * size[i] || FABS(lam[i]) <= TOL_QP_NOISE * noise[i];
     }
     return holds;
 }
@@ -152,7 +197,12 @@ static int qp_is_stationary(solver_t *s, int full)
 {
     real_t(*y)[NZS] = s->riccati.work.vectors.rhs.g;
     real_t lam[NXS], w[NZS], rest[NUS] = {0}, terms[NUS] = {0};
+    real_t size[NZS] = {0}, noise[NXS] = {0}, most[NUS] = {0};
+    real_t cost = R(0);
     int holds = 1;
+    if (full) {
+        qp_component_sizes(s, full, size);
+    }
     for (int k = NS; k >= 0; k--) {
         qp_cost_gradient(s, k, y[k]);
 #if NG
@@ -164,13 +214,18 @@ static int qp_is_stationary(solver_t *s, int full)
         if (k < NS) {
             qp_check_stage(s, k, full, lam, w, rest, terms);
         }
+        if (full) {
+            qp_spread_noise(s, k, y[k], size, noise, most);
+            cost += qp_cost_terms(s, k, y[k]);
+        }
         memcpy(lam, w, sizeof lam);
     }
     for (int j = 0; j < NUS; j++) {
-        holds &= isfinite(terms[j]) && rest[j] <= TOL_QP_ACCEPTED * terms[j];
+        holds &= isfinite(terms[j]);
+        holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] || (full && qp_is_noise(s, j, rest[j], most[j], cost));
     }
 #if NF
-    holds &= qp_free_is_stationary(s, lam);
+    holds &= qp_free_is_stationary(s, lam, noise);
 #endif
     return holds;
 }

@@ -36,9 +36,7 @@ status_t golden_reset(solver_t *s)
 static void fill_copies(real_t *to, int copies, const real_t *from, int n)
 {
     for (int k = 0; k < copies; k++) {
-        for (int i = 0; i < n; i++) {
-            to[k * n + i] = from[i];
-        }
+        memcpy(to + k * n, from, (size_t)n * sizeof *to);
     }
 }
 
@@ -102,20 +100,12 @@ status_t golden_set_terminal_reference(solver_t *s, const real_t yref[GOLDEN_NY_
     return OK;
 }
 
-/* Returns 1 if W is finite and has a nonnegative diagonal (n entries), and is symmetric if stored in full (n x n
- * entries). */
+/* Returns 1 if W, n diagonal entries, is finite and nonnegative. */
 static int weight_is_valid(const real_t *W, int n, int entries)
 {
-    const int stride = (entries == n) ? 1 : n + 1;
     for (int i = 0; i < n; i++) {
-        const int diagonal = i * stride;
-        if (!(W[diagonal] >= R(0))) {
+        if (!(W[i] >= R(0))) {
             return 0;
-        }
-        for (int j = 0; entries > n && j < i; j++) {
-            if (W[i * n + j] < W[j * n + i] || W[i * n + j] > W[j * n + i]) {
-                return 0;
-            }
         }
     }
     return all_finite(W, entries);

@@ -17,6 +17,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
         2.0**12,
         "residual of a row or of the gradient in a result that is called OK, relative to its terms",
     ),
+    "qp_noise": (2.0**4, "the same for the gradient, relative to all that its terms sum up along the horizon"),
     "step": (2.0**13, "the same in a result of a condensed QP, expanded, with less of the terms counted"),
     "step_gradient": (2.0**13, "the same for the gradient, in which condensing of an unstable plant costs digits"),
     "qp_residual": (2.0**10, "residual of a row or of the gradient in an answer, relative to its terms"),

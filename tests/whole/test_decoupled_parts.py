@@ -1,0 +1,45 @@
+"""Problems that fall into parts, or are at rest: all terms of one part may be the rounding errors of another one."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from nmpc_codegen import OCP, DenseActiveSet, NoCondensing, Options, RiccatiActiveSet, RiccatiInteriorPoint, build
+from nmpc_codegen.components.base import QpSolver
+
+SOLVERS: dict[str, QpSolver] = {
+    "dense": DenseActiveSet(),
+    "riccati": RiccatiActiveSet(),
+    "interior point": RiccatiInteriorPoint(),
+}
+
+
+def _thrusters() -> OCP:
+    """A body in the plane with two pairs of thrusters that push against each other, and a first guess far from rest."""
+    ocp = OCP("thrusters", T=2.0, N=12)
+    p, v = [ocp.state(name, initial=0.5) for name in ("px", "py")], [ocp.state(name) for name in ("vx", "vy")]
+    u = [ocp.control(f"u{j}") for j in range(4)]
+    angle = ocp.state("angle", initial=0.2)
+    ocp.dynamics({p[0]: v[0], p[1]: v[1], angle: -angle})
+    ocp.dynamics({v[0]: ca.cos(angle) * (u[0] - u[2]), v[1]: ca.cos(angle) * (u[1] - u[3])})
+    ocp.least_squares(ca.vertcat(ocp.x, *u), weight=[10.0] * 2 + [1.0] * 3 + [0.1] * 4, reference=[0.0] * 5 + [1.2] * 4)
+    ocp.terminal_least_squares(ocp.x, weight=[100.0] * 2 + [10.0] * 3)
+    ocp.subject_to(0.0, ca.vertcat(*u), 2.5)
+    return ocp
+
+
+@pytest.mark.parametrize(("name", "precision"), [*itertools.product(SOLVERS, ("double", "single"))])
+def test_one_part_moves_and_the_others_rest(name: str, precision: Any) -> None:
+    condensing = {} if name == "dense" else {"condensing": NoCondensing()}
+    ctrl = build(_thrusters(), Options(qp=SOLVERS[name], precision=precision, **condensing), profile="test")
+    for component, size, sign in itertools.product(range(5), (1e-12, 1e-6, 1e-3, 0.1), (1, -1)):
+        x = np.zeros(5)
+        x[component] = sign * size
+        ctrl.reset()
+        found = [(ctrl.step(x), ctrl.status.name)[1] for _ in range(3)]
+        assert found == ["OK"] * 3, (component, sign * size)
