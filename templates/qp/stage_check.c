@@ -133,16 +133,21 @@ static real_t qp_cost_terms(solver_t *s, int k, const real_t *y)
     return sum;
 }
 
-/* Returns 1 if a gradient with respect to control j is a rounding error: it is of the size of the noise, and moves this
- * cost by less than a rounding error. */
-static int qp_is_noise(solver_t *s, int j, real_t gradient, real_t noise, real_t cost)
+/* Returns 1 if a gradient with respect to control j is negligible: it moves this cost by less than rounding or, if it is
+ * of the size of the noise, by less than the accepted part. */
+static int qp_is_negligible(solver_t *s, int j, real_t gradient, real_t noise, real_t cost)
 {
     real_t curvature = R(0);
     for (int k = 0; k < NS; k++) {
         const real_t d = stage_Q(s, k)[NXS + j][NXS + j];
         curvature = (d > curvature) ? d : curvature;
     }
-    return gradient <= TOL_QP_NOISE * noise && gradient <= TOL_QP_ACCEPTED * SQRT(cost * curvature);
+    const real_t reach = SQRT(cost * curvature);
+    if (!(reach < (real_t)INFINITY)) {
+        return 0;
+    }
+    return gradient <= TOL_QP_NOISE * reach ||
+        (gradient <= TOL_QP_NOISE * noise && gradient <= TOL_QP_ACCEPTED * reach);
 }
 
 /* noise[]: all that the gradient with respect to the states of stage k sums up, from the noise of stage k + 1; most[]:
@@ -222,7 +227,7 @@ static int qp_is_stationary(solver_t *s, int full)
     }
     for (int j = 0; j < NUS; j++) {
         holds &= isfinite(terms[j]);
-        holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] || (full && qp_is_noise(s, j, rest[j], most[j], cost));
+        holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] || (full && qp_is_negligible(s, j, rest[j], most[j], cost));
     }
 #if NF
     holds &= qp_free_is_stationary(s, lam, noise);

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
@@ -12,6 +13,7 @@ import pytest
 from nmpc_codegen import OCP, DenseActiveSet, NoCondensing, Options, RiccatiActiveSet, RiccatiInteriorPoint, build
 from nmpc_codegen.components.base import QpSolver
 
+PRECISIONS = ("double", "single")
 SOLVERS: dict[str, QpSolver] = {
     "dense": DenseActiveSet(),
     "riccati": RiccatiActiveSet(),
@@ -33,13 +35,28 @@ def _thrusters() -> OCP:
     return ocp
 
 
-@pytest.mark.parametrize(("name", "precision"), [*itertools.product(SOLVERS, ("double", "single"))])
-def test_one_part_moves_and_the_others_rest(name: str, precision: Any) -> None:
+ROWS: dict[str, Callable[[OCP], None]] = {
+    "bounds": lambda ocp: None,
+    "terminal equality": lambda ocp: ocp.subject_to(0.0, ocp.x[:4], 0.0, at="end"),
+    "soft": lambda ocp: ocp.subject_to(-0.05, ocp.x[2:4], 0.05, soft=(5.0, 1.0)),
+}
+CASES = [
+    *((name, "bounds", precision) for name, precision in itertools.product(SOLVERS, PRECISIONS)),
+    ("dense", "terminal equality", "double"),
+    ("riccati", "terminal equality", "double"),
+    ("interior point", "soft", "double"),
+]
+
+
+@pytest.mark.parametrize(("name", "rows", "precision"), CASES)
+def test_one_part_moves_and_the_others_rest(name: str, rows: str, precision: Any) -> None:
+    ocp = _thrusters()
+    ROWS[rows](ocp)
     condensing = {} if name == "dense" else {"condensing": NoCondensing()}
-    ctrl = build(_thrusters(), Options(qp=SOLVERS[name], precision=precision, **condensing), profile="test")
+    ctrl = build(ocp, Options(qp=SOLVERS[name], precision=precision, **condensing), profile="test")
     for component, size, sign in itertools.product(range(5), (1e-12, 1e-6, 1e-3, 0.1), (1, -1)):
         x = np.zeros(5)
         x[component] = sign * size
         ctrl.reset()
         found = [(ctrl.step(x), ctrl.status.name)[1] for _ in range(3)]
-        assert found == ["OK"] * 3, (component, sign * size)
+        assert set(found) <= {"OK", "RELAXED"}, (component, sign * size, found)

@@ -17,7 +17,10 @@ TOLERANCES: dict[str, tuple[float, str]] = {
         2.0**12,
         "residual of a row or of the gradient in a result that is called OK, relative to its terms",
     ),
-    "qp_noise": (2.0**4, "the same for the gradient, relative to all that its terms sum up along the horizon"),
+    "qp_noise": (
+        2.0**4,
+        "the same for the gradient, relative to what moves the cost by its terms or to all that travels along the grid",
+    ),
     "step": (2.0**13, "the same in a result of a condensed QP, expanded, with less of the terms counted"),
     "step_gradient": (2.0**13, "the same for the gradient, in which condensing of an unstable plant costs digits"),
     "qp_residual": (2.0**10, "residual of a row or of the gradient in an answer, relative to its terms"),
