@@ -83,8 +83,8 @@ static real_t cost_terms(const solver_t *s)
 
 /* Returns 1 if the gradient with respect to the controls of node k vanishes, where w holds that of the cost and
  * dynamics: relative to its terms, or because it moves the cost by less than `least` squared, as its terms may all be
- * rounding errors of others. *least < 0: not known yet. If a term is not finite, neither is the excess. */
-static int controls_hold(solver_t *s, int k, const real_t *w, real_t *least)
+ * rounding errors of others. *least = 0: not known yet. If a term is not finite, neither is the excess. */
+static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *least)
 {
     const node_t *node = &s->node[k];
     for (int j = 0; j < NU; j++) {
@@ -102,10 +102,10 @@ static int controls_hold(solver_t *s, int k, const real_t *w, real_t *least)
         }
 #endif
         const real_t excess = (FABS(sum) - TOL_STEP_GRADIENT * size) * s->qp.inverse[j];
-        if (excess > R(0) && *least < R(0)) {
-            *least = TOL_STEP_GRADIENT * SQRT(cost_terms(s));
+        if (excess > R(0) && *least <= R(0)) {
+            *least = R(0.25) * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
         }
-        if (!(excess <= R(0) || excess <= *least)) {
+        if (!(excess <= *least)) {
             return 0;
         }
     }

@@ -382,7 +382,7 @@ static int recover_multipliers(solver_t *s)
     int stationary = 1;
     real_t w[NZ];
 #if CHECK_GRADIENT
-    real_t least = -R(1);
+    real_t least = R(0);
 #endif
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
     for (int k = N; k >= 0; k--) {

@@ -24,7 +24,7 @@ static int steps_for(real_t dt)
 #if INTEGRATE_PLAN
 static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt, real_t *x_next)
 {
-    const int steps = steps_for(dt);
+    const int wanted = steps_for(dt), steps = (wanted < PLAN_STEPS) ? wanted : PLAN_STEPS;
     const real_t h = dt / (real_t)steps;
     for (int i = 0; i < NX; i++) {
         x_next[i] = x[i];

@@ -156,7 +156,7 @@ static int qp_is_negligible(solver_t *s, int j, real_t gradient, real_t noise, r
 static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *size, real_t *noise, real_t *most)
 {
     const int n = (k < NS) ? NZS : NXS;
-    real_t sum[NZS];
+    real_t sum[NZS] = {0};
     for (int i = 0; i < n; i++) {
         sum[i] = FABS(stage_g(s, k)[i]) + FABS(y[i]);
         sum[i] += ((k < NS) ? stage_Q(s, k)[i][i] : stage_Q_N(s)[i][i]) * size[i];
@@ -172,7 +172,7 @@ static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *s
 
 #if NF
 /* Returns 1 if the gradient with respect to the free components of x_0 vanishes: that of the stage, lam. */
-static int qp_free_is_stationary(solver_t *s, real_t *lam, real_t *noise)
+static int qp_free_is_stationary(solver_t *s, real_t *lam, const real_t *noise)
 {
     const real_t *g = stage_g(s, 0);
     int holds = 1;
@@ -185,12 +185,17 @@ static int qp_free_is_stationary(solver_t *s, real_t *lam, real_t *noise)
     for (int c = 0; c < NXS - NX; c++) {
         lam[copied_state[c]] += lam[NX + c];
         size[copied_state[c]] += size[NX + c];
-        noise[copied_state[c]] += noise[NX + c];
     }
 #endif
     for (int f = 0; f < NF; f++) {
         const int i = free_state[f];
-        holds &= FABS(lam[i]) <= TOL_QP_ACCEPTED * size[i] || FABS(lam[i]) <= TOL_QP_NOISE * noise[i];
+        real_t error = noise[i];
+#if NXS > NX
+        for (int c = 0; c < NXS - NX; c++) {
+            error += (copied_state[c] == i) ? noise[NX + c] : R(0);
+        }
+#endif
+        holds &= FABS(lam[i]) <= TOL_QP_ACCEPTED * size[i] || FABS(lam[i]) <= TOL_QP_NOISE * error;
     }
     return holds;
 }

@@ -36,7 +36,8 @@ status_t golden_reset(solver_t *s)
 static void fill_copies(real_t *to, int copies, const real_t *from, int n)
 {
     for (int k = 0; k < copies; k++) {
-        memcpy(to + k * n, from, (size_t)n * sizeof *to);
+        memcpy(to, from, (size_t)n * sizeof *to);
+        to += n;
     }
 }
 

@@ -295,6 +295,9 @@ class Defaults:
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         return {}
 
+    def reach(self, problem: Problem) -> float:
+        return 0.0
+
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}
 
