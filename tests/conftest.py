@@ -39,11 +39,11 @@ Files = dict[str, str]
 OTHER_COMPILERS = {
     "clang": frozenset(
         {
-            *("test_growth.py", "test_recovery.py", "test_soft_and_coupled_rows.py"),
+            *("test_recovery.py", "test_soft_and_coupled_rows.py"),
             *("test_online.py", "test_start_cost.py", "test_closed_loop.py", "test_pathrows.py", "test_linearize.py"),
         }
     ),
-    "tcc": frozenset({"bounds", "components"}),
+    "tcc": frozenset({"bounds", "components", "test_decoupled_parts.py", "test_growth.py"}),
 }
 
 #: Key of NMPC_REQUIRE -> programs, any of which is sufficient.
