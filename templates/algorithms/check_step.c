@@ -75,7 +75,7 @@ static real_t cost_terms(const solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int i = 0; i < NZ; i++) {
             const real_t z = FABS(i < NX ? s->step.dx[k][i] : s->step.du[k][i - NX]);
-            sum += (FABS(s->node[k].g[i]) + s->hessian.Q[NQ == 1 ? 0 : k][i][i] * z) * z;
+            sum += (FABS(s->node[k].g[i]) + FABS(s->hessian.Q[NQ == 1 ? 0 : k][i][i]) * z) * z;
         }
     }
     return sum;

@@ -159,7 +159,7 @@ static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *s
     real_t sum[NZS] = {0};
     for (int i = 0; i < n; i++) {
         sum[i] = FABS(stage_g(s, k)[i]) + FABS(y[i]);
-        sum[i] += ((k < NS) ? stage_Q(s, k)[i][i] : stage_Q_N(s)[i][i]) * size[i];
+        sum[i] += FABS((k < NS) ? stage_Q(s, k)[i][i] : stage_Q_N(s)[i][i]) * size[i];
         for (int l = 0; k < NS && l < NXS; l++) {
             sum[i] += FABS(stage_S(s, k)[l][i]) * noise[l];
         }
