@@ -121,7 +121,7 @@ static void update_scales(solver_t *s)
         }
 #endif
         enlarge(&q->row_scale[row_id[m]], row_terms(s, m, size));
-        enlarge(&mu, ROW_MULTIPLIER(s, m));
+        enlarge(&mu, s->step.mult[m]);
     }
     complete_scales(q->row_scale, NR);
     if (q->row_weight < mu * R(1.5) && !q->elastic) {
@@ -261,12 +261,13 @@ static int accepted(solver_t *s, const measures_t *start, real_t alpha, real_t s
 }
 
 /* Backtracking. If the full step is rejected, one second-order correction is tried. */
-static status_t line_search(solver_t *s, const measures_t *start, real_t slope)
+static status_t line_search(solver_t *s, const measures_t *start, real_t slope, real_t *length)
 {
     real_t alpha = R(1);
     put_step_aside(s);
     for (int trial = 0; trial < MAX_TRIALS; trial++) {
         move_to(s, alpha);
+        *length = alpha;
         if (accepted(s, start, alpha, slope)) {
             return OK;
         }
@@ -325,10 +326,32 @@ static real_t slope_of(const solver_t *s)
     return slope;
 }
 
+/* Multipliers after a step of this length: those of rows move towards the ones of the QP, lam follows from the gradient
+ * of the QP at the end of the step. After a short step, those of the QP may be as far off as the step. */
+static void take_multipliers(solver_t *s, real_t length)
+{
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            s->step.dx[k][i] = length * s->sqp.dx[k][i];
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            s->step.du[k][j] = length * s->sqp.du[k][j];
+            s->mu_u[k][j] += length * (s->step.mult_u[k][j] - s->mu_u[k][j]);
+        }
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        ROW_MULTIPLIER(s, m) += length * (s->step.mult[m] - ROW_MULTIPLIER(s, m));
+    }
+#endif
+    (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
+}
+
 /* One globalised iteration after prepare_here(). A filter that lets no step pass is emptied once. */
 static status_t sqp_iteration(solver_t *s, int iteration)
 {
     sqp_t *q = &s->sqp;
+    real_t length = R(1);
     status_t status = solve_qp(s);
     if (status != OK) {
         return status;
@@ -336,8 +359,6 @@ static status_t sqp_iteration(solver_t *s, int iteration)
     if (!step_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
-    scatter_multipliers(s);
-    (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
     update_scales(s);
     const measures_t start = measured(s);
     const real_t slope = slope_of(s);
@@ -349,12 +370,15 @@ static status_t sqp_iteration(solver_t *s, int iteration)
         q->most_violation = R(1e4) * ((start.violation > R(1)) ? start.violation : R(1));
         q->small_violation = R(1e-4) * ((start.violation > R(1)) ? start.violation : R(1));
     }
-    status = line_search(s, &start, slope);
+    status = line_search(s, &start, slope, &length);
     if (status == STALLED && q->entries > 0) {
         q->entries = 0;
         memcpy(s->step.dx, q->dx, sizeof q->dx);
         memcpy(s->step.du, q->du, sizeof q->du);
-        status = line_search(s, &start, slope);
+        status = line_search(s, &start, slope, &length);
+    }
+    if (status == OK) {
+        take_multipliers(s, length);
     }
     return status;
 }
