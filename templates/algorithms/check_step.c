@@ -103,7 +103,7 @@ static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *leas
 #endif
         const real_t excess = (FABS(sum) - TOL_STEP_GRADIENT * size) * s->qp.inverse[j];
         if (excess > R(0) && *least <= R(0)) {
-            *least = R(0.25) * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
+            *least = R(0.0625) * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
         }
         if (!(excess <= *least)) {
             return 0;
