@@ -11,12 +11,13 @@ from collections.abc import Callable
 
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import episodes, qps, returns, violations, work, worst
+from benchmarks.lib.robustness import episodes, near_rest, qps, returns, violations, work, worst
 
 PARTS: dict[str, Callable[[Report, float], None]] = {
     "qps": qps.measure,
     "returns": returns.measure,
     "episodes": episodes.measure,
+    "near_rest": near_rest.measure,
     "work": work.measure,
     "worst": worst.measure,
     "violations": violations.measure,

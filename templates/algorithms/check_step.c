@@ -68,10 +68,10 @@ static int rows_hold(const solver_t *s, const real_t *size)
 #endif
 
 #if CHECK_GRADIENT
-/* Sum of the magnitudes of the terms of the cost of the step. */
+/* Sum of the magnitudes of the terms of the cost of the step, at least what may have been lost to underflow. */
 static real_t cost_terms(const solver_t *s)
 {
-    real_t sum = R(0);
+    real_t sum = R(1e-36);
     for (int k = 0; k < N; k++) {
         for (int i = 0; i < NZ; i++) {
             const real_t z = FABS(i < NX ? s->step.dx[k][i] : s->step.du[k][i - NX]);
@@ -83,7 +83,7 @@ static real_t cost_terms(const solver_t *s)
 
 /* Returns 1 if the gradient with respect to the controls of node k vanishes, where w holds that of the cost and
  * dynamics: relative to its terms, or because it moves the cost by less than `least` squared, as its terms may all be
- * rounding errors of others. *least = 0: not known yet. If a term is not finite, neither is the excess. */
+ * rounding errors of others. *least = 0: not known yet. If a term is not finite, `over` is not, either. */
 static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *least)
 {
     const node_t *node = &s->node[k];
@@ -101,11 +101,11 @@ static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *leas
             size += FABS(force);
         }
 #endif
-        const real_t excess = (FABS(sum) - TOL_STEP_GRADIENT * size) * s->qp.inverse[j];
-        if (excess > R(0) && *least <= R(0)) {
+        const real_t over = (FABS(sum) - TOL_STEP_GRADIENT * size) * s->qp.inverse[j];
+        if (over > R(0) && *least <= R(0)) {
             *least = R(0.0625) * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
         }
-        if (!(excess <= *least)) {
+        if (!(over <= *least)) {
             return 0;
         }
     }

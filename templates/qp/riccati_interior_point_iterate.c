@@ -35,11 +35,11 @@ static void ipm_net_multipliers(solver_t *s)
 
 /* Unit of the complementarity: the cost of the inequalities, 1/2 sum_c mult_c (v_c at the first point - v_c), at most
  * the largest (mult reach)^2 of a row. As active inequalities may have no cost, it is at least a small fraction of the
- * largest (value / reach)^2 of a control. */
+ * largest (value / reach)^2 of a control; at rest it is as large as keeps its square from underflow. */
 static real_t ipm_cost_unit(const solver_t *s)
 {
     const ipm_t *q = &s->ipm;
-    real_t most = R(0), sum = R(0), way = R(0);
+    real_t most = R(0), sum = R(0), way = TOL_UNIT;
     for (int c = 0; c < NV + NG; c++) {
         const real_t force = FABS(s->qp.mult[c]) * s->units.reach[c];
         most = (force > most) ? force : most;

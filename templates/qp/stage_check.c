@@ -208,7 +208,7 @@ static int qp_is_stationary(solver_t *s, int full)
     real_t(*y)[NZS] = s->riccati.work.vectors.rhs.g;
     real_t lam[NXS], w[NZS], rest[NUS] = {0}, terms[NUS] = {0};
     real_t size[NZS] = {0}, noise[NXS] = {0}, most[NUS] = {0};
-    real_t cost = R(0);
+    real_t cost = R(1e-36); /* what may have been lost to underflow */
     int holds = 1;
     if (full) {
         qp_component_sizes(s, full, size);

@@ -12,12 +12,12 @@ from conftest import require_tool
 from benchmarks.lib.closed_loop import Scenario
 from benchmarks.lib.qp.torture import least_violation
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import episodes, qps, returns, work
+from benchmarks.lib.robustness import episodes, near_rest, qps, returns, work
 from benchmarks.lib.robustness.draw import CLASSES, SHAPES, draw, multipliers_of_dynamics
 from benchmarks.lib.robustness.hostile import Data
 from benchmarks.lib.robustness.judge import LIMITS, judge
 from benchmarks.lib.robustness.stage_package import SCALARS, SOLVERS, Answer, options, rounded, stage_ocp
-from benchmarks.lib.robustness.subjects import Candidate, candidates
+from benchmarks.lib.robustness.subjects import Candidate, candidates, subjects
 from examples import crane
 from nmpc_codegen import Controller, Options, Status, build
 from tests.oracles.stage_qp import StageQP, distance, row_values
@@ -321,3 +321,24 @@ def test_operations_of_a_recorded_loop() -> None:
     assert counted.operations[4] > counted.operations[0] > 1000
     assert np.max(np.abs(free.u)) > 1.5 > np.max(np.abs(recorded.u))
     assert opened.operations[4] < counted.operations[4]
+
+
+def test_samples_that_are_given_up_near_rest_are_counted() -> None:
+    """INFEASIBLE is an answer; a solver that stops is not, and says where."""
+    out = near_rest.Outcome()
+    for status in (Status.OK, Status.INFEASIBLE, Status.RELAXED, Status.STALLED, Status.NUMERICAL_FAILURE):
+        out.add(status, f"at {status.name}")
+    assert out.samples == 5
+    assert out.given_up == {"STALLED": 1, "NUMERICAL_FAILURE": 1}
+    assert out.example == "at STALLED"
+
+
+def test_every_subject_has_the_automatic_choice_near_rest() -> None:
+    require_tool("cc")
+    crane_only = near_rest.candidates_of(subjects()[0])
+    assert [c.label for c in crane_only[::4]] == ["chosen, double", "chosen, single"]
+    home, spread = crane_only[0].subject.rest, crane_only[0].subject.spread
+    ctrl = build(crane.build_ocp(), crane_only[0].options, profile="test")
+    out = near_rest.run((ctrl, home, spread, 0, 3))
+    assert out.samples == 2 * 2 * len(near_rest.SHARES) * home.size + 3  # two samples, two signs; the loop
+    assert not out.given_up

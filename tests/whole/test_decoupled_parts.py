@@ -60,3 +60,20 @@ def test_one_part_moves_and_the_others_rest(name: str, rows: str, precision: Any
         ctrl.reset()
         found = [(ctrl.step(x), ctrl.status.name)[1] for _ in range(3)]
         assert set(found) <= {"OK", "RELAXED"}, (component, sign * size, found)
+
+
+@pytest.mark.parametrize("name", ["dense", "interior point"])
+def test_numbers_whose_squares_underflow(name: str) -> None:
+    """A plan at rest ends among the smallest numbers of single precision, where costs and products vanish."""
+    ocp = OCP("settled", T=1.0, N=2)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: -(x**3) + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    ocp.terminal_least_squares(x, weight=[1.0])
+    ocp.subject_to(-1, u, 1)
+    condensing = {} if name == "dense" else {"condensing": NoCondensing()}
+    ctrl = build(ocp, Options(qp=SOLVERS[name], precision="single", **condensing), profile="test")
+    lengths = (1e-8, 1e-12, 1e-20, 1e-42, 2e-43, 3e-44)
+    for length, sign in itertools.product(lengths, (1, -1)):
+        found = [(ctrl.step([sign * length]), ctrl.status.name)[1] for _ in range(3)]
+        assert set(found) == {"OK"}, (sign * length, found)
