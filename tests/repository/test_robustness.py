@@ -333,12 +333,9 @@ def test_samples_that_are_given_up_near_rest_are_counted() -> None:
     assert out.example == "at STALLED"
 
 
-def test_every_subject_has_the_automatic_choice_near_rest() -> None:
+def test_starts_and_a_loop_near_rest() -> None:
     require_tool("cc")
-    crane_only = near_rest.candidates_of(subjects()[0])
-    assert [c.label for c in crane_only[::4]] == ["chosen, double", "chosen, single"]
-    home, spread = crane_only[0].subject.rest, crane_only[0].subject.spread
-    ctrl = build(crane.build_ocp(), crane_only[0].options, profile="test")
-    out = near_rest.run((ctrl, home, spread, 0, 3))
-    assert out.samples == 2 * 2 * len(near_rest.SHARES) * home.size + 3  # two samples, two signs; the loop
+    (subject,) = (s for s in subjects() if s.name == "one_interval")
+    out = near_rest.run((build(subject.make(), profile="test"), subject.rest, subject.spread, 0, 3))
+    assert out.samples == 2 * 2 * len(near_rest.SHARES) * subject.rest.size + 3  # two samples, two signs; the loop
     assert not out.given_up

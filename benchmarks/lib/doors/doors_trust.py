@@ -29,7 +29,7 @@ def measure(report: Report) -> None:
             (generated / path).write_text(text, encoding="utf-8")
         library = sanitizer()
         for name, folder in (("toy", TOY), ("parameters", generated)) if library else ():
-            if "heap-buffer-overflow" not in _sanitized(library, str(folder)).stderr:
+            if "heap-buffer-overflow" not in sanitized(library, str(folder)).stderr:
                 raise RuntimeError(f"{name}: AddressSanitizer does not see a read beside a buffer")
             lines, crashes = campaign(folder, MUTATIONS, library)
             wrong = [line for line in lines if " wrong" in line]
@@ -55,7 +55,7 @@ def sanitizer() -> str:
     return path if Path(path).is_absolute() else ""
 
 
-def _sanitized(library: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def sanitized(library: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run mutated_package.py under AddressSanitizer."""
     environment = {
         **os.environ,
@@ -74,7 +74,7 @@ def campaign(folder: Path, count: int, library: str) -> tuple[list[str], list[st
     crashes: list[str] = []
     first = 0
     while first < count and len(crashes) < CRASHES:
-        run = _sanitized(library, str(folder), str(first), str(count))
+        run = sanitized(library, str(folder), str(first), str(count))
         printed = run.stdout.splitlines()
         if run.returncode == 0:
             return [*lines, *printed], crashes

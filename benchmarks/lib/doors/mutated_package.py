@@ -233,8 +233,8 @@ def outcome(folder: Path, name: str, text: str, profile: Any) -> str:
 def overrun(source: str) -> None:
     """Let C read a reference that is too short, which the sanitizer has to report."""
     ctrl = open_package(source, SANITIZED)
-    library = ctrl._library
-    library.function("set_reference")(ctrl._s, 0, library.ffi.from_buffer(f"{library.name}_real[]", np.zeros(1)))
+    package = ctrl._package
+    package.function("set_reference")(ctrl._s, 0, package.ffi.from_buffer(f"{package.name}_real[]", np.zeros(1)))
 
 
 def main(source: str, first: str, end: str) -> None:

@@ -182,9 +182,9 @@ def unroll(sweep: Sweep) -> Function:
     A port that is changed in place becomes the input <name> and the output <name>_out.
     """
     symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
-    buffers: dict[str, list[Expression]] = {p.name: [ca.SX(0)] * p.size for p in sweep.outputs}
-    buffers |= {p.name: elements(s) for p, s in zip(sweep.inputs, symbols, strict=True)}
-    buffers |= {name: [ca.SX(0)] * size for name, size in sweep.locals}
+    buffers: dict[str, Expression] = {p.name: ca.SX.zeros(p.size) for p in sweep.outputs}
+    buffers |= {p.name: ca.SX(s) for p, s in zip(sweep.inputs, symbols, strict=True)}
+    buffers |= {name: ca.SX.zeros(size) for name, size in sweep.locals}
     _run(sweep.body, buffers, {})
     outputs = [_shaped(buffers[p.name], p) for p in sweep.outputs]
     names = [p.name for p in sweep.inputs]
@@ -192,22 +192,20 @@ def unroll(sweep: Sweep) -> Function:
     return ca.Function(sweep.name, symbols, outputs, names, results)
 
 
-def _run(nodes: tuple[Node, ...], buffers: dict[str, list[Expression]], indices: dict[str, int]) -> None:
+def _run(nodes: tuple[Node, ...], buffers: dict[str, Expression], indices: dict[str, int]) -> None:
     for node in nodes:
         if isinstance(node, Block):
             for more in node.passes(indices):
                 _run(node.body, buffers, {**indices, **more})
             continue
-        arguments = [ca.vertcat(*(buffers[s.buffer][e] for e in s.elements(indices))) for s in node.ins]
+        arguments = [buffers[s.buffer][list(s.elements(indices))] for s in node.ins]
         results = node.leaf.call(arguments)
         for target, result in zip(node.outs, results, strict=True):
-            for place, entry in zip(target.elements(indices), elements(ca.densify(result)), strict=True):
-                buffers[target.buffer][place] = entry
+            buffers[target.buffer][list(target.elements(indices))] = ca.densify(result)
 
 
-def _shaped(values: list[Expression], port: Port) -> Expression:
+def _shaped(flat: Expression, port: Port) -> Expression:
     """A dense SX vector, or an SX matrix of the port's shape without structural zeros."""
-    flat = ca.vertcat(*values) if values else ca.SX(0, 1)
     return ca.sparsify(ca.reshape(flat, port.cols, port.rows).T) if port.cols else ca.densify(flat)
 
 
