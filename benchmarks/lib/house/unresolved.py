@@ -42,8 +42,9 @@ _TYPEDEF = re.compile(r"^typedef \w+ (\w+);$", re.MULTILINE)
 
 @cache
 def lowered(sample: Sample) -> CModule:
-    """The CModule of a sample, before rendering; with a budget it has the charges."""
-    return bounded(lower(linearize(classify(sample.make()), sample.options), None))
+    """The CModule of a sample, before rendering; with a budget, and only then, it has the charges of its text."""
+    module = lower(linearize(classify(sample.make()), sample.options), None)
+    return bounded(module) if "MAX_OPERATIONS" in module.sizes else module
 
 
 def texts(sample: Sample, resolved: bool = True) -> Sources:

@@ -13,7 +13,7 @@ from typing import Literal
 
 import casadi as ca
 
-from nmpc_codegen.ir.casadi_types import Expression, Function, elements
+from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
 
 
