@@ -198,10 +198,10 @@ def _run(nodes: tuple[Node, ...], buffers: dict[str, Expression], indices: dict[
             for more in node.passes(indices):
                 _run(node.body, buffers, {**indices, **more})
             continue
-        arguments = [buffers[s.buffer][list(s.elements(indices))] for s in node.ins]
+        arguments = [buffers[s.buffer][s.elements(indices)] for s in node.ins]
         results = node.leaf.call(arguments)
         for target, result in zip(node.outs, results, strict=True):
-            buffers[target.buffer][list(target.elements(indices))] = ca.densify(result)
+            buffers[target.buffer][target.elements(indices)] = ca.vec(ca.densify(result))
 
 
 def _shaped(flat: Expression, port: Port) -> Expression:
