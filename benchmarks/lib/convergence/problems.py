@@ -23,7 +23,8 @@ Array = np.ndarray
 class StartProblem:
     """A problem, RK4 steps per interval, and the box (nx,) x 2 of its measured states.
 
-    ``general``: its cost is no least squares, so that a user has to ask for the exact Hessian.
+    ``general``: its cost is no least squares, so that a user has to ask for the exact Hessian. ``steps``: 0 for a
+    discrete map.
     """
 
     name: str
@@ -36,7 +37,8 @@ class StartProblem:
     def options(self) -> Options:
         """What a user has to say: the number of steps, and the Hessian where there is no choice."""
         hessian = ExactHessian() if self.general else GaussNewton()
-        return Options(ExplicitRungeKutta(RK4, steps=self.steps), hessian)
+        integrator = ExplicitRungeKutta(RK4, steps=self.steps) if self.steps else None
+        return Options(integrator, hessian)
 
     def start(self, number: int) -> Array:
         """Measured state (nx,) of this number."""
@@ -157,7 +159,7 @@ def reaction() -> OCP:
     cA, cB = ocp.state("cA", initial=0.5), ocp.state("cB", initial=0.5)
     q = ocp.control("q")
     ocp.dynamics({cA: q / 10 * (1 - cA) - 0.4 * cA, cB: -q / 10 * cB + 0.4 * cA})
-    ocp.stage_cost(-q * (2 * cB - 0.5))
+    ocp.stage_cost(-q * (2 * cB - 0.5) + 0.505 * (q - 4) ** 2)
     ocp.subject_to(0, q, 20)
     ocp.subject_to(0.5, cA, 0.5, at="end", name="steady_A")
     ocp.subject_to(0.5, cB, 0.5, at="end", name="steady_B")
@@ -216,7 +218,7 @@ def problems() -> tuple[StartProblem, ...]:
         StartProblem("fastest_crane", fastest_crane, *_around([0, 0, 0, 0, 5], [3.0, 0.5, 0.3, 0.5, 3]), 2, True),
         StartProblem("swing_up", swing_up, *_around([np.pi, 0], [0.5, 0.5])),
         StartProblem("fastest_swing_up", fastest_swing_up, *_around([np.pi, 0, 4], [0.5, 0.5, 2]), 1, True),
-        StartProblem("battery", battery, *_around([0.4, 0, 29], [0.3, 0, 2])),
+        StartProblem("battery", battery, *_around([0.4, 0, 29], [0.3, 0, 2]), steps=0),
         StartProblem("reaction", reaction, *_around([0.5, 0.5], [0.4, 0.4]), 1, True),
         StartProblem("oscillator", oscillator, *_around([0.4, 0], [0.6, 1.0])),
         StartProblem(

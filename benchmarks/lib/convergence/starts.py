@@ -54,7 +54,7 @@ def run(job: tuple[str, int]) -> Outcome:
     name, count = job
     problem = next(p for p in problems() if p.name == name)
     ocp = classify(problem.make())
-    oracle = Reference(ocp, replace(CLASSICAL, steps=problem.steps), tol=1e-8)
+    oracle = Reference(ocp, replace(CLASSICAL, steps=max(1, problem.steps)), tol=1e-8)
     out = Outcome(name)
     for route, (condensing, qp) in ROUTES.items():
         try:
