@@ -241,11 +241,16 @@ static int is_cost_step(const sqp_t *q, const measures_t *start, real_t alpha, r
     return descent > R(0) && start->violation <= q->small_violation && alpha * descent * descent > start->violation;
 }
 
-static int accepted(solver_t *s, const measures_t *start, real_t alpha, real_t slope)
+/* Returns 1 if the present point is accepted after a step of length alpha; while feasibility is restored, if the
+ * violation decreases by its share of `gain`, what the linearised rows and gaps promise. */
+static int accepted(solver_t *s, const measures_t *start, real_t alpha, real_t slope, real_t gain)
 {
     sqp_t *q = &s->sqp;
     const measures_t at = measured(s);
     const real_t rounding = TOL_MERIT_ROUNDING * (FABS(start->cost) + q->cost_scale);
+    if (q->restoring) {
+        return at.cost < (real_t)INFINITY && at.violation <= start->violation - R(1e-4) * alpha * gain;
+    }
     if (!passes_filter(q, &at)) {
         return 0;
     }
@@ -261,29 +266,29 @@ static int accepted(solver_t *s, const measures_t *start, real_t alpha, real_t s
 }
 
 /* Backtracking. If the full step is rejected, one second-order correction is tried. */
-static status_t line_search(solver_t *s, const measures_t *start, real_t slope, real_t *length)
+static status_t line_search(solver_t *s, const measures_t *start, real_t slope, real_t gain)
 {
-    real_t alpha = R(1);
+    sqp_t *q = &s->sqp;
+    q->length = R(1);
     put_step_aside(s);
     for (int trial = 0; trial < MAX_TRIALS; trial++) {
-        move_to(s, alpha);
-        *length = alpha;
-        if (accepted(s, start, alpha, slope)) {
+        move_to(s, q->length);
+        if (accepted(s, start, q->length, slope, gain)) {
             return OK;
         }
         if (trial == 0) {
-            memcpy(s->sqp.dx_full, s->sqp.dx, sizeof s->sqp.dx);
-            memcpy(s->sqp.du_full, s->sqp.du, sizeof s->sqp.du);
+            memcpy(q->dx_full, q->dx, sizeof q->dx);
+            memcpy(q->du_full, q->du, sizeof q->du);
             if (second_order_correction(s)) {
                 move_to(s, R(1));
-                if (accepted(s, start, R(1), slope)) {
+                if (accepted(s, start, R(1), slope, gain)) {
                     return OK;
                 }
             }
-            memcpy(s->sqp.dx, s->sqp.dx_full, sizeof s->sqp.dx);
-            memcpy(s->sqp.du, s->sqp.du_full, sizeof s->sqp.du);
+            memcpy(q->dx, q->dx_full, sizeof q->dx);
+            memcpy(q->du, q->du_full, sizeof q->du);
         }
-        alpha *= R(0.5);
+        q->length *= R(0.5);
     }
     move_to(s, R(0));
     return STALLED;
@@ -326,10 +331,18 @@ static real_t slope_of(const solver_t *s)
     return slope;
 }
 
-/* Multipliers after a step of this length: those of rows move towards the ones of the QP, lam follows from the gradient
- * of the QP at the end of the step. After a short step, those of the QP may be as far off as the step. */
-static void take_multipliers(solver_t *s, real_t length)
+/* Multipliers after a step: those of rows move towards the ones of the QP, lam follows from the gradient of the QP at the
+ * end of the step. After a short step, those of the QP may be as far off as the step. Those of an elastic QP are those
+ * of its penalty: nothing is known. */
+static void take_multipliers(solver_t *s)
 {
+    const real_t length = s->sqp.length;
+#if HARD_ROWS
+    if (s->sqp.elastic) {
+        forget_multipliers(s);
+        return;
+    }
+#endif
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
             s->step.dx[k][i] = length * s->sqp.dx[k][i];
@@ -347,11 +360,49 @@ static void take_multipliers(solver_t *s, real_t length)
     (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
 }
 
-/* One globalised iteration after prepare_here(). A filter that lets no step pass is emptied once. */
+/* By how much the full step reduces the violation according to the linearisation. */
+static real_t gain_of(const solver_t *s, const measures_t *start)
+{
+    real_t left = R(0);
+#if HARD_ROWS
+    for (int m = 0; m < NG; m++) {
+        if (!IS_SOFT(m)) {
+            left += FABS(row_excess(s, m, R(0))) / s->sqp.row_scale[row_id[m]];
+        }
+    }
+#endif
+    return start->violation - left;
+}
+
+/* The line search; if no step passes the filter, feasibility is restored: until the filter is passed again, steps have
+ * to reduce the violation alone. */
+static status_t search(solver_t *s, const measures_t *start)
+{
+    sqp_t *q = &s->sqp;
+    const real_t slope = slope_of(s), gain = gain_of(s, start);
+    status_t status = STALLED;
+    enlarge(&q->cost_scale, slope);
+    q->restoring = q->elastic || (q->restoring && !passes_filter(q, start));
+    if (!q->restoring) {
+        status = line_search(s, start, slope, gain);
+        if (status == OK || !(start->violation > R(16) * TOL_MERIT_ROUNDING)) {
+            return status;
+        }
+        memcpy(s->step.dx, q->dx, sizeof q->dx);
+        memcpy(s->step.du, q->du, sizeof q->du);
+        extend_filter(q, start);
+        q->restoring = 1;
+    }
+    if (!(gain > R(1e-8) * start->violation)) {
+        return STALLED;
+    }
+    return line_search(s, start, slope, gain);
+}
+
+/* One globalised iteration after prepare_here(). */
 static status_t sqp_iteration(solver_t *s, int iteration)
 {
     sqp_t *q = &s->sqp;
-    real_t length = R(1);
     status_t status = solve_qp(s);
     if (status != OK) {
         return status;
@@ -361,38 +412,30 @@ static status_t sqp_iteration(solver_t *s, int iteration)
     }
     update_scales(s);
     const measures_t start = measured(s);
-    const real_t slope = slope_of(s);
     if (!isfinite(start.violation) || !isfinite(start.cost)) {
         return NUMERICAL_FAILURE;
     }
-    enlarge(&q->cost_scale, slope);
     if (iteration == 0) {
         q->most_violation = R(1e4) * ((start.violation > R(1)) ? start.violation : R(1));
         q->small_violation = R(1e-4) * ((start.violation > R(1)) ? start.violation : R(1));
     }
-    status = line_search(s, &start, slope, &length);
-    if (status == STALLED && q->entries > 0) {
-        q->entries = 0;
-        memcpy(s->step.dx, q->dx, sizeof q->dx);
-        memcpy(s->step.du, q->du, sizeof q->du);
-        status = line_search(s, &start, slope, &length);
-    }
+    status = search(s, &start);
     if (status == OK) {
-        take_multipliers(s, length);
+        take_multipliers(s);
     }
     return status;
 }
 
-/* KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol. */
+/* Relative KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol. */
 static int kkt_converged(solver_t *s, real_t tol)
 {
     kkt_t *kkt = &s->kkt;
     memset(kkt, 0, sizeof *kkt);
     for (int k = 0; k < N; k++) {
-        kkt_node(s, k, &s->node[k], kkt);
+        kkt_node(s, k, &s->node[k], kkt, 1);
     }
-    kkt_terminal(s, &s->terminal, kkt);
-    kkt_rows(s, kkt);
+    kkt_terminal(s, &s->terminal, kkt, 1);
+    kkt_rows(s, kkt, 1);
     return kkt->stationarity <= tol && kkt->equality <= tol && kkt->inequality <= tol && kkt->complementarity <= tol;
 }
 
@@ -419,6 +462,7 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
 {
     s->sqp.cost_scale = R(0);
     s->sqp.entries = 0;
+    s->sqp.restoring = 0;
 #if HARD_ROWS
     s->sqp.row_weight = R(1);
 #endif

@@ -264,6 +264,8 @@ def _line_search(dims: Dims) -> Struct:
             Field("filter_violation", (Size("FILTER", FILTER),), "violations that the filter rejects", "scratch"),
             Field("filter_cost", (Size("FILTER", FILTER),), "and the costs that belong to them", "scratch"),
             Field("entries", (), "entries of the filter", "scratch", "int32"),
+            Field("restoring", (), "1: steps only have to reduce the violation", "scratch", "int32"),
+            Field("length", (), "length of the last step", "scratch"),
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
             Field("small_violation", (), "violation up to which the cost counts", "scratch"),
