@@ -366,7 +366,12 @@ static real_t gain_of(const solver_t *s, const measures_t *start)
     real_t left = R(0);
 #if HARD_ROWS
     for (int m = 0; m < NG; m++) {
-        if (!IS_SOFT(m)) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+        {
             left += FABS(row_excess(s, m, R(0))) / s->sqp.row_scale[row_id[m]];
         }
     }

@@ -269,7 +269,7 @@ def _line_search(dims: Dims) -> Struct:
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
             Field("small_violation", (), "violation up to which the cost counts", "scratch"),
-            Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32", only="HARD_ROWS"),
+            Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
         ),
         only="SOLVE",
     )
