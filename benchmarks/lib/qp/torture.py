@@ -333,7 +333,7 @@ class Torture:
         same = np.array_equal(self.c.u, kept) or np.array_equal(self.c.u, np.clip(kept, lower, upper))
         if not same and not self.given_up(lower, upper):
             out.violate("failure changes the controls of the plan", status.name)
-        if self.failures > 1:
+        if self.failures > 1 or not same:
             self.since_restart = 0
         expected = np.clip(kept[0], lower, upper)
         if not np.array_equal(u, expected):
@@ -349,8 +349,10 @@ class Torture:
         return np.clip(y, lower, upper)
 
     def given_up(self, lower: Array, upper: Array) -> bool:
-        """True if the plan may be given up, after the third failure in a row or one soon after a restart, and is."""
-        allowed = self.failures > 2 or self.since_restart <= GIVE_UP
+        """True if the plan may be given up and is: after the third failure in a row, the second one if there is no finite
+        linearisation, or one soon after a restart."""
+        broken = self.failures > 1 and self.c.status == Status.NUMERICAL_FAILURE
+        allowed = broken or self.failures > 2 or self.since_restart <= GIVE_UP
         return allowed and np.allclose(self.c.u, self.reference(lower, upper), rtol=1e-12, atol=0)
 
     def run(self, steps: int) -> Outcome:
