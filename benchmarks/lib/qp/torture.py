@@ -349,8 +349,11 @@ class Torture:
         return np.clip(y, lower, upper)
 
     def given_up(self, lower: Array, upper: Array) -> bool:
-        """True if the plan may be given up and is: after the third failure in a row, the second one if there is no finite
-        linearisation, or one soon after a restart."""
+        """True if the plan may be given up, and is.
+
+        That is after the third failure in a row, the second one without a finite linearisation, or one soon after a
+        restart.
+        """
         broken = self.failures > 1 and self.c.status == Status.NUMERICAL_FAILURE
         allowed = broken or self.failures > 2 or self.since_restart <= GIVE_UP
         return allowed and np.allclose(self.c.u, self.reference(lower, upper), rtol=1e-12, atol=0)
