@@ -20,7 +20,7 @@ from nmpc_codegen.ir.cmodule import Size, Struct
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.tolerances import TOLERANCES
-from nmpc_codegen.runtime.build import find_compiler
+from nmpc_codegen.runtime.build import find_compiler, with_required_options
 from nmpc_codegen.runtime.package_description import union_dtype
 
 STATUSES = (
@@ -170,8 +170,9 @@ def library(
         / f"qp_{nv}_{ng}_{precision}_{max_iterations}_{'fast' if flags == FAST else 'plain'}"
     )
     stem.with_suffix(".c").write_text(source(nv, ng, precision, DenseActiveSet(max_iterations)) + ENTRY_POINTS)
+    compiler = with_required_options(("gcc",)) if flags == FAST else find_compiler()
     subprocess.run(
-        [*(("gcc",) if flags == FAST else find_compiler()), "-std=c99", *WARNINGS, *flags, "-shared", "-fPIC",
+        [*compiler, "-std=c99", *WARNINGS, *flags, "-shared", "-fPIC",
          "-o", stem.with_suffix(".so"), stem.with_suffix(".c"), "-lm"],
         check=True,
     )  # fmt: skip
