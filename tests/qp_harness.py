@@ -20,7 +20,7 @@ from nmpc_codegen.ir.cmodule import Size, Struct
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.tolerances import TOLERANCES
-from nmpc_codegen.runtime.build import find_compiler
+from nmpc_codegen.runtime.build import find_compiler, with_required_options
 from nmpc_codegen.runtime.package_description import union_dtype
 
 STATUSES = (
@@ -40,6 +40,8 @@ SWITCHES = {
     "STATE_ROWS": 1,
     "GENERAL_ROWS": 1,
     "BLOCK_ROWS": 1,
+    "HAS_COST_GRADIENT": 0,
+    "HAS_TERMINAL_ADJOINT": 0,
     "INTERIOR_POINT": 1,
     "SET_REFERENCE": 1,
     "BUDGET": 0,
@@ -168,8 +170,9 @@ def library(
         / f"qp_{nv}_{ng}_{precision}_{max_iterations}_{'fast' if flags == FAST else 'plain'}"
     )
     stem.with_suffix(".c").write_text(source(nv, ng, precision, DenseActiveSet(max_iterations)) + ENTRY_POINTS)
+    compiler = with_required_options(("gcc",)) if flags == FAST else find_compiler()
     subprocess.run(
-        [*(("gcc",) if flags == FAST else find_compiler()), "-std=c99", *WARNINGS, *flags, "-shared", "-fPIC",
+        [*compiler, "-std=c99", *WARNINGS, *flags, "-shared", "-fPIC",
          "-o", stem.with_suffix(".so"), stem.with_suffix(".c"), "-lm"],
         check=True,
     )  # fmt: skip

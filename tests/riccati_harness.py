@@ -18,7 +18,7 @@ from qp_harness import FAST, SCALARS, STATUSES, SWITCHES, WARNINGS, build_direct
 
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
-from nmpc_codegen.runtime.build import find_compiler
+from nmpc_codegen.runtime.build import find_compiler, with_required_options
 from nmpc_codegen.runtime.package_description import union_dtype
 
 
@@ -150,7 +150,7 @@ def compiled(text: str, flags: tuple[str, ...] = FAST) -> ctypes.CDLL:
     stem = Path(build_directory().name) / f"riccati_{abs(hash((text, flags)))}"
     stem.with_suffix(".c").write_text(text)
     unused = ("-Wno-unused-const-variable", "-Wno-unused-function")
-    command = ["gcc"] if flags == FAST else [*find_compiler()]
+    command = [*(with_required_options(("gcc",)) if flags == FAST else find_compiler())]
     command += ["-std=c99", *WARNINGS, *unused, *flags, "-shared", "-fPIC"]
     subprocess.run([*command, "-o", stem.with_suffix(".so"), stem.with_suffix(".c"), "-lm"], check=True)
     return ctypes.CDLL(str(stem.with_suffix(".so")))

@@ -29,6 +29,7 @@ CLASSES = ("add", "mul", "div", "sqrt", "call")
 ARGUMENTS = {
     "state_step": "&s.node[0], w, w, w",
     "adjoint_step": "&s.node[0], s.hessian.Q[0], w, w, w",
+    "cost_gradient": "&s.node[0], s.hessian.Q[0], w, w, w",
     "terminal_adjoint": "&s.terminal, s.hessian.Q_N, w, w",
     "condense_forward_panel": "&s.qp.work.columns, &s.node[0], 0",
     "condense_terminal_panel": "&s.qp.work.columns, s.hessian.Q_N",

@@ -351,6 +351,7 @@ static status_t run_qp(solver_t *s)
 #include "algorithms/check_step.c"
 #endif
 
+#if HAS_ADJOINT_STEP
 #if NE || NH || NH_N
 /* w += gradient of the general and coupled rows of node k with respect to its state, times their multipliers. */
 static void add_row_forces(const solver_t *s, int k, real_t *w)
@@ -413,6 +414,28 @@ static int recover_multipliers(solver_t *s)
 #endif
     return stationary;
 }
+#else
+/* lam as the QP yields it, whose stages are those of the problem; there, x_0 is not a variable of the coupled rows. */
+static int recover_multipliers(solver_t *s)
+{
+    for (int k = 0; k <= N; k++) {
+        memcpy(s->lam[k], condense_multiplier(s, k), sizeof s->lam[k]);
+    }
+#if NE
+    for (int i = 0; i < NX; i++) {
+        for (int j = 0; j < NE; j++) {
+            s->lam[0][i] += s->coupled.J_0[j][i] * s->eta[j];
+        }
+    }
+#endif
+#if NF
+    for (int f = 0; f < NF; f++) {
+        s->lam[0][free_state[f]] = R(0);
+    }
+#endif
+    return 1;
+}
+#endif
 
 /* Feedback phase: embeds the measured state s->xhat, solves the QP and takes the full step. States and controls change only on
  * success. */

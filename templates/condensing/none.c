@@ -5,6 +5,7 @@
  *   condense_gradient  called if only gradients of the nodes have changed
  *   condense_rows      called if gaps b and values of the rows have changed, but no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
+ *   condense_multiplier  multiplier of x_k after condense_solve has succeeded
  *   condense_shift     shifts the predicted working set of the controls by one interval
  *   condense_shift_rows  row m takes the predicted side of row source[m]
  * Here: nothing is eliminated; the stages of the QP are those of the problem.
@@ -98,6 +99,12 @@ static void condense_expand(solver_t *s)
 #if NG
     memcpy(s->step.mult, s->qp.mult + NV, sizeof s->step.mult);
 #endif
+}
+
+/* The QP yields it when it checks its solution. */
+static inline const real_t *condense_multiplier(const solver_t *s, int k)
+{
+    return s->riccati.work.vectors.rhs.g[k];
 }
 
 #include "condensing/solve_stages.c"

@@ -59,7 +59,7 @@ static status_t qp_cross_over(solver_t *s)
     }
     s->ipm.crossing = TO_THE_END;
     if (status == OK || status == ITERATION_LIMIT) {
-        status = (qp_polish(s) == OK) ? OK : status;
+        status = (qp_polish(s) == OK || ipm_is_solution(s)) ? OK : ITERATION_LIMIT;
     }
     return status;
 }

@@ -171,15 +171,15 @@ static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *s
 }
 
 #if NF
-/* Returns 1 if the gradient with respect to the free components of x_0 vanishes: that of the stage, lam. */
-static int qp_free_is_stationary(solver_t *s, real_t *lam, const real_t *noise)
+/* Returns 1 if the gradient with respect to the free components of x_0 vanishes, where y is that of stage 0 alone. */
+static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noise)
 {
     const real_t *g = stage_g(s, 0);
     int holds = 1;
-    real_t size[NXS];
+    real_t lam[NXS], size[NXS];
+    memcpy(lam, s->riccati.work.vectors.rhs.g[0], sizeof lam);
     for (int i = 0; i < NXS; i++) {
-        size[i] = FABS(g[i]) + FABS(s->riccati.work.vectors.rhs.g[0][i] - g[i]) +
-            FABS(lam[i] - s->riccati.work.vectors.rhs.g[0][i]);
+        size[i] = FABS(g[i]) + FABS(y[i] - g[i]) + FABS(lam[i] - y[i]);
     }
 #if NXS > NX
     for (int c = 0; c < NXS - NX; c++) {
@@ -202,11 +202,12 @@ static int qp_free_is_stationary(solver_t *s, real_t *lam, const real_t *noise)
 
 #endif
 /* Returns 1 if the gradient of the Lagrangian vanishes up to its tolerance. The multipliers of the dynamics follow from
- * the states, so that only the components of the controls and of a free x_0 remain. */
+ * the states and remain in the first entries of rhs.g, so that only the components of the controls and of a free x_0 are
+ * to be checked. */
 static int qp_is_stationary(solver_t *s, int full)
 {
-    real_t(*y)[NZS] = s->riccati.work.vectors.rhs.g;
-    real_t lam[NXS], w[NZS], rest[NUS] = {0}, terms[NUS] = {0};
+    real_t(*w)[NZS] = s->riccati.work.vectors.rhs.g;
+    real_t y[NZS], rest[NUS] = {0}, terms[NUS] = {0};
     real_t size[NZS] = {0}, noise[NXS] = {0}, most[NUS] = {0};
     real_t cost = R(1e-36); /* what may have been lost to underflow */
     int holds = 1;
@@ -214,28 +215,27 @@ static int qp_is_stationary(solver_t *s, int full)
         qp_component_sizes(s, full, size);
     }
     for (int k = NS; k >= 0; k--) {
-        qp_cost_gradient(s, k, y[k]);
+        qp_cost_gradient(s, k, w[k]);
 #if NG
         for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
             qp_add_row(s, m, s->qp.mult[NV + m]);
         }
 #endif
-        memcpy(w, y[k], sizeof w[0] * (k < NS ? NZS : NXS));
+        memcpy(y, w[k], sizeof y[0] * (k < NS ? NZS : NXS));
         if (k < NS) {
-            qp_check_stage(s, k, full, lam, w, rest, terms);
+            qp_check_stage(s, k, full, w[k + 1], w[k], rest, terms);
         }
         if (full) {
-            qp_spread_noise(s, k, y[k], size, noise, most);
-            cost += qp_cost_terms(s, k, y[k]);
+            qp_spread_noise(s, k, y, size, noise, most);
+            cost += qp_cost_terms(s, k, y);
         }
-        memcpy(lam, w, sizeof lam);
     }
     for (int j = 0; j < NUS; j++) {
         holds &= isfinite(terms[j]);
         holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] || (full && qp_is_negligible(s, j, rest[j], most[j], cost));
     }
 #if NF
-    holds &= qp_free_is_stationary(s, lam, noise);
+    holds &= qp_free_is_stationary(s, y, noise);
 #endif
     return holds;
 }

@@ -82,14 +82,23 @@ static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
 static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 {
     if (k < NS) {
+#if HAS_COST_GRADIENT
+        const int first = k * NUS;
+        COST_GRADIENT(&s->node[k], stage_Q(s, k), s->qp.x[k], s->qp.z + first, y);
+#else
         real_t z[NZS];
         qp_stage_point(&s->qp, k, z);
         memcpy(y, stage_g(s, k), sizeof z);
         riccati_add_symmetric(y, stage_Q(s, k)[0], NZS, z, NZS);
-    } else {
-        memcpy(y, stage_g(s, NS), sizeof y[0] * NXS);
-        riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[NS], NXS);
+#endif
+        return;
     }
+#if HAS_TERMINAL_ADJOINT && !BLOCK_ROWS
+    TERMINAL_ADJOINT(&s->terminal, stage_Q_N(s), s->qp.x[NS], y);
+#else
+    memcpy(y, stage_g(s, NS), sizeof y[0] * NXS);
+    riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[NS], NXS);
+#endif
 }
 
 /* b = S_k z_k + b_k - x_{k+1} at the present point. */

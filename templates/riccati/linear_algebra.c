@@ -157,6 +157,7 @@ static inline real_t riccati_dot(const real_t *a, const real_t *b, int n)
     return sum + ((s[0] + s[2]) + (s[1] + s[3]));
 }
 
+#if BLOCK_ROWS || !HAS_COST_GRADIENT || !HAS_TERMINAL_ADJOINT
 /* y += Q z, where Q is symmetric of n rows (lower triangle). Every entry is read once, in blocks of four. */
 static void riccati_add_symmetric(real_t *y, const real_t *Q, int ld, const real_t *z, int n)
 {
@@ -183,3 +184,4 @@ static void riccati_add_symmetric(real_t *y, const real_t *Q, int ld, const real
         row += ld;
     }
 }
+#endif

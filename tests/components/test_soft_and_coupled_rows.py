@@ -145,6 +145,18 @@ def test_equal_to_ipopt(case: str, form: str) -> None:
     assert max(solution.kkt.__dict__.values()) <= 1e-10
 
 
+@pytest.mark.parametrize("case", ["l1 not exact", "soft equality", "coupled"])
+def test_multipliers_of_one_feedback(case: str) -> None:
+    """All forms yield the same multipliers of the dynamics, whether from elimination or from the check of the QP."""
+    ctrls = [controller(case, form) for form in FORMS]
+    for ctrl in ctrls:
+        ctrl.reset()
+        ctrl.step([0.55, -0.1])
+        assert ctrl.status == Status.OK
+        np.testing.assert_allclose(ctrl.lam, ctrls[0].lam, atol=1e-8)
+    assert np.all(np.max(np.abs(ctrls[0].lam), axis=1) > 1e-3)
+
+
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_a_loop_with_violated_rows(precision: str) -> None:
     """Rows with both penalties that are violated, met and left, an equality among them: always OK, with one control."""

@@ -37,11 +37,11 @@
 #if defined(__OPTIMIZE__) && defined(__GNUC__) && !defined(__clang__) && __GNUC__ == 12
 /* GCC 12 mistakes addresses that its loop optimiser has split into a null base and an index for accesses to NULL,
  * concludes that the function has no effects and removes calls to it (observed with 12.2 at -O2);
- * -fno-delete-null-pointer-checks disables this inference. With -march=native, when it turns a loop over a local array
- * into memset, its stores may require an alignment that it has not given to the stack of a leaf function (also observed
- * with 12.2). Functions that are not declared inline are not inlined: inside a larger function the loops of the matrix
- * products remain scalar, which halves the speed. CMakeLists.txt passes the same options; the pragma covers all other
- * builds. */
+ * -fno-delete-null-pointer-checks disables this inference. With -march=native on x86, vector stores to a local array
+ * may require an alignment that it has not given to the stack of a leaf function (also observed with 12.2): where loops
+ * do not become calls of memset this is rarer; -Wa,-muse-unaligned-vector-move excludes it, which no pragma can pass.
+ * Functions that are not declared inline are not inlined: inside a larger function the loops of the matrix products
+ * remain scalar, which halves the speed. CMakeLists.txt passes the same options; the pragma covers all other builds. */
 #pragma GCC optimize("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
 #endif
 

@@ -48,6 +48,7 @@ def expected(nx: int, d: dict[str, np.ndarray]) -> dict[str, list[np.ndarray]]:
     return {
         "state_step": [d["b"] + S @ z],
         "adjoint_step": [d["g"] + Q @ z + S.T @ d["w"][:nx]],
+        "cost_gradient": [d["g"] + Q @ z],
         "terminal_adjoint": [d["g"][:nx] + Q_N @ d["dx"]],
         "condense_forward_panel": [A @ d["G"]],
         "condense_terminal_panel": [Q_N @ d["G"]],

@@ -6,7 +6,9 @@ import gc
 import json
 import os
 import pickle
+import platform
 import shlex
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -107,6 +109,26 @@ def test_key_holds_everything_the_module_depends_on(toy_files: Files, monkeypatc
     monkeypatch.setattr(sys, "version", "0.0")
     keys.append(build._key(toy_files, "toy", ("-O2",), gcc))
     assert len(set(keys)) == len(keys)
+
+
+def test_moves_may_be_unaligned_where_the_assembler_can_encode_them(tmp_path: Path) -> None:
+    """A 32-byte move that gcc assumes to be aligned; on other processors than x86 the option is unknown."""
+    gcc = ("gcc",)
+    required = build.with_required_options(gcc)
+    if platform.machine() in ("x86_64", "AMD64"):
+        assert required == ("gcc", build.UNALIGNED_MOVES)
+        text = "typedef double four __attribute__((vector_size(32)));\nvoid f(four *p, four *q);\n"
+        (tmp_path / "move.c").write_text(text + "void f(four *p, four *q)\n{\n    *p = *q;\n}\n")
+        objects = []
+        for command in (gcc, required):
+            subprocess.run([*command, "-O2", "-mavx2", "-c", "move.c", "-o", "move.o"], cwd=tmp_path, check=True)
+            objects.append((tmp_path / "move.o").read_bytes())
+        assert objects[0] != objects[1]
+    else:
+        assert required == gcc
+    for other in ("clang", "tcc"):
+        if shutil.which(other):
+            assert build.with_required_options((other,)) == (other,)
 
 
 def test_native_target_is_resolved(compiler: tuple[str, ...]) -> None:

@@ -202,7 +202,7 @@ class Condensing(Component, Protocol):
 
     gives: ClassVar[str]  # "condensed" or "stages"
     columns: ClassVar[bool]  # it uses the products with panels of columns
-    eliminates: ClassVar[bool]  # it eliminates states, and so uses state_step()
+    eliminates: ClassVar[bool]  # it eliminates states, and so uses the products with a vector
 
     @property
     def label(self) -> str:

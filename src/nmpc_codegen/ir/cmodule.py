@@ -152,7 +152,7 @@ class CModule:
         """The products with the stage matrices that the package may call."""
         if not self.switches["PRODUCTS"]:
             return ()
-        vectors = self.products.called_vectors(bool(self.switches["HAS_STATE_STEP"]))
+        vectors = self.products.called_vectors(self.switches)
         return (*vectors.values(), *self.products.panels.values())
 
     @property

@@ -64,6 +64,12 @@ class Interfaces:
         return Interface("adjoint_step", doc, parameters, places, ("g", "Q", "dx", "du", "S", "w"), ("w",))
 
     @property
+    def cost_gradient(self) -> Interface:
+        places = self._z | {"g": Place("node->g", (self.nz,)), "y": Place("y", (self.nz,)), "Q": self._matrices["Q"]}
+        parameters = ("const node_t *node", "real_t (*Q)[NZ]", "const real_t *dx", "const real_t *du", "real_t *y")
+        return Interface("cost_gradient", "y = g + Q (dx, du)", parameters, places, ("g", "Q", "dx", "du"), ("y",))
+
+    @property
     def terminal_adjoint(self) -> Interface:
         places = {"g": Place("terminal->g", (self.nx,)), "w": Place("w", (self.nx,)), "dx": self._z["dx"]}
         places["Q"] = self._matrices["Q_N"]

@@ -24,6 +24,7 @@ class StageSweeps(Protocol):
 
     def state_step(self) -> LoopedRoutine: ...
     def adjoint_step(self) -> LoopedRoutine: ...
+    def cost_gradient(self) -> LoopedRoutine: ...
     def terminal_adjoint(self) -> LoopedRoutine: ...
     def forward_panel(self) -> LoopedRoutine: ...
     def terminal_panel(self) -> LoopedRoutine: ...
@@ -62,6 +63,12 @@ class WrittenOut:
         curved = [[v["Q"][r, c] * z[j] for r, c, j in row] for row in self.Q]
         later = [[v["S"][j, i] * v["w"][j] for j in rows] for i, rows in enumerate(self.rows)]
         return v.vectors([_total([v["g"][i], *curved[i], *later[i]]) for i in range(len(self.rows))])
+
+    def cost_gradient(self) -> LoopedRoutine:
+        v = _Operands(self.of.cost_gradient)
+        z = ca.vertcat(v["dx"], v["du"])
+        curved = [[v["Q"][r, c] * z[j] for r, c, j in row] for row in self.Q]
+        return v.vectors([_total([v["g"][i], *row]) for i, row in enumerate(curved)], direct=True)
 
     def terminal_adjoint(self) -> LoopedRoutine:
         v = _Operands(self.of.terminal_adjoint)
@@ -157,11 +164,10 @@ class Loops:
         return replace(self.of.state_step, locals={"sum": Place("sum")}).routine(For("i", 0, self.nx, row))
 
     def adjoint_step(self) -> LoopedRoutine:
-        z, r = (_at(name, i=1) for name in ("z", "r"))
+        r = _at("r", i=1)
         product = _add(r, _at("S", j=self.nz, i=1), _at("w", j=1))
         nodes = [
-            For("i", 0, self.nx, (_copy(_at("dx", i=1), z),)),
-            For("i", 0, self.nu, (_copy(_at("du", i=1), _at("z", self.nx, i=1)),)),
+            *self._point(),
             For("i", 0, self.nz, (_copy(_at("g", i=1), r),)),
             For("j", 0, self.nx, (For("i", 0, self.nz, (product,)),)),
             *self._symmetric("Q", self.nz, 0, len(self.Q), "r", "z"),
@@ -169,6 +175,20 @@ class Loops:
         ]
         vectors = {name: Place(name, (self.nz,)) for name in ("z", "r")}
         return replace(self.of.adjoint_step, locals=vectors).routine(*nodes)
+
+    def cost_gradient(self) -> LoopedRoutine:
+        start = For("i", 0, self.nz, (_copy(_at("g", i=1), _at("y", i=1)),))
+        products = self._symmetric("Q", self.nz, 0, len(self.Q), "y", "z")
+        return replace(self.of.cost_gradient, locals={"z": Place("z", (self.nz,))}).routine(
+            *self._point(), start, *products
+        )
+
+    def _point(self) -> tuple[Node, ...]:
+        """z = (dx, du)."""
+        return (
+            For("i", 0, self.nx, (_copy(_at("dx", i=1), _at("z", i=1)),)),
+            For("i", 0, self.nu, (_copy(_at("du", i=1), _at("z", self.nx, i=1)),)),
+        )
 
     def terminal_adjoint(self) -> LoopedRoutine:
         start = For("i", 0, self.nx, (_copy(_at("g", i=1), _at("w", i=1)),))

@@ -13,7 +13,7 @@ from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.product_sweeps import Loops, StageSweeps, WrittenOut
 from nmpc_codegen.ir.product_sweeps import Pattern as Pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine, nonzeros
-from nmpc_codegen.ir.tuning import WRITTEN_OUT
+from nmpc_codegen.ir.tuning import SPARSE, WRITTEN_OUT
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Products:
     def vectors(self) -> Mapping[str, LoopedRoutine]:
         """The products with a vector, by C function."""
         s = self._sweeps
-        return _by_name(s.state_step(), s.adjoint_step(), s.terminal_adjoint())
+        return _by_name(s.state_step(), s.adjoint_step(), s.cost_gradient(), s.terminal_adjoint())
 
     @cached_property
     def panels(self) -> Mapping[str, LoopedRoutine]:
@@ -48,9 +48,9 @@ class Products:
         s = self._sweeps
         return _by_name(s.forward_panel(), *((s.terminal_panel(),) if self.Q_N else ()), s.backward_panel())
 
-    def called_vectors(self, with_state_step: bool) -> Mapping[str, LoopedRoutine]:
-        """The products with a vector that a package contains, with or without state_step()."""
-        return {name: routine for name, routine in self.vectors.items() if with_state_step or name != "state_step"}
+    def called_vectors(self, switches: Mapping[str, int]) -> Mapping[str, LoopedRoutine]:
+        """The products with a vector that a package contains: HAS_STATE_STEP, HAS_ADJOINT_STEP, ..."""
+        return {name: routine for name, routine in self.vectors.items() if switches[f"HAS_{name.upper()}"]}
 
     @cached_property
     def counts(self) -> Mapping[str, OpCount]:
@@ -91,6 +91,15 @@ class Products:
     def backward_panel(self) -> OpCount:
         """S' W + Q (G, 0), one panel of columns."""
         return self.column_counts["condense_backward_panel"]
+
+    @property
+    def sparse(self) -> tuple[bool, bool]:
+        """Whether Q and Q_N have so few nonzeros that a product over them is faster than dense blocks."""
+
+        def few(nonzeros: Pattern, n: int) -> bool:
+            return SPARSE * len(nonzeros) <= n * (n + 1) // 2
+
+        return few(self.Q, self.nx + self.nu), few(self.Q_N, self.nx)
 
     @property
     def tables(self) -> Mapping[str, Sequence[int]]:

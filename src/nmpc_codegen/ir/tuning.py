@@ -16,6 +16,9 @@ COLUMNS = 8
 #: Largest number of nonzeros of S, Q and Q_N together for which straight-line products are written. benchmarks.qp
 WRITTEN_OUT = 256
 
+#: Factor by which the dense lower triangle of a Hessian must exceed its nonzeros for products over these. benchmarks.qp
+SPARSE = 4
+
 #: Number of products that are summed before the sum is added to the total of a row. benchmarks.tracking
 TERMS = 4
 

@@ -12,16 +12,18 @@ from nmpc_codegen.ir.print_sweep import print_routine
 
 def products(module: CModule, style: CStyle) -> str:
     """The products with a vector that the package calls, after the tables that the loops of all products read."""
-    routines = module.products.called_vectors(bool(module.switches["HAS_STATE_STEP"])).values()
+    routines = module.products.called_vectors(module.switches).values()
     heading = (
         "/* Products with the stage matrices S = [A B] and Q (lower triangle): "
         + ("written out over the structural nonzeros." if module.products.written_out else "dense loops.")
         + " */"
     )
-    tables = _tables(module.products.tables)
+    called = [print_routine(r, style) for r in routines]
+    read = {name: of for name, of in module.products.tables.items() if any(f"{name}[" in text for text in called)}
+    tables = _tables(read)
     if tables:
         tables = "/* Structural nonzeros (row, column) of the lower triangles Q and Q_N. */\n" + tables
-    return _paragraphs(heading, tables, *(print_routine(r, style) for r in routines))
+    return _paragraphs(heading, tables, *called)
 
 
 def product_columns(module: CModule, style: CStyle) -> str:

@@ -127,11 +127,14 @@ def _switches(model: Model) -> dict[str, int]:
     residuals = p.path.ny + p.terminal.ny
     data: dict[Kind, int] = {"reference": residuals, "weight": residuals, "parameter": p.np, "bounds": len(p.rows)}
     parts, core = model.parts, model.parts.algorithm.core
+    condensing = parts.condensing
+    eliminates = condensing is not None and condensing.eliminates
     switches = {f"HAS_{name.upper()}": int(name in computing) for name in KERNELS}
     switches |= {f"SET_{kind.upper()}": int(layouts[kind] != "fixed" and size > 0) for kind, size in data.items()}
     switches |= {
         "SOLVE": int(model.solve),
-        "HAS_STATE_STEP": int(model.solve or (parts.condensing is not None and parts.condensing.eliminates)),
+        "HAS_STATE_STEP": int(model.solve or eliminates),
+        "HAS_ADJOINT_STEP": int(eliminates),
         "INTEGRATE_PLAN": 0,
         "NODES": int("nodes" in core),
         "PRODUCTS": int("products" in core),
@@ -150,10 +153,21 @@ def _switches(model: Model) -> dict[str, int]:
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
     switches |= {"RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
-    condensing = parts.condensing
-    checked = condensing is not None and condensing.eliminates and not switches.get("APPROXIMATE", 0)
+    switches |= _gradients_of_cost(model, switches, eliminates)
+    checked = eliminates and not switches.get("APPROXIMATE", 0)
     gradient = condensing is not None and checked and condensing.gives == "condensed"
     return {**switches, "CHECK_STEP": int(checked), "CHECK_GRADIENT": int(gradient)}
+
+
+def _gradients_of_cost(model: Model, switches: Mapping[str, int], eliminates: bool) -> dict[str, int]:
+    """Whether g + Q z is a product over the nonzeros: for elimination, and on stages if the Hessian keeps them few."""
+    changes = ("REGULARIZE_STAGES", "REGULARIZE_REDUCED", "HAS_START_HESSIAN", "HAS_INITIAL_HESSIAN")
+    keeps = model.parts.condensing is not None and not any(switches.get(name) for name in changes)
+    path, terminal = model.products.sparse
+    return {
+        "HAS_COST_GRADIENT": int(keeps and not eliminates and path),
+        "HAS_TERMINAL_ADJOINT": int(eliminates or (keeps and terminal)),
+    }
 
 
 def _section_count(counts: Counts) -> OpCount | None:
@@ -425,7 +439,7 @@ def _report(
     """Memory, exact operation counts, and the choices with their reasons."""
     counts = {r.name: r.count for r in _printed(model)}
     if switches["PRODUCTS"]:
-        called = model.products.called_vectors(bool(switches["HAS_STATE_STEP"]))
+        called = model.products.called_vectors(switches)
         counts |= {name: routine.count for name, routine in called.items()}
     if model.parts.condensing and model.parts.condensing.columns:
         counts |= model.products.column_counts
