@@ -295,13 +295,29 @@ static status_t line_search(solver_t *s, const measures_t *start, real_t slope, 
 }
 
 #if HARD_ROWS
+/* How much the cost may change along the horizon: the largest |g_i| |z_i|; 1 if there is no such term. */
+static real_t cost_unit(const solver_t *s)
+{
+    real_t largest = R(0);
+    for (int k = 0; k <= N; k++) {
+        const real_t *g = (k < N) ? s->node[k].g : s->terminal.g;
+        for (int i = 0; i < NX; i++) {
+            enlarge(&largest, g[i] * s->x[k][i]);
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            enlarge(&largest, g[NX + j] * s->u[k][j]);
+        }
+    }
+    return (largest > R(1)) ? largest : R(1);
+}
+
 /* Solves the QP of the present linearisation. If it is infeasible, its rows are relaxed with the penalty row_weight. */
 static status_t solve_qp(solver_t *s)
 {
     status_t status = run_qp(s);
     s->sqp.elastic = status == INFEASIBLE;
     if (s->sqp.elastic) {
-        s->relaxation = s->sqp.row_weight;
+        s->relaxation = s->sqp.row_weight * cost_unit(s);
         status = run_qp(s);
         s->relaxation = (real_t)INFINITY;
     }
@@ -469,7 +485,7 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
     s->sqp.entries = 0;
     s->sqp.restoring = 0;
 #if HARD_ROWS
-    s->sqp.row_weight = R(1);
+    s->sqp.row_weight = R(1000);
 #endif
     for (int iteration = 0;; iteration++) {
         status_t status = prepare_here(s);

@@ -55,7 +55,11 @@ static void qp_gradient(solver_t *s)
 #endif
 static status_t qp_solve(solver_t *s)
 {
-    return ipm_solve(s);
+    const status_t status = ipm_solve(s);
+#if NG && REGULARIZE_REDUCED
+    qp_release_rows(s);
+#endif
+    return status;
 }
 
 #if !SHIFT_RESAMPLE

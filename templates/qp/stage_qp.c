@@ -56,10 +56,9 @@ static inline real_t qp_row_change(const solver_t *s, int m)
     return d->dx[k][stage_state[m]];
 }
 
-/* g += f a for row m, where g is the gradient of its stage. */
-static inline void qp_add_row(solver_t *s, int m, real_t f)
+/* g += f a for row m. */
+static inline void qp_add_row_to(const solver_t *s, int m, real_t f, real_t *g)
 {
-    real_t *g = s->riccati.work.vectors.rhs.g[stage_of_row[m]];
 #if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         riccati_combine(g, &f, stage_row(s, m), NZS, 1, stage_of_row[m] < NS ? NZS : NXS);
@@ -67,6 +66,12 @@ static inline void qp_add_row(solver_t *s, int m, real_t f)
     }
 #endif
     g[stage_state[m]] += f;
+}
+
+/* The same, where g is the gradient of its stage. */
+static inline void qp_add_row(solver_t *s, int m, real_t f)
+{
+    qp_add_row_to(s, m, f, s->riccati.work.vectors.rhs.g[stage_of_row[m]]);
 }
 
 #endif
@@ -79,7 +84,7 @@ static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
 }
 
 /* y = g_k + Q_k z_k at the present point, for the components that stage k has. */
-static void qp_cost_gradient(solver_t *s, int k, real_t *y)
+static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
 {
     if (k < NS) {
 #if HAS_COST_GRADIENT
@@ -100,6 +105,37 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
     riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[NS], NXS);
 #endif
 }
+
+#if NG && REGULARIZE_REDUCED
+/* The same with the rows that belong to the Hessian. */
+static void qp_cost_gradient(solver_t *s, int k, real_t *y)
+{
+    qp_quadratic_gradient(s, k, y);
+    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+        if (s->riccati.held[m] > R(0)) {
+            qp_add_row_to(s, m, s->riccati.held[m] * qp_row_value(s, m), y);
+        }
+    }
+}
+
+/* Multipliers of the rows without what the Hessian owes to them: a row at its bound has the gradient mult a. */
+static void qp_release_rows(solver_t *s)
+{
+    qp_t *q = &s->qp;
+    for (int m = 0; m < NG; m++) {
+        const int c = NV + m;
+        if (s->riccati.held[m] > R(0) && (q->mult[c] != R(0) || q->lower[c] >= q->upper[c])) {
+            const real_t mult = q->mult[c] + s->riccati.held[m] * qp_row_value(s, m);
+            q->mult[c] = (q->lower[c] < q->upper[c] && mult * q->mult[c] < R(0)) ? R(0) : mult;
+        }
+    }
+}
+#else
+static void qp_cost_gradient(solver_t *s, int k, real_t *y)
+{
+    qp_quadratic_gradient(s, k, y);
+}
+#endif
 
 /* b = S_k z_k + b_k - x_{k+1} at the present point. */
 static void qp_gap(solver_t *s, int k, real_t *b)

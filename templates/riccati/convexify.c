@@ -40,9 +40,51 @@ static int riccati_units(solver_t *s, real_t *unit)
     return isfinite(probe) != 0;
 }
 
-/* The recursion with shift and hold; if `given`, the controls of the predicted working set are fixed. Returns 0 if a
- * pivot is not positive. */
-static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hold, int given)
+/* Units of variables that have more curvature beside the diagonal than on it. */
+static void riccati_extend_units(solver_t *s, real_t *unit)
+{
+    for (int k = 0; k < NS; k++) {
+        for (int i = 0; i < NZS; i++) {
+            for (int j = 0; j < i; j++) {
+                const real_t a = FABS(stage_Q(s, k)[i][j]), both = SQRT(unit[i]) * SQRT(unit[j]);
+                if (a > both) {
+                    unit[i] *= a / both;
+                    unit[j] *= a / both;
+                }
+            }
+        }
+    }
+}
+
+#if NG
+/* Weight of row m that gives its direction the curvature hold, in units of the variables. */
+static real_t riccati_row_hold(const solver_t *s, int m, real_t hold)
+{
+    const real_t *unit = s->riccati.unit;
+    real_t sum = R(0);
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+    if (stage_state[m] < 0) {
+        const real_t *a = stage_row(s, m);
+        for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
+            sum += a[i] * a[i] / unit[i];
+        }
+        return (sum > R(0)) ? hold / sum : R(0);
+    }
+#endif
+    sum = unit[stage_state[m]];
+    return hold * sum;
+}
+
+/* Equations and the rows of the predicted working set. */
+static int riccati_is_held(const qp_t *q, int m)
+{
+    const int c = NV + m;
+    return !(q->penalty[m] < (real_t)INFINITY) && (q->lower[c] >= q->upper[c] || q->side[c] != 0);
+}
+
+#endif
+/* The recursion with the predicted working set held. Returns 0 if a pivot is not positive. */
+static int riccati_try(solver_t *s, real_t hold, int repair)
 {
 #if BUDGET
     if (!qp_afford(&s->qp, COST_SHIFT)) {
@@ -52,66 +94,18 @@ static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hol
     riccati_t *r = &s->riccati;
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS && k * NUS + j < N * NU; j++) {
-            const int c = k * NUS + j, held = s->qp.side[c] != 0;
-            r->fixed[c] = given && held;
-            r->diagonal[k][j] = (held ? shift + hold : shift) * unit[NXS + j];
+            r->diagonal[k][j] = (s->qp.side[k * NUS + j] != 0) ? hold * r->unit[NXS + j] : R(0);
         }
     }
-#if NF
-    for (int f = 0; f < NF; f++) {
-        r->diagonal_free[f] = shift * unit[free_state[f]];
+#if NG
+    for (int m = 0; m < NG; m++) {
+        r->held[m] = riccati_is_held(&s->qp, m) ? riccati_row_hold(s, m, hold) : R(0);
     }
 #endif
-    return riccati_factorize(s, NS);
-}
-
-/* Smallest shift, up to a factor of four, for which the recursion succeeds; the search starts at the shift of the
- * previous QP. Negative if there is none. */
-static real_t riccati_smallest_shift(solver_t *s, const real_t *unit, int given)
-{
-    const real_t least = regularization[0], before = s->riccati.shift;
-    real_t high = (before > least) ? before : R(1e-3);
-    int trial;
-    if (riccati_try(s, unit, R(0), R(0), given)) {
-        return R(0);
-    }
-    if (riccati_try(s, unit, least, R(0), given)) {
-        return least;
-    }
-    for (trial = 0; !riccati_try(s, unit, high, R(0), given); trial++) {
-        /* at most MAX_SHIFTS + 1 passes */
-        if (trial == MAX_SHIFTS) {
-            return -R(1);
-        }
-        high *= R(4);
-    }
-    for (int n = 0; n < MAX_SHIFTS && trial == 0 && high > R(4) * least; n++) {
-        if (!riccati_try(s, unit, R(0.25) * high, R(0), given)) {
-            break;
-        }
-        high *= R(0.25);
-    }
-    s->riccati.shift = high;
-    return (MIRROR ? R(2) : R(1.125)) * high;
-}
-
-/* The recursion without fixed controls, with a hold on the predicted working set that is large enough. Returns 0 if
- * none is found. */
-static int riccati_hold(solver_t *s, const real_t *unit, real_t shift)
-{
-    real_t hold = R(0.25) * s->riccati.hold;
-    if (shift > R(0) && riccati_try(s, unit, shift, R(0), 0)) {
-        return 1;
-    }
-    hold = (hold > R(1e-3)) ? hold : R(1e-3);
-    for (int trial = 0; trial < MAX_SHIFTS; trial++) {
-        if (riccati_try(s, unit, shift, hold, 0)) {
-            s->riccati.hold = hold;
-            return 1;
-        }
-        hold *= R(4);
-    }
-    return 0;
+    r->repair = repair;
+    const int found = riccati_factorize(s, NS);
+    r->repair = 0;
+    return found;
 }
 
 /* Adds the shifts and holds of the last trial to the Hessian of the QP. */
@@ -141,26 +135,22 @@ static void riccati_clear_diagonal(riccati_t *r)
 static int riccati_convexify(solver_t *s)
 {
     riccati_t *r = &s->riccati;
-    real_t unit[NZS], shift;
     int found;
     riccati_clear_diagonal(r);
 #if NG
     memset(r->weight, 0, sizeof r->weight);
+    memset(r->held, 0, sizeof r->held);
 #endif
     memset(r->fixed, 0, sizeof r->fixed);
-    r->regularize = 0;
+    r->regularize = r->repair = 0;
     if (riccati_factorize(s, NS)) {
         return 1;
     }
-    if (!riccati_units(s, unit)) {
+    if (!riccati_units(s, r->unit)) {
         return 0;
     }
-    shift = riccati_smallest_shift(s, unit, 1);
-    found = shift >= R(0) && riccati_hold(s, unit, shift);
-    if (!found) {
-        shift = riccati_smallest_shift(s, unit, 0);
-        found = shift > R(0) && riccati_try(s, unit, shift, R(0), 0);
-    }
+    riccati_extend_units(s, r->unit);
+    found = riccati_try(s, R(1), 0) || riccati_try(s, R(256), 0) || riccati_try(s, R(256), 1);
     if (found) {
         riccati_keep_diagonal(s);
     }

@@ -50,13 +50,23 @@ static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A,
 }
 
 #if NG
+/* Weight of a a' for row m. */
+static inline real_t riccati_weight(const riccati_t *r, int m)
+{
+#if REGULARIZE_REDUCED
+    return r->weight[m] + r->held[m];
+#else
+    return r->weight[m];
+#endif
+}
+
 #if GENERAL_ROWS || NE || BLOCK_ROWS
 /* Writes the general row m to position n of a group. */
 static inline void riccati_collect_row(solver_t *s, int m, int n)
 {
     recursion_t *work = &s->riccati.work.recursion;
     const int width = stage_of_row[m] < NS ? NZS : NXS;
-    const real_t *a = stage_row(s, m), w = s->riccati.weight[m];
+    const real_t *a = stage_row(s, m), w = riccati_weight(&s->riccati, m);
     for (int i = 0; i < width; i++) {
         work->W[n][i] = w * a[i];
         work->T[n][i] = a[i];
@@ -84,9 +94,10 @@ static void riccati_add_weights(solver_t *s, int k)
 #endif
     for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
         const int state = stage_state[m];
-        const int counts = r->weight[m] != R(0); /* rows without weight are skipped */
+        const real_t weight = riccati_weight(r, m);
+        const int counts = weight != R(0); /* rows without weight are skipped */
         if (counts && state >= 0) {
-            r->P[k][state][state] += r->weight[m];
+            r->P[k][state][state] += weight;
         }
 #if GENERAL_ROWS || NE || BLOCK_ROWS
         if (counts && state < 0) {
@@ -152,6 +163,47 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
     return d + *added;
 }
 
+#if REGULARIZE_REDUCED
+/* Returns what has to be added to the pivot d of variable j, where y[] are the n entries of its row that are eliminated
+ * with it and belong to variables with the units `others`. The raised pivot is at least |d| if MIRROR, and so large that
+ * the elimination takes from the diagonal of another variable at most its unit. */
+static real_t riccati_raise(real_t d, real_t unit, const real_t *y, int stride, const real_t *others, int n)
+{
+    real_t least = regularization[0] * unit;
+    if (!(d > least)) {
+        least = (MIRROR && -d > least) ? -d : least;
+        for (int i = 0; i < n; i++) {
+            const real_t taken = y[i * stride] * y[i * stride] / others[i];
+            least = (taken > least) ? taken : least;
+        }
+        return least - d;
+    }
+    return R(0);
+}
+
+/* Raises pivot l of stage k, if it is not positive. */
+static void riccati_repair_control(riccati_t *r, int k, int l)
+{
+    real_t(*L)[NUS] = r->L[k];
+    const real_t *V = r->work.recursion.T[NXS + l];
+    const real_t *unit = r->unit;
+    real_t y[NZS];
+    for (int i = 0; i < NXS; i++) {
+        y[i] = V[i];
+    }
+    for (int j = l + 1; j < NUS; j++) {
+        y[NXS + j - l - 1] = L[j][l];
+    }
+    real_t others[NZS];
+    memcpy(others, unit, sizeof unit[0] * NXS);
+    memcpy(others + NXS, unit + NXS + l + 1, sizeof unit[0] * (NUS - l - 1));
+    const real_t added = riccati_raise(L[l][l], unit[NXS + l], y, 1, others, NZS - l - 1);
+    r->diagonal[k][l] += added;
+    r->M[k][l][NXS + l] += added;
+    L[l][l] += added;
+}
+
+#endif
 /* M_uu = L D L' with 1 / D stored on the diagonal of L, V = L^{-1} M_ux, -D^{-1} V in W below the states. Returns 0 if
  * a pivot is not positive. */
 static int riccati_eliminate_controls(riccati_t *r, int k)
@@ -161,6 +213,11 @@ static int riccati_eliminate_controls(riccati_t *r, int k)
     riccati_load_controls(r, k);
     r->raised[k] = 0;
     for (int l = 0; l < NUS; l++) {
+#if REGULARIZE_REDUCED
+        if (r->repair) {
+            riccati_repair_control(r, k, l);
+        }
+#endif
         real_t *reference = &r->M[k][l][NXS + l], *scaled = r->work.recursion.W[NXS + l], added;
         const real_t pivot = riccati_pivot(r, L[l][l], r->fixed[k * NUS + l] ? R(0) : *reference, &added);
         if (!(pivot > R(0))) {
@@ -259,6 +316,13 @@ static int riccati_factorize_free(riccati_t *r)
         for (int j = 0; j < l; j++) {
             d -= r->F[l][j] * r->F[l][j] * r->F[j][j];
         }
+#if REGULARIZE_REDUCED
+        if (r->repair) {
+            const real_t more = riccati_raise(d, r->unit[free_state[l]], &d, 0, r->unit, 0);
+            r->diagonal_free[l] += more;
+            d += more;
+        }
+#endif
         d = riccati_pivot(r, d, reference, &added);
         if (!(d > R(0))) {
             r->failed = -1;
