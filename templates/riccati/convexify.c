@@ -150,7 +150,7 @@ static int riccati_convexify(solver_t *s)
         return 0;
     }
     riccati_extend_units(s, r->unit);
-    found = riccati_try(s, R(1), 0) || riccati_try(s, R(256), 0) || riccati_try(s, R(256), 1);
+    found = riccati_try(s, R(1), 0) || riccati_try(s, R(256), 0) || riccati_try(s, R(65536), 0) || riccati_try(s, R(65536), 1);
     if (found) {
         riccati_keep_diagonal(s);
     }
