@@ -311,11 +311,12 @@ static real_t cost_unit(const solver_t *s)
     return (largest > R(1)) ? largest : R(1);
 }
 
-/* Solves the QP of the present linearisation. If it is infeasible, its rows are relaxed with the penalty row_weight. */
+/* Solves the QP of the present linearisation. If it is infeasible, or has been given up, its rows are relaxed with the
+ * penalty row_weight. */
 static status_t solve_qp(solver_t *s)
 {
     status_t status = run_qp(s);
-    s->sqp.elastic = status == INFEASIBLE;
+    s->sqp.elastic = status == INFEASIBLE || status == ITERATION_LIMIT || status == STALLED;
     if (s->sqp.elastic) {
         s->relaxation = s->sqp.row_weight * cost_unit(s);
         status = run_qp(s);

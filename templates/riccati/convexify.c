@@ -83,8 +83,9 @@ static int riccati_is_held(const qp_t *q, int m)
 }
 
 #endif
-/* The recursion with the predicted working set held. Returns 0 if a pivot is not positive. */
-static int riccati_try(solver_t *s, real_t hold, int repair)
+/* The recursion with the predicted working set held, and all variables without multiplier shifted. Returns 0 if a pivot
+ * is not positive. */
+static int riccati_try(solver_t *s, real_t hold, real_t shift)
 {
 #if BUDGET
     if (!qp_afford(&s->qp, COST_SHIFT)) {
@@ -94,18 +95,49 @@ static int riccati_try(solver_t *s, real_t hold, int repair)
     riccati_t *r = &s->riccati;
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS && k * NUS + j < N * NU; j++) {
-            r->diagonal[k][j] = (s->qp.side[k * NUS + j] != 0) ? hold * r->unit[NXS + j] : R(0);
+            const real_t held = (s->qp.side[k * NUS + j] != 0) ? hold : R(0);
+            r->diagonal[k][j] = (shift + held) * r->unit[NXS + j];
         }
     }
+#if NF
+    for (int f = 0; f < NF; f++) {
+        r->diagonal_free[f] = shift * r->unit[free_state[f]];
+    }
+#endif
 #if NG
     for (int m = 0; m < NG; m++) {
         r->held[m] = riccati_is_held(&s->qp, m) ? riccati_row_hold(s, m, hold) : R(0);
     }
 #endif
-    r->repair = repair;
-    const int found = riccati_factorize(s, NS);
-    r->repair = 0;
-    return found;
+    return riccati_factorize(s, NS);
+}
+
+/* The recursion with the smallest shift, up to a factor of four, for which it succeeds, plus one eighth, or twice this
+ * shift if MIRROR, as if the negative eigenvalue changed its sign. The search starts at the shift of the previous QP.
+ * Returns 0 if there is none. */
+static int riccati_shift(solver_t *s, real_t hold)
+{
+    const real_t least = regularization[0], before = s->riccati.shift;
+    real_t high = (before > least) ? before : R(1e-3);
+    int trial;
+    if (riccati_try(s, hold, least)) {
+        return 1;
+    }
+    for (trial = 0; !riccati_try(s, hold, high); trial++) {
+        /* at most MAX_SHIFTS + 1 passes */
+        if (trial == MAX_SHIFTS) {
+            return 0;
+        }
+        high *= R(4);
+    }
+    for (int n = 0; n < MAX_SHIFTS && trial == 0 && high > R(4) * least; n++) {
+        if (!riccati_try(s, hold, R(0.25) * high)) {
+            break;
+        }
+        high *= R(0.25);
+    }
+    s->riccati.shift = high;
+    return riccati_try(s, hold, (MIRROR ? R(2) : R(1.125)) * high);
 }
 
 /* Adds the shifts and holds of the last trial to the Hessian of the QP. */
@@ -142,7 +174,7 @@ static int riccati_convexify(solver_t *s)
     memset(r->held, 0, sizeof r->held);
 #endif
     memset(r->fixed, 0, sizeof r->fixed);
-    r->regularize = r->repair = 0;
+    r->regularize = 0;
     if (riccati_factorize(s, NS)) {
         return 1;
     }
@@ -150,7 +182,7 @@ static int riccati_convexify(solver_t *s)
         return 0;
     }
     riccati_extend_units(s, r->unit);
-    found = riccati_try(s, R(1), 0) || riccati_try(s, R(256), 0) || riccati_try(s, R(65536), 0) || riccati_try(s, R(65536), 1);
+    found = riccati_try(s, R(1), R(0)) || riccati_try(s, R(256), R(0)) || riccati_shift(s, R(256));
     if (found) {
         riccati_keep_diagonal(s);
     }

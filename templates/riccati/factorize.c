@@ -163,49 +163,6 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
     return d + *added;
 }
 
-#if REGULARIZE_REDUCED
-/* Returns what has to be added to the pivot d of a variable whose diagonal entry is `reference`, where y[] are the n entries of its row that are eliminated
- * with it and belong to variables with the units `others`. The raised pivot is at least |d| if MIRROR, and so large that
- * the elimination takes from the diagonal of another variable at most its unit. */
-static real_t riccati_raise(real_t d, real_t reference, real_t unit, const real_t *y, const real_t *others, int n)
-{
-    const real_t rounding = SQRT(TOL_UNIT) * FABS(reference);
-    real_t least = regularization[0] * unit;
-    least = (least > rounding) ? least : rounding;
-    if (!(d > least)) {
-        least = (MIRROR && -d > least) ? -d : least;
-        for (int i = 0; i < n; i++) {
-            const real_t taken = y[i] * y[i] / others[i];
-            least = (taken > least) ? taken : least;
-        }
-        return least - d;
-    }
-    return R(0);
-}
-
-/* Raises pivot l of stage k, if it is not positive. */
-static void riccati_repair_control(riccati_t *r, int k, int l)
-{
-    real_t(*L)[NUS] = r->L[k];
-    const real_t *V = r->work.recursion.T[NXS + l];
-    const real_t *unit = r->unit;
-    real_t y[NZS];
-    for (int i = 0; i < NXS; i++) {
-        y[i] = V[i];
-    }
-    for (int j = l + 1; j < NUS; j++) {
-        y[NXS + j - l - 1] = L[j][l];
-    }
-    real_t others[NZS];
-    memcpy(others, unit, sizeof unit[0] * NXS);
-    memcpy(others + NXS, unit + NXS + l + 1, sizeof unit[0] * (NUS - l - 1));
-    const real_t added = riccati_raise(L[l][l], r->M[k][l][NXS + l], unit[NXS + l], y, others, NZS - l - 1);
-    r->diagonal[k][l] += added;
-    r->M[k][l][NXS + l] += added;
-    L[l][l] += added;
-}
-
-#endif
 /* M_uu = L D L' with 1 / D stored on the diagonal of L, V = L^{-1} M_ux, -D^{-1} V in W below the states. Returns 0 if
  * a pivot is not positive. */
 static int riccati_eliminate_controls(riccati_t *r, int k)
@@ -215,11 +172,6 @@ static int riccati_eliminate_controls(riccati_t *r, int k)
     riccati_load_controls(r, k);
     r->raised[k] = 0;
     for (int l = 0; l < NUS; l++) {
-#if REGULARIZE_REDUCED
-        if (r->repair) {
-            riccati_repair_control(r, k, l);
-        }
-#endif
         real_t *reference = &r->M[k][l][NXS + l], *scaled = r->work.recursion.W[NXS + l], added;
         const real_t pivot = riccati_pivot(r, L[l][l], r->fixed[k * NUS + l] ? R(0) : *reference, &added);
         if (!(pivot > R(0))) {
@@ -308,48 +260,17 @@ static inline void riccati_fold(riccati_t *r)
 
 #endif
 #if NF
-/* Column l of L D: what is left of P_0 after the columns before, from the diagonal on. */
-static void riccati_free_column(riccati_t *r, int l)
-{
-    for (int i = l; i < NF; i++) {
-        real_t y = r->P[0][free_state[i]][free_state[l]];
-        for (int j = 0; j < l; j++) {
-            y -= r->F[i][j] * r->F[l][j] * r->F[j][j];
-        }
-        r->F[i][l] = y;
-    }
-}
-
-#if REGULARIZE_REDUCED
-/* Raises pivot l of the free components, if it is not positive. */
-static void riccati_repair_free(riccati_t *r, int l)
-{
-    real_t y[NF], others[NF];
-    for (int i = l + 1; i < NF; i++) {
-        y[i - l - 1] = r->F[i][l];
-        others[i - l - 1] = r->unit[free_state[i]];
-    }
-    const int at = free_state[l];
-    const real_t added = riccati_raise(r->F[l][l], r->P[0][at][at], r->unit[at], y, others, NF - l - 1);
-    r->diagonal_free[l] += added;
-    r->F[l][l] += added;
-}
-
-#endif
 /* L D L' of the block of P_0 that belongs to the free components of x_0; small pivots are treated as above. */
 static int riccati_factorize_free(riccati_t *r)
 {
     r->raised[NS] = 0;
     for (int l = 0; l < NF; l++) {
         const real_t reference = r->P[0][free_state[l]][free_state[l]];
-        real_t added;
-        riccati_free_column(r, l);
-#if REGULARIZE_REDUCED
-        if (r->repair) {
-            riccati_repair_free(r, l);
+        real_t d = reference, added;
+        for (int j = 0; j < l; j++) {
+            d -= r->F[l][j] * r->F[l][j] * r->F[j][j];
         }
-#endif
-        const real_t d = riccati_pivot(r, r->F[l][l], reference, &added);
+        d = riccati_pivot(r, d, reference, &added);
         if (!(d > R(0))) {
             r->failed = -1;
             return 0;
@@ -357,7 +278,11 @@ static int riccati_factorize_free(riccati_t *r)
         r->raised[NS] |= added > R(0);
         r->F[l][l] = d;
         for (int i = l + 1; i < NF; i++) {
-            r->F[i][l] /= d;
+            real_t y = r->P[0][free_state[i]][free_state[l]];
+            for (int j = 0; j < l; j++) {
+                y -= r->F[i][j] * r->F[l][j] * r->F[j][j];
+            }
+            r->F[i][l] = y / d;
         }
     }
     return 1;

@@ -72,7 +72,7 @@ def riccati_structs(
                     *("unit", (dims.qp.nzs,), "curvature that is typical of each variable", "scratch"),
                     only="REGULARIZE_REDUCED",
                 ),
-                Field("repair", (), "1: pivots that are not positive are raised", "scratch", "int32", only="REGULARIZE_REDUCED"),
+                Field("shift", (), "last shift that made the Hessian convex", "keep", only="REGULARIZE_REDUCED"),
                 Field("fixed", (dims.qp.nv,), "1: the control is fixed", "scratch", "int32"),
                 Field("raised", (nodes,), "1: a pivot of the stage was raised; last: of x_0", "scratch", "int32"),
                 Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),
