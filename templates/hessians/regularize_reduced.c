@@ -1,7 +1,7 @@
 #include "hessians/eigen.c"
 
-/* Replaces H (lower triangle of n rows) by V f(Lambda) V', f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor);
- * the floor is relative to the largest |Lambda| or to `terms`, the magnitude of what H sums, if that is larger. Returns
+/* Replaces H (lower triangle of n rows) by V f(Lambda) V', f = max(Lambda, floor) or, if MIRROR, |Lambda| plus a tenth of
+ * the largest |Lambda| below zero where Lambda is negative, so that small ones do not lead to large steps; the floor is relative to the largest |Lambda| or to `terms`, the magnitude of what H sums, if that is larger. Returns
  * 0, with H unchanged, if H is zero or not finite. `work` has the size of H. */
 static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t (*work)[LDV])
 {
@@ -27,8 +27,12 @@ static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t (*wo
         smallest = (FABS(d[k]) > smallest) ? FABS(d[k]) : smallest;
     }
     smallest *= regularization[0];
+    real_t least = R(0);
     for (int k = 0; k < n; ++k) {
-        const real_t a = (MIRROR && d[k] < R(0)) ? -d[k] : d[k];
+        least = (d[k] < least) ? d[k] : least;
+    }
+    for (int k = 0; k < n; ++k) {
+        const real_t a = (MIRROR && d[k] < R(0)) ? -d[k] - R(0.1) * least : d[k];
         const real_t value = scale * ((a < smallest) ? smallest : a);
         const real_t *v = work[k];
         for (int i = 0; i < n; ++i) {
