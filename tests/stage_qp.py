@@ -73,11 +73,11 @@ def solver_options(condense: Any, solver: Any) -> Options:
 
 
 def stage_ocp(shape: Shape) -> OCP:
-    """An OCP of that shape with dense S, Q_k of every node, Q_N and rows."""
+    """An OCP of that shape with dense S, Q_k of every node, Q_N and rows; the model is stable, the data are replaced."""
     ocp = OCP("stage", N=shape.N)
     x, u = ocp.state("x", size=shape.nx), ocp.control("u", size=shape.nu)
     total = ca.sum1(x) + ca.sum1(u)
-    ocp.dynamics(total * ca.SX.ones(shape.nx), discrete=True)
+    ocp.dynamics(total / (2 * shape.nx) * ca.SX.ones(shape.nx), discrete=True)
     ocp.least_squares(total, weight=[1.0])  # Q_k = W_k 1 1': the weights of the nodes differ
     ocp.terminal_least_squares(ca.sum1(x), weight=[1.0])
     if shape.free:
