@@ -73,7 +73,7 @@ def solver_options(condense: Any, solver: Any) -> Options:
 
 
 def stage_ocp(shape: Shape) -> OCP:
-    """An OCP of that shape with dense S, Q_k of every node, Q_N and rows; the model is stable, the data are replaced."""
+    """An OCP of that shape with dense S, Q_k of every node, Q_N and rows; a stable model, whose data are replaced."""
     ocp = OCP("stage", N=shape.N)
     x, u = ocp.state("x", size=shape.nx), ocp.control("u", size=shape.nu)
     total = ca.sum1(x) + ca.sum1(u)
