@@ -1,6 +1,6 @@
 """solve() from random cold starts with default options, compared with IPOPT from the same first guess.
 
-    python -m benchmarks.convergence [--json FILE] [--only starts] [--scale S]
+python -m benchmarks.convergence [--json FILE] [--only starts] [--scale S]
 """
 
 from __future__ import annotations

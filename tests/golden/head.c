@@ -23,7 +23,7 @@
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
  *   condensing: full                condensing/full.c                                   157 operations      176 bytes
  *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1480 bytes
- *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      360 bytes
+ *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      624 bytes
  */
 #include "golden.h"
 
@@ -91,7 +91,7 @@ typedef golden_status_t status_t;
 #define QP_MAX_SEARCHES GOLDEN_QP_MAX_SEARCHES
 #define PATIENCE GOLDEN_PATIENCE
 #define MAX_TRIALS GOLDEN_MAX_TRIALS
-#define MEMORY GOLDEN_MEMORY
+#define FILTER GOLDEN_FILTER
 #define MANY GOLDEN_MANY
 #define MAGIC NMPC_CODEGEN_UNIT
 #define ALL GOLDEN_ALL

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
-from nmpc_codegen import OCP, RK4, ExactHessian, ExplicitRungeKutta, GaussNewton, Options
+from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, Options
 from nmpc_codegen.frontend.classify import classify
 
 Array = np.ndarray
@@ -21,24 +21,17 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class StartProblem:
-    """A problem, RK4 steps per interval, and the box (nx,) x 2 of its measured states.
-
-    ``general``: its cost is no least squares, so that a user has to ask for the exact Hessian. ``steps``: 0 for a
-    discrete map.
-    """
+    """A problem, RK4 steps per interval (0 for a discrete map), and the box (nx,) x 2 of its measured states."""
 
     name: str
     make: Callable[[], OCP] = field(repr=False)
     lower: Array = field(repr=False)
     upper: Array = field(repr=False)
     steps: int = 1
-    general: bool = False
 
     def options(self) -> Options:
-        """What a user has to say: the number of steps, and the Hessian where there is no choice."""
-        hessian = ExactHessian() if self.general else GaussNewton()
-        integrator = ExplicitRungeKutta(RK4, steps=self.steps) if self.steps else None
-        return Options(integrator, hessian)
+        """What a user has to say: the number of steps."""
+        return Options(ExplicitRungeKutta(RK4, steps=self.steps) if self.steps else None)
 
     def start(self, number: int) -> Array:
         """Measured state (nx,) of this number."""
@@ -210,18 +203,14 @@ def problems() -> tuple[StartProblem, ...]:
         StartProblem("cart_pole", cart_pole.build_ocp, *_around([0, np.pi, 0, 0], [0.5, 1.0, 1.0, 2.0]), steps=2),
         StartProblem("quadrotor", quadrotor.build_ocp, *_around(np.zeros(12), [2] * 3 + [1] * 3 + [0.5] * 3 + [1] * 3)),
         StartProblem("chain", lambda: chain.build_ocp(3), *_around(tip, np.full(tip.size, 0.3)), steps=2),
-        StartProblem(
-            "fermenter", lambda: bioreactor.build_ocp("b"), *_around([*orbit, 0, 0], [*0.3 * orbit, 0, 0]), 3, True
-        ),
+        StartProblem("fermenter", lambda: bioreactor.build_ocp("b"), *_around([*orbit, 0, 0], [*0.3 * orbit, 0, 0]), 3),
         StartProblem("bicycle", bicycle, *_around([-0.5, 0, 0, 1], [1.0, 1.5, 0.8, 1.0])),
         StartProblem("discs", discs, *_around([0, 0, 0, 0], [1.0, 1.0, 0.5, 0.5])),
-        StartProblem("fastest_crane", fastest_crane, *_around([0, 0, 0, 0, 5], [3.0, 0.5, 0.3, 0.5, 3]), 2, True),
+        StartProblem("fastest_crane", fastest_crane, *_around([0, 0, 0, 0, 5], [3.0, 0.5, 0.3, 0.5, 3]), 2),
         StartProblem("swing_up", swing_up, *_around([np.pi, 0], [0.5, 0.5])),
-        StartProblem("fastest_swing_up", fastest_swing_up, *_around([np.pi, 0, 4], [0.5, 0.5, 2]), 1, True),
+        StartProblem("fastest_swing_up", fastest_swing_up, *_around([np.pi, 0, 4], [0.5, 0.5, 2]), 1),
         StartProblem("battery", battery, *_around([0.4, 0, 29], [0.3, 0, 2]), steps=0),
-        StartProblem("reaction", reaction, *_around([0.5, 0.5], [0.4, 0.4]), 1, True),
+        StartProblem("reaction", reaction, *_around([0.5, 0.5], [0.4, 0.4]), 1),
         StartProblem("oscillator", oscillator, *_around([0.4, 0], [0.6, 1.0])),
-        StartProblem(
-            "free_period", free_period, *_around([*orbit, 50, 0, 0], [*0.2 * orbit, 15, 0, 0]), 2, True
-        ),
+        StartProblem("free_period", free_period, *_around([*orbit, 50, 0, 0], [*0.2 * orbit, 15, 0, 0]), 2),
     )

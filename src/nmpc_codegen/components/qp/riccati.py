@@ -65,7 +65,12 @@ def riccati_structs(
                 Field("work", (), "memory of one phase", "scratch", "riccati_work"),
                 Field("regularize_zero", (), "least value added to a pivot that may be zero", "scratch"),
                 Field(
-                    *("held", (dims.ng,), "weights of a a' that belong to the Hessian: rows that make it convex", "data"),
+                    *(
+                        "held",
+                        (dims.ng,),
+                        "weights of a a' that belong to the Hessian: rows that make it convex",
+                        "data",
+                    ),
                     only="REGULARIZE_REDUCED",
                 ),
                 Field(
