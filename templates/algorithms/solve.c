@@ -11,6 +11,12 @@ typedef struct {
     real_t violation, cost;
 } measures_t;
 
+/* A scale of 0 is unknown and counts as 1. */
+static inline real_t scale_of(real_t scale)
+{
+    return (scale > R(0)) ? scale : R(1);
+}
+
 #if NG
 /* Adds what a violation v >= 0 of row m costs, or its share of the violation. */
 static void add_row(const solver_t *s, int m, real_t v, measures_t *at)
@@ -22,7 +28,7 @@ static void add_row(const solver_t *s, int m, real_t v, measures_t *at)
     }
 #endif
 #if HARD_ROWS
-    at->violation += v / s->sqp.row_scale[row_id[m]];
+    at->violation += v / scale_of(s->sqp.row_scale[row_id[m]]);
 #endif
 }
 #endif
@@ -38,13 +44,13 @@ static measures_t measured(solver_t *s)
             continue;
         }
 #endif
-        at.violation += FABS(s->x[0][i] - s->xhat[i]) / q->state_scale[i];
+        at.violation += FABS(s->x[0][i] - s->xhat[i]) / scale_of(q->state_scale[i]);
     }
     for (int k = 0; k < N; k++) {
         interval_value(s, k, q->b[k]);
         for (int i = 0; i < NX; i++) {
             q->b[k][i] -= s->x[k + 1][i];
-            at.violation += FABS(q->b[k][i]) / q->state_scale[i];
+            at.violation += FABS(q->b[k][i]) / scale_of(q->state_scale[i]);
         }
     }
 #if NG
@@ -85,20 +91,45 @@ static void move_to(solver_t *s, real_t alpha)
     }
 }
 
-/* A scale of 0 or one that is not finite becomes 1: nothing is known. */
-static void complete_scales(real_t *scale, int n)
+/* Raises a scale to a size that is more than twice as large. Returns 1 if it changes. */
+static int raise_scale(real_t *scale, real_t size)
 {
-    for (int i = 0; i < n; i++) {
-        scale[i] = (scale[i] > R(0) && isfinite(scale[i])) ? scale[i] : R(1);
+    if (!(size > R(2) * *scale) || !isfinite(size)) {
+        return 0;
     }
+    *scale = size;
+    return 1;
 }
 
-/* Scales of states and rows: largest magnitudes of states, and of the terms of the linearised rows, over the horizon
- * before and after the step. Also the penalty of the elastic QP, above the multipliers. */
+#if HARD_ROWS
+/* Scales of the hard rows: the largest magnitude of the terms of a linearised row and of its finite bounds. Returns 1 if
+ * one of them changes. */
+static int update_row_scales(solver_t *s, const real_t *size)
+{
+    int changed = 0;
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+        const real_t lower = FABS(ROW_LOWER(s, m)), upper = FABS(ROW_UPPER(s, m));
+        real_t terms = row_terms(s, m, size);
+        terms = (lower > terms && isfinite(lower)) ? lower : terms;
+        terms = (upper > terms && isfinite(upper)) ? upper : terms;
+        changed |= raise_scale(&s->sqp.row_scale[row_id[m]], terms);
+    }
+    return changed;
+}
+#endif
+
+/* Scales of states and rows: largest magnitudes over the horizon before and after the step. They only grow; if one does,
+ * the measures of earlier points are not comparable any more, and the filter is cleared. */
 static void update_scales(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     real_t size[NZ] = {0};
+    int changed = 0;
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
             enlarge(&size[i], s->x[k][i]);
@@ -109,25 +140,17 @@ static void update_scales(solver_t *s)
             enlarge(&size[NX + j], s->u[k][j] + s->step.du[k][j]);
         }
     }
-    memcpy(q->state_scale, size, sizeof q->state_scale);
-    complete_scales(q->state_scale, NX);
+    for (int i = 0; i < NX; i++) {
+        enlarge(&size[i], s->xhat[i]);
+        changed |= raise_scale(&q->state_scale[i], size[i]);
+    }
 #if HARD_ROWS
-    memset(q->row_scale, 0, sizeof q->row_scale);
-    real_t mu = R(0);
-    for (int m = 0; m < NG; m++) {
-#if SOFT_ROWS
-        if (IS_SOFT(m)) {
-            continue;
-        }
+    changed |= update_row_scales(s, size);
 #endif
-        enlarge(&q->row_scale[row_id[m]], row_terms(s, m, size));
-        enlarge(&mu, s->step.mult[m]);
+    if (changed) {
+        q->entries = 0;
+        q->most_violation = (real_t)INFINITY;
     }
-    complete_scales(q->row_scale, NR);
-    if (q->row_weight < mu * R(1.5) && !q->elastic) {
-        q->row_weight = mu * R(2);
-    }
-#endif
 }
 
 /* Directional derivative of the cost, g' (dx, du). */
@@ -295,7 +318,8 @@ static status_t line_search(solver_t *s, const measures_t *start, real_t slope, 
 }
 
 #if HARD_ROWS
-/* How much the cost may change along the horizon: the largest |g_i| |z_i|; 1 if there is no such term. */
+/* How much the cost may change along the horizon, at least 1: the largest |g_i| |z_i|, and what the multipliers of rows
+ * say about rows in their scale. */
 static real_t cost_unit(const solver_t *s)
 {
     real_t largest = R(0);
@@ -307,6 +331,14 @@ static real_t cost_unit(const solver_t *s)
         for (int j = 0; k < N && j < NU; j++) {
             enlarge(&largest, g[NX + j] * s->u[k][j]);
         }
+    }
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+        enlarge(&largest, ROW_MULTIPLIER(s, m) * scale_of(s->sqp.row_scale[row_id[m]]));
     }
     return (largest > R(1)) ? largest : R(1);
 }
@@ -389,7 +421,7 @@ static real_t gain_of(const solver_t *s, const measures_t *start)
         }
 #endif
         {
-            left += FABS(row_excess(s, m, R(0))) / s->sqp.row_scale[row_id[m]];
+            left += FABS(row_excess(s, m, R(0))) / scale_of(s->sqp.row_scale[row_id[m]]);
         }
     }
 #endif
@@ -422,9 +454,12 @@ static status_t search(solver_t *s, const measures_t *start)
 }
 
 /* One globalised iteration after prepare_here(). */
-static status_t sqp_iteration(solver_t *s, int iteration)
+static status_t sqp_iteration(solver_t *s)
 {
     sqp_t *q = &s->sqp;
+    if (!(q->most_violation < (real_t)INFINITY)) {
+        update_scales(s); /* those of the plan: a relaxed QP needs them */
+    }
     status_t status = solve_qp(s);
     if (status != OK) {
         return status;
@@ -437,7 +472,7 @@ static status_t sqp_iteration(solver_t *s, int iteration)
     if (!isfinite(start.violation) || !isfinite(start.cost)) {
         return NUMERICAL_FAILURE;
     }
-    if (iteration == 0) {
+    if (!(q->most_violation < (real_t)INFINITY)) {
         q->most_violation = R(1e4) * ((start.violation > R(1)) ? start.violation : R(1));
         q->small_violation = R(1e-4) * ((start.violation > R(1)) ? start.violation : R(1));
     }
@@ -480,13 +515,17 @@ static int stuck_infeasible(const solver_t *s, real_t tol)
 }
 #endif
 
-static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
+static status_t iterate(solver_t *s, real_t tol, int max_iterations)
 {
     s->sqp.cost_scale = R(0);
+    s->sqp.most_violation = (real_t)INFINITY;
+    memset(s->sqp.state_scale, 0, sizeof s->sqp.state_scale);
+    memset(&s->step, 0, sizeof s->step);
     s->sqp.entries = 0;
     s->sqp.restoring = 0;
 #if HARD_ROWS
     s->sqp.row_weight = R(1000);
+    memset(s->sqp.row_scale, 0, sizeof s->sqp.row_scale);
 #endif
     for (int iteration = 0;; iteration++) {
         status_t status = prepare_here(s);
@@ -498,7 +537,7 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
             return ITERATION_LIMIT;
         }
         if (status == OK) {
-            status = sqp_iteration(s, iteration);
+            status = sqp_iteration(s);
         }
 #if HARD_ROWS
         if (s->sqp.elastic && (status == STALLED || (status == OK && stuck_infeasible(s, tol)))) {
@@ -513,6 +552,16 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
             return status;
         }
     }
+}
+
+/* The iterations; outside of them, penalties of rows are those of the rows as they are. */
+static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
+{
+    const status_t status = iterate(s, tol, max_iterations);
+#if HARD_ROWS
+    memset(s->sqp.row_scale, 0, sizeof s->sqp.row_scale);
+#endif
+    return status;
 }
 
 status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)

@@ -154,6 +154,9 @@ def rows(module: CModule) -> list[Definition]:
         return f"(*({text}))" if tests else f"({found[-1]})" if found else "0"
 
     infinity, soft, relaxed = "((real_t)INFINITY)", "row_l1[row_id[m]]", "((s)->relaxation)"
+    if sizes["SOLVE"] and sizes["HARD_ROWS"]:
+        scale = "(s)->sqp.row_scale[row_id[m]]"  # 0: unknown, also outside of solve()
+        relaxed = f"(({scale} > R(0)) ? (s)->relaxation / {scale} : (s)->relaxation)"
     hard = relaxed if sizes["RELAXATION"] else infinity
     penalty = f"(IS_SOFT(m) ? {soft} : {hard})" if sizes["RELAXATION"] else soft
     return [
