@@ -8,11 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.lib import command
-from benchmarks.lib.convergence import starts
+from benchmarks.lib.convergence import singles, starts, units
 from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report, float], None]] = {
     "starts": starts.measure,
+    "singles": singles.measure,
+    "units": units.measure,
 }
 
 

@@ -7,11 +7,16 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen import OCP
+from benchmarks.lib.convergence.problems import StartProblem, problems
+from benchmarks.lib.report import Report
+from nmpc_codegen import OCP, build
+from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.statement import Statement
 
 Array = np.ndarray
 DECADES = 3  # units are between 1e-3 and 1e3
+SEEDS = 5
+EXAMPLES = ("crane", "reactor", "cart_pole", "quadrotor", "chain", "fermenter")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +88,7 @@ def _add_rows(new: OCP, statement: Statement, h: object, units: Units) -> None:
         expression = symbols[int(np.flatnonzero(slope)[0])] if bound else h[i] / d
         lower, upper = statement.lower[i] / d, statement.upper[i] / d
         soft = None if statement.soft is None else (statement.soft[0] * d, statement.soft[1] * d * d)
-        more = {"soft": soft, "name": name}
+        more = {"soft": soft, "name": "row_" + name.replace("[", "_").replace("]", "")}
         if statement.at is None:
             new.boundary(lower, expression, upper, **more)
         else:
@@ -92,3 +97,25 @@ def _add_rows(new: OCP, statement: Statement, h: object, units: Units) -> None:
 
 def _is_linear(h: object, symbols: object) -> bool:
     return not ca.depends_on(ca.jacobian(h, symbols), symbols) and ca.depends_on(h, symbols)
+
+
+def measure(report: Report, scale: float = 1.0) -> None:
+    """Iterations of solve() in random units over those in the units of the example, from its initial state."""
+    for problem in problems():
+        if problem.name in EXAMPLES:
+            _measure(report, problem, max(1, round(scale * SEEDS)))
+
+
+def _measure(report: Report, problem: StartProblem, seeds: int) -> None:
+    ocp = problem.make()
+    start = np.array(classify(ocp).x_initial)
+    plain = build(ocp, problem.options(), profile="fast").solve(start)
+    for seed in range(seeds):
+        units = Units.of(ocp, seed)
+        other = in_units(ocp, units)
+        assert classify(other).nx == start.size
+        found = build(other, problem.options(), profile="fast").solve(start / units.x)
+        solved = found.status.name == plain.status.name == "OK"
+        ratio = max(1, found.iterations) / max(1, plain.iterations) if solved else np.inf
+        case = f"{problem.name}, {found.status.name} {found.iterations}, {plain.status.name} {plain.iterations}"
+        report.add("unit_sensitivity", ratio, case=case, limit=2)
