@@ -17,7 +17,7 @@ static inline real_t scale_of(real_t scale)
     return (scale > R(0)) ? scale : R(1);
 }
 
-#if NG
+#if HARD_ROWS
 /* Adds what a violation v >= 0 of row m costs, or its share of the violation. */
 static void add_row(const solver_t *s, int m, real_t v, measures_t *at)
 {
@@ -27,9 +27,7 @@ static void add_row(const solver_t *s, int m, real_t v, measures_t *at)
         return;
     }
 #endif
-#if HARD_ROWS
     at->violation += v / scale_of(s->sqp.row_scale[row_id[m]]);
-#endif
 }
 #endif
 
@@ -57,7 +55,12 @@ static measures_t measured(solver_t *s)
     real_t value[NG];
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-        add_row(s, m, FABS(value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))), &at);
+        const real_t v = FABS(value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m)));
+#if HARD_ROWS
+        add_row(s, m, v, &at);
+#else
+        at.cost += soft_penalty(m, v);
+#endif
     }
 #endif
     at.cost += nodal_cost(s);
@@ -258,7 +261,7 @@ static void extend_filter(sqp_t *q, const measures_t *start)
 }
 
 /* Returns 1 if a step is expected to reduce the cost by more than it violates: it has to reduce the cost. */
-static int is_cost_step(const sqp_t *q, const measures_t *start, real_t alpha, real_t slope)
+static int is_descent(const sqp_t *q, const measures_t *start, real_t alpha, real_t slope)
 {
     const real_t descent = -slope / q->cost_scale;
     return descent > R(0) && start->violation <= q->small_violation && alpha * descent * descent > start->violation;
@@ -266,7 +269,7 @@ static int is_cost_step(const sqp_t *q, const measures_t *start, real_t alpha, r
 
 /* Returns 1 if the present point is accepted after a step of length alpha; while feasibility is restored, if the
  * violation decreases by its share of `gain`, what the linearised rows and gaps promise. */
-static int accepted(solver_t *s, const measures_t *start, real_t alpha, real_t slope, real_t gain)
+static int accepts(solver_t *s, const measures_t *start, real_t alpha, real_t slope, real_t gain)
 {
     sqp_t *q = &s->sqp;
     const measures_t at = measured(s);
@@ -277,7 +280,7 @@ static int accepted(solver_t *s, const measures_t *start, real_t alpha, real_t s
     if (!passes_filter(q, &at)) {
         return 0;
     }
-    if (is_cost_step(q, start, alpha, slope)) {
+    if (is_descent(q, start, alpha, slope)) {
         return at.cost <= start->cost + R(1e-4) * alpha * slope + rounding;
     }
     if (at.violation <= (R(1) - R(1e-5)) * start->violation + TOL_MERIT_ROUNDING ||
@@ -296,7 +299,7 @@ static status_t line_search(solver_t *s, const measures_t *start, real_t slope, 
     put_step_aside(s);
     for (int trial = 0; trial < MAX_TRIALS; trial++) {
         move_to(s, q->length);
-        if (accepted(s, start, q->length, slope, gain)) {
+        if (accepts(s, start, q->length, slope, gain)) {
             return OK;
         }
         if (trial == 0) {
@@ -304,7 +307,7 @@ static status_t line_search(solver_t *s, const measures_t *start, real_t slope, 
             memcpy(q->du_full, q->du, sizeof q->du);
             if (second_order_correction(s)) {
                 move_to(s, R(1));
-                if (accepted(s, start, R(1), slope, gain)) {
+                if (accepts(s, start, R(1), slope, gain)) {
                     return OK;
                 }
             }
@@ -409,31 +412,39 @@ static void take_multipliers(solver_t *s)
     (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
 }
 
+#if HARD_ROWS
 /* By how much the full step reduces the violation according to the linearisation. */
 static real_t gain_of(const solver_t *s, const measures_t *start)
 {
     real_t left = R(0);
-#if HARD_ROWS
     for (int m = 0; m < NG; m++) {
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
             continue;
         }
 #endif
-        {
-            left += FABS(row_excess(s, m, R(0))) / scale_of(s->sqp.row_scale[row_id[m]]);
-        }
+        left += FABS(row_excess(s, m, R(0))) / scale_of(s->sqp.row_scale[row_id[m]]);
     }
-#endif
     return start->violation - left;
 }
+#else
+static real_t gain_of(const measures_t *start)
+{
+    return start->violation;
+}
+#endif
 
 /* The line search; if no step passes the filter, feasibility is restored: until the filter is passed again, steps have
  * to reduce the violation alone. */
 static status_t search(solver_t *s, const measures_t *start)
 {
     sqp_t *q = &s->sqp;
-    const real_t slope = slope_of(s), gain = gain_of(s, start);
+    const real_t slope = slope_of(s);
+#if HARD_ROWS
+    const real_t gain = gain_of(s, start);
+#else
+    const real_t gain = gain_of(start);
+#endif
     status_t status = STALLED;
     enlarge(&q->cost_scale, slope);
     q->restoring = q->elastic || (q->restoring && !passes_filter(q, start));
