@@ -383,6 +383,12 @@ static real_t slope_of(const solver_t *s)
     return slope;
 }
 
+/* a + length (b - a), or b if a is not finite. */
+static inline real_t between(real_t a, real_t b, real_t length)
+{
+    return (length < R(1) && isfinite(a)) ? a + length * (b - a) : b;
+}
+
 /* Multipliers after a step: those of rows move towards the ones of the QP, lam follows from the gradient of the QP at the
  * end of the step. After a short step, those of the QP may be as far off as the step. Those of an elastic QP are those
  * of its penalty: nothing is known. */
@@ -401,12 +407,12 @@ static void take_multipliers(solver_t *s)
         }
         for (int j = 0; k < N && j < NU; j++) {
             s->step.du[k][j] = length * s->sqp.du[k][j];
-            s->mu_u[k][j] += length * (s->step.mult_u[k][j] - s->mu_u[k][j]);
+            s->mu_u[k][j] = between(s->mu_u[k][j], s->step.mult_u[k][j], length);
         }
     }
 #if NG
     for (int m = 0; m < NG; m++) {
-        ROW_MULTIPLIER(s, m) += length * (s->step.mult[m] - ROW_MULTIPLIER(s, m));
+        ROW_MULTIPLIER(s, m) = between(ROW_MULTIPLIER(s, m), s->step.mult[m], length);
     }
 #endif
     (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
@@ -565,6 +571,23 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
     }
 }
 
+/* Returns 1 if all multipliers that the first Hessian may read are finite. */
+static int multipliers_are_finite(solver_t *s)
+{
+    real_t probe = R(0);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            probe += R(0) * s->lam[k][i];
+        }
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        probe += R(0) * ROW_MULTIPLIER(s, m);
+    }
+#endif
+    return isfinite(probe) != 0;
+}
+
 /* The iterations; outside of them, penalties of rows are those of the rows as they are. */
 static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
 {
@@ -600,6 +623,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     forget_violation(s);
     if (!plan_is_finite(s)) {
         start_at(s, s->xhat);
+    }
+    if (!multipliers_are_finite(s)) {
+        forget_multipliers(s);
     }
     status = solve_here(s, tol, max_iterations);
 #if HARD_ROWS

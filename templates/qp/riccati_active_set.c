@@ -242,9 +242,6 @@ static status_t qp_solve(solver_t *s)
     qp_take_bounds(s);
     q->changes = 0;
     status = qp_search(s);
-#if NG && REGULARIZE_REDUCED
-    qp_release_rows(s);
-#endif
     return status == NUMERICAL_FAILURE ? qp_fail(q, status) : status;
 }
 

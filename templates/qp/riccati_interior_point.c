@@ -55,11 +55,7 @@ static void qp_gradient(solver_t *s)
 #endif
 static status_t qp_solve(solver_t *s)
 {
-    const status_t status = ipm_solve(s);
-#if NG && REGULARIZE_REDUCED
-    qp_release_rows(s);
-#endif
-    return status;
+    return ipm_solve(s);
 }
 
 #if !SHIFT_RESAMPLE

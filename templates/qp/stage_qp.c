@@ -56,9 +56,10 @@ static inline real_t qp_row_change(const solver_t *s, int m)
     return d->dx[k][stage_state[m]];
 }
 
-/* g += f a for row m. */
-static inline void qp_add_row_to(const solver_t *s, int m, real_t f, real_t *g)
+/* g += f a for row m, where g is the gradient of its stage. */
+static inline void qp_add_row(solver_t *s, int m, real_t f)
 {
+    real_t *g = s->riccati.work.vectors.rhs.g[stage_of_row[m]];
 #if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         riccati_combine(g, &f, stage_row(s, m), NZS, 1, stage_of_row[m] < NS ? NZS : NXS);
@@ -66,12 +67,6 @@ static inline void qp_add_row_to(const solver_t *s, int m, real_t f, real_t *g)
     }
 #endif
     g[stage_state[m]] += f;
-}
-
-/* The same, where g is the gradient of its stage. */
-static inline void qp_add_row(solver_t *s, int m, real_t f)
-{
-    qp_add_row_to(s, m, f, s->riccati.work.vectors.rhs.g[stage_of_row[m]]);
 }
 
 #endif
@@ -112,22 +107,17 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 {
     qp_quadratic_gradient(s, k, y);
     for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
-        if (s->riccati.held[m] > R(0)) {
-            qp_add_row_to(s, m, s->riccati.held[m] * qp_row_value(s, m), y);
+        if (!(s->riccati.held[m] > R(0))) {
+            continue;
         }
-    }
-}
-
-/* Multipliers of the rows without what the Hessian owes to them: a row at its bound has the gradient mult a. */
-static void qp_release_rows(solver_t *s)
-{
-    qp_t *q = &s->qp;
-    for (int m = 0; m < NG; m++) {
-        const int c = NV + m;
-        if (s->riccati.held[m] > R(0) && (q->mult[c] != R(0) || q->lower[c] >= q->upper[c])) {
-            const real_t mult = q->mult[c] + s->riccati.held[m] * qp_row_value(s, m);
-            q->mult[c] = (q->lower[c] < q->upper[c] && mult * q->mult[c] < R(0)) ? R(0) : mult;
+        const real_t f = s->riccati.held[m] * qp_row_value(s, m);
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+        if (stage_state[m] < 0) {
+            riccati_combine(y, &f, stage_row(s, m), NZS, 1, k < NS ? NZS : NXS);
+            continue;
         }
+#endif
+        y[stage_state[m]] += f;
     }
 }
 #else
@@ -137,6 +127,23 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 }
 #endif
 
+#if NG
+/* Multiplier of row m. For a row at its bound without what the Hessian owes to it; 0 if that has the other sign, because
+ * the row would leave then. */
+static real_t qp_multiplier(const solver_t *s, int m)
+{
+    const real_t before = s->qp.mult[NV + m];
+#if REGULARIZE_REDUCED
+    const int equation = s->qp.lower[NV + m] >= s->qp.upper[NV + m];
+    if (s->riccati.held[m] > R(0) && (before < R(0) || before > R(0) || equation)) {
+        const real_t after = before + s->riccati.held[m] * qp_row_value(s, m);
+        return (!equation && before * after < R(0)) ? R(0) : after;
+    }
+#endif
+    return before;
+}
+
+#endif
 /* b = S_k z_k + b_k - x_{k+1} at the present point. */
 static void qp_gap(solver_t *s, int k, real_t *b)
 {

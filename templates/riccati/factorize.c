@@ -54,7 +54,7 @@ static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A,
 static inline real_t riccati_weight(const riccati_t *r, int m)
 {
 #if REGULARIZE_REDUCED
-    return r->weight[m] + r->held[m];
+    return (r->held[m] > R(0)) ? r->weight[m] + r->held[m] : r->weight[m];
 #else
     return r->weight[m];
 #endif

@@ -62,7 +62,7 @@ SPELLED = [*((name, "nonzeros") for name in PROBLEMS), *((name, "loops") for nam
 @pytest.mark.parametrize(("name", "spelling"), SPELLED)
 def test_both_spellings_of_the_products(name: str, spelling: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(products, "WRITTEN_OUT", SPELLINGS[spelling])
-    module = module_of(PROBLEMS[name](), Options(qp=DenseActiveSet()))
+    module = module_of(PROBLEMS[name](), Options(hessian=GaussNewton(), qp=DenseActiveSet()))
     assert module.products.spelling == spelling
     assert mismatches(module, render(module)) == []
 

@@ -62,6 +62,7 @@ ONLY_IN = {
         "components/integrators",
         "components/hessians",
         "components/stage_cost",
+        "lowering/choose_hessian",
         "lowering/linearize",
         "lowering/growth",
     },

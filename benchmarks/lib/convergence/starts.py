@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.lib.convergence.problems import StartProblem, problems
+from benchmarks.lib.convergence.problems import problems
 from benchmarks.lib.report import Report
 from nmpc_codegen import DenseActiveSet, FullCondensing, NoCondensing, OptionError, RiccatiActiveSet, build
 from nmpc_codegen.components.base import Condensing, QpSolver

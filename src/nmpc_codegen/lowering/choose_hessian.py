@@ -18,7 +18,7 @@ POINTS, REACH = 8, 1.0
 def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
     """The options with a Hessian, and the reason if it is not the default of the algorithm.
 
-    Gauss-Newton steps ignore the curvature of a row that excludes a convex set, such as an obstacle, and cycle round it.
+    Gauss-Newton ignores the curvature of a row that excludes a convex set, such as an obstacle, and may cycle round it.
     """
     if options.hessian is not None or options.algorithm.default("hessian") != GaussNewton.name:
         return options, ()
