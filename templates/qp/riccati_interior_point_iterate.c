@@ -366,7 +366,7 @@ static int ipm_is_solution(solver_t *s)
 static int ipm_suffices(solver_t *s, real_t merit_before)
 {
     const ipm_t *q = &s->ipm;
-    if (q->merit > R(1) && q->merit <= R(0.5) * merit_before && s->qp.iterations - q->begun <= 60) {
+    if (q->merit > R(1) && q->merit <= R(0.25) * merit_before && s->qp.iterations - q->begun <= 60) {
         return 0;
     }
     if (!(q->damping > R(0) || s->qp.iterations - q->begun > 20) || q->primal > TOL_QP_ACCEPTED ||

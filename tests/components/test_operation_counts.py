@@ -28,7 +28,7 @@ from tests.components.test_condensing import PROBLEMS, SPELLINGS
 from tests.models import discrete_map, problem_of
 
 CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
-    **{f"condensing {name}": (PROBLEMS[name], Options()) for name in ("general", "sparse")},
+    **{f"condensing {name}": (PROBLEMS[name], Options(hessian=GaussNewton())) for name in ("general", "sparse")},
     **{
         f"tableau {name}": (lambda: problem_of("reactor", uniform=False), Options(ExplicitRungeKutta(tableau, 2)))
         for name, tableau in TABLEAUS.items()

@@ -144,7 +144,8 @@ typedef golden_status_t status_t;
     &(h)[row_index[m]]))
 #define ROW_LOWER(s, m) ((s)->lower[row_node[m] == N])[row_id[m]]
 #define ROW_UPPER(s, m) ((s)->upper[row_node[m] == N])[row_id[m]]
-#define ROW_PENALTY(s, m) ((s)->relaxation)
+#define ROW_PENALTY(s, m) (((s)->sqp.row_scale[row_id[m]] > R(0)) ? (s)->relaxation / \
+    (s)->sqp.row_scale[row_id[m]] : (s)->relaxation)
 #define INTEGRATOR_INTERVAL(s, k, x_next, S) integrator_interval((s)->x[k], (s)->u[k], PARAM(s, k), \
     &interval_length[k], x_next, S)
 #define INTEGRATOR_STEP(s, k, x, u, h, x_next) integrator_step(x, u, PARAM(s, k), h, x_next)
