@@ -2,16 +2,12 @@
  *                     working set. Returns 1 if the present factors are those without fixed controls and without rows.
  *
  * The reduced Hessian in the controls and the free components of x_0 is positive definite if and only if the pivots of
- * the recursion without fixed controls are positive. If they are not, terms are added to the diagonal of the Hessian
- * for these variables. The terms are the same at all stages and add the same amount to the reduced Hessian:
- *     shift  for all of them: the smallest one, up to a factor of four, for which the pivots are positive with the
- *            controls of the predicted working set fixed, plus one eighth; twice the smallest one if MIRROR, as if the
- *            negative eigenvalue changed its sign; only the floor if that is sufficient
- *     hold   for the controls of the predicted working set: large enough for the pivots to be positive without fixing
- *            these controls. Near a solution they do not move, so that the hold changes neither the step nor the rate
- *            of convergence (Debreu's lemma: a matrix that is positive definite on the null space of E becomes positive
- *            definite if a sufficiently large multiple of E'E is added).
- * The multipliers lam are not affected: the terms belong to variables that have no multiplier lam. */
+ * the recursion are positive. If they are not, the predicted working set is held: held[m] a_m a_m' for equations and for
+ * the rows of that set, and additions to the diagonal for its controls. A Hessian that is positive definite on the null
+ * space of these rows becomes positive definite if they are held strongly enough (Finsler's lemma); near a solution
+ * their values do not change, so that neither the step nor the rate of convergence does. If that is not sufficient, a
+ * multiple of the units is added to the diagonal for all controls and free components of x_0. The multipliers lam are
+ * not affected: lam contains what held rows add, and the diagonal belongs to variables that have no multiplier lam. */
 
 /* Scale of component j of z: the maximum over the stages of |Q_jj| + sum_i S_ij^2 |Q_ii of the next stage|. Returns 0
  * if it is not finite. */
