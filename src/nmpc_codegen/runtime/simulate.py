@@ -160,7 +160,7 @@ def simulate(
 
 
 def _solve_first(ctrl: Controller, x0: Array, reference: Reference | None) -> None:
-    """Iterate to convergence with the data of the first sample; a plan that is not converged is a start all the same."""
+    """Iterate to convergence with the data of the first sample; a plan that has not converged is a start as well."""
     if reference is not None:
         reference(0, ctrl)
     ctrl.solve(x0)
