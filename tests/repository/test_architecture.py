@@ -64,6 +64,7 @@ ONLY_IN = {
         "components/stage_cost",
         "lowering/choose_hessian",
         "lowering/linearize",
+        "lowering/stability",
         "lowering/growth",
     },
     "jinja2": {"lowering/render"},

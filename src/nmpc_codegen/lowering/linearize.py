@@ -18,6 +18,7 @@ from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.choose import Choice, choose_qp
 from nmpc_codegen.lowering.choose_hessian import choose_hessian
 from nmpc_codegen.lowering.growth import growth
+from nmpc_codegen.lowering.stability import stability_warning
 from nmpc_codegen.options import REGISTRIES, Online, Options
 from nmpc_codegen.runtime.package_description import Precision
 
@@ -85,7 +86,7 @@ def linearize(problem: Problem, options: Options) -> Model:
         online=online,
         precision=options.precision,
         solve=options.solve,
-        reasons=(*choices, *of_hessian),
+        reasons=(*choices, *stability_warning(problem, integrator), *of_hessian),
         choice=choice,
         constant_hessian=constant,
     )

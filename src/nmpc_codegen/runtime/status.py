@@ -198,8 +198,8 @@ def _broken_model(ctrl: Any) -> list[str]:
             pairs = zip(ctrl.names.states, ctrl.x[k], strict=True)
             start = ", ".join(f"{name} = {value:.4g}" for name, value in pairs)
             return [
-                f"the model yields no finite {', '.join(bad)} at the end of interval {k}, from {start}: bounds that keep "
-                "the plan inside the domain of the model, more integration steps, or another initial plan may help"
+                f"the model yields no finite {', '.join(bad)} at the end of interval {k}, from {start}: try bounds "
+                "that keep the plan inside the domain of the model, more integration steps, or another start"
             ]
     return []
 
