@@ -32,7 +32,7 @@ static void add_row(const solver_t *s, int m, real_t v, measures_t *at)
 #endif
 
 /* Measures of the present iterate, without derivatives; sqp.b = Phi(x_k, u_k) - x_{k+1}. */
-static measures_t measured(solver_t *s)
+static measures_t measure(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     measures_t at = {R(0), R(0)};
@@ -272,7 +272,7 @@ static int is_descent(const sqp_t *q, const measures_t *start, real_t alpha, rea
 static int accepts(solver_t *s, const measures_t *start, real_t alpha, real_t slope, real_t gain)
 {
     sqp_t *q = &s->sqp;
-    const measures_t at = measured(s);
+    const measures_t at = measure(s);
     const real_t rounding = TOL_MERIT_ROUNDING * (FABS(start->cost) + q->cost_scale);
     if (q->restoring) {
         return at.cost < (real_t)INFINITY && at.violation <= start->violation - R(1e-4) * alpha * gain;
@@ -451,11 +451,10 @@ static status_t search(solver_t *s, const measures_t *start)
 #else
     const real_t gain = gain_of(start);
 #endif
-    status_t status = STALLED;
     enlarge(&q->cost_scale, slope);
     q->restoring = q->elastic || (q->restoring && !passes_filter(q, start));
     if (!q->restoring) {
-        status = line_search(s, start, slope, gain);
+        const status_t status = line_search(s, start, slope, gain);
         if (status == OK || !(start->violation > R(16) * TOL_MERIT_ROUNDING)) {
             return status;
         }
@@ -485,7 +484,7 @@ static status_t sqp_iteration(solver_t *s)
         return NUMERICAL_FAILURE;
     }
     update_scales(s);
-    const measures_t start = measured(s);
+    const measures_t start = measure(s);
     if (!isfinite(start.violation) || !isfinite(start.cost)) {
         return NUMERICAL_FAILURE;
     }

@@ -59,7 +59,7 @@ static void add_rows(solver_t *s)
         memcpy(mu, s->mu[k], sizeof mu);
         memset(s->mu[k], 0, sizeof mu);
         for (int i = 0; i < NH; i++) {
-            if (mu[i] != R(0)) {
+            if (mu[i] < R(0) || mu[i] > R(0)) {
                 s->mu[k][i] = mu[i];
                 PATH_CURVATURE(s, k, M);
                 s->mu[k][i] = R(0);
@@ -75,7 +75,7 @@ static void add_rows(solver_t *s)
     memcpy(mu_N, s->mu_N, sizeof mu_N);
     memset(s->mu_N, 0, sizeof mu_N);
     for (int i = 0; i < NH_N; i++) {
-        if (mu_N[i] != R(0)) {
+        if (mu_N[i] < R(0) || mu_N[i] > R(0)) {
             s->mu_N[i] = mu_N[i];
             TERMINAL_CURVATURE(s, M);
             s->mu_N[i] = R(0);
