@@ -12,7 +12,6 @@ import itertools
 import os
 import subprocess
 import tempfile
-import threading
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -98,9 +97,6 @@ def stage_ocp(shape: Shape) -> OCP:
         ocp.boundary(-1, r, 1, soft=shape.penalties[len(kinds) + i], name=f"coupled_{i}")
     return ocp
 
-
-#: Packages are generated one at a time, and compiled in parallel.
-GENERATING = threading.Lock()
 
 GIVEN_UP = (Status.ITERATION_LIMIT, Status.STALLED, Status.NUMERICAL_FAILURE)
 
@@ -196,20 +192,28 @@ def _compile(sources: Any, folder: Path) -> Path:
 
 
 @functools.cache
+def generated(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any], Path]:
+    """Texts, layout and folder of the package of a shape. CasADi counts references to its objects without locks, so
+    call it in the thread that uses CasADi, before built() in another one."""
+    return *_sources(shape, options), Path(tempfile.mkdtemp(dir=build_directory().name))
+
+
+@functools.cache
 def built(shape: Shape, options: Options) -> Built:
     """The package of a shape with these options (condensing and qp), compiled once."""
-    with GENERATING:
-        sources, layout = _sources(shape, options)
-        folder = Path(tempfile.mkdtemp(dir=build_directory().name))
+    sources, layout, folder = generated(shape, options)
     library = ctypes.CDLL(str(_compile(sources, folder)))
     assert library.call_size() == layout.itemsize
     return Built(library, layout)
 
 
 def build_all(wanted: Iterable[tuple[Shape, Options]], workers: int | None = None) -> None:
-    """Compile packages in parallel, each once: the texts one after the other."""
+    """Compile packages in parallel, each once, after their texts have been generated here."""
+    wanted = list(dict.fromkeys(wanted))
+    for pair in wanted:
+        generated(*pair)
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        list(pool.map(lambda pair: built(*pair), dict.fromkeys(wanted)))
+        list(pool.map(lambda pair: built(*pair), wanted))
 
 
 def write_qp(memory: Any, qp: StageQP) -> None:

@@ -11,6 +11,7 @@ CasADi is used up to linearize, jinja2 only in render, and cffi only in build.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,6 +44,9 @@ class Package:
     report: Mapping[str, Any]
 
 
+_ONE_AT_A_TIME = threading.RLock()
+
+
 def generate(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:
     """Run the pipeline up to text; return path -> contents of every file of the package.
 
@@ -55,10 +59,14 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
 
 
 def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
-    """Run the pipeline up to the CModule, the last value before text. It raises the errors of generate()."""
+    """Run the pipeline up to the CModule, the last value before text. It raises the errors of generate().
+
+    One call at a time: CasADi counts references to its objects without locks.
+    """
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
-    return settled(linearize(classify(ocp), options or Options()), name)
+    with _ONE_AT_A_TIME:
+        return settled(linearize(classify(ocp), options or Options()), name)
 
 
 def export(

@@ -25,19 +25,6 @@ static int step_sizes(const solver_t *s, real_t *size)
 }
 
 #if HARD_ROWS
-#if GENERAL_ROWS || NE
-/* Sum of the magnitudes of the terms that change the general or coupled row m, where size[] holds those of (dx, du). */
-static real_t nodal_terms(const solver_t *s, int m, const real_t *size)
-{
-    const real_t *J = nodal_row(s, m);
-    real_t terms = R(0);
-    for (int i = 0; i < (row_node[m] < N ? NZ : NX); i++) {
-        terms += FABS(J[i]) * size[i];
-    }
-    return terms;
-}
-
-#endif
 /* Returns 1 if all hard rows hold after the step up to rounding of their terms, and those with a multiplier are at its
  * bound. Control bounds are bounds of the QP. */
 static int rows_hold(const solver_t *s, const real_t *size)
@@ -50,15 +37,7 @@ static int rows_hold(const solver_t *s, const real_t *size)
 #endif
         const real_t excess = FABS(row_excess(s, m, s->step.mult[m]));
         if (!(excess <= R(0))) {
-            real_t terms = FABS(ROW_CONSTANT(s, m));
-#if STATE_ROWS && (GENERAL_ROWS || NE)
-            terms += (row_kind[m] == ROW_STATE) ? size[row_index[m]] : nodal_terms(s, m, size);
-#elif STATE_ROWS
-            terms += size[row_index[m]];
-#else
-            terms += nodal_terms(s, m, size);
-#endif
-            if (!(excess <= TOL_STEP * terms)) {
+            if (!(excess <= TOL_STEP * row_terms(s, m, size))) {
                 return 0;
             }
         }

@@ -1,12 +1,19 @@
-/* KKT residuals of the present iterate. */
+/* KKT residuals of the present iterate: as they are, or, with relative = 1, divided by 1 + the magnitudes of the terms
+ * that are summed up, so that tolerances mean the same in all units. */
+
+static void kkt_note(real_t *worst, real_t residual, real_t terms, int relative)
+{
+    enlarge(worst, relative ? residual / (R(1) + terms) : residual);
+}
 
 /* Residuals of one row lower <= value <= upper with multiplier mu: its violation, and |mu| times the distance to the
  * bound that the sign of mu selects. */
-static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t mu)
+static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t mu, int relative)
 {
-    enlarge(&kkt->inequality, value - clip(value, lower, upper));
+    kkt_note(&kkt->inequality, value - clip(value, lower, upper), FABS(value), relative);
     if (lower < upper && (mu > R(0) || mu < R(0))) {
-        enlarge(&kkt->complementarity, mu * (mu > R(0) ? upper - value : value - lower));
+        const real_t distance = mu > R(0) ? upper - value : value - lower;
+        kkt_note(&kkt->complementarity, mu * distance, FABS(mu) * (R(1) + FABS(value)), relative);
     }
 }
 
@@ -14,29 +21,29 @@ static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t
 /* Residuals of one side of a soft row with excess over its bound and multiplier m >= 0: the optimality conditions of
  * min l1 v + l2/2 v^2 s.t. v >= excess, v >= 0 at v = max(0, excess). The multiplier of v >= 0 is
  * nu = l1 + l2 v - m >= 0. */
-static void kkt_soft_side(kkt_t *kkt, real_t excess, real_t m, real_t l1, real_t l2)
+static void kkt_soft_side(kkt_t *kkt, real_t excess, real_t m, real_t l1, real_t l2, real_t value, int relative)
 {
     const real_t v = (excess > R(0)) ? excess : R(0);
-    const real_t nu = l1 + l2 * v - m;
-    enlarge(&kkt->complementarity, nu * v);
+    const real_t nu = l1 + l2 * v - m, size = R(1) + FABS(value);
+    kkt_note(&kkt->complementarity, nu * v, (l1 + l2 * v + m) * size, relative);
     if (!(nu >= R(0))) {
-        enlarge(&kkt->complementarity, nu);
+        kkt_note(&kkt->complementarity, nu, l1 + l2 * v + m, relative);
     }
     if (m > R(0)) {
-        enlarge(&kkt->complementarity, m * (excess - v));
+        kkt_note(&kkt->complementarity, m * (excess - v), m * size, relative);
     }
 }
 
-static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
+static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt, int relative)
 {
     const real_t l1 = row_l1[row_id[m]], l2 = ROW_CURVATURE(m), mu = ROW_MULTIPLIER(s, m);
-    kkt_soft_side(kkt, value - ROW_UPPER(s, m), (mu > R(0)) ? mu : R(0), l1, l2);
-    kkt_soft_side(kkt, ROW_LOWER(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2);
+    kkt_soft_side(kkt, value - ROW_UPPER(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value, relative);
+    kkt_soft_side(kkt, ROW_LOWER(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value, relative);
 }
 #endif
 
 /* Violation and complementarity of all rows and control bounds. */
-static void kkt_rows(const solver_t *s, kkt_t *kkt)
+static void kkt_rows(const solver_t *s, kkt_t *kkt, int relative)
 {
 #if NG
     real_t value[NG];
@@ -44,80 +51,90 @@ static void kkt_rows(const solver_t *s, kkt_t *kkt)
     for (int m = 0; m < NG; m++) {
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
-            kkt_soft_row(s, m, value[m], kkt);
+            kkt_soft_row(s, m, value[m], kkt, relative);
             continue;
         }
 #endif
-        kkt_row(kkt, value[m], ROW_LOWER(s, m), ROW_UPPER(s, m), ROW_MULTIPLIER(s, m));
+        kkt_row(kkt, value[m], ROW_LOWER(s, m), ROW_UPPER(s, m), ROW_MULTIPLIER(s, m), relative);
     }
 #endif
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            kkt_row(kkt, s->u[k][j], CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j), s->mu_u[k][j]);
+            kkt_row(kkt, s->u[k][j], CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j), s->mu_u[k][j], relative);
         }
     }
 }
 
+/* Adds a term to a sum and to the sum of the magnitudes. */
+static inline void kkt_add(real_t *sum, real_t *terms, real_t term)
+{
+    *sum += term;
+    *terms += FABS(term);
+}
+
 #if NE
-/* sum += J' eta of the coupled rows, J = dr / dx_0 for k = 0 and dr / dx_N for k = N. */
-static void add_coupled_forces(const solver_t *s, int k, real_t *sum)
+/* sum += J' eta of the coupled rows, J = dr / dx_0 for k = 0 and dr / dx_N for k = N; terms += the magnitudes. */
+static void add_coupled_forces(const solver_t *s, int k, real_t *sum, real_t *terms)
 {
     real_t r[NE], J_0[NE * NX] = {0}, J_N[NE * NX] = {0};
     COUPLED_ROWS(s, r, J_0, J_N);
     for (int i = 0; i < NX; i++) {
         for (int j = 0; j < NE; j++) {
-            sum[i] += ((k == 0) ? J_0 : J_N)[j * NX + i] * s->eta[j];
+            kkt_add(&sum[i], &terms[i], ((k == 0) ? J_0 : J_N)[j * NX + i] * s->eta[j]);
         }
     }
 }
 #endif
 
 /* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + mu_x, mu_u + J' mu, and the gap. */
-static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
+static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt, int relative)
 {
-    real_t sum[NZ] = {0};
+    real_t sum[NZ] = {0}, terms[NZ] = {0};
 #if NE
     if (k == 0) {
-        add_coupled_forces(s, k, sum);
+        add_coupled_forces(s, k, sum, terms);
     }
 #endif
     for (int i = 0; i < NZ; i++) {
-        sum[i] += node->g[i];
+        kkt_add(&sum[i], &terms[i], node->g[i]);
         for (int j = 0; j < NX; j++) {
-            sum[i] += node->S[j][i] * s->lam[k + 1][j];
+            kkt_add(&sum[i], &terms[i], node->S[j][i] * s->lam[k + 1][j]);
         }
 #if NH
         for (int j = 0; j < NH; j++) {
-            sum[i] += node->J[j][i] * s->mu[k][j];
+            kkt_add(&sum[i], &terms[i], node->J[j][i] * s->mu[k][j]);
         }
 #endif
-        sum[i] += (i < NX) ? s->mu_x[k][i] - s->lam[k][i] : s->mu_u[k][i - NX];
-        enlarge(&kkt->stationarity, sum[i]);
-        enlarge(&kkt->equality, (i < NX) ? node->b[i] : R(0));
+        kkt_add(&sum[i], &terms[i], (i < NX) ? s->mu_x[k][i] - s->lam[k][i] : s->mu_u[k][i - NX]);
+        kkt_note(&kkt->stationarity, sum[i], terms[i], relative);
+        if (i < NX) {
+            kkt_note(&kkt->equality, node->b[i], FABS(s->x[k + 1][i]), relative);
+        }
     }
 }
 
 /* The terminal node: gradient of the Lagrangian, and residual of the initial condition. */
-static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
+static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt, int relative)
 {
-    real_t sum[NX] = {0};
+    real_t sum[NX] = {0}, terms[NX] = {0};
 #if NE
-    add_coupled_forces(s, N, sum);
+    add_coupled_forces(s, N, sum, terms);
 #endif
     for (int i = 0; i < NX; i++) {
-        sum[i] += terminal->g[i] + s->mu_x[N][i] - s->lam[N][i];
+        kkt_add(&sum[i], &terms[i], terminal->g[i]);
+        kkt_add(&sum[i], &terms[i], s->mu_x[N][i] - s->lam[N][i]);
 #if NH_N
         for (int j = 0; j < NH_N; j++) {
-            sum[i] += terminal->J[j][i] * s->mu_N[j];
+            kkt_add(&sum[i], &terms[i], terminal->J[j][i] * s->mu_N[j]);
         }
 #endif
-        enlarge(&kkt->stationarity, sum[i]);
+        kkt_note(&kkt->stationarity, sum[i], terms[i], relative);
 #if NF
         if (!is_measured[i] && !is_accumulator[i]) {
             continue;
         }
 #endif
-        enlarge(&kkt->equality, s->xhat[i] - s->x[0][i]);
+        kkt_note(&kkt->equality, s->xhat[i] - s->x[0][i], FABS(s->x[0][i]), relative);
     }
 }
 
@@ -147,11 +164,11 @@ void API(kkt)(const solver_t *s, kkt_t *out)
     memset(&terminal, 0, sizeof terminal);
     for (int k = 0; k < N; k++) {
         linearize_node(s, k, &node);
-        kkt_node(s, k, &node, out);
+        kkt_node(s, k, &node, out, 0);
     }
 #if HAS_TERMINAL_GRADIENT || NH_N
     linearize_terminal(s, &terminal);
 #endif
-    kkt_terminal(s, &terminal, out);
-    kkt_rows(s, out);
+    kkt_terminal(s, &terminal, out, 0);
+    kkt_rows(s, out, 0);
 }

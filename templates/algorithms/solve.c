@@ -1,56 +1,54 @@
-/* SQP to convergence: the steps of the real-time iteration, globalised by a line search on the l1 merit function
+/* SQP to convergence: the steps of the real-time iteration, globalised by a filter line search (Waechter and Biegler
+ * 2005, algorithm A) on two measures of a point,
  *
- *     phi = cost + gap_weight (sum |x_{k+1} - Phi_k| + |x_0 - xhat|) + row_weight (sum of row violations) + penalties,
+ *     violation = sum of gaps, of the residual of x_0 and of row violations, each in the scale of its state or row,
+ *     cost      = cost + penalties of the soft rows l1 v + l2/2 v^2.
  *
- * with one second-order correction if the full step is rejected, and an elastic QP (rows relaxed with row_weight) if a
- * linearisation is infeasible. Soft rows enter with their penalties l1 v + l2/2 v^2. */
+ * A full step that is rejected gets one second-order correction. If a linearisation is infeasible, its rows are relaxed
+ * with the penalty row_weight (elastic QP). */
 
-/* Terms of the merit function besides the cost: l1 norms of the gaps and of the violations of hard rows, and penalties
- * of soft rows. */
 typedef struct {
-    real_t gaps;
-#if HARD_ROWS
-    real_t violation;
-#endif
-#if SOFT_ROWS
-    real_t penalties;
-#endif
-} merit_terms_t;
+    real_t violation, cost;
+} measures_t;
 
-#if SOFT_ROWS
-/* Adds a violation v >= 0 of row m. */
-static void add_violation(int m, real_t v, merit_terms_t *terms)
+/* A scale of 0 is unknown and counts as 1. */
+static inline real_t scale_of(real_t scale)
 {
-    if (IS_SOFT(m)) {
-        terms->penalties += soft_penalty(m, v);
-    }
+    return (scale > R(0)) ? scale : R(1);
+}
+
 #if HARD_ROWS
-    if (!IS_SOFT(m)) {
-        terms->violation += v;
+/* Adds what a violation v >= 0 of row m costs, or its share of the violation. */
+static void add_row(const solver_t *s, int m, real_t v, measures_t *at)
+{
+#if SOFT_ROWS
+    if (IS_SOFT(m)) {
+        at->cost += soft_penalty(m, v);
+        return;
     }
 #endif
+    at->violation += v / scale_of(s->sqp.row_scale[row_id[m]]);
 }
 #endif
 
-/* Evaluates the constraints at the present iterate without derivatives: sqp.b = Phi(x_k, u_k) - x_{k+1}, and the terms
- * of the merit function. */
-static void evaluate_constraints(solver_t *s, merit_terms_t *terms)
+/* Measures of the present iterate, without derivatives; sqp.b = Phi(x_k, u_k) - x_{k+1}. */
+static measures_t measure(solver_t *s)
 {
     sqp_t *q = &s->sqp;
-    memset(terms, 0, sizeof *terms);
+    measures_t at = {R(0), R(0)};
     for (int i = 0; i < NX; i++) {
 #if NF
         if (!is_measured[i] && !is_accumulator[i]) {
             continue;
         }
 #endif
-        terms->gaps += FABS(s->x[0][i] - s->xhat[i]);
+        at.violation += FABS(s->x[0][i] - s->xhat[i]) / scale_of(q->state_scale[i]);
     }
     for (int k = 0; k < N; k++) {
         interval_value(s, k, q->b[k]);
         for (int i = 0; i < NX; i++) {
             q->b[k][i] -= s->x[k + 1][i];
-            terms->gaps += FABS(q->b[k][i]);
+            at.violation += FABS(q->b[k][i]) / scale_of(q->state_scale[i]);
         }
     }
 #if NG
@@ -58,34 +56,15 @@ static void evaluate_constraints(solver_t *s, merit_terms_t *terms)
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         const real_t v = FABS(value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m)));
-#if SOFT_ROWS
-        add_violation(m, v, terms);
+#if HARD_ROWS
+        add_row(s, m, v, &at);
 #else
-        terms->violation += v;
+        at.cost += soft_penalty(m, v);
 #endif
     }
 #endif
-}
-
-/* Merit function phi from its terms. */
-static real_t merit_of(const solver_t *s, const merit_terms_t *terms)
-{
-    real_t phi = nodal_cost(s);
-#if SOFT_ROWS
-    phi += terms->penalties;
-#endif
-    phi += s->sqp.gap_weight * terms->gaps;
-#if HARD_ROWS
-    phi += s->sqp.row_weight * terms->violation;
-#endif
-    return phi;
-}
-
-static real_t merit(solver_t *s)
-{
-    merit_terms_t terms;
-    evaluate_constraints(s, &terms);
-    return merit_of(s, &terms);
+    at.cost += nodal_cost(s);
+    return at;
 }
 
 /* Saves the step of the QP and the point from which it starts. */
@@ -115,32 +94,66 @@ static void move_to(solver_t *s, real_t alpha)
     }
 }
 
-/* Increases the weights of the merit function where needed to keep them above the multipliers of the QP. */
-static void update_weights(solver_t *s)
+/* Raises a scale to a size that is more than twice as large. Returns 1 if it changes. */
+static int raise_scale(real_t *scale, real_t size)
 {
-    real_t lam = R(0);
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            enlarge(&lam, s->lam[k][i]);
-        }
+    if (!(size > R(2) * *scale) || !isfinite(size)) {
+        return 0;
     }
-    if (s->sqp.gap_weight < lam * R(1.5)) {
-        s->sqp.gap_weight = lam * R(2);
-    }
+    *scale = size;
+    return 1;
+}
+
 #if HARD_ROWS
-    real_t mu = R(0);
+/* Scales of the hard rows: the largest magnitude of the terms of a linearised row and of its finite bounds. Returns 1 if
+ * one of them changes. */
+static int update_row_scales(solver_t *s, const real_t *size)
+{
+    int changed = 0;
     for (int m = 0; m < NG; m++) {
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
             continue;
         }
 #endif
-        enlarge(&mu, ROW_MULTIPLIER(s, m));
+        const real_t lower = FABS(ROW_LOWER(s, m)), upper = FABS(ROW_UPPER(s, m));
+        real_t terms = row_terms(s, m, size);
+        terms = (lower > terms && isfinite(lower)) ? lower : terms;
+        terms = (upper > terms && isfinite(upper)) ? upper : terms;
+        changed |= raise_scale(&s->sqp.row_scale[row_id[m]], terms);
     }
-    if (s->sqp.row_weight < mu * R(1.5) && !s->sqp.elastic) {
-        s->sqp.row_weight = mu * R(2);
-    }
+    return changed;
+}
 #endif
+
+/* Scales of states and rows: largest magnitudes over the horizon before and after the step. They only grow; if one does,
+ * the measures of earlier points are not comparable any more, and the filter is cleared. */
+static void update_scales(solver_t *s)
+{
+    sqp_t *q = &s->sqp;
+    real_t size[NZ] = {0};
+    int changed = 0;
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            enlarge(&size[i], s->x[k][i]);
+            enlarge(&size[i], s->x[k][i] + s->step.dx[k][i]);
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            enlarge(&size[NX + j], s->u[k][j]);
+            enlarge(&size[NX + j], s->u[k][j] + s->step.du[k][j]);
+        }
+    }
+    for (int i = 0; i < NX; i++) {
+        enlarge(&size[i], s->xhat[i]);
+        changed |= raise_scale(&q->state_scale[i], size[i]);
+    }
+#if HARD_ROWS
+    changed |= update_row_scales(s, size);
+#endif
+    if (changed) {
+        q->entries = 0;
+        q->most_violation = (real_t)INFINITY;
+    }
 }
 
 /* Directional derivative of the cost, g' (dx, du). */
@@ -225,58 +238,122 @@ static int second_order_correction(solver_t *s)
     return step_is_finite(s);
 }
 
-/* Largest of the last MEMORY merit values. A step may exceed the last value, which accepts full Gauss-Newton steps that
- * a monotone line search would shorten (Grippo, Lampariello and Lucidi 1986). */
-static real_t merit_to_beat(solver_t *s, int iteration, real_t start)
+/* Returns 1 if a point is no worse than the filter allows. */
+static int passes_filter(const sqp_t *q, const measures_t *at)
 {
-    real_t largest = start;
-    s->sqp.recent[iteration % MEMORY] = start;
-    for (int n = 0; n < MEMORY && n <= iteration; n++) {
-        if (s->sqp.recent[n] > largest) {
-            largest = s->sqp.recent[n];
+    if (!(at->violation <= q->most_violation && at->cost < (real_t)INFINITY)) {
+        return 0;
+    }
+    for (int n = 0; n < q->entries; n++) {
+        if (at->violation >= q->filter_violation[n] && at->cost >= q->filter_cost[n]) {
+            return 0;
         }
     }
-    return largest;
+    return 1;
 }
 
-/* Backtracking on the merit function with Armijo constant 1e-4. If the full step is rejected, one second-order
- * correction is tried. */
-static status_t line_search(solver_t *s, real_t start, real_t slope)
+/* The filter rejects from now on what is not better than this point; the last of FILTER entries gives way. */
+static void extend_filter(sqp_t *q, const measures_t *start)
 {
-    const real_t rounding = TOL_MERIT_ROUNDING * (R(1) + FABS(start));
-    real_t alpha = R(1);
+    const int n = (q->entries < FILTER) ? q->entries++ : FILTER - 1;
+    q->filter_violation[n] = (R(1) - R(1e-5)) * start->violation;
+    q->filter_cost[n] = start->cost - R(1e-5) * start->violation * q->cost_scale;
+}
+
+/* Returns 1 if a step is expected to reduce the cost by more than it violates: it has to reduce the cost. */
+static int is_descent(const sqp_t *q, const measures_t *start, real_t alpha, real_t slope)
+{
+    const real_t descent = -slope / q->cost_scale;
+    return descent > R(0) && start->violation <= q->small_violation && alpha * descent * descent > start->violation;
+}
+
+/* Returns 1 if the present point is accepted after a step of length alpha; while feasibility is restored, if the
+ * violation decreases by its share of `gain`, what the linearised rows and gaps promise. */
+static int accepts(solver_t *s, const measures_t *start, real_t alpha, real_t slope, real_t gain)
+{
+    sqp_t *q = &s->sqp;
+    const measures_t at = measure(s);
+    const real_t rounding = TOL_MERIT_ROUNDING * (FABS(start->cost) + q->cost_scale);
+    if (q->restoring) {
+        return at.cost < (real_t)INFINITY && at.violation <= start->violation - R(1e-4) * alpha * gain;
+    }
+    if (!passes_filter(q, &at)) {
+        return 0;
+    }
+    if (is_descent(q, start, alpha, slope)) {
+        return at.cost <= start->cost + R(1e-4) * alpha * slope + rounding;
+    }
+    if (at.violation <= (R(1) - R(1e-5)) * start->violation + TOL_MERIT_ROUNDING ||
+        at.cost <= start->cost - R(1e-5) * start->violation * q->cost_scale + rounding) {
+        extend_filter(q, start);
+        return 1;
+    }
+    return 0;
+}
+
+/* Backtracking. If the full step is rejected, one second-order correction is tried. */
+static status_t line_search(solver_t *s, const measures_t *start, real_t slope, real_t gain)
+{
+    sqp_t *q = &s->sqp;
+    q->length = R(1);
     put_step_aside(s);
     for (int trial = 0; trial < MAX_TRIALS; trial++) {
-        move_to(s, alpha);
-        if (merit(s) <= start + R(1e-4) * alpha * slope + rounding) {
+        move_to(s, q->length);
+        if (accepts(s, start, q->length, slope, gain)) {
             return OK;
         }
         if (trial == 0) {
-            memcpy(s->sqp.dx_full, s->sqp.dx, sizeof s->sqp.dx);
-            memcpy(s->sqp.du_full, s->sqp.du, sizeof s->sqp.du);
+            memcpy(q->dx_full, q->dx, sizeof q->dx);
+            memcpy(q->du_full, q->du, sizeof q->du);
             if (second_order_correction(s)) {
                 move_to(s, R(1));
-                if (merit(s) <= start + R(1e-4) * slope + rounding) {
+                if (accepts(s, start, R(1), slope, gain)) {
                     return OK;
                 }
             }
-            memcpy(s->sqp.dx, s->sqp.dx_full, sizeof s->sqp.dx);
-            memcpy(s->sqp.du, s->sqp.du_full, sizeof s->sqp.du);
+            memcpy(q->dx, q->dx_full, sizeof q->dx);
+            memcpy(q->du, q->du_full, sizeof q->du);
         }
-        alpha *= R(0.5);
+        q->length *= R(0.5);
     }
     move_to(s, R(0));
     return STALLED;
 }
 
 #if HARD_ROWS
-/* Solves the QP of the present linearisation. If it is infeasible, its rows are relaxed with the penalty row_weight. */
+/* How much the cost may change along the horizon, at least 1: the largest |g_i| |z_i|, and what the multipliers of rows
+ * say about rows in their scale. */
+static real_t cost_unit(const solver_t *s)
+{
+    real_t largest = R(0);
+    for (int k = 0; k <= N; k++) {
+        const real_t *g = (k < N) ? s->node[k].g : s->terminal.g;
+        for (int i = 0; i < NX; i++) {
+            enlarge(&largest, g[i] * s->x[k][i]);
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            enlarge(&largest, g[NX + j] * s->u[k][j]);
+        }
+    }
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+        enlarge(&largest, ROW_MULTIPLIER(s, m) * scale_of(s->sqp.row_scale[row_id[m]]));
+    }
+    return (largest > R(1)) ? largest : R(1);
+}
+
+/* Solves the QP of the present linearisation. If it is infeasible, or has been given up, its rows are relaxed with the
+ * penalty row_weight. */
 static status_t solve_qp(solver_t *s)
 {
     status_t status = run_qp(s);
-    s->sqp.elastic = status == INFEASIBLE;
+    s->sqp.elastic = status == INFEASIBLE || status == ITERATION_LIMIT || status == STALLED;
     if (s->sqp.elastic) {
-        s->relaxation = s->sqp.row_weight;
+        s->relaxation = s->sqp.row_weight * cost_unit(s);
         status = run_qp(s);
         s->relaxation = (real_t)INFINITY;
     }
@@ -289,66 +366,149 @@ static status_t solve_qp(solver_t *s)
 }
 #endif
 
-/* Directional derivative of the merit function along the step of the QP. After the full step the linearised rows are
- * violated only if the QP was elastic. */
-static real_t merit_slope(const solver_t *s, const merit_terms_t *terms)
+/* Directional derivative of the cost along the step of the QP; the penalties change as in the QP. */
+static real_t slope_of(const solver_t *s)
 {
     real_t slope = cost_slope(s);
-#if NG
-    merit_terms_t later;
-    memset(&later, 0, sizeof later);
+#if SOFT_ROWS
+    real_t value[NG];
+    evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-#if SOFT_ROWS
-        add_violation(m, FABS(row_excess(s, m, R(0))), &later);
-#else
-        later.violation += FABS(row_excess(s, m, R(0)));
-#endif
+        if (IS_SOFT(m)) {
+            slope += soft_penalty(m, FABS(row_excess(s, m, R(0))));
+            slope -= soft_penalty(m, FABS(value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))));
+        }
     }
-#endif
-#if SOFT_ROWS
-    slope += later.penalties - terms->penalties;
-#endif
-    slope -= s->sqp.gap_weight * terms->gaps;
-#if HARD_ROWS
-    slope -= s->sqp.row_weight * (terms->violation - later.violation);
 #endif
     return slope;
 }
 
-/* One globalised iteration after prepare_here(). */
-static status_t sqp_iteration(solver_t *s, int iteration)
+/* a + length (b - a), or b if a is not finite. */
+static inline real_t between(real_t a, real_t b, real_t length)
 {
-    merit_terms_t terms;
-    real_t start, slope;
-    const status_t status = solve_qp(s);
+    return (length < R(1) && isfinite(a)) ? a + length * (b - a) : b;
+}
+
+/* Multipliers after a step: those of rows move towards the ones of the QP, lam follows from the gradient of the QP at the
+ * end of the step. After a short step, those of the QP may be as far off as the step. Those of an elastic QP are those
+ * of its penalty: nothing is known. */
+static void take_multipliers(solver_t *s)
+{
+    const real_t length = s->sqp.length;
+#if HARD_ROWS
+    if (s->sqp.elastic) {
+        forget_multipliers(s);
+        return;
+    }
+#endif
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            s->step.dx[k][i] = length * s->sqp.dx[k][i];
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            s->step.du[k][j] = length * s->sqp.du[k][j];
+            s->mu_u[k][j] = between(s->mu_u[k][j], s->step.mult_u[k][j], length);
+        }
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        ROW_MULTIPLIER(s, m) = between(ROW_MULTIPLIER(s, m), s->step.mult[m], length);
+    }
+#endif
+    (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
+}
+
+#if HARD_ROWS
+/* By how much the full step reduces the violation according to the linearisation. */
+static real_t gain_of(const solver_t *s, const measures_t *start)
+{
+    real_t left = R(0);
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+        left += FABS(row_excess(s, m, R(0))) / scale_of(s->sqp.row_scale[row_id[m]]);
+    }
+    return start->violation - left;
+}
+#else
+static real_t gain_of(const measures_t *start)
+{
+    return start->violation;
+}
+#endif
+
+/* The line search; if no step passes the filter, feasibility is restored: until the filter is passed again, steps have
+ * to reduce the violation alone. */
+static status_t search(solver_t *s, const measures_t *start)
+{
+    sqp_t *q = &s->sqp;
+    const real_t slope = slope_of(s);
+#if HARD_ROWS
+    const real_t gain = gain_of(s, start);
+#else
+    const real_t gain = gain_of(start);
+#endif
+    enlarge(&q->cost_scale, slope);
+    q->restoring = q->elastic || (q->restoring && !passes_filter(q, start));
+    if (!q->restoring) {
+        const status_t status = line_search(s, start, slope, gain);
+        if (status == OK || !(start->violation > R(16) * TOL_MERIT_ROUNDING)) {
+            return status;
+        }
+        memcpy(s->step.dx, q->dx, sizeof q->dx);
+        memcpy(s->step.du, q->du, sizeof q->du);
+        extend_filter(q, start);
+        q->restoring = 1;
+    }
+    if (!(gain > R(1e-8) * start->violation)) {
+        return STALLED;
+    }
+    return line_search(s, start, slope, gain);
+}
+
+/* One globalised iteration after prepare_here(). */
+static status_t sqp_iteration(solver_t *s)
+{
+    sqp_t *q = &s->sqp;
+    if (!(q->most_violation < (real_t)INFINITY)) {
+        update_scales(s); /* those of the plan: a relaxed QP needs them */
+    }
+    status_t status = solve_qp(s);
     if (status != OK) {
         return status;
     }
     if (!step_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
-    scatter_multipliers(s);
-    (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
-    update_weights(s);
-    evaluate_constraints(s, &terms);
-    start = merit_of(s, &terms);
-    slope = merit_slope(s, &terms);
-    if (!isfinite(start)) {
+    update_scales(s);
+    const measures_t start = measure(s);
+    if (!isfinite(start.violation) || !isfinite(start.cost)) {
         return NUMERICAL_FAILURE;
     }
-    return line_search(s, merit_to_beat(s, iteration, start), (slope < R(0)) ? slope : R(0));
+    if (!(q->most_violation < (real_t)INFINITY)) {
+        q->most_violation = R(1e4) * ((start.violation > R(1)) ? start.violation : R(1));
+        q->small_violation = R(1e-4) * ((start.violation > R(1)) ? start.violation : R(1));
+    }
+    status = search(s, &start);
+    if (status == OK) {
+        take_multipliers(s);
+    }
+    return status;
 }
 
-/* KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol. */
+/* Relative KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol. */
 static int kkt_converged(solver_t *s, real_t tol)
 {
     kkt_t *kkt = &s->kkt;
     memset(kkt, 0, sizeof *kkt);
     for (int k = 0; k < N; k++) {
-        kkt_node(s, k, &s->node[k], kkt);
+        kkt_node(s, k, &s->node[k], kkt, 1);
     }
-    kkt_terminal(s, &s->terminal, kkt);
-    kkt_rows(s, kkt);
+    kkt_terminal(s, &s->terminal, kkt, 1);
+    kkt_rows(s, kkt, 1);
     return kkt->stationarity <= tol && kkt->equality <= tol && kkt->inequality <= tol && kkt->complementarity <= tol;
 }
 
@@ -371,11 +531,17 @@ static int stuck_infeasible(const solver_t *s, real_t tol)
 }
 #endif
 
-static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
+static status_t iterate(solver_t *s, real_t tol, int max_iterations)
 {
-    s->sqp.gap_weight = R(1);
+    s->sqp.cost_scale = R(0);
+    s->sqp.most_violation = (real_t)INFINITY;
+    memset(s->sqp.state_scale, 0, sizeof s->sqp.state_scale);
+    memset(&s->step, 0, sizeof s->step);
+    s->sqp.entries = 0;
+    s->sqp.restoring = 0;
 #if HARD_ROWS
-    s->sqp.row_weight = R(1);
+    s->sqp.row_weight = R(1000);
+    memset(s->sqp.row_scale, 0, sizeof s->sqp.row_scale);
 #endif
     for (int iteration = 0;; iteration++) {
         status_t status = prepare_here(s);
@@ -387,7 +553,7 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
             return ITERATION_LIMIT;
         }
         if (status == OK) {
-            status = sqp_iteration(s, iteration);
+            status = sqp_iteration(s);
         }
 #if HARD_ROWS
         if (s->sqp.elastic && (status == STALLED || (status == OK && stuck_infeasible(s, tol)))) {
@@ -402,6 +568,33 @@ static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
             return status;
         }
     }
+}
+
+/* Returns 1 if all multipliers that the first Hessian may read are finite. */
+static int multipliers_are_finite(solver_t *s)
+{
+    real_t probe = R(0);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            probe += R(0) * s->lam[k][i];
+        }
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        probe += R(0) * ROW_MULTIPLIER(s, m);
+    }
+#endif
+    return isfinite(probe) != 0;
+}
+
+/* The iterations; outside of them, penalties of rows are those of the rows as they are. */
+static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
+{
+    const status_t status = iterate(s, tol, max_iterations);
+#if HARD_ROWS
+    memset(s->sqp.row_scale, 0, sizeof s->sqp.row_scale);
+#endif
+    return status;
 }
 
 status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
@@ -429,6 +622,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     forget_violation(s);
     if (!plan_is_finite(s)) {
         start_at(s, s->xhat);
+    }
+    if (!multipliers_are_finite(s)) {
+        forget_multipliers(s);
     }
     status = solve_here(s, tol, max_iterations);
 #if HARD_ROWS

@@ -452,7 +452,7 @@ static void condense_expand(solver_t *s)
     }
 #if NG
     for (int m = 0; m < NG; ++m) {
-        d->mult[m] = s->qp.mult[NV + m];
+        d->mult[m] = released_multiplier(s, m);
     }
 #endif
 }

@@ -19,6 +19,9 @@ static status_t qp_factorize(solver_t *s);
 static void qp_gradient(solver_t *s);
 #endif
 static status_t qp_solve(solver_t *s);
+#if NG
+static real_t qp_multiplier(const solver_t *s, int m);
+#endif
 
 static inline real_t (*stage_S(solver_t *s, int k))[NZS]
 {
@@ -97,7 +100,9 @@ static void condense_expand(solver_t *s)
     memcpy(s->step.du, s->qp.z, sizeof s->step.du);
     memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
 #if NG
-    memcpy(s->step.mult, s->qp.mult + NV, sizeof s->step.mult);
+    for (int m = 0; m < NG; m++) {
+        s->step.mult[m] = qp_multiplier(s, m);
+    }
 #endif
 }
 

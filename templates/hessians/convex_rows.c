@@ -38,27 +38,50 @@ static void add_lower(real_t *Q, const real_t *M, int n)
     }
 }
 
-/* Q_k += sum_i mu_i d2 h_i if that sum is positive semidefinite, with the multipliers of the last QP; likewise at node
- * N. */
+/* Q += M if M is positive semidefinite, lower triangles, n x n. */
+static void add_if_convex(real_t *Q, const real_t *M, int n)
+{
+    real_t factor[NZ * NZ];
+    memcpy(factor, M, sizeof factor[0] * (size_t)(n * n));
+    if (is_semidefinite(factor, n)) {
+        add_lower(Q, M, n);
+    }
+}
+
+/* Adds mu_i d2 h_i of every row i for which it is positive semidefinite, with the multipliers of the last QP: Q_k and
+ * Q_N. Row by row, since a concave row must not take their curvature from the others. */
 static void add_rows(solver_t *s)
 {
     real_t M[NZ * NZ] = {0};
-    real_t factor[NZ * NZ];
 #if HAS_PATH_CURVATURE
     for (int k = 0; k < N; k++) {
-        PATH_CURVATURE(s, k, M);
-        memcpy(factor, M, sizeof M);
-        if (is_semidefinite(factor, NZ)) {
-            add_lower(&s->hessian.Q[k][0][0], M, NZ);
+        real_t mu[NH];
+        memcpy(mu, s->mu[k], sizeof mu);
+        memset(s->mu[k], 0, sizeof mu);
+        for (int i = 0; i < NH; i++) {
+            if (mu[i] < R(0) || mu[i] > R(0)) {
+                s->mu[k][i] = mu[i];
+                PATH_CURVATURE(s, k, M);
+                s->mu[k][i] = R(0);
+                add_if_convex(&s->hessian.Q[k][0][0], M, NZ);
+            }
         }
+        memcpy(s->mu[k], mu, sizeof mu);
     }
 #endif
 #if HAS_TERMINAL_CURVATURE
+    real_t mu_N[NH_N];
     memset(M, 0, sizeof M);
-    TERMINAL_CURVATURE(s, M);
-    memcpy(factor, M, sizeof M);
-    if (is_semidefinite(factor, NX)) {
-        add_lower(&s->hessian.Q_N[0][0], M, NX);
+    memcpy(mu_N, s->mu_N, sizeof mu_N);
+    memset(s->mu_N, 0, sizeof mu_N);
+    for (int i = 0; i < NH_N; i++) {
+        if (mu_N[i] < R(0) || mu_N[i] > R(0)) {
+            s->mu_N[i] = mu_N[i];
+            TERMINAL_CURVATURE(s, M);
+            s->mu_N[i] = R(0);
+            add_if_convex(&s->hessian.Q_N[0][0], M, NX);
+        }
     }
+    memcpy(s->mu_N, mu_N, sizeof mu_N);
 #endif
 }

@@ -1,11 +1,11 @@
 #include "hessians/eigen.c"
 
-/* Replaces H (lower triangle of n rows) by V f(Lambda) V', f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor);
- * the floor is relative to the largest |Lambda|. Returns 0, with H unchanged, if H is zero or not finite. `work` has
- * the size of H. */
-static int regularize_reduced(real_t (*H)[LDV], int n, real_t (*work)[LDV])
+/* Replaces H (lower triangle of n rows) by V f(Lambda) V', f = max(Lambda, floor) or, if MIRROR, |Lambda| plus a tenth of
+ * the largest |Lambda| below zero where Lambda is negative, so that small ones do not lead to large steps; the floor is relative to the largest |Lambda| or to `terms`, the magnitude of what H sums, if that is larger. Returns
+ * 0, with H unchanged, if H is zero or not finite. `work` has the size of H. */
+static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t (*work)[LDV])
 {
-    real_t d[LDV], e[LDV], scale = R(0), smallest = R(0);
+    real_t d[LDV], e[LDV], scale = R(0), smallest = terms;
     for (int i = 0; i < n; ++i) {
         for (int j = 0; j <= i; ++j) {
             const real_t a = FABS(H[i][j]);
@@ -15,6 +15,7 @@ static int regularize_reduced(real_t (*H)[LDV], int n, real_t (*work)[LDV])
     if (!(scale > R(0)) || !isfinite(scale)) {
         return 0;
     }
+    smallest /= scale;
     for (int i = 0; i < n; ++i) {
         for (int j = 0; j <= i; ++j) {
             work[i][j] = work[j][i] = H[i][j] / scale;
@@ -26,8 +27,12 @@ static int regularize_reduced(real_t (*H)[LDV], int n, real_t (*work)[LDV])
         smallest = (FABS(d[k]) > smallest) ? FABS(d[k]) : smallest;
     }
     smallest *= regularization[0];
+    real_t least = R(0);
     for (int k = 0; k < n; ++k) {
-        const real_t a = (MIRROR && d[k] < R(0)) ? -d[k] : d[k];
+        least = (d[k] < least) ? d[k] : least;
+    }
+    for (int k = 0; k < n; ++k) {
+        const real_t a = (MIRROR && d[k] < R(0)) ? -d[k] - R(0.1) * least : d[k];
         const real_t value = scale * ((a < smallest) ? smallest : a);
         const real_t *v = work[k];
         for (int i = 0; i < n; ++i) {
@@ -40,14 +45,131 @@ static int regularize_reduced(real_t (*H)[LDV], int n, real_t (*work)[LDV])
     return 1;
 }
 
-/* If the condensed Hessian is not positive definite, it is formed again and regularised. */
+/* Magnitude of the terms that the condensed Hessian sums: largest |R_jj| + sum_i B_ij^2 |Q_ii of the next node|. */
+static real_t condensed_terms(const solver_t *s)
+{
+    real_t largest = R(0);
+    for (int k = 0; k < N; k++) {
+        for (int j = NX; j < NZ; j++) {
+            real_t sum = FABS(s->hessian.Q[NQ == 1 ? 0 : k][j][j]);
+            for (int i = 0; i < NX; i++) {
+                const real_t b = s->node[k].S[i][j];
+                const real_t next = (k + 1 < N) ? s->hessian.Q[NQ == 1 ? 0 : k + 1][i][i] : s->hessian.Q_N[i][i];
+                sum += b * b * FABS(next);
+            }
+            largest = (sum > largest) ? sum : largest;
+        }
+    }
+    return largest;
+}
+
+/* unit[j]: curvature that is typical of variable j, from the diagonal of H and from entries beside it that exceed it. */
+static void condensed_units(real_t (*H)[LDV], int n, real_t terms, real_t *unit)
+{
+    const real_t least = regularization[0] * terms;
+    for (int i = 0; i < n; i++) {
+        unit[i] = (FABS(H[i][i]) > least) ? FABS(H[i][i]) : least;
+        unit[i] = (unit[i] > R(0)) ? unit[i] : R(1);
+    }
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < i; j++) {
+            const real_t a = FABS(H[i][j]), both = SQRT(unit[i]) * SQRT(unit[j]);
+            if (a > both) {
+                unit[i] *= a / both;
+                unit[j] *= a / both;
+            }
+        }
+    }
+}
+
+#if NG
+/* Adds weight a a' for row m, where the weight gives its direction the curvature `hold` in the units; stores the weight
+ * in condensed.held. */
+static void hold_row(solver_t *s, int m, int n, const real_t *unit, real_t hold)
+{
+    const real_t *a = s->qp.A[m];
+    real_t sum = R(0);
+    for (int j = 0; j < n; j++) {
+        sum += a[j] * a[j] / unit[j];
+    }
+    const real_t weight = (sum > R(0)) ? hold / sum : R(0);
+    s->condensed.held[m] = weight;
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j <= i; j++) {
+            s->qp.H[i][j] += weight * a[i] * a[j];
+        }
+    }
+}
+
+/* Rows that are held: equations, and hard rows of the predicted working set. */
+static int is_held(const solver_t *s, int m)
+{
+#if SOFT_ROWS
+    if (IS_SOFT(m)) {
+        return 0;
+    }
+#endif
+    return s->qp.side[NV + m] != 0 || ROW_LOWER(s, m) >= ROW_UPPER(s, m);
+}
+
+#endif
+/* Adds terms for the predicted working set to the Hessian, which make it convex if the Hessian on the null space of that
+ * set is (Finsler's lemma). Near a solution they do not change the step. */
+static void hold_working_set(solver_t *s, real_t terms, real_t hold)
+{
+    const int n = NV - NSL;
+    real_t unit[LDV];
+    condensed_units(s->qp.H, n, terms, unit);
+    for (int c = 0; c < n; c++) {
+        s->qp.H[c][c] += (s->qp.side[c] != 0) ? hold * unit[c] : R(0);
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        if (is_held(s, m)) {
+            hold_row(s, m, n, unit, hold);
+        }
+    }
+#endif
+}
+
+/* If the condensed Hessian is not positive definite, it is formed again and the predicted working set is held, at first
+ * weakly. If that is not sufficient, it is regularised. */
 static status_t condense_factorize(solver_t *s)
 {
-    const status_t status = qp_factorize(&s->qp);
+    status_t status = qp_factorize(&s->qp);
     s->condensed.regularized = status == NUMERICAL_FAILURE;
+#if NG
+    memset(s->condensed.held, 0, sizeof s->condensed.held);
+#endif
     if (!s->condensed.regularized) {
         return status;
     }
-    condense_matrices(s);
-    return regularize_reduced(s->qp.H, NV - NSL, s->qp.work.basis.Q) ? qp_factorize(&s->qp) : status;
+    const real_t terms = condensed_terms(s);
+    for (int trial = 0; trial < 3 && status == NUMERICAL_FAILURE; trial++) {
+        condense_matrices(s);
+        hold_working_set(s, terms, (trial == 0) ? R(1) : R(256));
+        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, s->qp.work.basis.Q)) {
+            return status;
+        }
+        status = qp_factorize(&s->qp);
+    }
+    return status;
 }
+
+#if NG
+/* Multiplier of row m; for a row at its bound without what the Hessian owes to it. */
+static real_t released_multiplier(const solver_t *s, int m)
+{
+    const real_t before = s->qp.mult[NV + m];
+    const int equation = ROW_LOWER(s, m) >= ROW_UPPER(s, m);
+    if (!(s->condensed.held[m] > R(0)) || !(before < R(0) || before > R(0) || equation)) {
+        return before;
+    }
+    real_t change = R(0);
+    for (int j = 0; j < NV - NSL; j++) {
+        change += s->qp.A[m][j] * s->qp.z[j];
+    }
+    const real_t after = before + s->condensed.held[m] * change;
+    return (!equation && before * after < R(0)) ? R(0) : after;
+}
+#endif

@@ -320,7 +320,7 @@ static void schur_distances(const solver_t *s, real_t *distance)
 static void schur_impose(solver_t *s)
 {
     if (s->schur.active && s->schur.applies && s->schur.joint > 0) {
-        real_t distance[QP_MAX_JOINT];
+        real_t distance[QP_MAX_JOINT] = {0};
         schur_distances(s, distance);
         schur_correct(s, distance);
     }
@@ -332,7 +332,7 @@ static int schur_holds(solver_t *s)
 {
     schur_t *c = &s->schur;
     if (c->applies && qp_distance(s) > TOL_RICCATI_FEASIBILITY) {
-        real_t distance[QP_MAX_JOINT];
+        real_t distance[QP_MAX_JOINT] = {0};
         for (int i = 0; i < c->joint; i++) {
             distance[i] = qp_offset(&s->qp, c->member[i]);
         }

@@ -362,12 +362,17 @@ static int ipm_is_solution(solver_t *s)
 }
 
 /* Returns 1 if the iterate is good enough to end the iterations: without curvature, or after many of them, rounding
- * errors may keep it from the tolerances that the iterations aim at. */
-static int ipm_suffices(solver_t *s)
+ * errors may keep it from the tolerances that the iterations aim at. As long as they still come closer, they go on. */
+static int ipm_suffices(solver_t *s, real_t merit_before)
 {
-    const ipm_t *q = &s->ipm;
+    ipm_t *q = &s->ipm;
+    q->deferred = 0;
     if (!(q->damping > R(0) || s->qp.iterations - q->begun > 20) || q->primal > TOL_QP_ACCEPTED ||
         q->mu > TOL_QP_ACCEPTED * q->unit) {
+        return 0;
+    }
+    q->deferred = q->merit > R(1) && q->merit <= R(0.25) * merit_before && s->qp.iterations - q->begun <= 60;
+    if (q->deferred) {
         return 0;
     }
     ipm_stationarity(s); /* multipliers of fixed controls */
@@ -493,6 +498,7 @@ static int ipm_hands_over(ipm_t *q)
 static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int *changed)
 {
     ipm_t *q = &s->ipm;
+    const real_t merit_before = q->merit;
     int done;
     *changed = ipm_stiffen(q, before);
 #if IPM_CROSSOVER
@@ -509,7 +515,7 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
 #if NG
     done = ipm_ends(q, done, before);
 #endif
-    return done || ipm_suffices(s);
+    return done || ipm_suffices(s, merit_before);
 }
 
 /* Iterations from the present point. Returns OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
@@ -549,7 +555,7 @@ static status_t ipm_iterate(solver_t *s)
         }
         s->qp.iterations++;
         if ((q->sides > 0 || changed) && !ipm_weigh_and_factorize(s)) {
-            return ipm_small_residuals(q) ? OK : NUMERICAL_FAILURE;
+            return (q->deferred || ipm_small_residuals(q)) ? OK : NUMERICAL_FAILURE; /* OK is checked at the end */
         }
         ipm_step(s);
     }

@@ -79,7 +79,7 @@ static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
 }
 
 /* y = g_k + Q_k z_k at the present point, for the components that stage k has. */
-static void qp_cost_gradient(solver_t *s, int k, real_t *y)
+static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
 {
     if (k < NS) {
 #if HAS_COST_GRADIENT
@@ -101,6 +101,49 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 #endif
 }
 
+#if NG && REGULARIZE_REDUCED
+/* The same with the rows that belong to the Hessian. */
+static void qp_cost_gradient(solver_t *s, int k, real_t *y)
+{
+    qp_quadratic_gradient(s, k, y);
+    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+        if (!(s->riccati.held[m] > R(0))) {
+            continue;
+        }
+        const real_t f = s->riccati.held[m] * qp_row_value(s, m);
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+        if (stage_state[m] < 0) {
+            riccati_combine(y, &f, stage_row(s, m), NZS, 1, k < NS ? NZS : NXS);
+            continue;
+        }
+#endif
+        y[stage_state[m]] += f;
+    }
+}
+#else
+static void qp_cost_gradient(solver_t *s, int k, real_t *y)
+{
+    qp_quadratic_gradient(s, k, y);
+}
+#endif
+
+#if NG
+/* Multiplier of row m. For a row at its bound without what the Hessian owes to it; 0 if that has the other sign, because
+ * the row would leave then. */
+static real_t qp_multiplier(const solver_t *s, int m)
+{
+    const real_t before = s->qp.mult[NV + m];
+#if REGULARIZE_REDUCED
+    const int equation = s->qp.lower[NV + m] >= s->qp.upper[NV + m];
+    if (s->riccati.held[m] > R(0) && (before < R(0) || before > R(0) || equation)) {
+        const real_t after = before + s->riccati.held[m] * qp_row_value(s, m);
+        return (!equation && before * after < R(0)) ? R(0) : after;
+    }
+#endif
+    return before;
+}
+
+#endif
 /* b = S_k z_k + b_k - x_{k+1} at the present point. */
 static void qp_gap(solver_t *s, int k, real_t *b)
 {

@@ -2,16 +2,12 @@
  *                     working set. Returns 1 if the present factors are those without fixed controls and without rows.
  *
  * The reduced Hessian in the controls and the free components of x_0 is positive definite if and only if the pivots of
- * the recursion without fixed controls are positive. If they are not, terms are added to the diagonal of the Hessian
- * for these variables. The terms are the same at all stages and add the same amount to the reduced Hessian:
- *     shift  for all of them: the smallest one, up to a factor of four, for which the pivots are positive with the
- *            controls of the predicted working set fixed, plus one eighth; twice the smallest one if MIRROR, as if the
- *            negative eigenvalue changed its sign; only the floor if that is sufficient
- *     hold   for the controls of the predicted working set: large enough for the pivots to be positive without fixing
- *            these controls. Near a solution they do not move, so that the hold changes neither the step nor the rate
- *            of convergence (Debreu's lemma: a matrix that is positive definite on the null space of E becomes positive
- *            definite if a sufficiently large multiple of E'E is added).
- * The multipliers lam are not affected: the terms belong to variables that have no multiplier lam. */
+ * the recursion are positive. If they are not, the predicted working set is held: held[m] a_m a_m' for equations and for
+ * the rows of that set, and additions to the diagonal for its controls. A Hessian that is positive definite on the null
+ * space of these rows becomes positive definite if they are held strongly enough (Finsler's lemma); near a solution
+ * their values do not change, so that neither the step nor the rate of convergence does. If that is not sufficient, a
+ * multiple of the units is added to the diagonal for all controls and free components of x_0. The multipliers lam are
+ * not affected: lam contains what held rows add, and the diagonal belongs to variables that have no multiplier lam. */
 
 /* Scale of component j of z: the maximum over the stages of |Q_jj| + sum_i S_ij^2 |Q_ii of the next stage|. Returns 0
  * if it is not finite. */
@@ -40,9 +36,52 @@ static int riccati_units(solver_t *s, real_t *unit)
     return isfinite(probe) != 0;
 }
 
-/* The recursion with shift and hold; if `given`, the controls of the predicted working set are fixed. Returns 0 if a
- * pivot is not positive. */
-static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hold, int given)
+/* Units of variables that have more curvature beside the diagonal than on it. */
+static void riccati_extend_units(solver_t *s, real_t *unit)
+{
+    for (int k = 0; k < NS; k++) {
+        for (int i = 0; i < NZS; i++) {
+            for (int j = 0; j < i; j++) {
+                const real_t a = FABS(stage_Q(s, k)[i][j]), both = SQRT(unit[i]) * SQRT(unit[j]);
+                if (a > both) {
+                    unit[i] *= a / both;
+                    unit[j] *= a / both;
+                }
+            }
+        }
+    }
+}
+
+#if NG
+/* Weight of row m that gives its direction the curvature hold, in units of the variables. */
+static real_t riccati_row_hold(const solver_t *s, int m, real_t hold)
+{
+    const real_t *unit = s->riccati.unit;
+    real_t sum = R(0);
+#if GENERAL_ROWS || NE || BLOCK_ROWS
+    if (stage_state[m] < 0) {
+        const real_t *a = stage_row(s, m);
+        for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
+            sum += a[i] * a[i] / unit[i];
+        }
+        return (sum > R(0)) ? hold / sum : R(0);
+    }
+#endif
+    sum = unit[stage_state[m]];
+    return hold * sum;
+}
+
+/* Equations and the rows of the predicted working set. */
+static int riccati_is_held(const qp_t *q, int m)
+{
+    const int c = NV + m;
+    return !(q->penalty[m] < (real_t)INFINITY) && (q->lower[c] >= q->upper[c] || q->side[c] != 0);
+}
+
+#endif
+/* The recursion with the predicted working set held, and all variables without multiplier shifted. Returns 0 if a pivot
+ * is not positive. */
+static int riccati_try(solver_t *s, real_t hold, real_t shift)
 {
 #if BUDGET
     if (!qp_afford(&s->qp, COST_SHIFT)) {
@@ -52,66 +91,49 @@ static int riccati_try(solver_t *s, const real_t *unit, real_t shift, real_t hol
     riccati_t *r = &s->riccati;
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS && k * NUS + j < N * NU; j++) {
-            const int c = k * NUS + j, held = s->qp.side[c] != 0;
-            r->fixed[c] = given && held;
-            r->diagonal[k][j] = (held ? shift + hold : shift) * unit[NXS + j];
+            const real_t held = (s->qp.side[k * NUS + j] != 0) ? hold : R(0);
+            r->diagonal[k][j] = (shift + held) * r->unit[NXS + j];
         }
     }
 #if NF
     for (int f = 0; f < NF; f++) {
-        r->diagonal_free[f] = shift * unit[free_state[f]];
+        r->diagonal_free[f] = shift * r->unit[free_state[f]];
+    }
+#endif
+#if NG
+    for (int m = 0; m < NG; m++) {
+        r->held[m] = riccati_is_held(&s->qp, m) ? riccati_row_hold(s, m, hold) : R(0);
     }
 #endif
     return riccati_factorize(s, NS);
 }
 
-/* Smallest shift, up to a factor of four, for which the recursion succeeds; the search starts at the shift of the
- * previous QP. Negative if there is none. */
-static real_t riccati_smallest_shift(solver_t *s, const real_t *unit, int given)
+/* The recursion with the smallest shift, up to a factor of four, for which it succeeds, plus one eighth, or twice this
+ * shift if MIRROR, as if the negative eigenvalue changed its sign. The search starts at the shift of the previous QP.
+ * Returns 0 if there is none. */
+static int riccati_shift(solver_t *s, real_t hold)
 {
     const real_t least = regularization[0], before = s->riccati.shift;
     real_t high = (before > least) ? before : R(1e-3);
     int trial;
-    if (riccati_try(s, unit, R(0), R(0), given)) {
-        return R(0);
+    if (riccati_try(s, hold, least)) {
+        return 1;
     }
-    if (riccati_try(s, unit, least, R(0), given)) {
-        return least;
-    }
-    for (trial = 0; !riccati_try(s, unit, high, R(0), given); trial++) {
+    for (trial = 0; !riccati_try(s, hold, high); trial++) {
         /* at most MAX_SHIFTS + 1 passes */
         if (trial == MAX_SHIFTS) {
-            return -R(1);
+            return 0;
         }
         high *= R(4);
     }
     for (int n = 0; n < MAX_SHIFTS && trial == 0 && high > R(4) * least; n++) {
-        if (!riccati_try(s, unit, R(0.25) * high, R(0), given)) {
+        if (!riccati_try(s, hold, R(0.25) * high)) {
             break;
         }
         high *= R(0.25);
     }
     s->riccati.shift = high;
-    return (MIRROR ? R(2) : R(1.125)) * high;
-}
-
-/* The recursion without fixed controls, with a hold on the predicted working set that is large enough. Returns 0 if
- * none is found. */
-static int riccati_hold(solver_t *s, const real_t *unit, real_t shift)
-{
-    real_t hold = R(0.25) * s->riccati.hold;
-    if (shift > R(0) && riccati_try(s, unit, shift, R(0), 0)) {
-        return 1;
-    }
-    hold = (hold > R(1e-3)) ? hold : R(1e-3);
-    for (int trial = 0; trial < MAX_SHIFTS; trial++) {
-        if (riccati_try(s, unit, shift, hold, 0)) {
-            s->riccati.hold = hold;
-            return 1;
-        }
-        hold *= R(4);
-    }
-    return 0;
+    return riccati_try(s, hold, (MIRROR ? R(2) : R(1.125)) * high);
 }
 
 /* Adds the shifts and holds of the last trial to the Hessian of the QP. */
@@ -141,26 +163,22 @@ static void riccati_clear_diagonal(riccati_t *r)
 static int riccati_convexify(solver_t *s)
 {
     riccati_t *r = &s->riccati;
-    real_t unit[NZS], shift;
     int found;
     riccati_clear_diagonal(r);
 #if NG
     memset(r->weight, 0, sizeof r->weight);
+    memset(r->held, 0, sizeof r->held);
 #endif
     memset(r->fixed, 0, sizeof r->fixed);
     r->regularize = 0;
     if (riccati_factorize(s, NS)) {
         return 1;
     }
-    if (!riccati_units(s, unit)) {
+    if (!riccati_units(s, r->unit)) {
         return 0;
     }
-    shift = riccati_smallest_shift(s, unit, 1);
-    found = shift >= R(0) && riccati_hold(s, unit, shift);
-    if (!found) {
-        shift = riccati_smallest_shift(s, unit, 0);
-        found = shift > R(0) && riccati_try(s, unit, shift, R(0), 0);
-    }
+    riccati_extend_units(s, r->unit);
+    found = riccati_try(s, R(1), R(0)) || riccati_try(s, R(256), R(0)) || riccati_shift(s, R(256));
     if (found) {
         riccati_keep_diagonal(s);
     }

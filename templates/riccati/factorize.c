@@ -50,13 +50,23 @@ static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A,
 }
 
 #if NG
+/* Weight of a a' for row m. */
+static inline real_t riccati_weight(const riccati_t *r, int m)
+{
+#if REGULARIZE_REDUCED
+    return (r->held[m] > R(0)) ? r->weight[m] + r->held[m] : r->weight[m];
+#else
+    return r->weight[m];
+#endif
+}
+
 #if GENERAL_ROWS || NE || BLOCK_ROWS
 /* Writes the general row m to position n of a group. */
 static inline void riccati_collect_row(solver_t *s, int m, int n)
 {
     recursion_t *work = &s->riccati.work.recursion;
     const int width = stage_of_row[m] < NS ? NZS : NXS;
-    const real_t *a = stage_row(s, m), w = s->riccati.weight[m];
+    const real_t *a = stage_row(s, m), w = riccati_weight(&s->riccati, m);
     for (int i = 0; i < width; i++) {
         work->W[n][i] = w * a[i];
         work->T[n][i] = a[i];
@@ -84,9 +94,10 @@ static void riccati_add_weights(solver_t *s, int k)
 #endif
     for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
         const int state = stage_state[m];
-        const int counts = r->weight[m] != R(0); /* rows without weight are skipped */
+        const real_t weight = riccati_weight(r, m);
+        const int counts = weight != R(0); /* rows without weight are skipped */
         if (counts && state >= 0) {
-            r->P[k][state][state] += r->weight[m];
+            r->P[k][state][state] += weight;
         }
 #if GENERAL_ROWS || NE || BLOCK_ROWS
         if (counts && state < 0) {

@@ -125,9 +125,9 @@ def test_list_options_names_every_component_and_field(capsys: pytest.CaptureFixt
         "integrator.tableau = RK4; one of Euler, Midpoint, Heun, SSPRK3, RK4;",
         "integrator.steps = 2; an integer >= 1",
         "integrator.unroll = auto; one of auto, all, step, none",
-        "hessian.regularization = project; one of project, mirror, none;",
+        "hessian.regularization = mirror; one of project, mirror, none;",
         "hessian.regularization.level = reduced; one of reduced, stage",
-        "hessian.convex_rows = False; True or False",
+        "hessian.convex_rows = True; True or False",
         "algorithm.shift = None; one of None, repeat, periodic, resample",
         "online.weight = shared; one of fixed, shared, node",
     ):

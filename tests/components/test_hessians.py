@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import OCP, OptionError, Options
-from nmpc_codegen.components.hessians import GaussNewton
+from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.lowering.linearize import Model, linearize
@@ -209,4 +209,5 @@ def test_general_costs_are_refused() -> None:
     ocp = stated(CASES["diagonal"])
     ocp.stage_cost(ca.sin(ocp.u))
     with pytest.raises(OptionError, match=r"uses general cost, which hessian GaussNewton\(\)"):
-        linearize(classify(ocp), Options())
+        linearize(classify(ocp), Options(hessian=GaussNewton()))
+    assert linearize(classify(ocp), Options()).parts.hessian == ExactHessian()

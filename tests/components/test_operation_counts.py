@@ -28,7 +28,7 @@ from tests.components.test_condensing import PROBLEMS, SPELLINGS
 from tests.models import discrete_map, problem_of
 
 CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
-    **{f"condensing {name}": (PROBLEMS[name], Options()) for name in ("general", "sparse")},
+    **{f"condensing {name}": (PROBLEMS[name], Options(hessian=GaussNewton())) for name in ("general", "sparse")},
     **{
         f"tableau {name}": (lambda: problem_of("reactor", uniform=False), Options(ExplicitRungeKutta(tableau, 2)))
         for name, tableau in TABLEAUS.items()
@@ -62,7 +62,7 @@ SPELLED = [*((name, "nonzeros") for name in PROBLEMS), *((name, "loops") for nam
 @pytest.mark.parametrize(("name", "spelling"), SPELLED)
 def test_both_spellings_of_the_products(name: str, spelling: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(products, "WRITTEN_OUT", SPELLINGS[spelling])
-    module = module_of(PROBLEMS[name](), Options(qp=DenseActiveSet()))
+    module = module_of(PROBLEMS[name](), Options(hessian=GaussNewton(), qp=DenseActiveSet()))
     assert module.products.spelling == spelling
     assert mismatches(module, render(module)) == []
 

@@ -23,7 +23,7 @@
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
  *   condensing: full                condensing/full.c                                   157 operations      176 bytes
  *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1480 bytes
- *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      360 bytes
+ *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      624 bytes
  */
 #include "golden.h"
 
@@ -91,7 +91,7 @@ typedef golden_status_t status_t;
 #define QP_MAX_SEARCHES GOLDEN_QP_MAX_SEARCHES
 #define PATIENCE GOLDEN_PATIENCE
 #define MAX_TRIALS GOLDEN_MAX_TRIALS
-#define MEMORY GOLDEN_MEMORY
+#define FILTER GOLDEN_FILTER
 #define MANY GOLDEN_MANY
 #define MAGIC NMPC_CODEGEN_UNIT
 #define ALL GOLDEN_ALL
@@ -144,7 +144,8 @@ typedef golden_status_t status_t;
     &(h)[row_index[m]]))
 #define ROW_LOWER(s, m) ((s)->lower[row_node[m] == N])[row_id[m]]
 #define ROW_UPPER(s, m) ((s)->upper[row_node[m] == N])[row_id[m]]
-#define ROW_PENALTY(s, m) ((s)->relaxation)
+#define ROW_PENALTY(s, m) (((s)->sqp.row_scale[row_id[m]] > R(0)) ? (s)->relaxation / \
+    (s)->sqp.row_scale[row_id[m]] : (s)->relaxation)
 #define INTEGRATOR_INTERVAL(s, k, x_next, S) integrator_interval((s)->x[k], (s)->u[k], PARAM(s, k), \
     &interval_length[k], x_next, S)
 #define INTEGRATOR_STEP(s, k, x, u, h, x_next) integrator_step(x, u, PARAM(s, k), h, x_next)

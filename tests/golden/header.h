@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2632 bytes in size, holds no pointers and may be
+ * The caller owns the memory: one golden_solver_t is 2896 bytes in size, holds no pointers and may be
  * copied with '='. Only one execution context at a time may use an instance. An interrupt may change measurements
  * during a call: pass a copy of them. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
@@ -61,7 +61,7 @@ typedef double golden_real;
 #define GOLDEN_PATIENCE 10 /* samples after which a failure is not that of one sample alone */
 #define GOLDEN_SHIFT 0 /* 1: step() moves the plan before preparing */
 #define GOLDEN_MAX_TRIALS 30 /* halvings of the step in the line search of solve() */
-#define GOLDEN_MEMORY 8 /* merit values that the line search of solve() remembers */
+#define GOLDEN_FILTER 16 /* pairs of violation and cost that solve() does not accept again */
 #define GOLDEN_MANY 1000000 /* maximum value of counters */
 #define GOLDEN_MAGIC 1313689667 /* marks a struct that init has initialised */
 

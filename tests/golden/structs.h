@@ -107,7 +107,9 @@ typedef struct { /* solution of the QP */
 } golden_step_t;
 
 typedef struct { /* line search of solve() */
-    golden_real recent[GOLDEN_MEMORY]; /* last merit values */
+    golden_real filter_violation[GOLDEN_FILTER]; /* violations that the filter rejects */
+    golden_real filter_cost[GOLDEN_FILTER]; /* and the costs that belong to them */
+    golden_real row_scale[GOLDEN_NR]; /* scales of the rows */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls before the step */
     golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
     golden_real du_full[GOLDEN_N][GOLDEN_NU]; /* du before the second-order correction */
@@ -115,8 +117,14 @@ typedef struct { /* line search of solve() */
     golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states before the step */
     golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
     golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* dx before the second-order correction */
-    golden_real gap_weight; /* weight of the gaps in the merit function */
-    golden_real row_weight; /* weight of the rows; penalty of the elastic QP */
+    golden_real state_scale[GOLDEN_NX]; /* scales of the states */
+    golden_real row_weight; /* penalty of the rows in the elastic QP */
+    int32_t entries; /* entries of the filter */
+    int32_t restoring; /* 1: steps only have to reduce the violation */
+    golden_real length; /* length of the last step */
+    golden_real cost_scale; /* largest slope of the cost */
+    golden_real most_violation; /* violation that is never accepted */
+    golden_real small_violation; /* violation up to which the cost counts */
     int32_t elastic; /* 1: the last QP was infeasible and relaxed */
 } golden_sqp_t;
 
@@ -124,7 +132,6 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     /* work */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
     golden_step_t step; /* solution of the QP */
-    golden_sqp_t sqp; /* line search of solve() */
     golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
     int32_t renewal; /* 1: references are newer than the gradients, 2: so are weights or parameters */
     golden_real xhat[GOLDEN_NX]; /* state measured at the last feedback */
@@ -134,6 +141,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
     golden_qp_t qp; /* condensed QP and its active-set factorisation */
+    golden_sqp_t sqp; /* line search of solve() */
     int32_t magic; /* set by init */
     /* plan */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls of the plan */

@@ -35,16 +35,14 @@ ORDERS = {
         (*INTERVAL, *TERMINAL, *START, "start_hessian", "initial_hessian", *PATH, "path_exact", *ROWS),
     ),
     "identity, integrated": (IdentityHessian(), True, (*INTERVAL, "path_hessian", *TERMINAL, *START, *PATH, *ROWS)),
-    "convex rows": (
+    "linear rows": (
         GaussNewton(convex_rows=True),
         False,
         (
             *INTERVAL,
             *PATH,
             "path_hessian",
-            "path_curvature",
             *TERMINAL,
-            "terminal_curvature",
             *START,
             "start_hessian",
             *ROWS,

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, ExplicitRungeKutta, OptionError, Options
+from nmpc_codegen import OCP, ExplicitRungeKutta, GaussNewton, OptionError, Options
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.lowering.linearize import linearize
@@ -104,4 +104,4 @@ def test_a_feature_that_no_component_takes_is_refused() -> None:
     ocp = rows_problem()
     ocp.stage_cost(ocp.x[0] * ocp.u)
     with pytest.raises(OptionError, match="general cost"):
-        linearize(classify(ocp), Options())
+        linearize(classify(ocp), Options(hessian=GaussNewton()))

@@ -28,6 +28,14 @@ def regularized(H: Array, mirror: bool, floor: float, scale: float | None = None
     return np.asarray(V * changed @ V.T)
 
 
+def regularized_reduced(H: Array, mirror: bool, floor: float) -> Array:
+    """The same for the reduced Hessian, where a mirrored eigenvalue is raised by a tenth of the most negative one."""
+    values, V = np.linalg.eigh(H)
+    mirrored = np.where(values < 0, -values - 0.1 * values.min(), values)
+    changed = np.maximum(mirrored if mirror else values, floor * np.abs(values).max())
+    return np.asarray(V * changed @ V.T)
+
+
 def blocks(problem: Problem, point: Point, data: Data, integrator: Tableau = CLASSICAL) -> tuple[list[Array], Array]:
     """Q_k = d2 (l_k + q_k + lam_{k+1}' Phi_k + mu_k' h_k) / dz^2 with eta' r in the first, and Q_N."""
     N, nx, nu = problem.N, problem.nx, problem.nu

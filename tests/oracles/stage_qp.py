@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
+import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import LinearOperator, onenormest, splu
+from scipy.sparse.linalg import LinearOperator, onenormest
 
 Array = np.ndarray
 
@@ -227,11 +228,31 @@ def fitted_lam(qp: StageQP, p: Point) -> Array:
     right = -unit * np.concatenate([G.ravel(), G_N])
     n, m = M.shape
     assert n == N * (nx + nu) + nx
-    factor = splu(sp.bmat([[sp.eye(n), M], [M.T, None]], format="csc"))
+    factor = SparseLU(sp.bmat([[sp.eye(n), M], [M.T, None]], format="csc"))
     solution = factor.solve(np.concatenate([right, np.zeros(m)]))
     lam = np.zeros((N + 1) * nx)
     lam[keep] = dual * solution[n:]
     return lam.reshape(N + 1, nx)
+
+
+class SparseLU:
+    """Factors of a sparse matrix by MUMPS, which CasADi ships; RuntimeError if it is singular.
+
+    SciPy's SuperLU passes invalid dimensions to BLAS for some of these matrices, and may fault.
+    """
+
+    def __init__(self, K: sp.csc_matrix) -> None:
+        K = sp.csc_matrix(K)
+        K.sort_indices()
+        pattern = ca.Sparsity(*K.shape, K.indptr.tolist(), K.indices.tolist())
+        self._matrix = ca.DM(pattern, K.data)
+        self._solver = ca.Linsol("lu", "mumps", pattern)
+        self._solver.sfact(self._matrix)
+        self._solver.nfact(self._matrix)
+
+    def solve(self, right: Array) -> Array:
+        """K^-1 right, (n,)."""
+        return np.asarray(self._solver.solve(self._matrix, ca.DM(right))).ravel()
 
 
 def dynamics_matrix(qp: StageQP) -> sp.csr_matrix:
@@ -415,7 +436,7 @@ def _primal_condition(H: sp.spmatrix, A: sp.spmatrix, delta: float) -> float:
     n, m = H.shape[0], A.shape[0]
     K = sp.bmat([[H, A.T], [A, -delta * sp.eye(m)]], format="csc")
     try:
-        factor = splu(K)
+        factor = SparseLU(K)
     except RuntimeError:
         return np.inf
 

@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.lib.doors.snippets import ROOT, blocks, changed, copy_tree, documents, install_command, run
 from examples.crane import build_ocp
-from nmpc_codegen import OCP, OptionError, build, generate
+from nmpc_codegen import OCP, GaussNewton, OptionError, Options, build, generate
 from nmpc_codegen.cli import main
 from nmpc_codegen.runtime.build import WARNINGS
 
@@ -106,8 +106,9 @@ def test_what_is_refused_is_refused_by_name(feature: str, state: Callable[[OCP, 
     ocp, x = _ocp()
     assert generate(ocp)
     state(ocp, x)
+    assert generate(ocp)
     with pytest.raises(OptionError, match=feature):
-        generate(ocp)
+        generate(ocp, Options(hessian=GaussNewton()))
 
 
 # How to add a component ----------------------------------------------------------------------------------------------

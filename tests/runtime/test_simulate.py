@@ -43,6 +43,15 @@ def test_the_log_is_the_loop(toy: Controller) -> None:
     assert log.u[0] == -5.0
 
 
+def test_warm_start_is_solve_before_the_first_sample(toy: Controller) -> None:
+    twin = toy.copy()
+    seen: list[int] = []
+    log = simulate(toy, X0, 3, reference=lambda k, _: seen.append(k), warm_start=True)
+    assert seen == [0, 0, 1, 2]
+    twin.solve(X0)
+    np.testing.assert_array_equal(log.u[0], twin.step(X0))
+
+
 def test_long_samples_are_cut_into_the_controllers_intervals(toy: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
     steps: list[float] = []
     original = Controller.integrate

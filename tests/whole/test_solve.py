@@ -45,7 +45,7 @@ def test_equal_to_ipopt(name: str) -> None:
     assert_equal_to_ipopt(name, solution)
     assert problems.active_kinds(name, solution) >= case.active
     residuals = kkt_residuals(problems.problem(name), problems.point(solution), problems.case_data(name), case.tableau)
-    assert residuals.worst <= 2e-10
+    assert residuals.worst <= 2e-9  # the tolerance is relative to the terms of the residuals
     assert problems.is_regular(name, solution)
     for which in MULTIPLIERS:
         assert relative(getattr(solution, which), getattr(problems.reference(name), which)) <= 1e-5
@@ -118,8 +118,8 @@ def test_cost(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["crane", "crane_weight"])
 def test_crane_kkt(name: str) -> None:
-    """The residuals at which solve() stopped are those that NumPy finds at the same point."""
-    solution = problems.controller(name).solve(CASES[name].x0, tol=1e-8)
+    """The residuals at which solve() stopped, relative to the terms that they sum, are those that NumPy finds."""
+    solution = problems.controller(name).solve(CASES[name].x0, tol=1e-10)
     theirs = kkt_residuals(problems.problem(name), problems.point(solution), problems.case_data(name))
     for part in ("stationarity", "equality", "inequality", "complementarity"):
         assert getattr(solution.kkt, part) <= 1e-8
@@ -171,9 +171,11 @@ def test_state_not_finite(bad: float) -> None:
 
 
 def test_never_ok_without_being_solved() -> None:
-    """Full Gauss-Newton steps cycle on the terminal disc: the status states it, and the residuals are the true ones."""
+    """Gauss-Newton steps without the curvature of the terminal disc cycle: the status states it, and the residuals are
+    the true ones."""
     ocp: OCP = problems.disc()
-    solution = build(ocp, profile="test").solve((1.0, 0.0), tol=1e-8)
+    without = Options(hessian=GaussNewton(convex_rows=False))
+    solution = build(ocp, without, profile="test").solve((1.0, 0.0), tol=1e-8)
     assert solution.status == Status.ITERATION_LIMIT
     assert max(vars(solution.kkt).values()) > 1e-3
     assert np.isfinite(solution.x).all()

@@ -24,7 +24,7 @@ from nmpc_codegen import Options, Status
 from nmpc_codegen.components import condensing, qp
 from tests.oracles.stage_qp import Shape, StageQP, condition, distance
 from tests.oracles.stage_qp_random import INFEASIBLE, SEMIDEFINITE, kinds_of, random_qp
-from tests.stage_qp import GIVEN_UP, StageSolver, built, solver_options, solvers
+from tests.stage_qp import GIVEN_UP, StageSolver, built, generated, solver_options, solvers
 
 SETS = 7  # data sets of a tuple
 CONDENSED = 160  # largest N nu of full condensing, whose solver is cubic in N nu
@@ -156,7 +156,10 @@ def run(tuples: int = 300, first: int = 0, osqp: bool = True) -> Tally:
             for j in range(i, min(i + 4, tuples)):
                 if j not in waiting:
                     ahead = drawn[j]
-                    waiting[j] = [pool.submit(built, ahead.shape, o) for o in options_of(ahead).values()]
+                    chosen = options_of(ahead).values()
+                    for o in chosen:
+                        generated(ahead.shape, o)
+                    waiting[j] = [pool.submit(built, ahead.shape, o) for o in chosen]
             for future in waiting[i]:
                 future.result()
             run_tuple(tally, one, first + i, osqp)

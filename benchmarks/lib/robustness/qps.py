@@ -13,11 +13,12 @@ import math
 import multiprocessing
 from collections import Counter
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from benchmarks.lib.built import build_all
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness.draw import CLASSES, SHAPES, draw, multipliers_of_dynamics, shapes_of
 from benchmarks.lib.robustness.judge import LIMITS, Verdict, judge
@@ -81,12 +82,8 @@ def controllers(shapes: Iterable[Shape] = SHAPES) -> dict[Package, Controller]:
     """All packages, compiled side by side."""
     wanted = [(shape, solver, precision) for shape in shapes for solver in SOLVERS for precision in SCALARS]
 
-    def one(package: Package) -> Controller:
-        shape, solver, precision = package
-        return build(stage_ocp(shape), options(solver, precision), profile="fast")
-
-    with ThreadPoolExecutor(2) as pool:
-        return dict(zip(wanted, pool.map(one, wanted), strict=True))
+    ocps = ((stage_ocp(shape), options(solver, precision)) for shape, solver, precision in wanted)
+    return dict(zip(wanted, build_all(ocps), strict=True))
 
 
 def solve(controller: Controller, qp: StageQP, precision: str) -> Answer:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 
+from benchmarks.lib.built import build_all
 from benchmarks.lib.robustness.stage_package import SOLVERS
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
@@ -24,7 +25,6 @@ from nmpc_codegen import (
     Mirror,
     Options,
     RealTimeIteration,
-    build,
 )
 from nmpc_codegen.components.algorithms.real_time_iteration import SHIFTS
 from nmpc_codegen.frontend.classify import classify
@@ -193,8 +193,7 @@ def candidates() -> tuple[Candidate, ...]:
 
 def built(chosen: Iterable[Candidate], profile: str = "fast") -> list[Controller]:
     """Their controllers, compiled side by side."""
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(lambda c: build(c.subject.make(), c.options, profile=profile), chosen))
+    return build_all(((c.subject.make(), c.options) for c in chosen), profile)
 
 
 def in_processes(run: Callable[[Job], Outcome], chosen: Sequence[Candidate], count: int) -> list[Outcome]:

@@ -106,7 +106,7 @@ def growth(problem: Problem, integrator: Integrator, precision: Precision) -> Gr
     longest = math.inf if problem.discrete else integrator.longest_step(problem)
     found = []
     with np.errstate(all="ignore"):
-        for x, u in _points(problem):
+        for x, u in points(problem):
             lengths = {dt: _interval(step, problem, x, u, dt, max(1, round(dt / longest))) for dt in set(problem.dt)}
             if all(np.all(np.isfinite(S)) for S in lengths.values()):
                 found.append(_factors(np.array([lengths[dt] for dt in problem.dt]), problem.uniform))
@@ -136,7 +136,7 @@ def _interval(step: Function, problem: Problem, x: Array, u: Array, dt: float, s
     return S
 
 
-def _points(problem: Problem) -> list[tuple[Array, Array]]:
+def points(problem: Problem) -> list[tuple[Array, Array]]:
     """(x, u) of the first plan, and with the states at the references that the path or the terminal cost names."""
     u = np.zeros(problem.nu)
     for j, position in enumerate(problem.control_reference):

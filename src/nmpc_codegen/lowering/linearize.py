@@ -16,7 +16,9 @@ from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
 from nmpc_codegen.ir.stage_products import Pattern, pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.choose import Choice, choose_qp
+from nmpc_codegen.lowering.choose_hessian import choose_hessian
 from nmpc_codegen.lowering.growth import growth
+from nmpc_codegen.lowering.stability import stability_warning
 from nmpc_codegen.options import REGISTRIES, Online, Options
 from nmpc_codegen.runtime.package_description import Precision
 
@@ -61,6 +63,7 @@ def linearize(problem: Problem, options: Options) -> Model:
     Raises:
         OptionError: a component does not support the problem, or options clash.
     """
+    options, of_hessian = choose_hessian(problem, options)
     options = options.with_defaults
     online = options.online
     path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
@@ -83,7 +86,7 @@ def linearize(problem: Problem, options: Options) -> Model:
         online=online,
         precision=options.precision,
         solve=options.solve,
-        reasons=choices,
+        reasons=(*choices, *stability_warning(problem, integrator), *of_hessian),
         choice=choice,
         constant_hessian=constant,
     )

@@ -153,8 +153,8 @@ def rows(module: CModule) -> list[Definition]:
             text = f"{test} ? &{element} : {text}"
         return f"(*({text}))" if tests else f"({found[-1]})" if found else "0"
 
-    infinity, soft, relaxed = "((real_t)INFINITY)", "row_l1[row_id[m]]", "((s)->relaxation)"
-    hard = relaxed if sizes["RELAXATION"] else infinity
+    infinity, soft = "((real_t)INFINITY)", "row_l1[row_id[m]]"
+    hard = _hard_penalty(sizes) if sizes["RELAXATION"] else infinity
     penalty = f"(IS_SOFT(m) ? {soft} : {hard})" if sizes["RELAXATION"] else soft
     return [
         ("CONTROL_LOWER", "s, k, j", of_control("control_row", "PATH_LOWER(s, k, control_row[j])", f"(-{infinity})")),
@@ -183,6 +183,14 @@ def rows(module: CModule) -> list[Definition]:
         ("ROW_PENALTY", "s, m", penalty if sizes["SOFT_ROWS"] else hard),
         ("ROW_CURVATURE", "m", "row_l2[row_id[m]]" if sizes["SOFT_ROWS"] else "R(0)"),
     ]
+
+
+def _hard_penalty(sizes: Mapping[str, int]) -> str:
+    """Penalty of a hard row of a relaxed QP; in solve() of a violation in the scale of the row, where that is known."""
+    if not (sizes["SOLVE"] and sizes["HARD_ROWS"]):
+        return "((s)->relaxation)"
+    scale = "(s)->sqp.row_scale[row_id[m]]"
+    return f"(({scale} > R(0)) ? (s)->relaxation / {scale} : (s)->relaxation)"
 
 
 def _row_kinds(sizes: Mapping[str, int]) -> dict[str, int]:

@@ -22,7 +22,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.compiled import COUNTERS, CompiledPackage
 from nmpc_codegen.runtime.given import checked_array, checked_weight, is_integer, is_positive, ndim
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
-from nmpc_codegen.runtime.status import Kkt, Solution, Stats, Status
+from nmpc_codegen.runtime.status import Kkt, Solution, Stats, Status, diagnosis
 
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
@@ -312,6 +312,10 @@ class Controller:
     def status(self) -> Status:
         """Outcome of the last prepare(), feedback(), step() or solve()."""
         return Status(int(self._struct["status"]))
+
+    def diagnose(self) -> str:
+        """Why the last call was not OK, in the user's names, and what to try; a few lines."""
+        return diagnosis(self, self._xhat)
 
     @property
     def stats(self) -> Stats:

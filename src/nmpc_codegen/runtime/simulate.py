@@ -109,6 +109,7 @@ def simulate(
     plant: Plant | None = None,
     disturbance: Disturbance | None = None,
     reference: Reference | None = None,
+    warm_start: bool = False,
 ) -> Log:
     """Run a controller in closed loop. The controller is left in its last state; copy() it to keep the initial one.
 
@@ -121,6 +122,8 @@ def simulate(
             controller's first interval.
         disturbance: disturbance(k, x) -> value added to the state after sample k; x is the state before this sample.
         reference: called as reference(k, ctrl) before sample k, to set references, parameters or bounds.
+        warm_start: call solve(x0) before the first sample, so that the loop starts from a converged plan. One iteration
+            per sample may not find a plan from a cold start with hard rows.
 
     Raises:
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
@@ -135,6 +138,8 @@ def simulate(
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
     h = np.zeros((steps, len(rows.numbers)))
     x[0] = _state(x0, nx, "x0")
+    if warm_start:
+        _solve_first(ctrl, x[0], reference)
     for k in _progress(range(steps), ctrl.description.name):
         if reference is not None:
             reference(k, ctrl)
@@ -152,6 +157,13 @@ def simulate(
     general = tuple(Trace(ctrl.names.rows[rows.numbers[i]], "", *ctrl.path_bounds(rows.numbers[i])) for i in own)
     name = ctrl.description.name
     return Log(name, t, x, u, status, cost, time_ns, states, controls, time_unit, h[:, own], general)
+
+
+def _solve_first(ctrl: Controller, x0: Array, reference: Reference | None) -> None:
+    """Iterate to convergence with the data of the first sample; a plan that has not converged is a start as well."""
+    if reference is not None:
+        reference(0, ctrl)
+    ctrl.solve(x0)
 
 
 def _check_steps(steps: object, ctrl: Controller, rows: int) -> None:

@@ -1,4 +1,4 @@
-"""Results of the calls of a controller: status, residuals, counters, solution."""
+"""Results of the calls of a controller: status, residuals, counters, solution, diagnosis."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
@@ -156,3 +157,79 @@ class Solution:
     def __repr__(self) -> str:
         sizes = f"x {self.x.shape}, u {self.u.shape}"
         return f"<Solution {self.status.name}: cost {self.cost:.8g}, {self.iterations} iterations, {sizes}>"
+
+
+# Diagnosis ------------------------------------------------------------------------------------------------------------
+
+
+def diagnosis(ctrl: Any, measured: Array) -> str:
+    """Why the last call of a Controller was not OK: node, state or row by its name, and what to try.
+
+    ``measured``: the state (nx,) that it was given.
+    """
+    status = ctrl.status
+    if status == Status.OK:
+        return str(status)
+    broken = _broken_plan(ctrl, measured) or _broken_model(ctrl)
+    lines = [str(status), *broken, *_worst_row(ctrl), *_advice(ctrl)]
+    return "\n".join(dict.fromkeys(lines))
+
+
+def _broken_plan(ctrl: Any, measured: Array) -> list[str]:
+    """The first number of the measured state or of the plan that is not finite."""
+    names = ctrl.names
+    unknown = [n for n, v in zip(names.states, measured, strict=True) if not np.isfinite(v)]
+    if unknown and ctrl.status == Status.NOT_FINITE:
+        return [f"measured {', '.join(unknown)} is not finite"]
+    for what, array, columns in (("state", ctrl.x, names.states), ("control", ctrl.u, names.controls)):
+        bad = np.argwhere(~np.isfinite(array))
+        if len(bad):
+            node, i = bad[0]
+            return [f"{what} {columns[i]} at node {node} of the plan is not finite: call reset(), or write the plan"]
+    return []
+
+
+def _broken_model(ctrl: Any) -> list[str]:
+    """The first interval over which the model yields no finite state."""
+    for k, dt in enumerate(ctrl.description.dt):
+        end = np.asarray(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt))
+        bad = [name for name, value in zip(ctrl.names.states, end, strict=True) if not np.isfinite(value)]
+        if bad:
+            pairs = zip(ctrl.names.states, ctrl.x[k], strict=True)
+            start = ", ".join(f"{name} = {value:.4g}" for name, value in pairs)
+            return [
+                f"the model yields no finite {', '.join(bad)} at the end of interval {k}, from {start}: try bounds "
+                "that keep the plan inside the domain of the model, more integration steps, or another start"
+            ]
+    return []
+
+
+def _worst_row(ctrl: Any) -> list[str]:
+    stats = ctrl.stats
+    if stats.violated_row is None:
+        return []
+    return [
+        f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}: make it soft "
+        "(soft=(l1, l2)), widen it, or choose RealTimeIteration(relaxation=...)"
+    ]
+
+
+def _advice(ctrl: Any) -> list[str]:
+    """What to try, by the status and the options of the package."""
+    status, options, lines = ctrl.status, str(ctrl.description.options), []
+    if status in (Status.ITERATION_LIMIT, Status.STALLED):
+        kkt = ctrl.kkt()
+        part = max(vars(kkt), key=lambda name: float(np.nan_to_num(vars(kkt)[name], nan=np.inf)))
+        lines.append(f"largest residual: {part} {vars(kkt)[part]:.1e}")
+        if "hessian=GaussNewton(" in options:
+            lines.append("Gauss-Newton steps ignore curvature and may cycle: try Options(hessian=ExactHessian())")
+        lines.append("call solve() before the first step(), or start from another plan: write ctrl.x and ctrl.u")
+    elif status == Status.NUMERICAL_FAILURE:
+        if "regularization=None" in options:
+            lines.append("the Hessian may be indefinite: try ExactHessian(regularization=Mirror())")
+        if "precision='single'" in options:
+            lines.append('rounding may be the cause: try Options(precision="double")')
+        lines.append("check the scales of states, controls and rows; after further failures the plan restarts")
+    elif status == Status.NOT_PREPARED:
+        lines.append("call prepare() before feedback(), or step()")
+    return lines

@@ -48,7 +48,7 @@ SOLVE = EntryPoint(
 
 SHIFTS = (None, "repeat", "periodic", "resample")
 MAX_TRIALS = 30
-MEMORY = 8
+FILTER = 16
 #: Samples in a row without success, or without convergence, until more of the plan is given up.
 PATIENCE = 10
 
@@ -161,7 +161,7 @@ class RealTimeIteration(Defaults):
             *(budget if self.budget is not None else ()),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
-            ("MEMORY", MEMORY, "merit values that the line search of solve() remembers"),
+            ("FILTER", FILTER, "pairs of violation and cost that solve() does not accept again"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -258,10 +258,18 @@ def _line_search(dims: Dims) -> Struct:
             Field("dx_full", (nodes, dims.nx), "dx before the second-order correction", "scratch"),
             Field("du_full", (dims.N, dims.nu), "du before the second-order correction", "scratch"),
             Field("b", (dims.N, dims.nx), "gaps at a trial point", "scratch"),
-            Field("gap_weight", (), "weight of the gaps in the merit function", "scratch"),
-            Field("row_weight", (), "weight of the rows; penalty of the elastic QP", "scratch", only="HARD_ROWS"),
-            Field("recent", (Size("MEMORY", MEMORY),), "last merit values", "scratch"),
-            Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32", only="HARD_ROWS"),
+            Field("state_scale", (dims.nx,), "scales of the states", "scratch"),
+            Field("row_scale", (dims.nr,), "scales of the rows", "scratch", only="HARD_ROWS"),
+            Field("row_weight", (), "penalty of the rows in the elastic QP", "scratch", only="HARD_ROWS"),
+            Field("filter_violation", (Size("FILTER", FILTER),), "violations that the filter rejects", "scratch"),
+            Field("filter_cost", (Size("FILTER", FILTER),), "and the costs that belong to them", "scratch"),
+            Field("entries", (), "entries of the filter", "scratch", "int32"),
+            Field("restoring", (), "1: steps only have to reduce the violation", "scratch", "int32"),
+            Field("length", (), "length of the last step", "scratch"),
+            Field("cost_scale", (), "largest slope of the cost", "scratch"),
+            Field("most_violation", (), "violation that is never accepted", "scratch"),
+            Field("small_violation", (), "violation up to which the cost counts", "scratch"),
+            Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
         ),
         only="SOLVE",
     )

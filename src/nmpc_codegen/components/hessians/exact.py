@@ -73,7 +73,7 @@ class ExactHessian(Defaults):
     sweep: Symmetric() or ForwardOverAdjoint(), the propagation of second derivatives of the dynamics.
     """
 
-    regularization: Regularization | None = option(Project(), Named(_REGULARIZATIONS, (Project, Mirror)))
+    regularization: Regularization | None = option(Mirror(), Named(_REGULARIZATIONS, (Project, Mirror)))
     sweep: Symmetric | ForwardOverAdjoint = option(Symmetric(), Named(_SWEEPS, (Symmetric, ForwardOverAdjoint)))
     levenberg_marquardt: float = option(0.0, Number(closed=True))
 

@@ -27,11 +27,11 @@ from nmpc_codegen.ir.stage_products import pattern
 class GaussNewton(Defaults):
     """Gauss-Newton Hessian; ``levenberg_marquardt`` >= 0 is added to its diagonal.
 
-    ``convex_rows`` adds sum_i mu_i d2 h_i of the general rows at every node where it is positive semidefinite, with the
-    multipliers of the last QP; with discs and other convex rows solve() needs this to converge.
+    ``convex_rows`` adds mu_i d2 h_i of every general row for which it is positive semidefinite, with the multipliers of
+    the last QP; with discs and other convex rows solve() needs this to converge. Linear rows have none.
     """
 
-    convex_rows: bool = option(False, Flag())
+    convex_rows: bool = option(True, Flag())
     levenberg_marquardt: float = option(0.0, Number(closed=True))
 
     seam: ClassVar[Seam] = "hessian"
@@ -54,7 +54,7 @@ class GaussNewton(Defaults):
         if self.convex_rows:  # nonzeros of the rows alone are stored as zeros, to which add_rows() adds
             Q = ca.project(Q, Q.sparsity().unite(cost.curvature.sparsity()))
         kernel = cost.kernel("hessian", "Q = J' W J, lower triangle", Q, Port("Q", cost.nz, cost.nz))
-        curvature = self._curvature(cost) if self.convex_rows else None
+        curvature = self._curvature(cost) if self.convex_rows and cost.curvature.nnz() else None
         return Block(pattern(kernel, "Q"), kernel, curvature)
 
     def _curvature(self, cost: StageCost) -> Kernel:
@@ -80,7 +80,7 @@ class GaussNewton(Defaults):
         )
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """All blocks that hessian() forms; with convex rows the count depends on the data."""
-        if self.convex_rows:
+        """All blocks that hessian() forms; with the curvature of rows the count depends on the data."""
+        if model.path.curvature or model.terminal.curvature:
             return {}
         return {"hessian": operations(model.path.hessian) * dims.nq.value + operations(model.terminal.hessian)}

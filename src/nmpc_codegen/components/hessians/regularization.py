@@ -3,11 +3,11 @@
     V max(|Lambda|, floor) V'   (mirror; Quirynen et al., CDC 2014, eq. 4)      V max(Lambda, floor) V'   (project)
 
 floor = ``floor`` times the largest |Lambda| of the block; for a zero block, the largest entry of all blocks replaces
-|Lambda|. On stages the reduced Hessian is not formed: its diagonal is shifted, in units D of the variables,
+|Lambda|. At level "reduced" the predicted working set is held first (templates/riccati/convexify.c,
+templates/hessians/regularize_reduced.c); a mirrored eigenvalue is raised by a tenth of the most negative one. On stages
+the reduced Hessian is not formed: its diagonal is shifted, in units D of the variables,
 
     H + 9/8 s D   (project)      H + 2 s D   (mirror)      s: the smallest of 1e-3 4^n with H + s D positive definite
-
-with the controls in the predicted working set held fixed (templates/riccati/convexify.c).
 """
 
 from __future__ import annotations
@@ -43,6 +43,6 @@ class Project(EigenvalueFloor):
 
 @dataclass(frozen=True)
 class Mirror(EigenvalueFloor):
-    """Changes the sign of negative eigenvalues, and raises small ones to the floor."""
+    """Changes the sign of negative eigenvalues, and raises small ones to the floor. The default."""
 
     mirrors: ClassVar[bool] = True

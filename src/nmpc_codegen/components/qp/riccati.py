@@ -64,8 +64,20 @@ def riccati_structs(
                 Field("feed", (stages, dims.qp.nus), "controls at x = 0", "scratch"),
                 Field("work", (), "memory of one phase", "scratch", "riccati_work"),
                 Field("regularize_zero", (), "least value added to a pivot that may be zero", "scratch"),
+                Field(
+                    *(
+                        "held",
+                        (dims.ng,),
+                        "weights of a a' that belong to the Hessian: rows that make it convex",
+                        "data",
+                    ),
+                    only="REGULARIZE_REDUCED",
+                ),
+                Field(
+                    *("unit", (dims.qp.nzs,), "curvature that is typical of each variable", "scratch"),
+                    only="REGULARIZE_REDUCED",
+                ),
                 Field("shift", (), "last shift that made the Hessian convex", "keep", only="REGULARIZE_REDUCED"),
-                Field("hold", (), "last extra shift of controls in the set", "keep", only="REGULARIZE_REDUCED"),
                 Field("fixed", (dims.qp.nv,), "1: the control is fixed", "scratch", "int32"),
                 Field("raised", (nodes,), "1: a pivot of the stage was raised; last: of x_0", "scratch", "int32"),
                 Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),

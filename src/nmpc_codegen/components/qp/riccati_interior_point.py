@@ -102,6 +102,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         *((Field("warm", (), "1: the multipliers of the previous QP are used", "scratch", "int32"),) if warm else ()),
         *((Field("solved", (), "1: the last QP was solved", "keep", "int32"),) if warm else ()),
         Field("begun", (), "iterations before the present attempt", "scratch", "int32"),
+        Field("deferred", (), "1: the point may suffice, but the residuals still decrease", "scratch", "int32"),
         Field("closed_gaps", (), "number of times that the gaps of the dynamics were closed", "scratch", "int32"),
         *((stretched,) if dims.ng.value else ()),
         Field("probing", (), "1: violated inequalities end the iterations", "scratch", "int32"),

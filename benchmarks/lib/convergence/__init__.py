@@ -1,0 +1,1 @@
+"""Problems of the literature from random cold starts, ours and IPOPT's."""

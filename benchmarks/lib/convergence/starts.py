@@ -1,0 +1,102 @@
+"""Random cold starts: ours and IPOPT's from the same first guess.
+
+A start is solved if the KKT residuals, recomputed from the problem, vanish. Where both solve, costs are compared.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from benchmarks.lib.convergence.problems import problems
+from benchmarks.lib.report import Report
+from nmpc_codegen import DenseActiveSet, FullCondensing, NoCondensing, OptionError, RiccatiActiveSet, build
+from nmpc_codegen.components.base import Condensing, QpSolver
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import Reference
+from nmpc_codegen.oracle.trajectory import CLASSICAL, node_data
+
+STARTS = 100
+SOLVED = 1e-6  # KKT residual relative to the largest multiplier
+WORSE = 1e-4  # of the cost, relative
+
+#: The QP solvers among which qp=None chooses.
+ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
+    "dense": (FullCondensing(), DenseActiveSet()),
+    "stages": (NoCondensing(), RiccatiActiveSet()),
+}
+
+
+@dataclass
+class Attempt:
+    """One start: whether it was solved, iterations, cost, what was said."""
+
+    solved: bool
+    iterations: int
+    cost: float
+    status: str
+
+
+@dataclass
+class Outcome:
+    """Attempts by number of the start."""
+
+    problem: str
+    ipopt: list[Attempt] = field(default_factory=list)
+    ours: dict[str, list[Attempt]] = field(default_factory=dict)
+
+
+def run(job: tuple[str, int]) -> Outcome:
+    """All routes of a problem: (its name, starts)."""
+    name, count = job
+    problem = next(p for p in problems() if p.name == name)
+    ocp = classify(problem.make())
+    oracle = Reference(ocp, replace(CLASSICAL, steps=max(1, problem.steps)), tol=1e-8)
+    out = Outcome(name)
+    for route, (condensing, qp) in ROUTES.items():
+        try:
+            ctrl = build(problem.make(), replace(problem.options(), condensing=condensing, qp=qp), profile="fast")
+        except OptionError:  # refused, so it is not chosen, either
+            continue
+        attempts = out.ours.setdefault(route, [])
+        for number in range(count):
+            x0 = problem.start(number)
+            ctrl.reset()
+            if number == len(out.ipopt):
+                found = oracle.solve(node_data(ocp, x0=x0), x=ctrl.x.copy(), u=ctrl.u.copy())
+                out.ipopt.append(Attempt(found.success, found.iterations, found.cost, found.status))
+            mine = ctrl.solve(x0)
+            good = mine.status.name == "OK"
+            attempts.append(Attempt(good, mine.iterations, mine.cost, mine.status.name))
+    return out
+
+
+def measure(report: Report, scale: float = 1.0, only: tuple[str, ...] = ()) -> None:
+    """All problems, two at a time."""
+    count = max(5, round(scale * STARTS))
+    names = [p.name for p in problems() if not only or p.name in only]
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for outcome in pool.map(run, [(name, count) for name in names]):
+            for route in outcome.ours:
+                report_route(report, outcome, route)
+
+
+def report_route(report: Report, outcome: Outcome, route: str) -> None:
+    """Of a problem."""
+    pairs = [(h, m) for h, m in zip(outcome.ipopt, outcome.ours[route], strict=True) if h.solved]
+    both = [(h, m) for h, m in pairs if m.solved]
+    failed = [f"{n} {m.status}" for n, m in enumerate(outcome.ours[route]) if outcome.ipopt[n].solved and not m.solved]
+    lost = sum(not h.solved for h in outcome.ipopt)
+    case = f"{outcome.problem}, {route}; IPOPT fails {lost}; " + ", ".join(failed[:6])
+    share = len(both) / max(1, len(pairs))
+    report.add("solve_success_ratio", share, case=case, n=len(pairs), limit=0.98, at_least=True)
+    if both:
+        middle = [float(np.median([a.iterations for a in side])) for side in zip(*both, strict=True)]
+        case = f"{outcome.problem}, {route}: {middle[1]:g}, IPOPT {middle[0]:g}"
+        report.add("solve_iterations_ratio", middle[1] / max(1.0, middle[0]), case=case, n=len(both), limit=1.5)
+        gaps = [(m.cost - h.cost) / max(1e-6, abs(h.cost)) for h, m in both]
+        case = f"{outcome.problem}, {route}; better {sum(g < -WORSE for g in gaps)}"
+        report.add("worse_optimum_share", float(np.mean([g > WORSE for g in gaps])), case=case, n=len(both), limit=0.05)

@@ -1,0 +1,65 @@
+"""Controller.diagnose(): every failure names a row, node, state or option."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import problems
+import pytest
+
+from nmpc_codegen import OCP, GaussNewton, Options, build
+from nmpc_codegen.runtime.controller import Status
+
+
+def test_nothing_to_say() -> None:
+    ctrl = problems.controller("crane")
+    ctrl.step(problems.CASES["crane"].x0)
+    assert ctrl.diagnose() == str(Status.OK)
+
+
+def test_a_row_that_cannot_hold() -> None:
+    ctrl = problems.controller("crane")
+    ctrl.step([1.0, 0.0, 0.5, 0.0])
+    assert ctrl.status == Status.INFEASIBLE
+    assert f"row {ctrl.stats.violated_row!r} at node {ctrl.stats.violated_node}" in ctrl.diagnose()
+
+
+def test_a_measurement_and_a_plan_that_are_not_finite() -> None:
+    ctrl = problems.controller("crane")
+    ctrl.step([np.nan, 0.0, 0.0, 0.0])
+    assert f"measured {ctrl.names.states[0]} is not finite" in ctrl.diagnose()
+    ctrl = problems.controller("crane")
+    ctrl.x[3, 1] = np.inf
+    ctrl.prepare()
+    ctrl.feedback([0.1, 0.0, 0.0, 0.0])
+    assert ctrl.status == Status.NUMERICAL_FAILURE
+    ctrl.x[3, 1] = np.inf
+    assert f"state {ctrl.names.states[1]} at node 3" in ctrl.diagnose()
+
+
+def test_a_model_outside_its_domain() -> None:
+    ocp = OCP("root", T=1.0, N=4)
+    x, u = ocp.state("level", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: u - ca.sqrt(x)})
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    ctrl = build(ocp, profile="test")
+    ctrl.x[2] = -1.0
+    ctrl.prepare()
+    ctrl.feedback([1.0])
+    assert ctrl.status == Status.NUMERICAL_FAILURE
+    ctrl.x[2] = -1.0
+    assert "no finite level at the end of interval 2" in ctrl.diagnose()
+
+
+def test_gauss_newton_that_cycles() -> None:
+    ctrl = build(problems.disc(), Options(hessian=GaussNewton(convex_rows=False)), profile="test")
+    assert ctrl.solve([1.0, 0.0]).status == Status.ITERATION_LIMIT
+    assert "ExactHessian" in ctrl.diagnose()
+    assert "largest residual: " in ctrl.diagnose()
+
+
+@pytest.mark.parametrize("call", ["feedback"])
+def test_a_phase_that_is_missing(call: str) -> None:
+    ctrl = problems.controller("crane")
+    getattr(ctrl, call)([0.0, 0.0, 0.0, 0.0])
+    assert "prepare()" in ctrl.diagnose()
