@@ -21,7 +21,7 @@ PARTS: dict[str, Callable[[Report, float], None]] = {
 def main() -> None:
     """All parts, or some."""
     parser = command.parser(__doc__, PARTS)
-    parser.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the counts that are asked for")
+    command.add_scale(parser)
     options = parser.parse_args()
     names, report = command.chosen(parser, options, PARTS), Report("convergence")
     command.measure(report, names, lambda name: PARTS[name](report, options.scale), options.json)

@@ -27,7 +27,7 @@ PARTS: dict[str, Callable[[Report, float], None]] = {
 def main() -> None:
     """All parts, or some."""
     parser = command.parser(__doc__, PARTS)
-    parser.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the counts that are asked for")
+    command.add_scale(parser)
     parser.add_argument(
         "--replay", metavar="NAME", help="class/number/solver/precision or controller/episode: print it"
     )

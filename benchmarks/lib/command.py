@@ -17,6 +17,11 @@ def parser(doc: str | None, parts: Iterable[str]) -> argparse.ArgumentParser:
     return found
 
 
+def add_scale(command: argparse.ArgumentParser) -> None:
+    """--scale, for topics that count many cases."""
+    command.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the counts that are asked for")
+
+
 def chosen(command: argparse.ArgumentParser, options: argparse.Namespace, parts: Collection[str]) -> list[str]:
     """The parts that --only names, else all; an unknown name ends the program with an error."""
     names = options.only.split(",") if options.only else list(parts)

@@ -158,14 +158,8 @@ def held(solver: StageSolver) -> Array:
 
 def held_hessian(qp: StageQP, solver: StageSolver) -> Array:
     """What they add to the reduced Hessian."""
-    Q, Q_N = np.zeros_like(qp.Q), np.zeros_like(qp.Q_N)
-    for m, weight in enumerate(held(solver)):
-        k, a = qp.rows.node[m], qp.C[m]
-        if k < qp.shape.N:
-            Q[k] += weight * np.outer(a, a)
-        else:
-            Q_N += weight * np.outer(a[: qp.shape.nx], a[: qp.shape.nx])
-    return reduced_hessian(qp.S, Q, Q_N, qp.shape.free)
+    alone = with_held_rows(dataclasses.replace(qp, Q=np.zeros_like(qp.Q), Q_N=np.zeros_like(qp.Q_N)), solver)
+    return reduced_hessian(qp.S, alone.Q, alone.Q_N, qp.shape.free)
 
 
 def with_held_rows(qp: StageQP, solver: StageSolver) -> StageQP:
