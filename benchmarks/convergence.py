@@ -8,13 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.lib import command
-from benchmarks.lib.convergence import singles, starts, units
+from benchmarks.lib.convergence import loops, singles, starts, units
 from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report, float], None]] = {
     "starts": starts.measure,
     "singles": singles.measure,
     "units": units.measure,
+    "loops": loops.measure,
 }
 
 

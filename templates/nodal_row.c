@@ -20,3 +20,26 @@ static inline const real_t *nodal_row(const solver_t *s, int m)
 }
 
 #endif
+#if NG && (CONDENSED_QP || (HARD_ROWS && (CHECK_STEP || SOLVE)))
+/* Sum of the magnitudes of the terms of row m, where size[] holds those of (dx, du). */
+static real_t row_terms(const solver_t *s, int m, const real_t *size)
+{
+    const real_t constant = FABS(ROW_CONSTANT(s, m));
+#if STATE_ROWS && (GENERAL_ROWS || NE)
+    if (row_kind[m] == ROW_STATE) {
+        return constant + size[row_index[m]];
+    }
+#elif STATE_ROWS
+    return constant + size[row_index[m]];
+#endif
+#if GENERAL_ROWS || NE
+    const real_t *J = nodal_row(s, m);
+    real_t terms = constant;
+    for (int i = 0; i < (row_node[m] < N ? NZ : NX); i++) {
+        terms += FABS(J[i]) * size[i];
+    }
+    return terms;
+#endif
+}
+
+#endif

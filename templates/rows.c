@@ -17,6 +17,17 @@ static int all_finite(const real_t *v, int n)
     return 1;
 }
 
+#if SOLVE || CHECK_STEP || (CONDENSED_QP && NG)
+/* size = max(size, |v|) by components, n of them; NaN where v has not been finite. */
+static inline void widen(real_t *size, const real_t *v, int n)
+{
+    for (int i = 0; i < n; i++) {
+        const real_t a = FABS(v[i]);
+        size[i] = ((a > size[i]) ? a : size[i]) + R(0) * a;
+    }
+}
+
+#endif
 #if NG
 /* Values of all rows at the present iterate. */
 static void evaluate_rows(const solver_t *s, real_t *value)

@@ -2,15 +2,6 @@
  * rows of the QP with all states and, if no QP solver on stages has checked it, the stationarity. Rounding errors of the
  * elimination show there. */
 
-/* size = max(size, |v|) by components, n of them; NaN where v has not been finite. */
-static inline void widen(real_t *size, const real_t *v, int n)
-{
-    for (int i = 0; i < n; i++) {
-        const real_t a = FABS(v[i]);
-        size[i] = ((a > size[i]) ? a : size[i]) + R(0) * a;
-    }
-}
-
 /* size[], which is 0: largest magnitude of every component of (dx, du) over the horizon, and of the gaps of the states.
  * Returns 1 if the step is finite. */
 static int step_sizes(const solver_t *s, real_t *size)
@@ -36,10 +27,8 @@ static int rows_hold(const solver_t *s, const real_t *size)
         }
 #endif
         const real_t excess = FABS(row_excess(s, m, s->step.mult[m]));
-        if (!(excess <= R(0))) {
-            if (!(excess <= TOL_STEP * row_terms(s, m, size))) {
-                return 0;
-            }
+        if (!(excess <= R(0)) && !(excess <= TOL_STEP * row_terms(s, m, size))) {
+            return 0;
         }
     }
     return 1;
@@ -54,7 +43,7 @@ static real_t cost_terms(const solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int i = 0; i < NZ; i++) {
             const real_t z = FABS(i < NX ? s->step.dx[k][i] : s->step.du[k][i - NX]);
-            sum += (FABS(s->node[k].g[i]) + FABS(s->hessian.Q[NQ == 1 ? 0 : k][i][i]) * z) * z;
+            sum += (FABS(s->node[k].g[i]) + FABS(HESSIAN(s, k)[i][i]) * z) * z;
         }
     }
     return sum;

@@ -48,29 +48,6 @@ static real_t row_excess(const solver_t *s, int m, real_t mult)
 }
 #endif
 
-#if HARD_ROWS && (CHECK_STEP || SOLVE)
-/* Sum of the magnitudes of the terms of row m, where size[] holds those of (dx, du). */
-static real_t row_terms(const solver_t *s, int m, const real_t *size)
-{
-    const real_t constant = FABS(ROW_CONSTANT(s, m));
-#if STATE_ROWS && (GENERAL_ROWS || NE)
-    if (row_kind[m] == ROW_STATE) {
-        return constant + size[row_index[m]];
-    }
-#elif STATE_ROWS
-    return constant + size[row_index[m]];
-#endif
-#if GENERAL_ROWS || NE
-    const real_t *J = nodal_row(s, m);
-    real_t terms = constant;
-    for (int i = 0; i < (row_node[m] < N ? NZ : NX); i++) {
-        terms += FABS(J[i]) * size[i];
-    }
-    return terms;
-#endif
-}
-
-#endif
 #if HARD_ROWS
 /* Records in the statistics the hard row that the step violates most. After a relaxed QP this is the relaxed step,
  * otherwise the last iterate of the QP. */
@@ -105,7 +82,7 @@ static status_t give_way(solver_t *s)
     status_t status;
     s->relaxation = relaxation_weight[0];
     status = run_qp(s);
-    s->relaxation = (real_t)INFINITY;
+    s->relaxation = INF;
     name_violation(s);
     return (status == OK) ? RELAXED : status;
 }
@@ -135,11 +112,7 @@ static void be_late(solver_t *s)
 
 static int plan_is_finite(const solver_t *s)
 {
-    int finite = 1;
-    for (int k = 0; k <= N; k++) {
-        finite &= all_finite(s->x[k], NX) && (k == N || all_finite(s->u[k], NU));
-    }
-    return finite;
+    return all_finite(s->x[0], (N + 1) * NX) && all_finite(s->u[0], N * NU);
 }
 
 /* Prevents a failure from repeating itself. A single failure may come from its sample alone: the plan is kept, and only

@@ -1,19 +1,20 @@
-/* KKT residuals of the present iterate: as they are, or, with relative = 1, divided by 1 + the magnitudes of the terms
- * that are summed up, so that tolerances mean the same in all units. */
+/* KKT residuals of the present iterate: as they are and, the largest of them all, divided by 1 + the magnitudes of the
+ * terms that are summed up, so that a tolerance means the same in all units. */
 
-static void kkt_note(real_t *worst, real_t residual, real_t terms, int relative)
+static void kkt_note(kkt_t *kkt, real_t *worst, real_t residual, real_t terms)
 {
-    enlarge(worst, relative ? residual / (R(1) + terms) : residual);
+    enlarge(worst, residual);
+    enlarge(&kkt->relative, residual / (R(1) + terms));
 }
 
 /* Residuals of one row lower <= value <= upper with multiplier mu: its violation, and |mu| times the distance to the
  * bound that the sign of mu selects. */
-static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t mu, int relative)
+static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t mu)
 {
-    kkt_note(&kkt->inequality, value - clip(value, lower, upper), FABS(value), relative);
+    kkt_note(kkt, &kkt->inequality, value - clip(value, lower, upper), FABS(value));
     if (lower < upper && (mu > R(0) || mu < R(0))) {
         const real_t distance = mu > R(0) ? upper - value : value - lower;
-        kkt_note(&kkt->complementarity, mu * distance, FABS(mu) * (R(1) + FABS(value)), relative);
+        kkt_note(kkt, &kkt->complementarity, mu * distance, FABS(mu) * (R(1) + FABS(value)));
     }
 }
 
@@ -21,29 +22,29 @@ static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t
 /* Residuals of one side of a soft row with excess over its bound and multiplier m >= 0: the optimality conditions of
  * min l1 v + l2/2 v^2 s.t. v >= excess, v >= 0 at v = max(0, excess). The multiplier of v >= 0 is
  * nu = l1 + l2 v - m >= 0. */
-static void kkt_soft_side(kkt_t *kkt, real_t excess, real_t m, real_t l1, real_t l2, real_t value, int relative)
+static void kkt_soft_side(kkt_t *kkt, real_t excess, real_t m, real_t l1, real_t l2, real_t value)
 {
     const real_t v = (excess > R(0)) ? excess : R(0);
     const real_t nu = l1 + l2 * v - m, size = R(1) + FABS(value);
-    kkt_note(&kkt->complementarity, nu * v, (l1 + l2 * v + m) * size, relative);
+    kkt_note(kkt, &kkt->complementarity, nu * v, (l1 + l2 * v + m) * size);
     if (!(nu >= R(0))) {
-        kkt_note(&kkt->complementarity, nu, l1 + l2 * v + m, relative);
+        kkt_note(kkt, &kkt->complementarity, nu, l1 + l2 * v + m);
     }
     if (m > R(0)) {
-        kkt_note(&kkt->complementarity, m * (excess - v), m * size, relative);
+        kkt_note(kkt, &kkt->complementarity, m * (excess - v), m * size);
     }
 }
 
-static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt, int relative)
+static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
 {
     const real_t l1 = row_l1[row_id[m]], l2 = ROW_CURVATURE(m), mu = ROW_MULTIPLIER(s, m);
-    kkt_soft_side(kkt, value - ROW_UPPER(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value, relative);
-    kkt_soft_side(kkt, ROW_LOWER(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value, relative);
+    kkt_soft_side(kkt, value - ROW_UPPER(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value);
+    kkt_soft_side(kkt, ROW_LOWER(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value);
 }
 #endif
 
 /* Violation and complementarity of all rows and control bounds. */
-static void kkt_rows(const solver_t *s, kkt_t *kkt, int relative)
+static void kkt_rows(const solver_t *s, kkt_t *kkt)
 {
 #if NG
     real_t value[NG];
@@ -51,16 +52,16 @@ static void kkt_rows(const solver_t *s, kkt_t *kkt, int relative)
     for (int m = 0; m < NG; m++) {
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
-            kkt_soft_row(s, m, value[m], kkt, relative);
+            kkt_soft_row(s, m, value[m], kkt);
             continue;
         }
 #endif
-        kkt_row(kkt, value[m], ROW_LOWER(s, m), ROW_UPPER(s, m), ROW_MULTIPLIER(s, m), relative);
+        kkt_row(kkt, value[m], ROW_LOWER(s, m), ROW_UPPER(s, m), ROW_MULTIPLIER(s, m));
     }
 #endif
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            kkt_row(kkt, s->u[k][j], CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j), s->mu_u[k][j], relative);
+            kkt_row(kkt, s->u[k][j], CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j), s->mu_u[k][j]);
         }
     }
 }
@@ -87,7 +88,7 @@ static void add_coupled_forces(const solver_t *s, int k, real_t *sum, real_t *te
 #endif
 
 /* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + mu_x, mu_u + J' mu, and the gap. */
-static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt, int relative)
+static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 {
     real_t sum[NZ] = {0}, terms[NZ] = {0};
 #if NE
@@ -106,15 +107,15 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt, i
         }
 #endif
         kkt_add(&sum[i], &terms[i], (i < NX) ? s->mu_x[k][i] - s->lam[k][i] : s->mu_u[k][i - NX]);
-        kkt_note(&kkt->stationarity, sum[i], terms[i], relative);
+        kkt_note(kkt, &kkt->stationarity, sum[i], terms[i]);
         if (i < NX) {
-            kkt_note(&kkt->equality, node->b[i], FABS(s->x[k + 1][i]), relative);
+            kkt_note(kkt, &kkt->equality, node->b[i], FABS(s->x[k + 1][i]));
         }
     }
 }
 
 /* The terminal node: gradient of the Lagrangian, and residual of the initial condition. */
-static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt, int relative)
+static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
 {
     real_t sum[NX] = {0}, terms[NX] = {0};
 #if NE
@@ -128,13 +129,13 @@ static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *k
             kkt_add(&sum[i], &terms[i], terminal->J[j][i] * s->mu_N[j]);
         }
 #endif
-        kkt_note(&kkt->stationarity, sum[i], terms[i], relative);
+        kkt_note(kkt, &kkt->stationarity, sum[i], terms[i]);
 #if NF
         if (!is_measured[i] && !is_accumulator[i]) {
             continue;
         }
 #endif
-        kkt_note(&kkt->equality, s->xhat[i] - s->x[0][i], FABS(s->x[0][i]), relative);
+        kkt_note(kkt, &kkt->equality, s->xhat[i] - s->x[0][i], FABS(s->x[0][i]));
     }
 }
 
@@ -164,11 +165,11 @@ void API(kkt)(const solver_t *s, kkt_t *out)
     memset(&terminal, 0, sizeof terminal);
     for (int k = 0; k < N; k++) {
         linearize_node(s, k, &node);
-        kkt_node(s, k, &node, out, 0);
+        kkt_node(s, k, &node, out);
     }
 #if HAS_TERMINAL_GRADIENT || NH_N
     linearize_terminal(s, &terminal);
 #endif
-    kkt_terminal(s, &terminal, out, 0);
-    kkt_rows(s, out, 0);
+    kkt_terminal(s, &terminal, out);
+    kkt_rows(s, out);
 }

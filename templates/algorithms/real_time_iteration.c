@@ -84,7 +84,7 @@ static void algorithm_reset(solver_t *s)
 #endif
     s->status = (int32_t)OK;
 #if RELAXATION
-    s->relaxation = (real_t)INFINITY;
+    s->relaxation = INF;
 #endif
     s->stats.violated_row = s->stats.violated_node = -1;
     start_at(s, s->xhat);
@@ -274,18 +274,7 @@ static void scatter_multipliers(solver_t *s)
 /* Returns 1 if the step of the QP is finite. */
 static int step_is_finite(const solver_t *s)
 {
-    real_t probe = R(0);
-    for (int k = 0; k < N; k++) {
-        for (int i = 0; i < NU; i++) {
-            probe += R(0) * s->step.du[k][i];
-        }
-    }
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            probe += R(0) * s->step.dx[k][i];
-        }
-    }
-    return isfinite(probe) != 0;
+    return all_finite(s->step.dx[0], (N + 1) * NX) && all_finite(s->step.du[0], N * NU);
 }
 #endif
 
@@ -397,7 +386,7 @@ static int recover_multipliers(solver_t *s)
         if (k == 0) {
             break;
         }
-        ADJOINT_STEP(&s->node[k - 1], s->hessian.Q[NQ == 1 ? 0 : k - 1], s->step.dx[k - 1], s->step.du[k - 1], w);
+        ADJOINT_STEP(&s->node[k - 1], HESSIAN(s, k - 1), s->step.dx[k - 1], s->step.du[k - 1], w);
 #if CHECK_GRADIENT
         stationary &= controls_hold(s, k - 1, w, &least);
 #endif
@@ -415,24 +404,29 @@ static int recover_multipliers(solver_t *s)
     return stationary;
 }
 #else
-/* lam as the QP yields it, whose stages are those of the problem; there, x_0 is not a variable of the coupled rows. */
-static int recover_multipliers(solver_t *s)
+/* lam_k as the QP yields it, whose stages are those of the problem; there, x_0 is not a variable of the coupled rows. */
+static void multiplier_of_qp(const solver_t *s, int k, real_t *lam)
 {
-    for (int k = 0; k <= N; k++) {
-        memcpy(s->lam[k], condense_multiplier(s, k), sizeof s->lam[k]);
-    }
+    memcpy(lam, condense_multiplier(s, k), NX * sizeof *lam);
 #if NE
-    for (int i = 0; i < NX; i++) {
-        for (int j = 0; j < NE; j++) {
-            s->lam[0][i] += s->coupled.J_0[j][i] * s->eta[j];
+    for (int m = 0; k == 0 && m < NG; m++) {
+        for (int i = 0; IS_COUPLED(m) && i < NX; i++) {
+            lam[i] += s->coupled.J_0[row_index[m]][i] * s->step.mult[m];
         }
     }
 #endif
 #if NF
-    for (int f = 0; f < NF; f++) {
-        s->lam[0][free_state[f]] = R(0);
+    for (int f = 0; k == 0 && f < NF; f++) {
+        lam[free_state[f]] = R(0);
     }
 #endif
+}
+
+static int recover_multipliers(solver_t *s)
+{
+    for (int k = 0; k <= N; k++) {
+        multiplier_of_qp(s, k, s->lam[k]);
+    }
     return 1;
 }
 #endif

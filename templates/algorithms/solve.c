@@ -31,10 +31,10 @@ static void add_row(const solver_t *s, int m, real_t v, measures_t *at)
 }
 #endif
 
-/* Measures of the present iterate, without derivatives; sqp.b = Phi(x_k, u_k) - x_{k+1}. */
+/* Measures of the present iterate, without derivatives. */
 static measures_t measure(solver_t *s)
 {
-    sqp_t *q = &s->sqp;
+    const sqp_t *q = &s->sqp;
     measures_t at = {R(0), R(0)};
     for (int i = 0; i < NX; i++) {
 #if NF
@@ -45,10 +45,10 @@ static measures_t measure(solver_t *s)
         at.violation += FABS(s->x[0][i] - s->xhat[i]) / scale_of(q->state_scale[i]);
     }
     for (int k = 0; k < N; k++) {
-        interval_value(s, k, q->b[k]);
+        real_t x_next[NX];
+        interval_value(s, k, x_next);
         for (int i = 0; i < NX; i++) {
-            q->b[k][i] -= s->x[k + 1][i];
-            at.violation += FABS(q->b[k][i]) / scale_of(q->state_scale[i]);
+            at.violation += FABS(x_next[i] - s->x[k + 1][i]) / scale_of(q->state_scale[i]);
         }
     }
 #if NG
@@ -67,31 +67,38 @@ static measures_t measure(solver_t *s)
     return at;
 }
 
-/* Saves the step of the QP and the point from which it starts. */
+/* Saves the result of a QP. */
 static void put_step_aside(solver_t *s)
 {
-    sqp_t *q = &s->sqp;
-    memcpy(q->x, s->x, sizeof s->x);
-    memcpy(q->u, s->u, sizeof s->u);
-    memcpy(q->dx, s->step.dx, sizeof q->dx);
-    memcpy(q->du, s->step.du, sizeof q->du);
+    s->sqp.step = s->step;
+#if STAGE_MULTIPLIERS
+    for (int k = 0; k <= N; k++) {
+        multiplier_of_qp(s, k, s->sqp.lam[k]);
+    }
+#endif
 }
 
-/* (x, u) = base + alpha (dx, du). */
+/* Returns to the base, from which the steps of this iteration start. */
+static void move_back(solver_t *s)
+{
+    memcpy(s->x, s->sqp.x, sizeof s->x);
+    memcpy(s->u, s->sqp.u, sizeof s->u);
+}
+
+/* (x, u) = base + alpha (dx, du); step becomes what has been added. */
 static void move_to(solver_t *s, real_t alpha)
 {
     const sqp_t *q = &s->sqp;
+    move_back(s);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            s->x[k][i] = q->x[k][i] + alpha * q->dx[k][i];
+            s->step.dx[k][i] = alpha * q->step.dx[k][i];
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            s->step.du[k][j] = alpha * q->step.du[k][j];
         }
     }
-    for (int k = 0; k < N; k++) {
-        for (int j = 0; j < NU; j++) {
-            s->u[k][j] = q->u[k][j] + alpha * q->du[k][j];
-            s->u[k][j] = safe_value(s, k, j);
-        }
-    }
+    take_step(s);
 }
 
 /* Raises a scale to a size that is more than twice as large. Returns 1 if it changes. */
@@ -126,25 +133,20 @@ static int update_row_scales(solver_t *s, const real_t *size)
 }
 #endif
 
-/* Scales of states and rows: largest magnitudes over the horizon before and after the step. They only grow; if one does,
- * the measures of earlier points are not comparable any more, and the filter is cleared. */
+/* Scales of states and rows: largest magnitudes over the horizon at the present point. They only grow; if one does, the
+ * measures of earlier points are not comparable any more, and the filter is cleared. */
 static void update_scales(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     real_t size[NZ] = {0};
     int changed = 0;
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            enlarge(&size[i], s->x[k][i]);
-            enlarge(&size[i], s->x[k][i] + s->step.dx[k][i]);
-        }
-        for (int j = 0; k < N && j < NU; j++) {
-            enlarge(&size[NX + j], s->u[k][j]);
-            enlarge(&size[NX + j], s->u[k][j] + s->step.du[k][j]);
-        }
+    for (int k = 0; k < N; k++) {
+        widen(size, s->x[k], NX);
+        widen(size + NX, s->u[k], NU);
     }
+    widen(size, s->x[N], NX);
+    widen(size, s->xhat, NX);
     for (int i = 0; i < NX; i++) {
-        enlarge(&size[i], s->xhat[i]);
         changed |= raise_scale(&q->state_scale[i], size[i]);
     }
 #if HARD_ROWS
@@ -152,48 +154,52 @@ static void update_scales(solver_t *s)
 #endif
     if (changed) {
         q->entries = 0;
-        q->most_violation = (real_t)INFINITY;
+        q->most_violation = INF;
     }
+}
+
+static inline const real_t *gradient_of(const solver_t *s, int k)
+{
+    return (k < N) ? s->node[k].g : s->terminal.g;
 }
 
 /* Directional derivative of the cost, g' (dx, du). */
 static real_t cost_slope(const solver_t *s)
 {
     real_t sum = R(0);
-    for (int i = 0; i < NX; i++) {
-        sum += s->terminal.g[i] * s->step.dx[N][i];
-    }
-    for (int k = 0; k < N; k++) {
+    for (int k = 0; k <= N; k++) {
+        const real_t *g = gradient_of(s, k);
         for (int i = 0; i < NX; i++) {
-            sum += s->node[k].g[i] * s->step.dx[k][i];
+            sum += g[i] * s->step.dx[k][i];
         }
-        for (int i = 0; i < NU; i++) {
-            sum += s->node[k].g[NX + i] * s->step.du[k][i];
+        for (int j = 0; k < N && j < NU; j++) {
+            sum += g[NX + j] * s->step.du[k][j];
         }
     }
     return sum;
 }
 
-/* Second-order correction: the constraints of the QP take the values at base + step, at which s has been evaluated:
+/* Second-order correction: the constraints of the QP take the values at base + step, where s is:
  * b = Phi(x + dx, u + du) - x_{k+1} - A dx - B du, and the same for the rows. */
 static void correct_constraints(solver_t *s)
 {
-    const sqp_t *q = &s->sqp;
+    const step_t *d = &s->sqp.step;
     const real_t none[NX] = {0};
     for (int k = 0; k < N; k++) {
         node_t *node = &s->node[k];
-        real_t y[NX];
+        real_t y[NX], x_next[NX];
+        interval_value(s, k, x_next);
         memcpy(node->b, none, sizeof y);
-        STATE_STEP(node, q->dx[k], q->du[k], y);
+        STATE_STEP(node, d->dx[k], d->du[k], y);
         for (int i = 0; i < NX; i++) {
-            node->b[i] = q->b[k][i] + q->dx[k + 1][i] - y[i];
+            node->b[i] = x_next[i] - s->x[k + 1][i] + d->dx[k + 1][i] - y[i];
         }
 #if NH
         real_t J[NH * NZ];
         PATH_ROWS(s, k, node->h, J);
         for (int i = 0; i < NH; i++) {
             for (int j = 0; j < NZ; j++) {
-                node->h[i] -= node->J[i][j] * ((j < NX) ? q->dx[k][j] : q->du[k][j - NX]);
+                node->h[i] -= node->J[i][j] * ((j < NX) ? d->dx[k][j] : d->du[k][j - NX]);
             }
         }
 #endif
@@ -203,7 +209,7 @@ static void correct_constraints(solver_t *s)
     TERMINAL_ROWS(s, s->terminal.h, J);
     for (int i = 0; i < NH_N; i++) {
         for (int j = 0; j < NX; j++) {
-            s->terminal.h[i] -= s->terminal.J[i][j] * q->dx[N][j];
+            s->terminal.h[i] -= s->terminal.J[i][j] * d->dx[N][j];
         }
     }
 #endif
@@ -212,36 +218,16 @@ static void correct_constraints(solver_t *s)
     COUPLED_ROWS(s, s->coupled.r, J_0, J_N);
     for (int i = 0; i < NE; i++) {
         for (int j = 0; j < NX; j++) {
-            s->coupled.r[i] -= s->coupled.J_0[i][j] * q->dx[0][j] + s->coupled.J_N[i][j] * q->dx[N][j];
+            s->coupled.r[i] -= s->coupled.J_0[i][j] * d->dx[0][j] + s->coupled.J_N[i][j] * d->dx[N][j];
         }
     }
 #endif
 }
 
-/* Solves the same QP with corrected constraints and stores the corrected step in sqp.dx and sqp.du. Returns 0 if it
- * fails. */
-static int second_order_correction(solver_t *s)
-{
-    sqp_t *q = &s->sqp;
-    correct_constraints(s);
-    memcpy(s->x, q->x, sizeof s->x);
-    memcpy(s->u, q->u, sizeof s->u);
-    condense_rows(s);
-    for (int i = 0; i < NX; i++) {
-        s->step.dx[0][i] = s->xhat[i] - s->x[0][i];
-    }
-    if (condense_solve(s) != OK) {
-        return 0;
-    }
-    memcpy(q->dx, s->step.dx, sizeof q->dx);
-    memcpy(q->du, s->step.du, sizeof q->du);
-    return step_is_finite(s);
-}
-
 /* Returns 1 if a point is no worse than the filter allows. */
 static int passes_filter(const sqp_t *q, const measures_t *at)
 {
-    if (!(at->violation <= q->most_violation && at->cost < (real_t)INFINITY)) {
+    if (!(at->violation <= q->most_violation && at->cost < INF)) {
         return 0;
     }
     for (int n = 0; n < q->entries; n++) {
@@ -275,9 +261,9 @@ static int accepts(solver_t *s, const measures_t *start, real_t alpha, real_t sl
     const measures_t at = measure(s);
     const real_t rounding = TOL_MERIT_ROUNDING * (FABS(start->cost) + q->cost_scale);
     if (q->restoring) {
-        return at.cost < (real_t)INFINITY && at.violation <= start->violation - R(1e-4) * alpha * gain;
+        return at.cost < INF && at.violation <= start->violation - R(1e-4) * alpha * gain;
     }
-    if (!passes_filter(q, &at)) {
+    if (!passes_filter(q, &at) || (alpha > R(1) && at.violation > R(100) * q->small_violation)) {
         return 0;
     }
     if (is_descent(q, start, alpha, slope)) {
@@ -291,32 +277,38 @@ static int accepts(solver_t *s, const measures_t *start, real_t alpha, real_t sl
     return 0;
 }
 
+/* Returns 1 if the step of the same QP with corrected constraints is accepted. */
+static int accepts_corrected(solver_t *s, const measures_t *start, real_t slope, real_t gain)
+{
+    correct_constraints(s);
+    move_back(s);
+    condense_rows(s);
+    if (run_qp(s) != OK || !step_is_finite(s)) {
+        return 0;
+    }
+    take_step(s);
+    if (!accepts(s, start, R(1), slope, gain)) {
+        return 0;
+    }
+    put_step_aside(s);
+    return 1;
+}
+
 /* Backtracking. If the full step is rejected, one second-order correction is tried. */
 static status_t line_search(solver_t *s, const measures_t *start, real_t slope, real_t gain)
 {
     sqp_t *q = &s->sqp;
-    q->length = R(1);
-    put_step_aside(s);
     for (int trial = 0; trial < MAX_TRIALS; trial++) {
         move_to(s, q->length);
         if (accepts(s, start, q->length, slope, gain)) {
             return OK;
         }
-        if (trial == 0) {
-            memcpy(q->dx_full, q->dx, sizeof q->dx);
-            memcpy(q->du_full, q->du, sizeof q->du);
-            if (second_order_correction(s)) {
-                move_to(s, R(1));
-                if (accepts(s, start, R(1), slope, gain)) {
-                    return OK;
-                }
-            }
-            memcpy(q->dx, q->dx_full, sizeof q->dx);
-            memcpy(q->du, q->du_full, sizeof q->du);
+        if (q->length == R(1) && accepts_corrected(s, start, slope, gain)) { /* exactly, as powers of 2 are */
+            return OK;
         }
         q->length *= R(0.5);
     }
-    move_to(s, R(0));
+    move_back(s);
     return STALLED;
 }
 
@@ -327,7 +319,7 @@ static real_t cost_unit(const solver_t *s)
 {
     real_t largest = R(0);
     for (int k = 0; k <= N; k++) {
-        const real_t *g = (k < N) ? s->node[k].g : s->terminal.g;
+        const real_t *g = gradient_of(s, k);
         for (int i = 0; i < NX; i++) {
             enlarge(&largest, g[i] * s->x[k][i]);
         }
@@ -355,7 +347,7 @@ static status_t solve_qp(solver_t *s)
     if (s->sqp.elastic) {
         s->relaxation = s->sqp.row_weight * cost_unit(s);
         status = run_qp(s);
-        s->relaxation = (real_t)INFINITY;
+        s->relaxation = INF;
     }
     return status;
 }
@@ -383,39 +375,43 @@ static real_t slope_of(const solver_t *s)
     return slope;
 }
 
-/* a + length (b - a), or b if a is not finite. */
-static inline real_t between(real_t a, real_t b, real_t length)
+/* Moves a multiplier towards that of the QP, all the way if it is not finite. */
+static inline void approach(real_t *a, real_t b, real_t length)
 {
-    return (length < R(1) && isfinite(a)) ? a + length * (b - a) : b;
+    *a = (length < R(1) && isfinite(*a)) ? *a + length * (b - *a) : b;
 }
 
-/* Multipliers after a step: those of rows move towards the ones of the QP, lam follows from the gradient of the QP at the
- * end of the step. After a short step, those of the QP may be as far off as the step. Those of an elastic QP are those
- * of its penalty: nothing is known. */
+/* Multipliers after a step, towards those of the QP as far as the step went: after a short step, those of the QP may be
+ * as far off as the step. Those of an elastic QP are those of its penalty: nothing is known. With states eliminated, lam
+ * follows from the gradient of the QP at the end of the step. */
 static void take_multipliers(solver_t *s)
 {
-    const real_t length = s->sqp.length;
+    const sqp_t *q = &s->sqp;
 #if HARD_ROWS
     if (s->sqp.elastic) {
         forget_multipliers(s);
         return;
     }
 #endif
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            s->step.dx[k][i] = length * s->sqp.dx[k][i];
-        }
-        for (int j = 0; k < N && j < NU; j++) {
-            s->step.du[k][j] = length * s->sqp.du[k][j];
-            s->mu_u[k][j] = between(s->mu_u[k][j], s->step.mult_u[k][j], length);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            approach(&s->mu_u[k][j], q->step.mult_u[k][j], q->length);
         }
     }
 #if NG
     for (int m = 0; m < NG; m++) {
-        ROW_MULTIPLIER(s, m) = between(ROW_MULTIPLIER(s, m), s->step.mult[m], length);
+        approach(&ROW_MULTIPLIER(s, m), q->step.mult[m], q->length);
     }
 #endif
+#if HAS_ADJOINT_STEP
     (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
+#else
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            approach(&s->lam[k][i], q->lam[k][i], q->length);
+        }
+    }
+#endif
 }
 
 #if HARD_ROWS
@@ -440,6 +436,8 @@ static real_t gain_of(const measures_t *start)
 }
 #endif
 
+#include "algorithms/accelerate.c"
+
 /* The line search; if no step passes the filter, feasibility is restored: until the filter is passed again, steps have
  * to reduce the violation alone. */
 static status_t search(solver_t *s, const measures_t *start)
@@ -453,15 +451,26 @@ static status_t search(solver_t *s, const measures_t *start)
 #endif
     enlarge(&q->cost_scale, slope);
     q->restoring = q->elastic || (q->restoring && !passes_filter(q, start));
-    if (!q->restoring) {
+    if (q->restoring) {
+        q->length = R(1);
+    } else {
+#if !ACCELERATE
+        update_trend(s);
+        remember_last(s);
+#else
+        if (takes_accelerated(s, start, gain)) {
+            q->length = R(1);
+            return OK;
+        }
+#endif
+        choose_length(q);
         const status_t status = line_search(s, start, slope, gain);
         if (status == OK || !(start->violation > R(16) * TOL_MERIT_ROUNDING)) {
             return status;
         }
-        memcpy(s->step.dx, q->dx, sizeof q->dx);
-        memcpy(s->step.du, q->du, sizeof q->du);
         extend_filter(q, start);
         q->restoring = 1;
+        q->length = R(1);
     }
     if (!(gain > R(1e-8) * start->violation)) {
         return STALLED;
@@ -473,94 +482,120 @@ static status_t search(solver_t *s, const measures_t *start)
 static status_t sqp_iteration(solver_t *s)
 {
     sqp_t *q = &s->sqp;
-    if (!(q->most_violation < (real_t)INFINITY)) {
-        update_scales(s); /* those of the plan: a relaxed QP needs them */
-    }
+    update_scales(s); /* a relaxed QP needs them */
     status_t status = solve_qp(s);
     if (status != OK) {
-        return status;
+        return (status == ITERATION_LIMIT || status == STALLED) ? SUBPROBLEM_FAILED : status;
     }
     if (!step_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
+#if ACCELERATE
+    if (watch(s)) {
+        return OK;
+    }
+#endif
+    memcpy(q->x, s->x, sizeof s->x);
+    memcpy(q->u, s->u, sizeof s->u);
+    put_step_aside(s);
+    move_to(s, R(1));
     update_scales(s);
+    move_back(s);
     const measures_t start = measure(s);
+#if HARD_ROWS
+    q->slow = q->elastic && start.violation > R(0.999) * q->violation;
+#endif
+    q->violation = start.violation;
     if (!isfinite(start.violation) || !isfinite(start.cost)) {
         return NUMERICAL_FAILURE;
     }
-    if (!(q->most_violation < (real_t)INFINITY)) {
+    if (!(q->most_violation < INF)) {
         q->most_violation = R(1e4) * ((start.violation > R(1)) ? start.violation : R(1));
         q->small_violation = R(1e-4) * ((start.violation > R(1)) ? start.violation : R(1));
     }
     status = search(s, &start);
+    if (q->length < R(1) || q->restoring) {
+        q->points = 0; /* steps from points far away say nothing */
+#if ACCELERATE
+        q->watched = 0;
+#endif
+    }
+    q->caution = (q->length < R(1)) ? R(4) * q->caution : R(0.5) * q->caution;
+    q->caution = clip(q->caution, R(1.0625), R(64));
     if (status == OK) {
         take_multipliers(s);
     }
     return status;
 }
 
-/* Relative KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol. */
+/* KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol, relative to their terms. */
 static int kkt_converged(solver_t *s, real_t tol)
 {
     kkt_t *kkt = &s->kkt;
     memset(kkt, 0, sizeof *kkt);
     for (int k = 0; k < N; k++) {
-        kkt_node(s, k, &s->node[k], kkt, 1);
+        kkt_node(s, k, &s->node[k], kkt);
     }
-    kkt_terminal(s, &s->terminal, kkt, 1);
-    kkt_rows(s, kkt, 1);
-    return kkt->stationarity <= tol && kkt->equality <= tol && kkt->inequality <= tol && kkt->complementarity <= tol;
+    kkt_terminal(s, &s->terminal, kkt);
+    kkt_rows(s, kkt);
+    return kkt->relative <= tol;
 }
 
 #if HARD_ROWS
-/* Returns 1 if the last QP was elastic and its step is at most tol: the rows cannot be satisfied near this point. */
+/* Returns 1 if the last QP was elastic and its step is at most tol, or the last step hardly reduced the violation: at this
+ * penalty the rows cannot be satisfied near this point. */
 static int stuck_infeasible(const solver_t *s, real_t tol)
 {
+    const step_t *d = &s->sqp.step;
     real_t step = R(0);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            enlarge(&step, s->sqp.dx[k][i]);
+            enlarge(&step, d->dx[k][i]);
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            enlarge(&step, d->du[k][j]);
         }
     }
-    for (int k = 0; k < N; k++) {
-        for (int i = 0; i < NU; i++) {
-            enlarge(&step, s->sqp.du[k][i]);
-        }
-    }
-    return s->sqp.elastic && step <= tol;
+    return s->sqp.elastic && (step <= tol || s->sqp.slow);
 }
 #endif
 
-static status_t iterate(solver_t *s, real_t tol, int max_iterations)
+/* An empty filter, unknown scales. */
+static void start_search(solver_t *s)
 {
-    s->sqp.cost_scale = R(0);
-    s->sqp.most_violation = (real_t)INFINITY;
-    memset(s->sqp.state_scale, 0, sizeof s->sqp.state_scale);
+    memset(&s->sqp, 0, sizeof s->sqp);
     memset(&s->step, 0, sizeof s->step);
-    s->sqp.entries = 0;
-    s->sqp.restoring = 0;
+    s->sqp.in_solve = 1;
+    s->sqp.caution = R(1.0625);
+    s->sqp.most_violation = INF;
 #if HARD_ROWS
     s->sqp.row_weight = R(1000);
-    memset(s->sqp.row_scale, 0, sizeof s->sqp.row_scale);
 #endif
-    for (int iteration = 0;; iteration++) {
-        status_t status = prepare_here(s);
-        s->stats.sqp_iterations = iteration;
+}
+
+/* Iterations until stats.sqp_iterations = last. If the search is resumed, the present point has been linearised. */
+static status_t iterate(solver_t *s, real_t tol, int last)
+{
+    sqp_t *q = &s->sqp;
+    for (;; s->stats.sqp_iterations++) {
+        if (!q->resumes) {
+            const status_t prepared = prepare_here(s);
+            q->prepared = (int32_t)prepared;
+        }
+        q->resumes = 0;
         if (kkt_converged(s, tol)) {
             return OK;
         }
-        if (iteration >= max_iterations) {
+        if (s->stats.sqp_iterations >= last) {
             return ITERATION_LIMIT;
         }
-        if (status == OK) {
-            status = sqp_iteration(s);
-        }
+        const status_t status = (q->prepared == (int32_t)OK) ? sqp_iteration(s) : (status_t)q->prepared;
 #if HARD_ROWS
-        if (s->sqp.elastic && (status == STALLED || (status == OK && stuck_infeasible(s, tol)))) {
-            if (s->sqp.row_weight >= R(1e8)) {
+        if (q->elastic && (status == STALLED || (status == OK && stuck_infeasible(s, tol)))) {
+            if (q->row_weight >= R(1e8)) {
                 return INFEASIBLE;
             }
-            s->sqp.row_weight *= R(10);
+            q->row_weight *= R(10);
             continue;
         }
 #endif
@@ -570,31 +605,67 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
     }
 }
 
+/* A new start after a search that has ended where the constraints cannot be satisfied: the states to which the controls
+ * of the plan lead, and the next time those to which the reference controls do. */
+static void start_elsewhere(solver_t *s)
+{
+    const int32_t attempts = s->sqp.attempts + 1;
+    if (attempts > 1) {
+        forget_plan(s);
+    }
+    memcpy(s->x[0], s->xhat, sizeof s->xhat);
+    for (int k = 0; k < N; k++) {
+        interval_value(s, k, s->x[k + 1]);
+    }
+    forget_multipliers(s);
+    if (!plan_is_finite(s)) {
+        start_at(s, s->xhat);
+    }
+    start_search(s);
+    s->sqp.attempts = attempts;
+}
+
+static status_t solve_here(solver_t *s, real_t tol, int last)
+{
+    status_t status = iterate(s, tol, last);
+    while ((status == INFEASIBLE || status == SUBPROBLEM_FAILED || (status == STALLED && s->sqp.violation > R(1e-4))) &&
+        s->sqp.attempts < MAX_ATTEMPTS && s->stats.sqp_iterations++ < last) {
+        start_elsewhere(s);
+        status = iterate(s, tol, last);
+    }
+    return status;
+}
+
 /* Returns 1 if all multipliers that the first Hessian may read are finite. */
 static int multipliers_are_finite(solver_t *s)
 {
-    real_t probe = R(0);
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            probe += R(0) * s->lam[k][i];
-        }
-    }
+    int finite = all_finite(s->lam[0], (N + 1) * NX);
 #if NG
     for (int m = 0; m < NG; m++) {
-        probe += R(0) * ROW_MULTIPLIER(s, m);
+        finite &= isfinite(ROW_MULTIPLIER(s, m)) != 0;
     }
 #endif
-    return isfinite(probe) != 0;
+    return finite;
 }
 
-/* The iterations; outside of them, penalties of rows are those of the rows as they are. */
-static status_t solve_here(solver_t *s, real_t tol, int max_iterations)
+/* Starts from the plan, of which it gives up what is not finite. */
+static void begin(solver_t *s)
 {
-    const status_t status = iterate(s, tol, max_iterations);
-#if HARD_ROWS
-    memset(s->sqp.row_scale, 0, sizeof s->sqp.row_scale);
+    forget_violation(s);
+    if (!plan_is_finite(s)) {
+        start_at(s, s->xhat);
+    }
+    if (!multipliers_are_finite(s)) {
+        forget_multipliers(s);
+    }
+#if SHIFT
+    s->samples += (s->samples < MANY);
 #endif
-    return status;
+#if LAGRANGIAN
+    s->unsettled = 0;
+#endif
+    start_search(s);
+    s->stats.sqp_iterations = 0;
 }
 
 status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
@@ -607,36 +678,29 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
 #if BUDGET
     s->qp.allowance = -1;
 #endif
-    if (!take_state(s, xhat)) {
+    if (!s->sqp.resumes && !take_state(s, xhat)) {
         return finish(s, NOT_FINITE);
     }
     if (!(tol > R(0)) || max_iterations < 0) {
         return finish(s, BAD_ARGUMENT);
     }
+    if (!s->sqp.resumes) {
 #if NF
-    for (int f = 0; f < NF; f++) {
-        const real_t guess = xhat[free_state[f]];
-        s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
-    }
+        for (int f = 0; f < NF; f++) {
+            const real_t guess = xhat[free_state[f]];
+            s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
+        }
 #endif
-    forget_violation(s);
-    if (!plan_is_finite(s)) {
-        start_at(s, s->xhat);
+        begin(s);
     }
-    if (!multipliers_are_finite(s)) {
-        forget_multipliers(s);
-    }
+    s->sqp.in_solve = 1;
     status = solve_here(s, tol, max_iterations);
+    s->sqp.in_solve = 0;
 #if HARD_ROWS
+    s->sqp.elastic = 0;
     if (status == INFEASIBLE) {
         name_violation(s);
     }
-#endif
-#if SHIFT
-    s->samples += (s->samples < MANY);
-#endif
-#if LAGRANGIAN
-    s->unsettled = 0;
 #endif
     return finish(s, status);
 }

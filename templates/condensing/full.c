@@ -115,7 +115,7 @@ static void condense_store_rows(solver_t *s, int k, int column)
 static void condense_add_curvature(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {
-        real_t(*Q)[NZ] = s->hessian.Q[NQ == 1 ? 0 : k];
+        real_t(*Q)[NZ] = HESSIAN(s, k);
         for (int j = 0; j < NU; ++j) {
             for (int i = 0; i <= j; ++i) {
                 s->qp.H[k * NU + j][k * NU + i] += Q[NX + j][NX + i];
@@ -135,7 +135,7 @@ static void condense_hessian(solver_t *s, int column)
     condense_clear(p->W);
 #endif
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
-        CONDENSE_BACKWARD_PANEL(p, &s->node[k], s->hessian.Q[NQ == 1 ? 0 : k], k);
+        CONDENSE_BACKWARD_PANEL(p, &s->node[k], HESSIAN(s, k), k);
         condense_store_rows(s, k, column);
     }
 #if NF
@@ -266,7 +266,7 @@ static void condense_gradient(solver_t *s)
     }
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, d->c[N], w);
     for (int k = N - 1; k >= 0; --k) {
-        ADJOINT_STEP(&s->node[k], s->hessian.Q[NQ == 1 ? 0 : k], d->c[k], du, w);
+        ADJOINT_STEP(&s->node[k], HESSIAN(s, k), d->c[k], du, w);
         for (int j = 0; j < NU; ++j) {
             d->g[k * NU + j] = w[NX + j];
         }
@@ -284,8 +284,8 @@ static void condense_embed_free(solver_t *s, const real_t *dx0)
 {
     for (int row = N * NU; row < N * NU + NF; ++row) {
         s->qp.g[row] = condense_sum(s->condensed.g[row], s->condensed.Hx[row], dx0);
-        s->qp.lower[row] = -(real_t)INFINITY;
-        s->qp.upper[row] = (real_t)INFINITY;
+        s->qp.lower[row] = -INF;
+        s->qp.upper[row] = INF;
     }
 }
 
@@ -300,7 +300,7 @@ static void condense_embed_slacks(solver_t *s)
             s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
             s->qp.curvature[slack - (NV - NSL)] = ROW_CURVATURE(m);
             s->qp.penalty[slack] = ROW_PENALTY(s, m);
-            s->qp.penalty[NV + m] = (real_t)INFINITY;
+            s->qp.penalty[NV + m] = INF;
         }
     }
 }
@@ -358,51 +358,20 @@ static void condense_embed(solver_t *s)
 }
 
 #if NG
-/* size[], which is 0: largest magnitude of every component of c_0, c_1, ..., c_N. */
-static void condense_sizes(const solver_t *s, real_t *size)
-{
-    for (int k = 1; k <= N; ++k) {
-        for (int i = 0; i < NX; ++i) {
-            const real_t c = FABS(s->condensed.c[k][i]);
-            size[i] = c > size[i] ? c : size[i];
-        }
-    }
-}
-
-#if GENERAL_ROWS || NE
-/* J'c for the general or coupled row m; terms += |J|'size. */
-static inline real_t condense_change(const real_t *J, const real_t *c, const real_t *size, real_t *terms)
-{
-    real_t change = R(0);
-    for (int i = 0; i < NX; ++i) {
-        change += J[i] * c[i];
-        *terms += FABS(J[i]) * size[i];
-    }
-    return change;
-}
-
-#endif
 /* Value of the row m at du = 0, dx_0 = 0, v = row + J_x c_k, and the magnitude of its terms, where a state counts with
  * its largest magnitude, because its rounding errors travel along the horizon. */
 static void condense_value(solver_t *s, int m, const real_t *size)
 {
-    const real_t *c = s->condensed.c[row_node[m]], constant = ROW_CONSTANT(s, m);
-    real_t change, terms = FABS(constant);
+    const real_t *c = s->condensed.c[row_node[m]];
 #if STATE_ROWS && (GENERAL_ROWS || NE)
-    if (row_kind[m] == ROW_STATE) {
-        change = c[row_index[m]];
-        terms += size[row_index[m]];
-    } else {
-        change = condense_change(nodal_row(s, m), c, size, &terms);
-    }
+    const real_t change = (row_kind[m] == ROW_STATE) ? c[row_index[m]] : condense_sum(R(0), nodal_row(s, m), c);
 #elif STATE_ROWS
-    change = c[row_index[m]];
-    terms += size[row_index[m]];
+    const real_t change = c[row_index[m]];
 #else
-    change = condense_change(nodal_row(s, m), c, size, &terms);
+    const real_t change = condense_sum(R(0), nodal_row(s, m), c);
 #endif
-    s->condensed.v[m] = constant + change;
-    s->condensed.terms[m] = terms;
+    s->condensed.v[m] = ROW_CONSTANT(s, m) + change;
+    s->condensed.terms[m] = row_terms(s, m, size);
 }
 
 #endif
@@ -411,8 +380,10 @@ static void condense_rows(solver_t *s)
 {
     condense_gradient(s);
 #if NG
-    real_t size[NX] = {0};
-    condense_sizes(s, size);
+    real_t size[NZ] = {0}; /* largest magnitude of every component of c_0, c_1, ..., c_N; 0 for the controls */
+    for (int k = 1; k <= N; ++k) {
+        widen(size, s->condensed.c[k], NX);
+    }
     for (int m = 0; m < NG; ++m) {
         condense_value(s, m, size);
     }
@@ -452,7 +423,11 @@ static void condense_expand(solver_t *s)
     }
 #if NG
     for (int m = 0; m < NG; ++m) {
+#if REGULARIZE_REDUCED
         d->mult[m] = released_multiplier(s, m);
+#else
+        d->mult[m] = s->qp.mult[NV + m];
+#endif
     }
 #endif
 }

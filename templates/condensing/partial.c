@@ -91,8 +91,8 @@ static void condense_init(solver_t *s)
     }
     qp_init(s);
     for (k = N * NU; k < NV; k++) {
-        s->qp.lower[k] = -(real_t)INFINITY;
-        s->qp.upper[k] = (real_t)INFINITY;
+        s->qp.lower[k] = -INF;
+        s->qp.upper[k] = INF;
     }
 }
 
@@ -234,7 +234,7 @@ static void condense_matrices(solver_t *s)
         }
         for (j = 0; j < n; j++) {
             const int node = k * BLOCK + j;
-            condense_hessian(s, block, s->hessian.Q[NQ == 1 ? 0 : node], node, j);
+            condense_hessian(s, block, HESSIAN(s, node), node, j);
             condense_forward(&s->node[node], s->blocks.G[node], (j + 1 < n) ? s->blocks.G[node + 1] : block->S, j);
         }
     }
@@ -260,7 +260,7 @@ static void condense_vectors(solver_t *s)
         memset(w, 0, sizeof w);
         for (j = n - 1; j >= 0; j--) {
             const int node = k * BLOCK + j;
-            ADJOINT_STEP(&s->node[node], s->hessian.Q[NQ == 1 ? 0 : node], s->blocks.c[node], none, w);
+            ADJOINT_STEP(&s->node[node], HESSIAN(s, node), s->blocks.c[node], none, w);
             for (i = 0; i < NU; i++) {
                 block->g[NXS + j * NU + i] = w[NX + i];
             }

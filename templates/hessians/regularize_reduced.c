@@ -1,66 +1,20 @@
 #include "hessians/eigen.c"
 
-/* Replaces H (lower triangle of n rows) by V f(Lambda) V', f = max(Lambda, floor) or, if MIRROR, |Lambda| plus a tenth of
- * the largest |Lambda| below zero where Lambda is negative, so that small ones do not lead to large steps; the floor is relative to the largest |Lambda| or to `terms`, the magnitude of what H sums, if that is larger. Returns
- * 0, with H unchanged, if H is zero or not finite. `work` has the size of H. */
-static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t (*work)[LDV])
+/* H := V diag(d) V', lower triangle of n rows, where V has the rows of `work`. */
+static void compose(real_t (*H)[LDV], int n, const real_t *d, real_t (*work)[LDV])
 {
-    real_t d[LDV], e[LDV], scale = R(0), smallest = terms;
     for (int i = 0; i < n; ++i) {
-        for (int j = 0; j <= i; ++j) {
-            const real_t a = FABS(H[i][j]);
-            scale = (a > scale) ? a : scale;
-        }
-    }
-    if (!(scale > R(0)) || !isfinite(scale)) {
-        return 0;
-    }
-    smallest /= scale;
-    for (int i = 0; i < n; ++i) {
-        for (int j = 0; j <= i; ++j) {
-            work[i][j] = work[j][i] = H[i][j] / scale;
-            H[i][j] = R(0);
-        }
-    }
-    decompose(work, d, e, n);
-    for (int k = 0; k < n; ++k) {
-        smallest = (FABS(d[k]) > smallest) ? FABS(d[k]) : smallest;
-    }
-    smallest *= regularization[0];
-    real_t least = R(0);
-    for (int k = 0; k < n; ++k) {
-        least = (d[k] < least) ? d[k] : least;
+        memset(H[i], 0, (size_t)(i + 1) * sizeof H[0][0]);
     }
     for (int k = 0; k < n; ++k) {
-        const real_t a = (MIRROR && d[k] < R(0)) ? -d[k] - R(0.1) * least : d[k];
-        const real_t value = scale * ((a < smallest) ? smallest : a);
         const real_t *v = work[k];
         for (int i = 0; i < n; ++i) {
-            const real_t b = value * v[i];
+            const real_t b = d[k] * v[i];
             for (int j = 0; j <= i; ++j) {
                 H[i][j] += b * v[j];
             }
         }
     }
-    return 1;
-}
-
-/* Magnitude of the terms that the condensed Hessian sums: largest |R_jj| + sum_i B_ij^2 |Q_ii of the next node|. */
-static real_t condensed_terms(const solver_t *s)
-{
-    real_t largest = R(0);
-    for (int k = 0; k < N; k++) {
-        for (int j = NX; j < NZ; j++) {
-            real_t sum = FABS(s->hessian.Q[NQ == 1 ? 0 : k][j][j]);
-            for (int i = 0; i < NX; i++) {
-                const real_t b = s->node[k].S[i][j];
-                const real_t next = (k + 1 < N) ? s->hessian.Q[NQ == 1 ? 0 : k + 1][i][i] : s->hessian.Q_N[i][i];
-                sum += b * b * FABS(next);
-            }
-            largest = (sum > largest) ? sum : largest;
-        }
-    }
-    return largest;
 }
 
 /* unit[j]: curvature that is typical of variable j, from the diagonal of H and from entries beside it that exceed it. */
@@ -80,6 +34,61 @@ static void condensed_units(real_t (*H)[LDV], int n, real_t terms, real_t *unit)
             }
         }
     }
+}
+
+/* Replaces H (lower triangle of n rows) by r V f(Lambda) V' r, where r^-1 H r^-1 = V Lambda V' in units r_i^2 of the
+ * curvature; f = max(Lambda, floor) or, if MIRROR, |Lambda| plus a share of the largest |Lambda| below zero where Lambda is
+ * negative, so that small ones do not lead to large steps. The floor is relative to the largest |Lambda|, at least 1. Returns
+ * 0, with H unchanged, if H is zero or not finite. `work` has the size of H. */
+static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t share, real_t (*work)[LDV])
+{
+    real_t d[LDV], e[LDV], r[LDV], probe = R(0), least = R(0), smallest = R(1);
+    condensed_units(H, n, terms, r);
+    for (int i = 0; i < n; ++i) {
+        r[i] = SQRT(r[i]);
+        for (int j = 0; j <= i; ++j) {
+            work[i][j] = work[j][i] = H[i][j] / (r[i] * r[j]);
+            probe += FABS(work[i][j]);
+        }
+    }
+    if (!(probe > R(0)) || !isfinite(probe)) {
+        return 0;
+    }
+    decompose(work, d, e, n);
+    for (int k = 0; k < n; ++k) {
+        smallest = (FABS(d[k]) > smallest) ? FABS(d[k]) : smallest;
+        least = (d[k] < least) ? d[k] : least;
+    }
+    smallest *= regularization[0];
+    for (int k = 0; k < n; ++k) {
+        const real_t a = (MIRROR && d[k] < R(0)) ? -d[k] - share * least : d[k];
+        d[k] = (a < smallest) ? smallest : a;
+    }
+    compose(H, n, d, work);
+    for (int i = 0; i < n; ++i) {
+        for (int j = 0; j <= i; ++j) {
+            H[i][j] *= r[i] * r[j];
+        }
+    }
+    return 1;
+}
+
+/* Magnitude of the terms that the condensed Hessian sums: largest |R_jj| + sum_i B_ij^2 |Q_ii of the next node|. */
+static real_t condensed_terms(const solver_t *s)
+{
+    real_t largest = R(0);
+    for (int k = 0; k < N; k++) {
+        for (int j = NX; j < NZ; j++) {
+            real_t sum = FABS(HESSIAN(s, k)[j][j]);
+            for (int i = 0; i < NX; i++) {
+                const real_t b = s->node[k].S[i][j];
+                const real_t next = (k + 1 < N) ? HESSIAN(s, k + 1)[i][i] : s->hessian.Q_N[i][i];
+                sum += b * b * FABS(next);
+            }
+            largest = (sum > largest) ? sum : largest;
+        }
+    }
+    return largest;
 }
 
 #if NG
@@ -132,10 +141,23 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 #endif
 }
 
+/* A tenth for full steps; solve() takes less unless it had to shorten its steps. */
+static real_t mirror_share(const solver_t *s)
+{
+#if SOLVE
+    return R(0.1) * (s->sqp.in_solve ? s->sqp.caution - R(1) : R(1));
+#else
+    (void)s;
+    return R(0.1);
+#endif
+}
+
 /* If the condensed Hessian is not positive definite, it is formed again and the predicted working set is held, at first
  * weakly. If that is not sufficient, it is regularised. */
 static status_t condense_factorize(solver_t *s)
 {
+    int32_t predicted[NV + NG]; /* a failure clears the working set */
+    memcpy(predicted, s->qp.side, sizeof predicted);
     status_t status = qp_factorize(&s->qp);
     s->condensed.regularized = status == NUMERICAL_FAILURE;
 #if NG
@@ -147,8 +169,9 @@ static status_t condense_factorize(solver_t *s)
     const real_t terms = condensed_terms(s);
     for (int trial = 0; trial < 3 && status == NUMERICAL_FAILURE; trial++) {
         condense_matrices(s);
+        memcpy(s->qp.side, predicted, sizeof predicted);
         hold_working_set(s, terms, (trial == 0) ? R(1) : R(256));
-        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, s->qp.work.basis.Q)) {
+        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, mirror_share(s), s->qp.work.basis.Q)) {
             return status;
         }
         status = qp_factorize(&s->qp);

@@ -69,10 +69,10 @@ static void qp_init(qp_t *q)
 {
     memset(q, 0, sizeof *q);
     for (int c = 0; c < NV + NG; ++c) {
-        q->lower[c] = -(real_t)INFINITY;
-        q->upper[c] = (real_t)INFINITY;
+        q->lower[c] = -INF;
+        q->upper[c] = INF;
 #if ELASTIC
-        q->penalty[c] = (real_t)INFINITY;
+        q->penalty[c] = INF;
 #endif
     }
 }
@@ -83,7 +83,12 @@ static int qp_predict(qp_t *q, int equality, int again, real_t fraction)
 {
     int waiting = 0;
     for (int c = 0; c < NV + NG; ++c) {
-        if (qp_is_equality(q, c) != equality || qp_is_slack(c)) {
+#if NSL
+        if (qp_is_slack(c)) {
+            continue;
+        }
+#endif
+        if (qp_is_equality(q, c) != equality) {
             continue;
         }
         if (qp_is_member(q, c) ? !again : equality && q->side[c] == INACTIVE) {

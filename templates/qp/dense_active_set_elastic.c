@@ -88,10 +88,10 @@ static void qp_turn_inside(const qp_t *q, int c, real_t *over, real_t *under)
 {
     if (q->side[c] > 0) {
         *under = -*over;
-        *over = -(real_t)INFINITY;
+        *over = -INF;
     } else {
         *over = -*under;
-        *under = -(real_t)INFINITY;
+        *under = -INF;
     }
 }
 
@@ -107,7 +107,7 @@ static void qp_settle(qp_t *q, int c, int side, int member, real_t moved, real_t
         q->side[c] = state == INACTIVE || qp_is_equality(q, c) ? 2 * side : INACTIVE;
         ++q->changes;
     }
-    if (q->penalty[c] < (real_t)INFINITY) {
+    if (q->penalty[c] < INF) {
         qp_shift_origin(q, (member ? R(0) : lam) - before);
     }
 }
@@ -123,7 +123,7 @@ static real_t qp_reach(const qp_t *q, int c)
 static void qp_release_saturated(qp_t *q)
 {
     for (int c = NV; c < NV + NG; ++c) {
-        if (qp_is_saturated(q, c) && !(q->penalty[c] < (real_t)INFINITY && isfinite(qp_bound(q, c)))) {
+        if (qp_is_saturated(q, c) && !(q->penalty[c] < INF && isfinite(qp_bound(q, c)))) {
             q->side[c] = INACTIVE;
         }
     }
@@ -135,7 +135,7 @@ static int qp_take_penalties(qp_t *q)
     int valid = 1, elastic = 0;
     for (int c = 0; c < NV + NG; ++c) {
         valid &= q->penalty[c] >= R(0);
-        elastic |= q->penalty[c] < (real_t)INFINITY;
+        elastic |= q->penalty[c] < INF;
     }
     if (elastic || q->elastic) {
         qp_release_saturated(q);
@@ -160,8 +160,11 @@ static real_t qp_relaxation(const qp_t *q, int c)
     if (c >= NV && qp_moving_slack(q, c) >= 0) {
         return q->x[qp_slack(c)];
     }
+    if (qp_is_slack(c)) {
+        return R(0);
+    }
 #endif
-    return qp_is_saturated(q, c) && !qp_is_slack(c) ? qp_value(q, c, q->x) - qp_bound(q, c) : R(0);
+    return qp_is_saturated(q, c) ? qp_value(q, c, q->x) - qp_bound(q, c) : R(0);
 }
 
 /* Writes the multipliers of the saturated rows and counts the rows that are violated by more than rounding. */
@@ -179,11 +182,4 @@ static void qp_write_saturated(qp_t *q)
             q->relaxed += excess > TOL_QP_REDUNDANT * (qp_row_size(q, c) + FABS(qp_bound(q, c)));
         }
     }
-}
-
-/* Clips a multiplier that exceeds its limit by rounding. */
-static real_t qp_clip_multiplier(const qp_t *q, int c, real_t lam)
-{
-    const real_t limit = q->penalty[c];
-    return lam > limit ? limit : lam < -limit ? -limit : lam;
 }

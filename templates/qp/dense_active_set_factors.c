@@ -64,7 +64,7 @@ static real_t qp_median(const real_t *v)
 static real_t qp_length(const qp_t *q, int i)
 {
     const real_t width = q->upper[i] - q->lower[i];
-    real_t least = width > R(0) ? width : (real_t)INFINITY;
+    real_t least = width > R(0) ? width : INF;
 #if NG
     for (int j = 0; j < NG; ++j) {
         const real_t a = FABS(q->A[j][i]), room = q->upper[NV + j] - q->lower[NV + j];
@@ -73,7 +73,7 @@ static real_t qp_length(const qp_t *q, int i)
         }
     }
 #endif
-    return least < (real_t)INFINITY ? least : R(1);
+    return least < INF ? least : R(1);
 }
 
 /* H += diag(proximal). The weights are a fraction of the diagonal of H or, where that is (nearly) zero, of the cost
@@ -94,9 +94,11 @@ static int qp_add_proximal_term(qp_t *q, const real_t *reference)
         q->proximal[i] = known ? qp_proximal_share() * reference[i] : R(1.0 / 64) * other;
         q->H[i][i] += q->proximal[i];
         valid &= reference[i] >= R(0);
-        for (int j = 0; j < NV - NSL; ++j) {
-            const real_t x = j < i ? q->H[i][j] : q->H[j][i];
-            valid &= known || j == i || x * x <= qp_zero_pivot() * other * reference[j];
+        cost[i] = known ? -R(1) : qp_zero_pivot() * other; /* from here on a limit to entries beside the diagonal */
+        for (int j = 0; j < i; ++j) {
+            const real_t square = q->H[i][j] * q->H[i][j];
+            valid &= cost[i] < R(0) || square <= cost[i] * reference[j];
+            valid &= cost[j] < R(0) || square <= cost[j] * reference[i];
         }
     }
     return valid;

@@ -116,7 +116,7 @@ static real_t qp_room(const qp_t *q, int k, int falls)
 #if ELASTIC
     return falls ? q->penalty[c] + lam : q->penalty[c] - lam;
 #else
-    return (real_t)INFINITY;
+    return INF;
 #endif
 }
 
@@ -195,7 +195,7 @@ static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
 {
     if (!(vv > TOL_QP_DEPENDENT * TOL_QP_DEPENDENT * mm)) {
-        return (real_t)INFINITY;
+        return INF;
     }
     return violation > R(0) ? violation / vv : R(0);
 }
@@ -221,7 +221,7 @@ static real_t qp_split(qp_t *q, real_t *r, real_t mm)
 static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
 {
     const real_t sign = R(side), bound = (q->side[c] == INACTIVE ? side : q->side[c]) > 0 ? q->upper[c] : q->lower[c];
-    real_t r[LDV], moved = R(0), left = (real_t)INFINITY, mm = qp_normal(q, c);
+    real_t r[LDV], moved = R(0), left = INF, mm = qp_normal(q, c);
 #if ELASTIC
     left = qp_reach(q, c);
 #endif
@@ -239,7 +239,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         const real_t full = qp_full_step(violation, mm, vv);
         real_t step = left < full ? left : full;
         const int blocking = qp_blocking(q, r, side, mm, &step);
-        if (!(step < (real_t)INFINITY)) {
+        if (!(step < INF)) {
 #if SOLVE
             qp_certify(q, c, side, r, mm);
 #endif
@@ -248,7 +248,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         ++q->iterations;
         moved += step;
         left -= step;
-        qp_move(q, r, sign * step, full < (real_t)INFINITY);
+        qp_move(q, r, sign * step, full < INF);
 #if NSL
         if (step < full && blocking < 0 && qp_yields(q, c, side, &mm, &left)) {
             continue;
@@ -293,7 +293,7 @@ static status_t qp_take_bounds(qp_t *q)
 {
     int valid = 1, ordered = 1;
     for (int c = 0; c < NV + NG; ++c) {
-        valid &= q->lower[c] < (real_t)INFINITY && q->upper[c] > -(real_t)INFINITY;
+        valid &= q->lower[c] < INF && q->upper[c] > -INF;
         ordered &= q->lower[c] <= q->upper[c];
     }
 #if ELASTIC
@@ -327,8 +327,15 @@ static int qp_write_result(qp_t *q)
     q->dropped = q->relaxed = 0;
     memset(q->mult, 0, sizeof q->mult);
     for (int c = 0; c < NV + NG; ++c) {
-        q->dropped += q->side[c] == INACTIVE && qp_is_equality(q, c) && !qp_is_slack(c);
-        if (c < NV && q->side[c] == INACTIVE) {
+        if (q->side[c] != INACTIVE) {
+            continue;
+        }
+#if NSL
+        q->dropped += !qp_is_slack(c) && qp_is_equality(q, c);
+#else
+        q->dropped += qp_is_equality(q, c);
+#endif
+        if (c < NV) {
             q->x[c] = clip(q->x[c], q->lower[c], q->upper[c]);
         }
     }
@@ -337,9 +344,10 @@ static int qp_write_result(qp_t *q)
 #endif
     for (int k = 0; k < q->nw; ++k) {
         const int c = q->row[k];
-        real_t lam = q->lam[k];
 #if ELASTIC
-        lam = qp_clip_multiplier(q, c, lam);
+        const real_t lam = clip(q->lam[k], -q->penalty[c], q->penalty[c]);
+#else
+        const real_t lam = q->lam[k];
 #endif
         const int side = lam > R(0) ? AT_UPPER : lam < R(0) ? AT_LOWER : q->side[c];
         total += FABS(lam);

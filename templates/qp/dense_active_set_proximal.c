@@ -31,7 +31,7 @@ static real_t qp_weighted_square(const qp_t *q, const real_t *s)
 /* Largest t for which z + t p crosses no bound of a row that is not a member. */
 static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
 {
-    real_t over, under, most = (real_t)INFINITY;
+    real_t over, under, most = INF;
     for (int c = 0; c < NV + NG; ++c) {
 #if NG
         const real_t slope = qp_value(q, c, p);
@@ -100,7 +100,7 @@ static status_t qp_move_center(qp_t *q)
         copy(q->center, q->x);
         q->total = R(0);
     }
-    return t < (real_t)INFINITY ? ITERATION_LIMIT : NUMERICAL_FAILURE;
+    return t < INF ? ITERATION_LIMIT : NUMERICAL_FAILURE;
 }
 
 /* Minimiser for a Hessian that is only semidefinite, by the proximal point method: z_{j+1} minimises the cost plus 1/2
@@ -111,7 +111,7 @@ static status_t qp_iterate_proximal(qp_t *q)
     clear(q->center);
     clear(q->direction);
     q->total = R(0);
-    q->step = (real_t)INFINITY;
+    q->step = INF;
     for (int step = 0; step < QP_MAX_PROXIMAL_STEPS && status == ITERATION_LIMIT; ++step) {
 #if BUDGET
         if (!qp_afford(q, COST_PROXIMAL)) {

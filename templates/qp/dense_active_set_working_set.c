@@ -13,11 +13,13 @@ static int qp_is_equality(const qp_t *q, int c)
     return q->lower[c] >= q->upper[c];
 }
 
+#if NSL
 static inline int qp_is_slack(int c)
 {
     return NV - NSL <= c && c < NV;
 }
 
+#endif
 /* Bound of row c on its side. */
 static real_t qp_bound(const qp_t *q, int c)
 {
@@ -127,19 +129,15 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
     solve_upper(q->work.basis.R, q->R_inverse, r, q->nw);
 }
 
-#if NG
+#if NSL
 /* m = a_c of a general row. */
 static void qp_take_row(const qp_t *q, int c, real_t *m)
 {
-#if NSL
     clear(m);
     memcpy(m, q->A[c - NV], sizeof q->A[0]);
     if (qp_moving_slack(q, c) >= 0) {
         m[qp_slack(c)] = -R(1);
     }
-#else
-    copy(m, q->A[c - NV]);
-#endif
 }
 #endif
 
@@ -150,7 +148,11 @@ static real_t qp_normal(qp_t *q, int c)
     real_t *m = q->work.basis.m;
 #if NG
     if (c >= NV) {
+#if NSL
         qp_take_row(q, c, m);
+#else
+        copy(m, q->A[c - NV]);
+#endif
         qp_forward(q, m, 0);
         return dot(m, m, LDV);
     }
@@ -164,23 +166,24 @@ static real_t qp_normal(qp_t *q, int c)
 /* m = Q'd + v with Q v = 0; a second pass restores orthogonality after cancellation. Returns v'v. */
 static real_t qp_project(qp_t *q, real_t mm)
 {
+    basis_t *w = &q->work.basis;
     real_t vv = mm;
-    copy(q->work.basis.v, q->work.basis.m);
+    copy(w->v, w->m);
     if (q->nw == 0) {
         return vv;
     }
-    qp_coefficients(q, q->work.basis.v, q->work.basis.d);
-    qp_subtract_span(q, q->work.basis.d, q->work.basis.v);
-    vv = dot(q->work.basis.v, q->work.basis.v, LDV);
+    qp_coefficients(q, w->v, w->d);
+    qp_subtract_span(q, w->d, w->v);
+    vv = dot(w->v, w->v, LDV);
     if (vv < R(0.5) * mm) {
         real_t e[LDV];
         clear(e);
-        qp_coefficients(q, q->work.basis.v, e);
-        qp_subtract_span(q, e, q->work.basis.v);
+        qp_coefficients(q, w->v, e);
+        qp_subtract_span(q, e, w->v);
         for (int k = 0; k < q->nw; ++k) {
-            q->work.basis.d[k] += e[k];
+            w->d[k] += e[k];
         }
-        vv = dot(q->work.basis.v, q->work.basis.v, LDV);
+        vv = dot(w->v, w->v, LDV);
     }
     return vv;
 }

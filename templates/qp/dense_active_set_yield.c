@@ -14,7 +14,7 @@ static void qp_free_slack(qp_t *q, int c, int side)
     const int slack = qp_slack(c);
     const real_t size = q->penalty[slack] * q->inverse[slack];
     q->side[slack] = 2 * side;
-    q->penalty[c] = (real_t)INFINITY;
+    q->penalty[c] = INF;
     q->y0[slack] = side > 0 ? -size : size;
     q->scale += size;
     ++q->changes;
@@ -30,7 +30,7 @@ static int qp_yields(qp_t *q, int c, int side, real_t *mm, real_t *left)
     qp_free_slack(q, c, side);
     q->work.basis.m[qp_slack(c)] = -q->inverse[qp_slack(c)];
     *mm += qp_compliance(q, c);
-    *left = (real_t)INFINITY;
+    *left = INF;
     return 1;
 }
 
@@ -68,7 +68,7 @@ static void qp_share_penalties(qp_t *q)
 {
     for (int c = NV; c < NV + NG; ++c) {
         if (qp_slack(c) >= 0) {
-            q->penalty[c] = qp_can_yield(q, c) ? q->penalty[qp_slack(c)] : (real_t)INFINITY;
+            q->penalty[c] = qp_can_yield(q, c) ? q->penalty[qp_slack(c)] : INF;
         }
     }
 }

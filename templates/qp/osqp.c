@@ -13,10 +13,10 @@ static void qp_init(qp_t *q)
 {
     memset(q, 0, sizeof *q);
     for (int c = 0; c < NV + NG; ++c) {
-        q->lower[c] = -(real_t)INFINITY;
-        q->upper[c] = (real_t)INFINITY;
+        q->lower[c] = -INF;
+        q->upper[c] = INF;
 #if ELASTIC
-        q->penalty[c] = (real_t)INFINITY;
+        q->penalty[c] = INF;
 #endif
     }
 }

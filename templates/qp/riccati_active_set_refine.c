@@ -210,14 +210,14 @@ static int qp_take_residuals(solver_t *s, int *at_members)
 static status_t qp_refine(solver_t *s)
 {
     qp_t *q = &s->qp;
-    real_t slow = (real_t)INFINITY;
+    real_t slow = INF;
     int stretched = 0;
     for (int k = 0; k <= NS; k++) {
         riccati_adjoint(&s->riccati, k, q->x[k], s->riccati.work.vectors.lam[k]);
     }
     q->stale_vectors = NS;
     q->refined = 1;
-    q->residual = (real_t)INFINITY;
+    q->residual = INF;
     for (int i = 0; i <= QP_MAX_REFINEMENTS; i++) {
 #if BUDGET
         if (!qp_afford(q, COST_REFINEMENT)) {

@@ -98,11 +98,11 @@ static void qp_set_row(solver_t *s, int m, int side)
  * has no side. */
 static inline int qp_allowed(const qp_t *q, int c, int side)
 {
-    const int no_upper = side > 0 && !(q->upper[c] < (real_t)INFINITY);
-    const int no_lower = side < 0 && !(q->lower[c] > -(real_t)INFINITY);
+    const int no_upper = side > 0 && !(q->upper[c] < INF);
+    const int no_lower = side < 0 && !(q->lower[c] > -INF);
     const int allowed = no_upper || no_lower ? INACTIVE : side;
     if (allowed == INACTIVE && q->lower[c] >= q->upper[c]) {
-        return q->upper[c] < (real_t)INFINITY ? AT_UPPER : AT_LOWER;
+        return q->upper[c] < INF ? AT_UPPER : AT_LOWER;
     }
     return allowed;
 }

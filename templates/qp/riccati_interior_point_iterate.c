@@ -337,7 +337,7 @@ static int ipm_converged(solver_t *s)
     if (q->mu > q->merit * TOL_IPM_GAP * q->unit) {
         q->merit = q->mu / (TOL_IPM_GAP * q->unit);
     }
-    q->slope = (real_t)INFINITY;
+    q->slope = INF;
     if (!(q->merit <= R(16384))) {
         return 0;
     }
@@ -383,7 +383,7 @@ static int ipm_suffices(solver_t *s, real_t merit_before)
  * lower value for the rest of the solve. Returns 1 if it is. */
 static int ipm_soften(ipm_t *q, real_t gradient_before)
 {
-    if (q->stiffening > ipm_least_stiffening(q) && q->slope < (real_t)INFINITY && q->slope > R(1024) &&
+    if (q->stiffening > ipm_least_stiffening(q) && q->slope < INF && q->slope > R(1024) &&
         q->slope > R(0.5) * gradient_before) {
         q->stiffest = R(0.0625) * q->stiffening;
         q->stiffening = ipm_least_stiffening(q);
@@ -396,7 +396,7 @@ static int ipm_soften(ipm_t *q, real_t gradient_before)
  * proximal term is reduced as far as rounding permits. Returns 1 if it is. */
 static int ipm_loosen(ipm_t *q, real_t gradient_before)
 {
-    if (q->damping > R(0) && q->slope < (real_t)INFINITY && q->slope > R(1) && q->slope > R(0.5) * gradient_before &&
+    if (q->damping > R(0) && q->slope < INF && q->slope > R(1) && q->slope > R(0.5) * gradient_before &&
         q->proximity > R(8192) * SQRT(TOL_UNIT)) {
         q->proximity *= R(0.0625);
         for (int i = 0; i < NZS; i++) {
@@ -449,12 +449,12 @@ static int ipm_inexact_equations(ipm_t *q)
 static void ipm_forget_progress(ipm_t *q)
 {
     q->closed_gaps = 0;
-    q->merit = q->slope = q->primal = (real_t)INFINITY;
+    q->merit = q->slope = q->primal = INF;
     q->step = R(1);
     q->stiffest = R(65536);
 #if NG
     q->stretched = 0;
-    q->slow = (real_t)INFINITY;
+    q->slow = INF;
 #endif
 }
 
@@ -507,7 +507,7 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
     }
 #endif
     done = ipm_converged(s);
-    if (q->probing && (q->slope < (real_t)INFINITY || s->qp.iterations > 20) && ipm_any_violation(s)) {
+    if (q->probing && (q->slope < INF || s->qp.iterations > 20) && ipm_any_violation(s)) {
         return 1;
     }
     *changed |= ipm_soften(q, gradient_before) | ipm_loosen(q, gradient_before);

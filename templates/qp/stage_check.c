@@ -37,8 +37,8 @@ static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, int ful
     const real_t at_upper = TOL_QP_ACCEPTED * (size + FABS(q->upper[c]));
     const real_t at_lower = TOL_QP_ACCEPTED * (size + FABS(q->lower[c]));
     int holds = !hard || (over <= at_upper && under <= at_lower);
-    if ((q->mult[c] > R(0) && !(over >= -at_upper && over > -(real_t)INFINITY)) ||
-        (q->mult[c] < R(0) && !(under >= -at_lower && under > -(real_t)INFINITY))) {
+    if ((q->mult[c] > R(0) && !(over >= -at_upper && over > -INF)) ||
+        (q->mult[c] < R(0) && !(under >= -at_lower && under > -INF))) {
         holds &= full;
         q->mult[c] = full ? R(0) : q->mult[c];
     }
@@ -143,7 +143,7 @@ static int qp_is_negligible(solver_t *s, int j, real_t gradient, real_t noise, r
         curvature = (d > curvature) ? d : curvature;
     }
     const real_t reach = SQRT(cost * curvature);
-    if (!(reach < (real_t)INFINITY)) {
+    if (!(reach < INF)) {
         return 0;
     }
     return gradient <= TOL_QP_NOISE * reach ||

@@ -13,7 +13,7 @@ static inline int qp_is_violated(int side)
 
 static inline int qp_is_soft(const qp_t *q, int m)
 {
-    return q->penalty[m] < (real_t)INFINITY;
+    return q->penalty[m] < INF;
 }
 
 #if GENERAL_ROWS || NE || BLOCK_ROWS
@@ -160,12 +160,12 @@ static void qp_clear(qp_t *q)
 {
     memset(q, 0, sizeof *q);
     for (int c = 0; c < NV + NG; c++) {
-        q->lower[c] = -(real_t)INFINITY;
-        q->upper[c] = (real_t)INFINITY;
+        q->lower[c] = -INF;
+        q->upper[c] = INF;
     }
 #if NG
     for (int m = 0; m < NG; m++) {
-        q->penalty[m] = (real_t)INFINITY;
+        q->penalty[m] = INF;
     }
 #endif
 }
@@ -175,7 +175,7 @@ static status_t qp_check_bounds(const qp_t *q)
 {
     int valid = 1, ordered = 1;
     for (int c = 0; c < NV + NG; c++) {
-        valid &= q->lower[c] < (real_t)INFINITY && q->upper[c] > -(real_t)INFINITY;
+        valid &= q->lower[c] < INF && q->upper[c] > -INF;
         ordered &= q->lower[c] <= q->upper[c];
     }
 #if NG

@@ -16,10 +16,11 @@ const char *golden_status_string(status_t status)
         "no such node, row or parameter",
         "lower bound above upper bound",
         "argument out of range or not finite",
-        "no further progress"
+        "no further progress",
+        "a subproblem was given up"
     };
     const int index = (int)status;
-    return (index >= 0 && index < 12) ? text[index] : "unknown status";
+    return (index >= 0 && index < 13) ? text[index] : "unknown status";
 }
 
 /* Restores the initial iterate; the settings (references, weights, parameters, bounds) are kept. */

@@ -23,7 +23,7 @@
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
  *   condensing: full                condensing/full.c                                   157 operations      176 bytes
  *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1480 bytes
- *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      624 bytes
+ *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      832 bytes
  */
 #include "golden.h"
 
@@ -91,6 +91,8 @@ typedef golden_status_t status_t;
 #define QP_MAX_SEARCHES GOLDEN_QP_MAX_SEARCHES
 #define PATIENCE GOLDEN_PATIENCE
 #define MAX_TRIALS GOLDEN_MAX_TRIALS
+#define MAX_ATTEMPTS GOLDEN_MAX_ATTEMPTS
+#define MAX_WATCHED GOLDEN_MAX_WATCHED
 #define FILTER GOLDEN_FILTER
 #define MANY GOLDEN_MANY
 #define MAGIC NMPC_CODEGEN_UNIT
@@ -107,9 +109,11 @@ typedef golden_status_t status_t;
 #define BAD_BOUNDS GOLDEN_BAD_BOUNDS
 #define BAD_ARGUMENT GOLDEN_BAD_ARGUMENT
 #define STALLED GOLDEN_STALLED
+#define SUBPROBLEM_FAILED GOLDEN_SUBPROBLEM_FAILED
 #define SQRT sqrt
 #define FABS fabs
 #define CEIL ceil
+#define INF ((real_t)INFINITY)
 #define TOL_QP_PIVOT 7.105427357601002e-15
 #define TOL_QP_DEPENDENT 2.2737367544323206e-13
 #define TOL_QP_DEPENDENT_PREDICTION 3.637978807091713e-12
@@ -144,8 +148,9 @@ typedef golden_status_t status_t;
     &(h)[row_index[m]]))
 #define ROW_LOWER(s, m) ((s)->lower[row_node[m] == N])[row_id[m]]
 #define ROW_UPPER(s, m) ((s)->upper[row_node[m] == N])[row_id[m]]
-#define ROW_PENALTY(s, m) (((s)->sqp.row_scale[row_id[m]] > R(0)) ? (s)->relaxation / \
+#define ROW_PENALTY(s, m) (((s)->sqp.elastic && (s)->sqp.row_scale[row_id[m]] > R(0)) ? (s)->relaxation / \
     (s)->sqp.row_scale[row_id[m]] : (s)->relaxation)
+#define HESSIAN(s, k) (s)->hessian.Q[0]
 #define INTEGRATOR_INTERVAL(s, k, x_next, S) integrator_interval((s)->x[k], (s)->u[k], PARAM(s, k), \
     &interval_length[k], x_next, S)
 #define INTEGRATOR_STEP(s, k, x, u, h, x_next) integrator_step(x, u, PARAM(s, k), h, x_next)

@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 2896 bytes in size, holds no pointers and may be
+ * The caller owns the memory: one golden_solver_t is 3208 bytes in size, holds no pointers and may be
  * copied with '='. Only one execution context at a time may use an instance. An interrupt may change measurements
  * during a call: pass a copy of them. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
@@ -61,6 +61,8 @@ typedef double golden_real;
 #define GOLDEN_PATIENCE 10 /* samples after which a failure is not that of one sample alone */
 #define GOLDEN_SHIFT 0 /* 1: step() moves the plan before preparing */
 #define GOLDEN_MAX_TRIALS 30 /* halvings of the step in the line search of solve() */
+#define GOLDEN_MAX_ATTEMPTS 2 /* new starts of solve() where rows cannot be satisfied, at most */
+#define GOLDEN_MAX_WATCHED 4 /* accelerated steps of solve() without the line search, at most */
 #define GOLDEN_FILTER 16 /* pairs of violation and cost that solve() does not accept again */
 #define GOLDEN_MANY 1000000 /* maximum value of counters */
 #define GOLDEN_MAGIC 1313689667 /* marks a struct that init has initialised */
@@ -90,7 +92,8 @@ typedef enum {
     GOLDEN_BAD_INDEX = 8, /* no such node, row or parameter */
     GOLDEN_BAD_BOUNDS = 9, /* lower bound above upper bound */
     GOLDEN_BAD_ARGUMENT = 10, /* argument out of range or not finite */
-    GOLDEN_STALLED = 11 /* no further progress */
+    GOLDEN_STALLED = 11, /* no further progress */
+    GOLDEN_SUBPROBLEM_FAILED = 12 /* a subproblem was given up */
 } golden_status_t;
 
 
@@ -109,6 +112,8 @@ typedef union { /* memory of phases that do not overlap */
     golden_columns_t columns; /* while the QP is formed */
     golden_basis_t basis; /* from qp_factorize to the end of the feedback */
 } golden_work_t;
+
+
 
 
 

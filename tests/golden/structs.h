@@ -17,6 +17,7 @@ typedef struct { /* KKT residuals, largest absolute values */
     golden_real equality; /* gaps of the dynamics and x_0 - xhat */
     golden_real inequality; /* violation of bounds and rows */
     golden_real complementarity; /* multiplier times distance to its bound */
+    golden_real relative; /* the largest of all, divided by 1 + the magnitudes of the terms that it sums */
 } golden_kkt_t;
 
 typedef struct { /* Hessian blocks, lower triangles, z = (x, u) */
@@ -106,25 +107,43 @@ typedef struct { /* solution of the QP */
     golden_real mult[GOLDEN_NG]; /* multipliers of the rows */
 } golden_step_t;
 
+typedef struct { /* a step in the past of solve(), z = (x, u) */
+    golden_real end[GOLDEN_N + 1][GOLDEN_NZ]; /* point to which it led */
+    golden_real d[GOLDEN_N + 1][GOLDEN_NZ]; /* the step */
+} golden_past_t;
+
 typedef struct { /* line search of solve() */
+    golden_past_t past[2]; /* the last steps */
     golden_real filter_violation[GOLDEN_FILTER]; /* violations that the filter rejects */
     golden_real filter_cost[GOLDEN_FILTER]; /* and the costs that belong to them */
+    golden_step_t step; /* step that is tried, at its full length */
     golden_real row_scale[GOLDEN_NR]; /* scales of the rows */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls before the step */
-    golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
-    golden_real du_full[GOLDEN_N][GOLDEN_NU]; /* du before the second-order correction */
-    golden_real b[GOLDEN_N][GOLDEN_NX]; /* gaps at a trial point */
+    golden_real watched_u[GOLDEN_N][GOLDEN_NU]; /* controls before that step */
     golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states before the step */
-    golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
-    golden_real dx_full[GOLDEN_N + 1][GOLDEN_NX]; /* dx before the second-order correction */
+    int32_t points; /* how many are known */
+    int32_t latest; /* which is the latest */
+    int32_t trend; /* of the length of steps in one direction */
+    int32_t much_shorter; /* 1: the step is much shorter than the last */
+    golden_real square; /* square of the norm of the step */
+    int32_t watched; /* steps since the filter rejected one; < 0: none is taken */
+    golden_real watched_square; /* that of the step rejected */
+    golden_real watched_x[GOLDEN_N + 1][GOLDEN_NX]; /* states before that step */
     golden_real state_scale[GOLDEN_NX]; /* scales of the states */
     golden_real row_weight; /* penalty of the rows in the elastic QP */
     int32_t entries; /* entries of the filter */
     int32_t restoring; /* 1: steps only have to reduce the violation */
     golden_real length; /* length of the last step */
+    golden_real caution; /* factor of shifts of the Hessian */
+    golden_real violation; /* of the constraints at the last point */
     golden_real cost_scale; /* largest slope of the cost */
     golden_real most_violation; /* violation that is never accepted */
     golden_real small_violation; /* violation up to which the cost counts */
+    int32_t prepared; /* status of the preparation */
+    int32_t attempts; /* new starts */
+    int32_t in_solve; /* 1 while solve() iterates */
+    int32_t resumes; /* set to 1 before solve() goes on from where it reached its limit */
+    int32_t slow; /* 1: an elastic QP that hardly reduced the violation */
     int32_t elastic; /* 1: the last QP was infeasible and relaxed */
 } golden_sqp_t;
 
@@ -160,7 +179,7 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real yref_N[GOLDEN_NY_N]; /* reference of the terminal residual */
     golden_real W_N[GOLDEN_NY_N]; /* weight of the terminal residual */
     /* results of the last call */
-    golden_kkt_t kkt; /* KKT residuals of the last solve */
     golden_stats_t stats; /* counters */
+    golden_kkt_t kkt; /* KKT residuals of the last solve */
     int32_t status; /* status of the last call */
 } golden_solver_t;

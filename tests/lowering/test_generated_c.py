@@ -202,12 +202,12 @@ def test_statuses() -> None:
     """The status values have the same order in the header and in Python, and there is a text for every value."""
     order = (
         *("OK", "ITERATION_LIMIT", "INFEASIBLE", "RELAXED", "NUMERICAL_FAILURE", "NOT_FINITE", "NOT_PREPARED"),
-        *("NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED"),
+        *("NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED", "SUBPROBLEM_FAILED"),
     )
     sources = problems.sources("crane")
     assert tuple(s.name for s in Status) == order
     assert re.findall(r"CRANE_(\w+) = (\d+),? /\*", sources["crane.h"]) == [(n, str(i)) for i, n in enumerate(order)]
-    program = '#include <stdio.h>\n#include "crane.h"\nint main(void) { int i; for (i = -1; i <= 12; i++) { '
+    program = '#include <stdio.h>\n#include "crane.h"\nint main(void) { int i; for (i = -1; i <= 13; i++) { '
     program += "puts(crane_status_string((crane_status_t)i)); } return 0; }\n"
     with quality.written(sources) as folder:
         (folder / "texts.c").write_text(program)

@@ -28,12 +28,27 @@ def regularized(H: Array, mirror: bool, floor: float, scale: float | None = None
     return np.asarray(V * changed @ V.T)
 
 
+def units_of(H: Array, floor: float) -> Array:
+    """Curvature that is typical of every variable: the diagonal, at least floor times its largest entry, enlarged in
+    turn where an entry beside it exceeds the geometric mean of two units."""
+    diagonal = np.abs(np.diag(H))
+    unit = np.maximum(diagonal, floor * diagonal.max())
+    unit[unit == 0] = 1.0
+    for i in range(len(H)):
+        for j in range(i):
+            excess = abs(H[i, j]) / np.sqrt(unit[i] * unit[j])
+            unit[[i, j]] *= max(1.0, excess)
+    return np.asarray(unit)
+
+
 def regularized_reduced(H: Array, mirror: bool, floor: float) -> Array:
-    """The same for the reduced Hessian, where a mirrored eigenvalue is raised by a tenth of the most negative one."""
-    values, V = np.linalg.eigh(H)
+    """The same for the reduced Hessian in units of its variables, where a mirrored eigenvalue is raised by a tenth of
+    the most negative one, and the largest eigenvalue counts as at least 1."""
+    root = np.sqrt(units_of(H, floor))
+    values, V = np.linalg.eigh(H / np.outer(root, root))
     mirrored = np.where(values < 0, -values - 0.1 * values.min(), values)
-    changed = np.maximum(mirrored if mirror else values, floor * np.abs(values).max())
-    return np.asarray(V * changed @ V.T)
+    changed = np.maximum(mirrored if mirror else values, floor * max(1.0, np.abs(values).max()))
+    return np.asarray(np.outer(root, root) * (V * changed @ V.T))
 
 
 def blocks(problem: Problem, point: Point, data: Data, integrator: Tableau = CLASSICAL) -> tuple[list[Array], Array]:

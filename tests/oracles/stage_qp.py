@@ -228,17 +228,18 @@ def fitted_lam(qp: StageQP, p: Point) -> Array:
     right = -unit * np.concatenate([G.ravel(), G_N])
     n, m = M.shape
     assert n == N * (nx + nu) + nx
-    factor = SparseLU(sp.bmat([[sp.eye(n), M], [M.T, None]], format="csc"))
+    factor = SparseQR(sp.bmat([[sp.eye(n), M], [M.T, None]], format="csc"))
     solution = factor.solve(np.concatenate([right, np.zeros(m)]))
     lam = np.zeros((N + 1) * nx)
     lam[keep] = dual * solution[n:]
     return lam.reshape(N + 1, nx)
 
 
-class SparseLU:
-    """Factors of a sparse matrix by MUMPS, which CasADi ships; RuntimeError if it is singular.
+class SparseQR:
+    """QR factors of a sparse matrix by CasADi; RuntimeError if it is singular.
 
-    SciPy's SuperLU passes invalid dimensions to BLAS for some of these matrices, and may fault.
+    SciPy's SuperLU passes invalid dimensions to BLAS for some of these matrices, and may fault; CasADi's interface to
+    MUMPS returns garbage for some of them without an error.
     """
 
     def __init__(self, K: sp.csc_matrix) -> None:
@@ -246,7 +247,7 @@ class SparseLU:
         K.sort_indices()
         pattern = ca.Sparsity(*K.shape, K.indptr.tolist(), K.indices.tolist())
         self._matrix = ca.DM(pattern, K.data)
-        self._solver = ca.Linsol("lu", "mumps", pattern)
+        self._solver = ca.Linsol("factors", "qr", pattern)
         self._solver.sfact(self._matrix)
         self._solver.nfact(self._matrix)
 
@@ -399,11 +400,12 @@ def sparse_form(qp: StageQP) -> tuple[sp.csc_matrix, Array, sp.csr_matrix, sp.cs
     return H, gradient, dynamics_matrix(qp), sp.csr_matrix(R)
 
 
-def condition(qp: StageQP) -> float:
+def condition(qp: StageQP, exact: bool = False) -> float:
     """|K|_1 |P K^-1|_1 of the KKT matrix K at the optimum in units of the variables, P = primal part (an estimate).
 
     The larger of two: with all active rows, and with those that carry a multiplier. Where rows are redundant on purpose
-    K is regularised by REDUNDANT.
+    K is regularised by REDUNDANT. ``exact``: from dense decompositions, which bear rows that depend on others by chance
+    or nearly so; there the estimate is too small.
     """
     assert qp.optimum is not None
     s, p = qp.shape, qp.optimum
@@ -427,8 +429,21 @@ def condition(qp: StageQP) -> float:
         A = sp.vstack([D, R[np.flatnonzero(rows & ~saturated)]]) @ scale
         A = sp.vstack([A, identity])
         A = sp.diags(1 / np.maximum(abs(A).max(axis=1).toarray().ravel(), TINY)) @ A
-        found.append(_primal_condition(H, A, REDUNDANT if qp.kind == "redundant" else 0.0))
+        delta = REDUNDANT if qp.kind == "redundant" else 0.0
+        found.append(_dense_primal_condition(H, A) if exact else _primal_condition(H, A, delta))
     return max(found)
+
+
+def _dense_primal_condition(H: sp.spmatrix, A: sp.spmatrix) -> float:
+    """|P K^-1|_2 |K|_1, where what A has below rounding is none of its rank: on its null space Z the primal part is
+    W = Z (Z'HZ)^-1 Z', on its range (I - W H) A^+."""
+    U, s, V = np.linalg.svd(A.toarray())
+    rank = int(np.sum(s > 1e-14 * len(s) * s[0]))
+    Z, pseudo = V[rank:].T, V[:rank].T / s[:rank] @ U[:, :rank].T
+    W = Z @ np.linalg.solve(Z.T @ H @ Z, Z.T)
+    inverse = np.hstack([W, pseudo - W @ (H @ pseudo)])
+    largest = max(abs(H).sum(axis=0).max() + abs(A).sum(axis=0).max(), abs(A).sum(axis=1).max())
+    return float(np.linalg.norm(inverse, 2) * largest)
 
 
 def _primal_condition(H: sp.spmatrix, A: sp.spmatrix, delta: float) -> float:
@@ -436,7 +451,7 @@ def _primal_condition(H: sp.spmatrix, A: sp.spmatrix, delta: float) -> float:
     n, m = H.shape[0], A.shape[0]
     K = sp.bmat([[H, A.T], [A, -delta * sp.eye(m)]], format="csc")
     try:
-        factor = SparseLU(K)
+        factor = SparseQR(K)
     except RuntimeError:
         return np.inf
 

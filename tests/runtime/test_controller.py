@@ -12,7 +12,6 @@ import problems
 import pytest
 from numpy.typing import NDArray
 
-from nmpc_codegen import GaussNewton, Options, build
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import ALIGNMENT, Controller, Status
@@ -398,12 +397,11 @@ def test_two_controllers_in_two_threads(toy: Controller) -> None:
 
 
 def test_python_runs_while_c_solves() -> None:
-    """The GIL is released: another thread counts in the middle of a long solve()."""
+    """The GIL is released: another thread counts in the middle of long integrations."""
     import threading
     import time
 
-    cycling = Options(hessian=GaussNewton(convex_rows=False))
-    ctrl = build(problems.disc(), cycling, profile="test")
+    ctrl = problems.controller("crane")
     stamps: list[float] = []
     stop = threading.Event()
 
@@ -414,11 +412,11 @@ def test_python_runs_while_c_solves() -> None:
     thread = threading.Thread(target=count)
     thread.start()
     start = time.perf_counter()
-    found = ctrl.solve([1.0, 0.0], tol=1e-12, max_iterations=50_000)
+    for _ in range(8):
+        ctrl.integrate(np.zeros(4), [0.1], 1e5)
     end = time.perf_counter()
     stop.set()
     thread.join()
-    assert found.iterations == 50_000
     assert end - start > 0.05
     middle = [t for t in stamps if start + 0.2 * (end - start) < t < end - 0.2 * (end - start)]
     assert len(middle) >= 5

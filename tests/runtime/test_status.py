@@ -24,8 +24,8 @@ def test_a_status_prints_its_meaning_and_is_an_integer(status: Status) -> None:
 
 
 def test_every_status_has_a_meaning_of_its_own() -> None:
-    assert len(Status) == 12
-    assert len({s.meaning for s in Status}) == 12
+    assert len(Status) == 13
+    assert len({s.meaning for s in Status}) == 13
 
 
 def test_kkt() -> None:

@@ -28,7 +28,7 @@ from nmpc_codegen import (
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import ReferenceSolution, node_data, solve_reference
 from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
-from nmpc_codegen.runtime.status import Solution
+from nmpc_codegen.runtime.solving import Solution
 
 ROUTES = {
     "dense": Options(condensing=FullCondensing(), qp=DenseActiveSet()),

@@ -18,6 +18,7 @@ from nmpc_codegen.components.base import Condensing, QpSolver
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, kkt_residuals, node_data
+from nmpc_codegen.runtime.package_description import Names
 
 STARTS = 100
 SOLVED = 1e-6  # KKT residual relative to the largest multiplier
@@ -32,12 +33,13 @@ ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
 
 @dataclass
 class Attempt:
-    """One start: whether it was solved, iterations, cost, what was said."""
+    """One start: whether it was solved, iterations, cost, status, and whether a failure was explained."""
 
     solved: bool
     iterations: int
     cost: float
     status: str
+    explained: bool = True
 
 
 @dataclass
@@ -74,8 +76,16 @@ def run(job: tuple[str, int]) -> Outcome:
             point = Point(**{name: getattr(mine, name) for name in Point.__dataclass_fields__})
             size = max(1.0, *(float(np.max(np.abs(m), initial=0.0)) for m in (mine.lam, mine.mu, mine.mu_N, mine.eta)))
             good = mine.status.name == "OK" and kkt_residuals(ocp, point, data, tableau).worst <= SOLVED * size
-            attempts.append(Attempt(good, mine.iterations, mine.cost, mine.status.name))
+            explained = mine.status.name == "OK" or is_explained(ctrl.diagnose(), ctrl.names)
+            attempts.append(Attempt(good, mine.iterations, mine.cost, mine.status.name, explained))
     return out
+
+
+def is_explained(text: str, names: Names) -> bool:
+    """True if the diagnosis names a row, a state with its node, or an option to change."""
+    rows = any(f"row {row!r}" in text for row in names.rows)
+    states = any(f"{state} at node" in text or f"measured {state}" in text for state in names.states)
+    return rows or states or "Options(" in text or "steps" in text
 
 
 def measure(report: Report, scale: float = 1.0) -> None:
@@ -86,6 +96,9 @@ def measure(report: Report, scale: float = 1.0) -> None:
         for outcome in pool.map(run, [(name, count) for name in names]):
             for route in outcome.ours:
                 report_route(report, outcome, route)
+            failed = [a for attempts in outcome.ours.values() for a in attempts if a.status != "OK"]
+            silent = sum(not a.explained for a in failed)
+            report.add("unexplained_failures", silent, case=f"{outcome.problem}: {len(failed)} failures", limit=0)
 
 
 def report_route(report: Report, outcome: Outcome, route: str) -> None:

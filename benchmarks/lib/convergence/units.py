@@ -100,7 +100,7 @@ def _is_linear(h: object, symbols: object) -> bool:
 
 
 def measure(report: Report, scale: float = 1.0) -> None:
-    """Iterations of solve() in random units over those in the units of the example, from its initial state."""
+    """Iterations of solve() in random units over those in the units of the example, from the first cold start."""
     for problem in problems():
         if problem.name in EXAMPLES:
             _measure(report, problem, max(1, round(scale * SEEDS)))
@@ -108,7 +108,7 @@ def measure(report: Report, scale: float = 1.0) -> None:
 
 def _measure(report: Report, problem: StartProblem, seeds: int) -> None:
     ocp = problem.make()
-    start = np.array(classify(ocp).x_initial)
+    start = problem.start(0)
     plain = build(ocp, problem.options(), profile="fast").solve(start)
     for seed in range(seeds):
         units = Units.of(ocp, seed)

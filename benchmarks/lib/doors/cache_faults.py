@@ -115,16 +115,24 @@ def _everybody_writes_the_folder(cache: Path, package: Path) -> bool:
 
 def _killed(whole_group: bool) -> Callable[[Path, Path], bool]:
     def fault(cache: Path, package: Path) -> bool:
-        process = start(OPEN, cache, package)
-        while process.poll() is None and not (cache.is_dir() and leftovers(cache)):
-            time.sleep(0.002)
-        time.sleep(0.05)
-        kill = os.killpg if whole_group else os.kill
-        kill(process.pid, signal.SIGKILL)
-        process.communicate()
-        return process.returncode == -signal.SIGKILL and bool(leftovers(cache)) and opens(cache, package)
+        return any(_killed_while_building(cache, package, whole_group) for _ in range(20)) and opens(cache, package)
 
     return fault
+
+
+def _killed_while_building(cache: Path, package: Path, whole_group: bool) -> bool:
+    """Kill the process that builds; False, with an empty cache, if the build was finished before the kill."""
+    process = start(OPEN, cache, package)
+    while process.poll() is None and not (cache.is_dir() and leftovers(cache)):
+        time.sleep(0.002)
+    time.sleep(0.01)
+    kill = os.killpg if whole_group else os.kill
+    kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    if process.returncode == -signal.SIGKILL and leftovers(cache):
+        return True
+    shutil.rmtree(cache)
+    return False
 
 
 def _eight_at_once(cache: Path, package: Path) -> bool:

@@ -291,7 +291,7 @@ class Torture:
         elif finite:
             self.failed_qp(measured, kept)
         if status != Status.OK:
-            self.fallback(u, kept[1], lower, upper)
+            self.fallback(u, kept, lower, upper)
 
     def solved(self, chosen: StageQP | None) -> None:
         out = self.out
@@ -328,10 +328,11 @@ class Torture:
         twin.prepare()
         return certificate(read_qp(self.problem, twin._struct, measured)) == "feasible"
 
-    def fallback(self, u: Array, kept: Array, lower: Array, upper: Array) -> None:
-        out, status = self.out, self.c.status
+    def fallback(self, u: Array, plan: tuple[Array, Array], lower: Array, upper: Array) -> None:
+        out, status, kept = self.out, self.c.status, plan[1]
         same = np.array_equal(self.c.u, kept) or np.array_equal(self.c.u, np.clip(kept, lower, upper))
-        if not same and not self.given_up(lower, upper):
+        useless = not all(np.all(np.isfinite(part)) for part in plan)
+        if not same and not self.given_up(lower, upper, useless):
             out.violate("failure changes the controls of the plan", status.name)
         if self.failures > 1 or not same:
             self.since_restart = 0
@@ -348,14 +349,14 @@ class Torture:
         y = [self.c.view("yref")[0][y] if y >= 0 else 0.0 for y in self.problem.control_reference]
         return np.clip(y, lower, upper)
 
-    def given_up(self, lower: Array, upper: Array) -> bool:
+    def given_up(self, lower: Array, upper: Array, useless: bool) -> bool:
         """True if the plan may be given up, and is.
 
-        That is after the third failure in a row, the second one without a finite linearisation, or one soon after a
-        restart.
+        That is after the third failure in a row, the second one without a finite linearisation, one soon after a
+        restart, or the first one of a plan that is not finite (useless).
         """
         broken = self.failures > 1 and self.c.status == Status.NUMERICAL_FAILURE
-        allowed = broken or self.failures > 2 or self.since_restart <= GIVE_UP
+        allowed = useless or broken or self.failures > 2 or self.since_restart <= GIVE_UP
         return allowed and np.allclose(self.c.u, self.reference(lower, upper), rtol=1e-12, atol=0)
 
     def run(self, steps: int) -> Outcome:

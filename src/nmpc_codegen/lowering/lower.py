@@ -135,6 +135,8 @@ def _switches(model: Model) -> dict[str, int]:
         "SOLVE": int(model.solve),
         "HAS_STATE_STEP": int(model.solve or eliminates),
         "HAS_ADJOINT_STEP": int(eliminates),
+        "STAGE_MULTIPLIERS": int(not eliminates),
+        "CONDENSED_QP": int(condensing is not None and condensing.gives == "condensed"),
         "INTEGRATE_PLAN": 0,
         "NODES": int("nodes" in core),
         "PRODUCTS": int("products" in core),
@@ -150,6 +152,7 @@ def _switches(model: Model) -> dict[str, int]:
     }
     for component in parts.components:
         switches |= component.switches
+    switches["ACCELERATE"] = int(not switches["LAGRANGIAN"])
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
     switches |= {"RELAXATION": int(relaxable), "ELASTIC": int(elastic)}

@@ -74,6 +74,7 @@ def all_definitions(module: CModule) -> list[Definition]:
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
     constants += arithmetic(module.precision)
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
+    parametric.append(("HESSIAN", "s, k", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]"))
     parametric += [kernel_call(routine) for routine in module.routines]
     parametric += [product_call(routine, unit_style(module.precision)) for routine in module.called_products]
     return [*((name, None, text) for name, text in constants), *parametric]
@@ -85,10 +86,11 @@ def conditions(module: CModule) -> str:
 
 
 def arithmetic(precision: str) -> list[tuple[str, str]]:
-    """(macro, text): functions of math.h and tolerances in the working precision."""
+    """(macro, text): functions of math.h, infinity and tolerances in the working precision."""
     style = unit_style(precision)
     functions = [(name.upper(), style.function(name)) for name in FUNCTIONS]
-    return functions + [(f"TOL_{name.upper()}", style.literal(tolerance(name, precision))) for name in TOLERANCES]
+    tolerances = [(f"TOL_{name.upper()}", style.literal(tolerance(name, precision))) for name in TOLERANCES]
+    return [*functions, ("INF", "((real_t)INFINITY)"), *tolerances]
 
 
 def accessors(module: CModule) -> list[Definition]:
@@ -153,7 +155,7 @@ def rows(module: CModule) -> list[Definition]:
             text = f"{test} ? &{element} : {text}"
         return f"(*({text}))" if tests else f"({found[-1]})" if found else "0"
 
-    infinity, soft = "((real_t)INFINITY)", "row_l1[row_id[m]]"
+    infinity, soft = "INF", "row_l1[row_id[m]]"
     hard = _hard_penalty(sizes) if sizes["RELAXATION"] else infinity
     penalty = f"(IS_SOFT(m) ? {soft} : {hard})" if sizes["RELAXATION"] else soft
     return [
@@ -179,7 +181,7 @@ def rows(module: CModule) -> list[Definition]:
         ("ROW_VALUE", "s, m, h, r", place("(s)->x[row_node[m]]", "h", "h", "r")),
         ("ROW_LOWER", "s, m", row_bound("lower")),
         ("ROW_UPPER", "s, m", row_bound("upper")),
-        ("IS_SOFT", "m", f"({soft} < (real_t)INFINITY)"),
+        ("IS_SOFT", "m", f"({soft} < INF)"),
         ("ROW_PENALTY", "s, m", penalty if sizes["SOFT_ROWS"] else hard),
         ("ROW_CURVATURE", "m", "row_l2[row_id[m]]" if sizes["SOFT_ROWS"] else "R(0)"),
     ]
@@ -190,7 +192,7 @@ def _hard_penalty(sizes: Mapping[str, int]) -> str:
     if not (sizes["SOLVE"] and sizes["HARD_ROWS"]):
         return "((s)->relaxation)"
     scale = "(s)->sqp.row_scale[row_id[m]]"
-    return f"(({scale} > R(0)) ? (s)->relaxation / {scale} : (s)->relaxation)"
+    return f"(((s)->sqp.elastic && {scale} > R(0)) ? (s)->relaxation / {scale} : (s)->relaxation)"
 
 
 def _row_kinds(sizes: Mapping[str, int]) -> dict[str, int]:

@@ -15,9 +15,11 @@ import numpy as np
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.package_description import Kind, PackageDescription, Struct
-from nmpc_codegen.runtime.status import Kkt, Status
+from nmpc_codegen.runtime.status import KKT_PARTS, Status
 
 C_REAL = {"double": "double", "single": "float"}
+#: The status values that every package has; later versions added some.
+EARLIEST = 12
 COUNTERS = (
     *("qp_iterations", "active_set_changes", "dropped_rows", "relaxed_rows", "sqp_iterations"),
     *("violated_row", "violated_node"),
@@ -126,7 +128,8 @@ class CompiledPackage:
 
     def _check_enumerations(self) -> None:
         """Compare the numbers of statuses, rows and parameters."""
-        statuses = tuple(Status.__members__)
+        known = tuple(Status.__members__)
+        statuses = known[: max(len(self.description.statuses), EARLIEST)]
         if self.description.statuses != statuses:
             self._refuse(f"its status values are {self.description.statuses}, those of this version {statuses}")
         described = {f"{self.name.upper()}_{status}": i for i, status in enumerate(statuses)}
@@ -182,7 +185,7 @@ class CompiledPackage:
                 shown = "none" if found is None else f"{found[0]} {list(found[1])}"
                 self._refuse(f"the member {name} of the solver is {shown} in the description; expected {expected}")
         results = {"stats": {**dict.fromkeys(COUNTERS, "int32"), "violation": "real"}}
-        results["kkt"] = dict.fromkeys(Kkt.__dataclass_fields__, "real")
+        results["kkt"] = dict.fromkeys(KKT_PARTS, "real")
         for struct, scalars in results.items():
             members = self.description.members(struct)
             for name, ctype in scalars.items() if members else ():

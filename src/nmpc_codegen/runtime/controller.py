@@ -20,9 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.compiled import COUNTERS, CompiledPackage
-from nmpc_codegen.runtime.given import checked_array, checked_weight, is_integer, is_positive, ndim
+from nmpc_codegen.runtime.given import checked_array, checked_weight, is_integer, ndim
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
-from nmpc_codegen.runtime.status import Kkt, Solution, Stats, Status, diagnosis
+from nmpc_codegen.runtime.solving import Globalization, Solution, solve
+from nmpc_codegen.runtime.status import KKT_PARTS, Kkt, Stats, Status, diagnosis
 
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
@@ -105,37 +106,36 @@ class Controller:
         self._judge(status, "feedback", on_failure)
         return self._u0.copy()
 
-    def solve(self, xhat: ArrayLike, tol: float = 1e-8, max_iterations: int = 100) -> Solution:
-        """Iterate to convergence from the current iterate, with globalisation.
+    def solve(
+        self,
+        xhat: ArrayLike,
+        tol: float = 1e-8,
+        max_iterations: int = 100,
+        globalization: Globalization = "filter",
+    ) -> Solution:
+        """Iterate to convergence from the current iterate.
+
+        Call it before the first step() of a loop that starts cold, or pass warm_start=True to simulate().
 
         Args:
             xhat: initial state, shape (nx,).
-            tol: KKT residual up to which the problem counts as solved, > 0.
+            tol: KKT residual, relative to the terms that it sums, up to which the problem counts as solved, > 0.
             max_iterations: maximum number of SQP iterations, >= 1.
+            globalization: "filter", a line search that accepts what reduces cost or violation, with restoration of
+                feasibility; or "full_step", the real-time iteration repeated.
         """
-        if not is_positive(tol):
-            raise ControllerError(f"tol is {tol!r}; expected a positive number")
-        if not is_integer(max_iterations) or max_iterations < 1:
-            raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
-        if not self.description.offers("solve"):
-            raise ControllerError(
-                f"{self._package.name} was exported without solve(): by Options(solve=False) (--set solve=False), or "
-                "with an algorithm that has none"
-            )
         self._measure(xhat)
-        start = perf_counter_ns()
-        status = Status(self._call("solve", self._s, self._xhat_c, float(tol), int(max_iterations)))
-        elapsed = perf_counter_ns() - start
-        parts = {n: self._optional(n).copy() for n in ("x", "u", "lam", "mu_x", "mu_u", "mu", "mu_N", "eta")}
-        return Solution(
-            status,
-            **parts,
-            cost=self.cost,
-            kkt=self.kkt(),
-            iterations=self.stats.sqp_iterations,
-            time_ns=elapsed,
-            controls=self.names.controls,
-        )
+        return solve(self, tol, max_iterations, globalization)
+
+    def call_solve(self, tol: float, last: int) -> Status:
+        """C function solve() for the state last given, up to iteration ``last``."""
+        return Status(self._call("solve", self._s, self._xhat_c, tol, last))
+
+    def call_iteration(self) -> Status:
+        """C functions prepare() and feedback() for the state last given, or what replaces them."""
+        if self._phases is None:
+            return Status(self._call("step", self._s, self._xhat_c, self._u0_c))
+        return Status(self._call("prepare", self._s) or self._call("feedback", self._s, self._xhat_c, self._u0_c))
 
     def reset(self) -> None:
         """Return to the initial plan; references, weights, parameters and bounds are kept."""
@@ -306,7 +306,7 @@ class Controller:
     @property
     def eta(self) -> Array:
         """Multipliers of coupled rows; empty without such rows."""
-        return self._optional("eta")
+        return self.member("eta")
 
     @property
     def status(self) -> Status:
@@ -322,7 +322,8 @@ class Controller:
         """Counters, residuals and times of the last call; counters that the algorithm does not have are 0."""
         members = self.description.members("solver")
         counts = self._struct["stats"] if "stats" in members else _NO_COUNTS
-        kkt = self._struct["kkt"] if "kkt" in members else dict.fromkeys(Kkt.__dataclass_fields__, math.nan)
+        solved = self._struct["kkt"].__getitem__ if "kkt" in members else lambda _: math.nan
+        last = Kkt.read(solved, self.description.members("kkt") or KKT_PARTS)
         return Stats(
             qp_iterations=int(counts["qp_iterations"]),
             active_set_changes=int(counts["active_set_changes"]),
@@ -332,7 +333,7 @@ class Controller:
             violated_row=self._violated_row(),
             violated_node=int(counts["violated_node"]) if self._violated_row() else None,
             violation=float(counts["violation"]),
-            kkt=Kkt(*(float(kkt[part]) for part in Kkt.__dataclass_fields__)),
+            kkt=last,
             prepare_ns=self._prepare_ns,
             feedback_ns=self._feedback_ns,
         )
@@ -347,7 +348,7 @@ class Controller:
         evaluate = self._package.function("kkt")
         out = self._package.ffi.new(f"{self._package.name}_kkt_t *")
         evaluate(self._s, out)
-        return Kkt(*(float(getattr(out, part)) for part in Kkt.__dataclass_fields__))
+        return Kkt.read(lambda part: getattr(out, part), self.description.members("kkt"))
 
     def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
         """State (nx,) after the time dt (s) from x (nx,) under constant u (nu,), by the integrator of the package."""
@@ -572,7 +573,7 @@ class Controller:
             here = here[true_shape] if member.shape else here
         return here
 
-    def _optional(self, name: str) -> Array:
+    def member(self, name: str) -> Array:
         """A member that only some algorithms and problems have; empty if it does not exist."""
         try:
             return self._view(name)

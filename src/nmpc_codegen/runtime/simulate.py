@@ -19,7 +19,6 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status
 from nmpc_codegen.runtime.given import is_positive
 from nmpc_codegen.runtime.package_description import RowKind, Signal
-from nmpc_codegen.runtime.pathrows import PathRows
 from nmpc_codegen.runtime.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, Curve, Trace, draw
 
 Array = NDArray[np.float64]
@@ -54,6 +53,7 @@ class Log:
     time_unit: str
     h: Array  # (steps, number of rows)
     rows: tuple[Trace, ...]
+    failure: str = ""  # why the first sample that was not OK was not, as Controller.diagnose() said then
 
     def __str__(self) -> str:
         return self.summary()
@@ -67,12 +67,16 @@ class Log:
         return bool(np.all(self.status == Status.OK))
 
     def summary(self) -> str:
-        """A summary in a few lines: length, statuses, times, last state."""
+        """A summary in a few lines: length, statuses, when and why the first sample failed, times, last state."""
         counts = {Status(s).name: int(np.sum(self.status == s)) for s in np.unique(self.status)}
         outcome = ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
         last = ", ".join(f"{trace.name} = {value:.6g}" for trace, value in zip(self.states, self.x[-1], strict=True))
         lines = [f"{self.name}: {len(self.u)} samples over {self.t[-1]:g} {self.time_unit}".rstrip()]
         lines.append(f"status: {outcome}")
+        failed = np.flatnonzero(self.status != Status.OK)
+        if len(failed):
+            when = f"sample {failed[0]}, t = {self.t[failed[0]]:g} {self.time_unit}"
+            lines.append(f"first failure: {when}: " + "\n    ".join(self.failure.splitlines()))
         if len(self.time_ns):
             median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
             lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")
@@ -129,7 +133,7 @@ def simulate(
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
             something other than a finite state.
     """
-    rows = PathRows(ctrl)
+    rows = _PathRows(ctrl)
     _check_steps(steps, ctrl, len(rows.numbers))
     interval = _interval(ctrl, dt)
     nx, nu = ctrl.dims.nx, ctrl.dims.nu
@@ -138,6 +142,7 @@ def simulate(
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
     h = np.zeros((steps, len(rows.numbers)))
     x[0] = _state(x0, nx, "x0")
+    failure = ""
     if warm_start:
         _solve_first(ctrl, x[0], reference)
     for k in _progress(range(steps), ctrl.description.name):
@@ -146,6 +151,8 @@ def simulate(
         u[k] = ctrl.step(x[k])
         stats = ctrl.stats
         status[k], cost[k], time_ns[k] = ctrl.status, ctrl.cost, stats.prepare_ns + stats.feedback_ns
+        if status[k] != Status.OK and not failure:
+            failure = ctrl.diagnose()
         h[k] = rows.values(x[k], u[k])
         x[k + 1] = _state(move(x[k].copy(), u[k].copy(), interval), nx, f"the plant's state after sample {k}")
         if disturbance is not None:
@@ -156,7 +163,41 @@ def simulate(
     t = interval * np.arange(steps + 1, dtype=np.float64)
     general = tuple(Trace(ctrl.names.rows[rows.numbers[i]], "", *ctrl.path_bounds(rows.numbers[i])) for i in own)
     name = ctrl.description.name
-    return Log(name, t, x, u, status, cost, time_ns, states, controls, time_unit, h[:, own], general)
+    return Log(name, t, x, u, status, cost, time_ns, states, controls, time_unit, h[:, own], general, failure)
+
+
+class _PathRows:
+    """The general path rows that apply in a closed loop, and their values h(x, u, p_0).
+
+    A second controller linearises at x and u and stores the values of node 0. It is reset before, so that it does not
+    shift its plan. The parameters are the only run-time data that h depends on.
+    """
+
+    def __init__(self, ctrl: Controller) -> None:
+        self._ctrl, self._twin = ctrl, ctrl.copy()
+        try:
+            self._h = self._twin.view("node.h")
+        except AttributeError:  # an algorithm that stores no linearisation
+            self._h = np.zeros((ctrl.dims.N, 0))
+        self.numbers = tuple(i for i in range(len(ctrl.description.rows)) if self._shown(i))
+
+    def _shown(self, number: int) -> bool:
+        """True for a row that applies to a sample: it holds at node 0, or at several nodes before the end."""
+        row = self._ctrl.description.rows[number]
+        path = [k for k in row.nodes if k < self._ctrl.dims.N]
+        return row.kind == "general" and 0 <= row.index < self._h.shape[1] and (0 in path or len(path) > 1)
+
+    def values(self, x: Array, u: Array) -> Array:
+        """Values of the rows ``numbers`` at x (nx,), u (nu,) and the present parameters of node 0."""
+        if not self.numbers:
+            return np.zeros(0)
+        self._twin.reset()
+        self._twin.x[:], self._twin.u[:] = x, u
+        if self._ctrl.dims.np and self._ctrl.description.online["parameter"] != "fixed":
+            self._twin.view("p")[:] = self._ctrl.view("p")[0]
+        self._twin.prepare()
+        rows = self._ctrl.description.rows
+        return self._h[0, [rows[i].index for i in self.numbers]].astype(np.float64)
 
 
 def _solve_first(ctrl: Controller, x0: Array, reference: Reference | None) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -59,6 +61,11 @@ class Status(IntEnum):
     BAD_BOUNDS = 9, "lower bound above upper bound", "lower bound above upper bound"
     BAD_ARGUMENT = 10, "argument out of range or not finite", "an argument is out of range"
     STALLED = 11, "no further progress", "no further progress was possible before the tolerance was reached"
+    SUBPROBLEM_FAILED = (
+        12,
+        "a subproblem was given up",
+        "an iteration of solve() was given up by its QP solver, and so was its relaxation",
+    )
 
     def __str__(self) -> str:
         return f"{self.name}: {self.meaning}"
@@ -73,17 +80,36 @@ class Status(IntEnum):
 _INTEGER_TYPES = tuple("bcdeEfFgGnoxX%")
 
 
+#: The residuals that every algorithm has.
+KKT_PARTS = ("stationarity", "equality", "inequality", "complementarity")
+
+
 @dataclass(frozen=True)
 class Kkt:
-    """Largest violation of each part of the optimality conditions."""
+    """Largest violation of each part of the optimality conditions.
+
+    ``relative``: the largest of all, divided by 1 + the magnitudes of the terms that it sums; solve() stops when it is
+    at most ``tol``, which therefore means the same in all units.
+    """
 
     stationarity: float
     equality: float
     inequality: float
     complementarity: float
+    relative: float = math.nan  # of an algorithm without it
 
     def __str__(self) -> str:
-        return ", ".join(f"{part} {value:.1e}" for part, value in vars(self).items())
+        return ", ".join(f"{part} {value:.1e}" for part, value in self.parts.items())
+
+    @classmethod
+    def read(cls, value: Callable[[str], Any], members: Container[str] = KKT_PARTS) -> Kkt:
+        """From ``value`` of the parts that a C struct with these members has."""
+        return cls(**{part: float(value(part)) for part in cls.__dataclass_fields__ if part in members})
+
+    @property
+    def parts(self) -> dict[str, float]:
+        """The residuals as they are, by their names."""
+        return {part: getattr(self, part) for part in KKT_PARTS}
 
 
 @dataclass(frozen=True)
@@ -117,46 +143,6 @@ class Stats:
         if self.violated_row is not None:
             lines.insert(3, f"violated: {self.violated_row} at node {self.violated_node} by {self.violation:.3g}")
         return "\n".join(lines)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Solution:
-    """Result of solve(); arrays are copies. Multipliers are positive at upper and negative at lower bounds.
-
-    It prints in a few lines: status, cost, iterations, time, KKT residuals, first control, shapes.
-    """
-
-    status: Status
-    x: Array  # (N+1, nx)
-    u: Array  # (N, nu)
-    lam: Array  # (N+1, nx): lam[0] of x_0 = xhat, lam[k+1] of x_{k+1} = Phi_k
-    mu_x: Array  # (N+1, nx)
-    mu_u: Array  # (N, nu)
-    mu: Array  # (N, nh)
-    mu_N: Array  # (nh_N,)
-    eta: Array  # (number of coupled rows,)
-    cost: float
-    kkt: Kkt
-    iterations: int
-    time_ns: int
-    controls: tuple[str, ...] = ()  # names of the controls
-
-    def __str__(self) -> str:
-        names = self.controls or tuple(f"u[{j}]" for j in range(self.u.shape[1]))
-        first = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, self.u[0], strict=True))
-        return "\n".join(
-            (
-                str(self.status),
-                f"cost {self.cost:.8g} after {self.iterations} iterations, {self.time_ns / 1e3:.1f} us",
-                f"KKT: {self.kkt}",
-                f"first control: {first}",
-                f"x {self.x.shape}, u {self.u.shape}",
-            )
-        )
-
-    def __repr__(self) -> str:
-        sizes = f"x {self.x.shape}, u {self.u.shape}"
-        return f"<Solution {self.status.name}: cost {self.cost:.8g}, {self.iterations} iterations, {sizes}>"
 
 
 # Diagnosis ------------------------------------------------------------------------------------------------------------
@@ -214,15 +200,31 @@ def _worst_row(ctrl: Any) -> list[str]:
     ]
 
 
+def _largest_gap(ctrl: Any) -> list[str]:
+    """Where the plan is farthest from the model, in units of the state's largest value."""
+    ends = [np.asarray(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt)) for k, dt in enumerate(ctrl.description.dt)]
+    gaps = np.abs(np.array(ends) - ctrl.x[1:])
+    relative = gaps / (1e-9 + np.max(np.abs(ctrl.x), axis=0))
+    if not np.all(np.isfinite(relative)) or np.max(relative) < 1e-6:
+        return []
+    node, i = np.unravel_index(int(np.argmax(relative)), relative.shape)
+    return [
+        f"the plan misses the model most in state {ctrl.names.states[i]} at node {node + 1}: by {gaps[node, i]:.3g}"
+    ]
+
+
 def _advice(ctrl: Any) -> list[str]:
     """What to try, by the status and the options of the package."""
     status, options, lines = ctrl.status, str(ctrl.description.options), []
-    if status in (Status.ITERATION_LIMIT, Status.STALLED):
+    if status in (Status.ITERATION_LIMIT, Status.STALLED, Status.SUBPROBLEM_FAILED):
+        lines += _largest_gap(ctrl)
         kkt = ctrl.kkt()
-        part = max(vars(kkt), key=lambda name: float(np.nan_to_num(vars(kkt)[name], nan=np.inf)))
-        lines.append(f"largest residual: {part} {vars(kkt)[part]:.1e}")
+        part = max(kkt.parts, key=lambda name: float(np.nan_to_num(kkt.parts[name], nan=np.inf)))
+        lines.append(f"largest residual: {part} {kkt.parts[part]:.1e}")
         if "hessian=GaussNewton(" in options:
             lines.append("Gauss-Newton steps ignore curvature and may cycle: try Options(hessian=ExactHessian())")
+        if status == Status.SUBPROBLEM_FAILED:
+            lines.append("the QP solver gave up: try another, Options(qp=...), or scale states, controls and rows")
         lines.append("call solve() before the first step(), or start from another plan: write ctrl.x and ctrl.u")
     elif status == Status.NUMERICAL_FAILURE:
         if "regularization=None" in options:
@@ -230,6 +232,7 @@ def _advice(ctrl: Any) -> list[str]:
         if "precision='single'" in options:
             lines.append('rounding may be the cause: try Options(precision="double")')
         lines.append("check the scales of states, controls and rows; after further failures the plan restarts")
+        lines.append("try another QP solver, Options(qp=...), or Options(hessian=GaussNewton())")
     elif status == Status.NOT_PREPARED:
         lines.append("call prepare() before feedback(), or step()")
     return lines

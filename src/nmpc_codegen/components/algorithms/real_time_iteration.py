@@ -49,6 +49,8 @@ SOLVE = EntryPoint(
 SHIFTS = (None, "repeat", "periodic", "resample")
 MAX_TRIALS = 30
 FILTER = 16
+MAX_ATTEMPTS = 2
+MAX_WATCHED = 4
 #: Samples in a row without success, or without convergence, until more of the plan is given up.
 PATIENCE = 10
 
@@ -161,6 +163,8 @@ class RealTimeIteration(Defaults):
             *(budget if self.budget is not None else ()),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
+            ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of solve() where rows cannot be satisfied, at most"),
+            ("MAX_WATCHED", MAX_WATCHED, "accelerated steps of solve() without the line search, at most"),
             ("FILTER", FILTER, "pairs of violation and cost that solve() does not accept again"),
         )
 
@@ -177,6 +181,7 @@ class RealTimeIteration(Defaults):
             Field("late", (), "samples since the last success that the budget ended", "keep", "int32", only="BUDGET"),
         )
         results = (
+            Field("step", (), "solution of the QP", "data", "step"),
             Field("stats", (), "counters", "result", "stats"),
             Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
             Field(
@@ -184,7 +189,7 @@ class RealTimeIteration(Defaults):
                 only="RELAXATION",
             ),
         )
-        return (_stats(), _step(dims), _line_search(dims), Struct("solver", "", (*keep, *results)))
+        return (_stats(), _step(dims), _past(dims), _line_search(dims), Struct("solver", "", (*keep, *results)))
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The linearisation of all nodes; a gap is one subtraction per state."""
@@ -244,6 +249,20 @@ def _step(dims: Dims) -> Struct:
     )
 
 
+def _past(dims: Dims) -> Struct:
+    """A step of solve() that is remembered."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    return Struct(
+        "past",
+        "a step in the past of solve(), z = (x, u)",
+        (
+            Field("end", (nodes, dims.nz), "point to which it led", "scratch", only="ACCELERATE"),
+            Field("d", (nodes, dims.nz), "the step", "scratch"),
+        ),
+        only="SOLVE",
+    )
+
+
 def _line_search(dims: Dims) -> Struct:
     """Memory of solve() beyond that of the real-time iteration."""
     nodes = Size("N + 1", dims.N.value + 1)
@@ -253,11 +272,21 @@ def _line_search(dims: Dims) -> Struct:
         (
             Field("x", (nodes, dims.nx), "states before the step", "scratch"),
             Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
-            Field("dx", (nodes, dims.nx), "step of the states", "scratch"),
-            Field("du", (dims.N, dims.nu), "step of the controls", "scratch"),
-            Field("dx_full", (nodes, dims.nx), "dx before the second-order correction", "scratch"),
-            Field("du_full", (dims.N, dims.nu), "du before the second-order correction", "scratch"),
-            Field("b", (dims.N, dims.nx), "gaps at a trial point", "scratch"),
+            Field("step", (), "step that is tried, at its full length", "scratch", "step"),
+            Field("lam", (nodes, dims.nx), "multipliers of its QP", "scratch", only="STAGE_MULTIPLIERS"),
+            Field("past", (Size("2", 2),), "the last steps", "scratch", "past"),
+            Field("points", (), "how many are known", "scratch", "int32"),
+            Field("latest", (), "which is the latest", "scratch", "int32"),
+            Field("trend", (), "of the length of steps in one direction", "scratch", "int32"),
+            Field("much_shorter", (), "1: the step is much shorter than the last", "scratch", "int32"),
+            Field("square", (), "square of the norm of the step", "scratch"),
+            Field(
+                *("watched", (), "steps since the filter rejected one; < 0: none is taken", "scratch", "int32"),
+                only="ACCELERATE",
+            ),
+            Field("watched_square", (), "that of the step rejected", "scratch", only="ACCELERATE"),
+            Field("watched_x", (nodes, dims.nx), "states before that step", "scratch", only="ACCELERATE"),
+            Field("watched_u", (dims.N, dims.nu), "controls before that step", "scratch", only="ACCELERATE"),
             Field("state_scale", (dims.nx,), "scales of the states", "scratch"),
             Field("row_scale", (dims.nr,), "scales of the rows", "scratch", only="HARD_ROWS"),
             Field("row_weight", (), "penalty of the rows in the elastic QP", "scratch", only="HARD_ROWS"),
@@ -266,9 +295,19 @@ def _line_search(dims: Dims) -> Struct:
             Field("entries", (), "entries of the filter", "scratch", "int32"),
             Field("restoring", (), "1: steps only have to reduce the violation", "scratch", "int32"),
             Field("length", (), "length of the last step", "scratch"),
+            Field("caution", (), "factor of shifts of the Hessian", "scratch"),
+            Field("violation", (), "of the constraints at the last point", "scratch"),
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
             Field("small_violation", (), "violation up to which the cost counts", "scratch"),
+            Field("prepared", (), "status of the preparation", "scratch", "int32"),
+            Field("attempts", (), "new starts", "scratch", "int32"),
+            Field("in_solve", (), "1 while solve() iterates", "scratch", "int32"),
+            Field("resumes", (), "set to 1 before solve() goes on from where it reached its limit", "scratch", "int32"),
+            Field(
+                *("slow", (), "1: an elastic QP that hardly reduced the violation", "scratch", "int32"),
+                only="HARD_ROWS",
+            ),
             Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
         ),
         only="SOLVE",

@@ -1,0 +1,163 @@
+"""solve() of a controller: to convergence, with a log of the iterations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter_ns
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime.given import is_integer, is_positive
+from nmpc_codegen.runtime.status import Kkt, Status
+
+if TYPE_CHECKING:
+    from nmpc_codegen.runtime.controller import Controller
+
+Array = NDArray[Any]
+Globalization = Literal["filter", "full_step"]
+MULTIPLIERS = ("lam", "mu_x", "mu_u", "mu", "mu_N", "eta")
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One SQP iteration.
+
+    kkt: residuals at its end; length: of its step, 1 for the full one; qp_iterations: of its last QP; active: number of
+    bounds and rows with a multiplier; restoring: its step only had to reduce the violation of constraints.
+    """
+
+    kkt: Kkt
+    length: float
+    qp_iterations: int
+    active: int
+    restoring: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution:
+    """Result of solve(); arrays are copies. Multipliers are positive at upper and negative at lower bounds.
+
+    It prints in a few lines: status, cost, iterations, time, KKT residuals, first control, shapes.
+    """
+
+    status: Status
+    x: Array  # (N+1, nx)
+    u: Array  # (N, nu)
+    lam: Array  # (N+1, nx): lam[0] of x_0 = xhat, lam[k+1] of x_{k+1} = Phi_k
+    mu_x: Array  # (N+1, nx)
+    mu_u: Array  # (N, nu)
+    mu: Array  # (N, nh)
+    mu_N: Array  # (nh_N,)
+    eta: Array  # (number of coupled rows,)
+    cost: float
+    kkt: Kkt
+    iterations: int
+    time_ns: int
+    controls: tuple[str, ...] = ()  # names of the controls
+    log: tuple[Iteration, ...] = ()  # one entry per iteration
+
+    def __str__(self) -> str:
+        names = self.controls or tuple(f"u[{j}]" for j in range(self.u.shape[1]))
+        first = ", ".join(f"{name} = {value:.6g}" for name, value in zip(names, self.u[0], strict=True))
+        return "\n".join(
+            (
+                str(self.status),
+                f"cost {self.cost:.8g} after {self.iterations} iterations, {self.time_ns / 1e3:.1f} us",
+                f"KKT: {self.kkt}",
+                f"first control: {first}",
+                f"x {self.x.shape}, u {self.u.shape}",
+            )
+        )
+
+    def __repr__(self) -> str:
+        sizes = f"x {self.x.shape}, u {self.u.shape}"
+        return f"<Solution {self.status.name}: cost {self.cost:.8g}, {self.iterations} iterations, {sizes}>"
+
+
+@dataclass
+class _Run:
+    """What has happened so far."""
+
+    log: list[Iteration]
+    time_ns: int = 0
+
+
+def solve(ctrl: Controller, tol: float, max_iterations: int, globalization: Globalization) -> Solution:
+    """Iterate from the present plan and the state that the controller has been given; see Controller.solve()."""
+    if not is_positive(tol):
+        raise ControllerError(f"tol is {tol!r}; expected a positive number")
+    if not is_integer(max_iterations) or max_iterations < 1:
+        raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
+    methods = {"filter": (_searched, "solve"), "full_step": (_full_steps, "feedback")}
+    if globalization not in methods:
+        raise ControllerError(f"globalization is {globalization!r}; expected 'filter' or 'full_step'")
+    method, function = methods[globalization]
+    name = ctrl.description.name
+    if not ctrl.description.offers(function):
+        raise ControllerError(
+            f"{name} was exported without {function}(): by Options(solve=False) (--set solve=False), or with an "
+            "algorithm that has none"
+        )
+    run = _Run([])
+    status = method(ctrl, run, float(tol), int(max_iterations))
+    parts = {part: ctrl.member(part).copy() for part in ("x", "u", *MULTIPLIERS)}
+    return Solution(
+        status,
+        **parts,
+        cost=ctrl.cost,
+        kkt=ctrl.kkt(),
+        iterations=ctrl.stats.sqp_iterations,
+        time_ns=run.time_ns,
+        controls=ctrl.names.controls,
+        log=tuple(run.log),
+    )
+
+
+def _searched(ctrl: Controller, run: _Run, tol: float, most: int) -> Status:
+    """The iterations of the C code, one by one if it can be resumed."""
+    status = Status.ITERATION_LIMIT
+    steps = "resumes" in ctrl.description.members("sqp")
+    for last in range(1 if steps else most, most + 1):
+        if steps:
+            ctrl.view("sqp.resumes")[...] = last > 1
+        before = ctrl.stats.sqp_iterations if last > 1 else 0
+        start = perf_counter_ns()
+        status = ctrl.call_solve(tol, last)
+        run.time_ns += perf_counter_ns() - start
+        if steps and ctrl.stats.sqp_iterations > before:
+            length = float(ctrl.view("sqp.length"))
+            run.log.append(_entry(ctrl, ctrl.stats.kkt, length, bool(ctrl.view("sqp.restoring"))))
+        if status != Status.ITERATION_LIMIT:
+            break
+    if steps:
+        ctrl.view("sqp.resumes")[...] = 0
+    return status
+
+
+def _full_steps(ctrl: Controller, run: _Run, tol: float, most: int) -> Status:
+    """The real-time iteration, repeated for the same state without a shift of the plan."""
+    members = ctrl.description.members("solver")
+    for number in range(1, most + 1):
+        if "samples" in members:
+            ctrl.view("samples")[...] = 0
+        start = perf_counter_ns()
+        status = ctrl.call_iteration()
+        run.time_ns += perf_counter_ns() - start
+        if "stats" in members:
+            ctrl.view("stats.sqp_iterations")[...] = number
+        if status != Status.OK:
+            return status
+        run.log.append(_entry(ctrl, ctrl.kkt(), 1.0, False))
+        kkt = run.log[-1].kkt
+        if (max(kkt.parts.values()) if np.isnan(kkt.relative) else kkt.relative) <= tol:
+            return status
+    ctrl.view("status")[...] = Status.ITERATION_LIMIT
+    return Status.ITERATION_LIMIT
+
+
+def _entry(ctrl: Controller, kkt: Kkt, length: float, restoring: bool) -> Iteration:
+    active = sum(int(np.count_nonzero(ctrl.member(part))) for part in MULTIPLIERS[1:])
+    return Iteration(kkt, length, ctrl.stats.qp_iterations, active, restoring)
