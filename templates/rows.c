@@ -17,7 +17,7 @@ static int all_finite(const real_t *v, int n)
     return 1;
 }
 
-#if SOLVE || CHECK_STEP || (CONDENSED_QP && NG)
+#if CHECK_STEP || (CONDENSED_QP && NG)
 /* size = max(size, |v|) by components, n of them; NaN where v has not been finite. */
 static inline void widen(real_t *size, const real_t *v, int n)
 {

@@ -139,32 +139,23 @@ static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *k
     }
 }
 
-/* First derivatives at the single node k: S = [A_k B_k], gradient, gap and general rows. */
-static void linearize_node(const solver_t *s, int k, node_t *node)
-{
-    real_t x_next[NX];
-    INTEGRATOR_INTERVAL(s, k, x_next, &node->S[0][0]);
-#if HAS_PATH_GRADIENT
-    PATH_GRADIENT(s, k, node->g);
-#endif
-#if HAS_START_GRADIENT
-    if (k == 0) {
-        add_start_gradient(s, node->g);
-    }
-#endif
-    complete_node(s, k, x_next, node);
-}
-
 /* KKT residuals of the present iterate from a new linearisation, one node at a time on the stack. */
 void API(kkt)(const solver_t *s, kkt_t *out)
 {
     node_t node;
     terminal_t terminal;
+    real_t x_next[NX];
     memset(out, 0, sizeof *out);
     memset(&node, 0, sizeof node);
     memset(&terminal, 0, sizeof terminal);
     for (int k = 0; k < N; k++) {
-        linearize_node(s, k, &node);
+        evaluate_node(s, k, &node, x_next);
+#if HAS_START_GRADIENT
+        if (k == 0) {
+            add_start_gradient(s, node.g);
+        }
+#endif
+        complete_node(s, k, x_next, &node);
         kkt_node(s, k, &node, out);
     }
 #if HAS_TERMINAL_GRADIENT || NH_N

@@ -7,29 +7,29 @@
  * A full step that is rejected gets one second-order correction. If a linearisation is infeasible, its rows are relaxed
  * with the penalty row_weight (elastic QP). */
 
-typedef struct {
-    real_t violation, cost;
-} measures_t;
+/* Number of components of (dx, du) at node k. */
+static inline int width(int k)
+{
+    return (k < N) ? NZ : NX;
+}
+
+/* Component i of them. */
+static inline real_t *step_at(step_t *d, int k, int i)
+{
+    return (i < NX) ? &d->dx[k][i] : &d->du[k][i - NX];
+}
+
+/* The same component of the plan. */
+static inline real_t point_at(const solver_t *s, int k, int i)
+{
+    return (i < NX) ? s->x[k][i] : s->u[k][i - NX];
+}
 
 /* A scale of 0 is unknown and counts as 1. */
 static inline real_t scale_of(real_t scale)
 {
     return (scale > R(0)) ? scale : R(1);
 }
-
-#if HARD_ROWS
-/* Adds what a violation v >= 0 of row m costs, or its share of the violation. */
-static void add_row(const solver_t *s, int m, real_t v, measures_t *at)
-{
-#if SOFT_ROWS
-    if (IS_SOFT(m)) {
-        at->cost += soft_penalty(m, v);
-        return;
-    }
-#endif
-    at->violation += v / scale_of(s->sqp.row_scale[row_id[m]]);
-}
-#endif
 
 /* Measures of the present iterate, without derivatives. */
 static measures_t measure(solver_t *s)
@@ -56,10 +56,14 @@ static measures_t measure(solver_t *s)
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         const real_t v = FABS(value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m)));
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            at.cost += soft_penalty(m, v);
+            continue;
+        }
+#endif
 #if HARD_ROWS
-        add_row(s, m, v, &at);
-#else
-        at.cost += soft_penalty(m, v);
+        at.violation += v / scale_of(q->row_scale[row_id[m]]);
 #endif
     }
 #endif
@@ -85,17 +89,14 @@ static void move_back(solver_t *s)
     memcpy(s->u, s->sqp.u, sizeof s->u);
 }
 
-/* (x, u) = base + alpha (dx, du); step becomes what has been added. */
-static void move_to(solver_t *s, real_t alpha)
+/* (x, u) = base + length (dx, du); step becomes what has been added. */
+static void move_to_trial(solver_t *s)
 {
-    const sqp_t *q = &s->sqp;
+    sqp_t *q = &s->sqp;
     move_back(s);
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            s->step.dx[k][i] = alpha * q->step.dx[k][i];
-        }
-        for (int j = 0; k < N && j < NU; j++) {
-            s->step.du[k][j] = alpha * q->step.du[k][j];
+        for (int i = 0; i < width(k); i++) {
+            *step_at(&s->step, k, i) = q->length * *step_at(&q->step, k, i);
         }
     }
     take_step(s);
@@ -123,29 +124,36 @@ static int update_row_scales(solver_t *s, const real_t *size)
             continue;
         }
 #endif
-        const real_t lower = FABS(ROW_LOWER(s, m)), upper = FABS(ROW_UPPER(s, m));
-        real_t terms = row_terms(s, m, size);
-        terms = (lower > terms && isfinite(lower)) ? lower : terms;
-        terms = (upper > terms && isfinite(upper)) ? upper : terms;
-        changed |= raise_scale(&s->sqp.row_scale[row_id[m]], terms);
+        real_t *scale = &s->sqp.row_scale[row_id[m]];
+        changed |= raise_scale(scale, row_terms(s, m, size));
+        changed |= raise_scale(scale, FABS(ROW_LOWER(s, m)));
+        changed |= raise_scale(scale, FABS(ROW_UPPER(s, m)));
     }
     return changed;
 }
 #endif
 
-/* Scales of states and rows: largest magnitudes over the horizon at the present point. They only grow; if one does, the
- * measures of earlier points are not comparable any more, and the filter is cleared. */
+static inline const real_t *gradient_of(const solver_t *s, int k)
+{
+    return (k < N) ? s->node[k].g : s->terminal.g;
+}
+
+/* Scales of states and rows: largest magnitudes over the horizon at the present point and of the present step. They only
+ * grow; if one does, the measures of earlier points are not comparable any more, and the filter is cleared. cost_unit is
+ * how much the cost may change along the horizon, at least 1: the largest |g_i| |z_i|. */
 static void update_scales(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     real_t size[NZ] = {0};
     int changed = 0;
-    for (int k = 0; k < N; k++) {
-        widen(size, s->x[k], NX);
-        widen(size + NX, s->u[k], NU);
+    q->cost_unit = R(1);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < width(k); i++) {
+            enlarge(&q->cost_unit, gradient_of(s, k)[i] * point_at(s, k, i));
+            enlarge(&size[i], point_at(s, k, i));
+            enlarge(&size[i], *step_at(&s->step, k, i));
+        }
     }
-    widen(size, s->x[N], NX);
-    widen(size, s->xhat, NX);
     for (int i = 0; i < NX; i++) {
         changed |= raise_scale(&q->state_scale[i], size[i]);
     }
@@ -158,48 +166,23 @@ static void update_scales(solver_t *s)
     }
 }
 
-static inline const real_t *gradient_of(const solver_t *s, int k)
-{
-    return (k < N) ? s->node[k].g : s->terminal.g;
-}
-
-/* Directional derivative of the cost, g' (dx, du). */
-static real_t cost_slope(const solver_t *s)
-{
-    real_t sum = R(0);
-    for (int k = 0; k <= N; k++) {
-        const real_t *g = gradient_of(s, k);
-        for (int i = 0; i < NX; i++) {
-            sum += g[i] * s->step.dx[k][i];
-        }
-        for (int j = 0; k < N && j < NU; j++) {
-            sum += g[NX + j] * s->step.du[k][j];
-        }
-    }
-    return sum;
-}
-
-/* Second-order correction: the constraints of the QP take the values at base + step, where s is:
- * b = Phi(x + dx, u + du) - x_{k+1} - A dx - B du, and the same for the rows. */
+/* Second-order correction: the constraints of the QP take the values at base + step, where s is. As the step satisfies
+ * A dx + B du + b = dx_{k+1}, the b are the sums of both gaps; rows are h(x + dx, u + du) - J (dx, du). */
 static void correct_constraints(solver_t *s)
 {
-    const step_t *d = &s->sqp.step;
-    const real_t none[NX] = {0};
     for (int k = 0; k < N; k++) {
         node_t *node = &s->node[k];
-        real_t y[NX], x_next[NX];
+        real_t x_next[NX];
         interval_value(s, k, x_next);
-        memcpy(node->b, none, sizeof y);
-        STATE_STEP(node, d->dx[k], d->du[k], y);
         for (int i = 0; i < NX; i++) {
-            node->b[i] = x_next[i] - s->x[k + 1][i] + d->dx[k + 1][i] - y[i];
+            node->b[i] += x_next[i] - s->x[k + 1][i];
         }
 #if NH
         real_t J[NH * NZ];
         PATH_ROWS(s, k, node->h, J);
         for (int i = 0; i < NH; i++) {
             for (int j = 0; j < NZ; j++) {
-                node->h[i] -= node->J[i][j] * ((j < NX) ? d->dx[k][j] : d->du[k][j - NX]);
+                node->h[i] -= node->J[i][j] * *step_at(&s->sqp.step, k, j);
             }
         }
 #endif
@@ -209,7 +192,7 @@ static void correct_constraints(solver_t *s)
     TERMINAL_ROWS(s, s->terminal.h, J);
     for (int i = 0; i < NH_N; i++) {
         for (int j = 0; j < NX; j++) {
-            s->terminal.h[i] -= s->terminal.J[i][j] * d->dx[N][j];
+            s->terminal.h[i] -= s->terminal.J[i][j] * s->sqp.step.dx[N][j];
         }
     }
 #endif
@@ -218,7 +201,8 @@ static void correct_constraints(solver_t *s)
     COUPLED_ROWS(s, s->coupled.r, J_0, J_N);
     for (int i = 0; i < NE; i++) {
         for (int j = 0; j < NX; j++) {
-            s->coupled.r[i] -= s->coupled.J_0[i][j] * d->dx[0][j] + s->coupled.J_N[i][j] * d->dx[N][j];
+            s->coupled.r[i] -=
+                s->coupled.J_0[i][j] * s->sqp.step.dx[0][j] + s->coupled.J_N[i][j] * s->sqp.step.dx[N][j];
         }
     }
 #endif
@@ -227,58 +211,50 @@ static void correct_constraints(solver_t *s)
 /* Returns 1 if a point is no worse than the filter allows. */
 static int passes_filter(const sqp_t *q, const measures_t *at)
 {
-    if (!(at->violation <= q->most_violation && at->cost < INF)) {
+    int passes = at->violation <= q->most_violation && at->cost < INF;
+    for (int n = 0; n < q->entries; n++) {
+        passes &= at->violation < q->filter[n].violation || at->cost < q->filter[n].cost;
+    }
+    return passes;
+}
+
+/* The filter rejects from now on what is not better than the base; the last of FILTER entries gives way. */
+static void extend_filter(sqp_t *q)
+{
+    measures_t *entry = &q->filter[(q->entries < FILTER) ? q->entries++ : FILTER - 1];
+    entry->violation = (R(1) - R(1e-5)) * q->base.violation;
+    entry->cost = q->base.cost - R(1e-5) * q->base.violation * q->cost_scale;
+}
+
+/* Returns 1 if the present point is accepted after the step. While feasibility is restored, the violation has to decrease
+ * by its share of `gain`, what the linearised rows and gaps promise. Otherwise the filter has to be passed, and the cost
+ * has to fall if the step is expected to reduce it by more than it violates. */
+static int accepts(solver_t *s)
+{
+    sqp_t *q = &s->sqp;
+    const measures_t at = measure(s), *base = &q->base;
+    const real_t rounding = TOL_MERIT_ROUNDING * (FABS(base->cost) + q->cost_scale);
+    const real_t share = R(1e-5) * base->violation, descent = -q->slope / q->cost_scale;
+    if (q->restoring) {
+        return at.cost < INF && at.violation <= base->violation - R(1e-4) * q->length * q->gain;
+    }
+    if (!passes_filter(q, &at) || (q->length > R(1) && at.violation > R(1e-6) * q->most_violation)) {
         return 0;
     }
-    for (int n = 0; n < q->entries; n++) {
-        if (at->violation >= q->filter_violation[n] && at->cost >= q->filter_cost[n]) {
-            return 0;
-        }
+    if (descent > R(0) && base->violation <= R(1e-8) * q->most_violation &&
+        q->length * descent * descent > base->violation) {
+        return at.cost <= base->cost + R(1e-4) * q->length * q->slope + rounding;
     }
+    if (at.violation > base->violation - share + TOL_MERIT_ROUNDING &&
+        at.cost > base->cost - share * q->cost_scale + rounding) {
+        return 0;
+    }
+    extend_filter(q);
     return 1;
 }
 
-/* The filter rejects from now on what is not better than this point; the last of FILTER entries gives way. */
-static void extend_filter(sqp_t *q, const measures_t *start)
-{
-    const int n = (q->entries < FILTER) ? q->entries++ : FILTER - 1;
-    q->filter_violation[n] = (R(1) - R(1e-5)) * start->violation;
-    q->filter_cost[n] = start->cost - R(1e-5) * start->violation * q->cost_scale;
-}
-
-/* Returns 1 if a step is expected to reduce the cost by more than it violates: it has to reduce the cost. */
-static int is_descent(const sqp_t *q, const measures_t *start, real_t alpha, real_t slope)
-{
-    const real_t descent = -slope / q->cost_scale;
-    return descent > R(0) && start->violation <= q->small_violation && alpha * descent * descent > start->violation;
-}
-
-/* Returns 1 if the present point is accepted after a step of length alpha; while feasibility is restored, if the
- * violation decreases by its share of `gain`, what the linearised rows and gaps promise. */
-static int accepts(solver_t *s, const measures_t *start, real_t alpha, real_t slope, real_t gain)
-{
-    sqp_t *q = &s->sqp;
-    const measures_t at = measure(s);
-    const real_t rounding = TOL_MERIT_ROUNDING * (FABS(start->cost) + q->cost_scale);
-    if (q->restoring) {
-        return at.cost < INF && at.violation <= start->violation - R(1e-4) * alpha * gain;
-    }
-    if (!passes_filter(q, &at) || (alpha > R(1) && at.violation > R(100) * q->small_violation)) {
-        return 0;
-    }
-    if (is_descent(q, start, alpha, slope)) {
-        return at.cost <= start->cost + R(1e-4) * alpha * slope + rounding;
-    }
-    if (at.violation <= (R(1) - R(1e-5)) * start->violation + TOL_MERIT_ROUNDING ||
-        at.cost <= start->cost - R(1e-5) * start->violation * q->cost_scale + rounding) {
-        extend_filter(q, start);
-        return 1;
-    }
-    return 0;
-}
-
 /* Returns 1 if the step of the same QP with corrected constraints is accepted. */
-static int accepts_corrected(solver_t *s, const measures_t *start, real_t slope, real_t gain)
+static int accepts_corrected(solver_t *s)
 {
     correct_constraints(s);
     move_back(s);
@@ -287,7 +263,7 @@ static int accepts_corrected(solver_t *s, const measures_t *start, real_t slope,
         return 0;
     }
     take_step(s);
-    if (!accepts(s, start, R(1), slope, gain)) {
+    if (!accepts(s)) {
         return 0;
     }
     put_step_aside(s);
@@ -295,15 +271,15 @@ static int accepts_corrected(solver_t *s, const measures_t *start, real_t slope,
 }
 
 /* Backtracking. If the full step is rejected, one second-order correction is tried. */
-static status_t line_search(solver_t *s, const measures_t *start, real_t slope, real_t gain)
+static status_t line_search(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     for (int trial = 0; trial < MAX_TRIALS; trial++) {
-        move_to(s, q->length);
-        if (accepts(s, start, q->length, slope, gain)) {
+        move_to_trial(s);
+        if (accepts(s)) {
             return OK;
         }
-        if (q->length == R(1) && accepts_corrected(s, start, slope, gain)) { /* exactly, as powers of 2 are */
+        if (q->length == R(1) && accepts_corrected(s)) { /* exactly, as powers of 2 are */
             return OK;
         }
         q->length *= R(0.5);
@@ -313,31 +289,6 @@ static status_t line_search(solver_t *s, const measures_t *start, real_t slope, 
 }
 
 #if HARD_ROWS
-/* How much the cost may change along the horizon, at least 1: the largest |g_i| |z_i|, and what the multipliers of rows
- * say about rows in their scale. */
-static real_t cost_unit(const solver_t *s)
-{
-    real_t largest = R(0);
-    for (int k = 0; k <= N; k++) {
-        const real_t *g = gradient_of(s, k);
-        for (int i = 0; i < NX; i++) {
-            enlarge(&largest, g[i] * s->x[k][i]);
-        }
-        for (int j = 0; k < N && j < NU; j++) {
-            enlarge(&largest, g[NX + j] * s->u[k][j]);
-        }
-    }
-    for (int m = 0; m < NG; m++) {
-#if SOFT_ROWS
-        if (IS_SOFT(m)) {
-            continue;
-        }
-#endif
-        enlarge(&largest, ROW_MULTIPLIER(s, m) * scale_of(s->sqp.row_scale[row_id[m]]));
-    }
-    return (largest > R(1)) ? largest : R(1);
-}
-
 /* Solves the QP of the present linearisation. If it is infeasible, or has been given up, its rows are relaxed with the
  * penalty row_weight. */
 static status_t solve_qp(solver_t *s)
@@ -345,7 +296,7 @@ static status_t solve_qp(solver_t *s)
     status_t status = run_qp(s);
     s->sqp.elastic = status == INFEASIBLE || status == ITERATION_LIMIT || status == STALLED;
     if (s->sqp.elastic) {
-        s->relaxation = s->sqp.row_weight * cost_unit(s);
+        s->relaxation = s->sqp.row_weight * s->sqp.cost_unit;
         status = run_qp(s);
         s->relaxation = INF;
     }
@@ -358,10 +309,15 @@ static status_t solve_qp(solver_t *s)
 }
 #endif
 
-/* Directional derivative of the cost along the step of the QP; the penalties change as in the QP. */
-static real_t slope_of(const solver_t *s)
+/* Directional derivative g' (dx, du) of the cost along the step; the penalties change as in the QP. */
+static real_t slope_of(solver_t *s)
 {
-    real_t slope = cost_slope(s);
+    real_t slope = R(0);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < width(k); i++) {
+            slope += gradient_of(s, k)[i] * *step_at(&s->step, k, i);
+        }
+    }
 #if SOFT_ROWS
     real_t value[NG];
     evaluate_rows(s, value);
@@ -375,24 +331,27 @@ static real_t slope_of(const solver_t *s)
     return slope;
 }
 
+#if LAGRANGIAN || STAGE_MULTIPLIERS
 /* Moves a multiplier towards that of the QP, all the way if it is not finite. */
 static inline void approach(real_t *a, real_t b, real_t length)
 {
     *a = (length < R(1) && isfinite(*a)) ? *a + length * (b - *a) : b;
 }
 
-/* Multipliers after a step, towards those of the QP as far as the step went: after a short step, those of the QP may be
- * as far off as the step. Those of an elastic QP are those of its penalty: nothing is known. With states eliminated, lam
- * follows from the gradient of the QP at the end of the step. */
+#endif
+/* Multipliers after a step. Those of an elastic QP are those of its penalty: nothing is known. Where the Hessian depends
+ * on them, they move towards those of the QP only as far as the step went: after a short step, those of the QP may be as
+ * far off as the step. With states eliminated, lam follows from the gradient of the QP. */
 static void take_multipliers(solver_t *s)
 {
-    const sqp_t *q = &s->sqp;
 #if HARD_ROWS
     if (s->sqp.elastic) {
         forget_multipliers(s);
         return;
     }
 #endif
+#if LAGRANGIAN || STAGE_MULTIPLIERS
+    const sqp_t *q = &s->sqp;
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             approach(&s->mu_u[k][j], q->step.mult_u[k][j], q->length);
@@ -403,12 +362,16 @@ static void take_multipliers(solver_t *s)
         approach(&ROW_MULTIPLIER(s, m), q->step.mult[m], q->length);
     }
 #endif
+#else
+    s->step = s->sqp.step;
+    scatter_multipliers(s);
+#endif
 #if HAS_ADJOINT_STEP
     (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
 #else
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            approach(&s->lam[k][i], q->lam[k][i], q->length);
+            approach(&s->lam[k][i], s->sqp.lam[k][i], s->sqp.length);
         }
     }
 #endif
@@ -416,23 +379,23 @@ static void take_multipliers(solver_t *s)
 
 #if HARD_ROWS
 /* By how much the full step reduces the violation according to the linearisation. */
-static real_t gain_of(const solver_t *s, const measures_t *start)
+static real_t gain_of(const solver_t *s)
 {
-    real_t left = R(0);
+    real_t gain = s->sqp.base.violation;
     for (int m = 0; m < NG; m++) {
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
             continue;
         }
 #endif
-        left += FABS(row_excess(s, m, R(0))) / scale_of(s->sqp.row_scale[row_id[m]]);
+        gain -= FABS(row_excess(s, m, R(0))) / scale_of(s->sqp.row_scale[row_id[m]]);
     }
-    return start->violation - left;
+    return gain;
 }
 #else
-static real_t gain_of(const measures_t *start)
+static real_t gain_of(const solver_t *s)
 {
-    return start->violation;
+    return s->sqp.base.violation;
 }
 #endif
 
@@ -440,42 +403,30 @@ static real_t gain_of(const measures_t *start)
 
 /* The line search; if no step passes the filter, feasibility is restored: until the filter is passed again, steps have
  * to reduce the violation alone. */
-static status_t search(solver_t *s, const measures_t *start)
+static status_t search(solver_t *s)
 {
     sqp_t *q = &s->sqp;
-    const real_t slope = slope_of(s);
-#if HARD_ROWS
-    const real_t gain = gain_of(s, start);
-#else
-    const real_t gain = gain_of(start);
-#endif
-    enlarge(&q->cost_scale, slope);
-    q->restoring = q->elastic || (q->restoring && !passes_filter(q, start));
-    if (q->restoring) {
-        q->length = R(1);
-    } else {
-#if !ACCELERATE
-        update_trend(s);
-        remember_last(s);
-#else
-        if (takes_accelerated(s, start, gain)) {
-            q->length = R(1);
+    q->slope = slope_of(s);
+    q->gain = gain_of(s);
+    enlarge(&q->cost_scale, q->slope);
+    q->restoring = q->elastic || (q->restoring && !passes_filter(q, &q->base));
+    if (!q->restoring) {
+#if ACCELERATE
+        if (takes_accelerated(s)) {
             return OK;
         }
 #endif
-        choose_length(q);
-        const status_t status = line_search(s, start, slope, gain);
-        if (status == OK || !(start->violation > R(16) * TOL_MERIT_ROUNDING)) {
+        /* Steps that grow are tried at four times the last length. */
+        q->length = (q->trend == GROWING) ? R(4) * ((q->length > R(1)) ? q->length : R(1)) : R(1);
+        const status_t status = line_search(s);
+        if (status == OK || !(q->base.violation > R(16) * TOL_MERIT_ROUNDING)) {
             return status;
         }
-        extend_filter(q, start);
+        extend_filter(q);
         q->restoring = 1;
-        q->length = R(1);
     }
-    if (!(gain > R(1e-8) * start->violation)) {
-        return STALLED;
-    }
-    return line_search(s, start, slope, gain);
+    q->length = R(1);
+    return (q->gain > R(1e-8) * q->base.violation) ? line_search(s) : STALLED;
 }
 
 /* One globalised iteration after prepare_here(). */
@@ -487,41 +438,29 @@ static status_t sqp_iteration(solver_t *s)
     if (status != OK) {
         return (status == ITERATION_LIMIT || status == STALLED) ? SUBPROBLEM_FAILED : status;
     }
-    if (!step_is_finite(s)) {
+    update_scales(s);
+#if HARD_ROWS
+    const real_t before = q->base.violation;
+#endif
+    q->base = measure(s);
+    if (!step_is_finite(s) || !isfinite(q->base.violation) || !isfinite(q->base.cost)) {
         return NUMERICAL_FAILURE;
     }
-#if ACCELERATE
-    if (watch(s)) {
-        return OK;
-    }
+#if HARD_ROWS
+    q->slow = q->elastic && q->base.violation > R(0.999) * before;
 #endif
+    if (!(q->most_violation < INF)) {
+        q->most_violation = R(1e4) * ((q->base.violation > R(1)) ? q->base.violation : R(1));
+    }
+    update_trend(s);
     memcpy(q->x, s->x, sizeof s->x);
     memcpy(q->u, s->u, sizeof s->u);
     put_step_aside(s);
-    move_to(s, R(1));
-    update_scales(s);
-    move_back(s);
-    const measures_t start = measure(s);
-#if HARD_ROWS
-    q->slow = q->elastic && start.violation > R(0.999) * q->violation;
+    status = search(s);
+    q->comparable = q->length >= R(1) && !q->restoring;
+#if REGULARIZE_REDUCED
+    q->caution = clip(((q->length < R(1)) ? R(4) : R(0.5)) * q->caution, R(1.0625), R(64));
 #endif
-    q->violation = start.violation;
-    if (!isfinite(start.violation) || !isfinite(start.cost)) {
-        return NUMERICAL_FAILURE;
-    }
-    if (!(q->most_violation < INF)) {
-        q->most_violation = R(1e4) * ((start.violation > R(1)) ? start.violation : R(1));
-        q->small_violation = R(1e-4) * ((start.violation > R(1)) ? start.violation : R(1));
-    }
-    status = search(s, &start);
-    if (q->length < R(1) || q->restoring) {
-        q->points = 0; /* steps from points far away say nothing */
-#if ACCELERATE
-        q->watched = 0;
-#endif
-    }
-    q->caution = (q->length < R(1)) ? R(4) * q->caution : R(0.5) * q->caution;
-    q->caution = clip(q->caution, R(1.0625), R(64));
     if (status == OK) {
         take_multipliers(s);
     }
@@ -541,33 +480,22 @@ static int kkt_converged(solver_t *s, real_t tol)
     return kkt->relative <= tol;
 }
 
-#if HARD_ROWS
-/* Returns 1 if the last QP was elastic and its step is at most tol, or the last step hardly reduced the violation: at this
- * penalty the rows cannot be satisfied near this point. */
-static int stuck_infeasible(const solver_t *s, real_t tol)
+/* Starts from the plan with an empty filter and unknown scales. */
+static void start_search(solver_t *s, int attempts)
 {
-    const step_t *d = &s->sqp.step;
-    real_t step = R(0);
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            enlarge(&step, d->dx[k][i]);
-        }
-        for (int j = 0; k < N && j < NU; j++) {
-            enlarge(&step, d->du[k][j]);
-        }
+    if (!plan_is_finite(s)) {
+        start_at(s, s->xhat);
     }
-    return s->sqp.elastic && (step <= tol || s->sqp.slow);
-}
-#endif
-
-/* An empty filter, unknown scales. */
-static void start_search(solver_t *s)
-{
     memset(&s->sqp, 0, sizeof s->sqp);
     memset(&s->step, 0, sizeof s->step);
-    s->sqp.in_solve = 1;
+    s->sqp.attempts = (int32_t)attempts;
+#if REGULARIZE_REDUCED
     s->sqp.caution = R(1.0625);
-    s->sqp.most_violation = INF;
+#endif
+    s->sqp.most_violation = s->sqp.base.violation = INF;
+#if ACCELERATE
+    s->sqp.milestone = INF;
+#endif
 #if HARD_ROWS
     s->sqp.row_weight = R(1000);
 #endif
@@ -577,10 +505,12 @@ static void start_search(solver_t *s)
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
     sqp_t *q = &s->sqp;
+#if REGULARIZE_REDUCED
+    q->in_solve = 1;
+#endif
     for (;; s->stats.sqp_iterations++) {
         if (!q->resumes) {
-            const status_t prepared = prepare_here(s);
-            q->prepared = (int32_t)prepared;
+            q->prepared = (int32_t)prepare_here(s);
         }
         q->resumes = 0;
         if (kkt_converged(s, tol)) {
@@ -589,14 +519,14 @@ static status_t iterate(solver_t *s, real_t tol, int last)
         if (s->stats.sqp_iterations >= last) {
             return ITERATION_LIMIT;
         }
-        const status_t status = (q->prepared == (int32_t)OK) ? sqp_iteration(s) : (status_t)q->prepared;
+        status_t status = (status_t)q->prepared;
+        if (status == OK) {
+            status = sqp_iteration(s);
+        }
 #if HARD_ROWS
-        if (q->elastic && (status == STALLED || (status == OK && stuck_infeasible(s, tol)))) {
-            if (q->row_weight >= R(1e8)) {
-                return INFEASIBLE;
-            }
+        if (q->elastic && (status == STALLED || (status == OK && q->slow))) {
+            status = (q->row_weight < R(1e8)) ? OK : INFEASIBLE;
             q->row_weight *= R(10);
-            continue;
         }
 #endif
         if (status != OK) {
@@ -609,8 +539,7 @@ static status_t iterate(solver_t *s, real_t tol, int last)
  * of the plan lead, and the next time those to which the reference controls do. */
 static void start_elsewhere(solver_t *s)
 {
-    const int32_t attempts = s->sqp.attempts + 1;
-    if (attempts > 1) {
+    if (s->sqp.attempts > 0) {
         forget_plan(s);
     }
     memcpy(s->x[0], s->xhat, sizeof s->xhat);
@@ -618,24 +547,23 @@ static void start_elsewhere(solver_t *s)
         interval_value(s, k, s->x[k + 1]);
     }
     forget_multipliers(s);
-    if (!plan_is_finite(s)) {
-        start_at(s, s->xhat);
-    }
-    start_search(s);
-    s->sqp.attempts = attempts;
+    start_search(s, s->sqp.attempts + 1);
 }
 
 static status_t solve_here(solver_t *s, real_t tol, int last)
 {
-    status_t status = iterate(s, tol, last);
-    while ((status == INFEASIBLE || status == SUBPROBLEM_FAILED || (status == STALLED && s->sqp.violation > R(1e-4))) &&
-        s->sqp.attempts < MAX_ATTEMPTS && s->stats.sqp_iterations++ < last) {
+    for (;;) {
+        const status_t status = iterate(s, tol, last);
+        const int ends =
+            status == OK || status == ITERATION_LIMIT || (status == STALLED && !(s->sqp.base.violation > R(1e-4)));
+        if (ends || s->sqp.attempts == MAX_ATTEMPTS || s->stats.sqp_iterations++ >= last) {
+            return status;
+        }
         start_elsewhere(s);
-        status = iterate(s, tol, last);
     }
-    return status;
 }
 
+#if LAGRANGIAN
 /* Returns 1 if all multipliers that the first Hessian may read are finite. */
 static int multipliers_are_finite(solver_t *s)
 {
@@ -648,26 +576,8 @@ static int multipliers_are_finite(solver_t *s)
     return finite;
 }
 
-/* Starts from the plan, of which it gives up what is not finite. */
-static void begin(solver_t *s)
-{
-    forget_violation(s);
-    if (!plan_is_finite(s)) {
-        start_at(s, s->xhat);
-    }
-    if (!multipliers_are_finite(s)) {
-        forget_multipliers(s);
-    }
-#if SHIFT
-    s->samples += (s->samples < MANY);
 #endif
-#if LAGRANGIAN
-    s->unsettled = 0;
-#endif
-    start_search(s);
-    s->stats.sqp_iterations = 0;
-}
-
+/* Starts from the plan, of which it gives up what is not finite, or resumes the last search. */
 status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
 {
     status_t status;
@@ -678,24 +588,36 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
 #if BUDGET
     s->qp.allowance = -1;
 #endif
-    if (!s->sqp.resumes && !take_state(s, xhat)) {
-        return finish(s, NOT_FINITE);
-    }
     if (!(tol > R(0)) || max_iterations < 0) {
         return finish(s, BAD_ARGUMENT);
     }
     if (!s->sqp.resumes) {
+        if (!take_state(s, xhat)) {
+            return finish(s, NOT_FINITE);
+        }
 #if NF
         for (int f = 0; f < NF; f++) {
             const real_t guess = xhat[free_state[f]];
             s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
         }
 #endif
-        begin(s);
+        forget_violation(s);
+#if SHIFT
+        s->samples += (s->samples < MANY);
+#endif
+#if LAGRANGIAN
+        if (!multipliers_are_finite(s)) {
+            forget_multipliers(s);
+        }
+        s->unsettled = 0;
+#endif
+        start_search(s, 0);
+        s->stats.sqp_iterations = 0;
     }
-    s->sqp.in_solve = 1;
     status = solve_here(s, tol, max_iterations);
+#if REGULARIZE_REDUCED
     s->sqp.in_solve = 0;
+#endif
 #if HARD_ROWS
     s->sqp.elastic = 0;
     if (status == INFEASIBLE) {

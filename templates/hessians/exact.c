@@ -3,6 +3,8 @@
  * last QP. If all lam are zero, as after reset, an adjoint sweep over the nodes provides them:
  * lam_k = q_k + A_k' lam_{k+1}. */
 
+#include "hessians/first_order.c"
+
 /* Returns 1 if a multiplier of the dynamics is nonzero. */
 static int has_multipliers(const solver_t *s)
 {

@@ -1,9 +1,15 @@
 /* Evaluates node k: x_next = Phi(x_k, u_k), S = [A_k B_k] and the gradient g. */
-static void expand_node(solver_t *s, int k, real_t *x_next)
+static void evaluate_node(const solver_t *s, int k, node_t *node, real_t *x_next)
 {
-    node_t *node = &s->node[k];
     INTEGRATOR_INTERVAL(s, k, x_next, &node->S[0][0]);
 #if HAS_PATH_GRADIENT
     PATH_GRADIENT(s, k, node->g);
 #endif
 }
+
+#if !LAGRANGIAN
+static void expand_node(solver_t *s, int k, real_t *x_next)
+{
+    evaluate_node(s, k, &s->node[k], x_next);
+}
+#endif

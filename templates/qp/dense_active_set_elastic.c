@@ -82,19 +82,6 @@ static void qp_add_saturated(qp_t *q)
     }
 }
 
-/* Violation of a saturated row c: the distance of its value from the bound towards the inside, where its multiplier has
- * to move back. */
-static void qp_turn_inside(const qp_t *q, int c, real_t *over, real_t *under)
-{
-    if (q->side[c] > 0) {
-        *under = -*over;
-        *over = -INF;
-    } else {
-        *over = -*under;
-        *under = -INF;
-    }
-}
-
 /* Ends the dual step of row c, which is not a member, after its multiplier has changed by `moved`: the row becomes a
  * member, saturated or inactive. */
 static void qp_settle(qp_t *q, int c, int side, int member, real_t moved, real_t vv)
@@ -112,45 +99,21 @@ static void qp_settle(qp_t *q, int c, int side, int member, real_t moved, real_t
     }
 }
 
-/* Distance that the multiplier of the entering row c may move: from 0 to its limit, or from the limit to 0 (equality:
- * to -limit). */
-static real_t qp_reach(const qp_t *q, int c)
+/* Sets `elastic` and ends the saturation of rows that have become hard or whose bound has become infinite. Returns 0 if a
+ * penalty is invalid. */
+static int qp_take_penalties(qp_t *q)
 {
-    return q->side[c] != INACTIVE && qp_is_equality(q, c) ? q->penalty[c] + q->penalty[c] : q->penalty[c];
-}
-
-/* Ends the saturation of rows that have become hard or whose bound has become infinite. */
-static void qp_release_saturated(qp_t *q)
-{
-    for (int c = NV; c < NV + NG; ++c) {
-        if (qp_is_saturated(q, c) && !(q->penalty[c] < INF && isfinite(qp_bound(q, c)))) {
+    int valid = 1;
+    q->elastic = 0;
+    for (int c = 0; c < NV + NG; ++c) {
+        const int limited = q->penalty[c] < INF;
+        valid &= q->penalty[c] >= R(0);
+        q->elastic |= limited;
+        if (qp_is_saturated(q, c) && !(limited && isfinite(qp_bound(q, c)))) {
             q->side[c] = INACTIVE;
         }
     }
-}
-
-/* Sets `elastic`; returns 0 if a penalty is invalid. */
-static int qp_take_penalties(qp_t *q)
-{
-    int valid = 1, elastic = 0;
-    for (int c = 0; c < NV + NG; ++c) {
-        valid &= q->penalty[c] >= R(0);
-        elastic |= q->penalty[c] < INF;
-    }
-    if (elastic || q->elastic) {
-        qp_release_saturated(q);
-    }
-    q->elastic = elastic;
     return valid;
-}
-
-/* Moves a saturated variable that is inside its bound by rounding to the bound. */
-static void qp_clip_saturated(qp_t *q, int c)
-{
-    const real_t bound = qp_bound(q, c);
-    if ((q->x[c] < bound) == (q->side[c] > 0)) {
-        q->x[c] = bound;
-    }
 }
 
 /* Violation of row c, which is saturated or has a slack that moves; 0 for a slack itself. */
@@ -173,8 +136,8 @@ static void qp_write_saturated(qp_t *q)
     for (int c = 0; q->elastic && c < NV + NG; ++c) {
         if (qp_is_saturated(q, c)) {
             q->mult[c] = qp_outside_multiplier(q, c);
-            if (c < NV) {
-                qp_clip_saturated(q, c);
+            if (c < NV && (q->x[c] < qp_bound(q, c)) == (q->side[c] > 0)) { /* inside its bound by rounding */
+                q->x[c] = qp_bound(q, c);
             }
         }
         const real_t excess = FABS(qp_relaxation(q, c));

@@ -51,8 +51,9 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
     }
 }
 
-/* Amounts by which the value of row c, which is not a member, exceeds its upper bound and falls below its lower bound.
- * Returns the value. */
+/* Amounts by which the value of row c, which is not a member, exceeds its upper bound and falls below its lower bound;
+ * of a saturated row, the distance from the bound towards the inside, where its multiplier has to move back. Returns the
+ * value. */
 static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
 {
 #if NG
@@ -63,8 +64,12 @@ static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t
     *over = value - q->upper[c];
     *under = q->lower[c] - value;
 #if ELASTIC
-    if (q->side[c] != INACTIVE) {
-        qp_turn_inside(q, c, over, under);
+    if (q->side[c] > 0) {
+        *under = -*over;
+        *over = -INF;
+    } else if (q->side[c] < 0) {
+        *over = -*under;
+        *under = -INF;
     }
 #endif
     return value;
@@ -178,15 +183,17 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_
  * normalised, without entries that are rounding errors. */
 static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 {
-    real_t most = R(1);
-    for (int k = 0; k < q->nw; ++k) {
-        most = qp_takes_part(q, r, k, mm) && FABS(r[k]) > most ? FABS(r[k]) : most;
-    }
-    const real_t unit = side > 0 ? R(1) / most : -R(1) / most;
+    real_t largest = R(1);
     memset(q->certificate, 0, sizeof q->certificate);
-    q->certificate[c] = unit;
+    q->certificate[c] = R(side);
     for (int k = 0; k < q->nw; ++k) {
-        q->certificate[q->row[k]] = qp_takes_part(q, r, k, mm) ? -unit * r[k] : R(0);
+        if (qp_takes_part(q, r, k, mm)) {
+            q->certificate[q->row[k]] = -R(side) * r[k];
+            largest = FABS(r[k]) > largest ? FABS(r[k]) : largest;
+        }
+    }
+    for (int i = 0; i < NV + NG; ++i) {
+        q->certificate[i] = q->certificate[i] / largest;
     }
 }
 #endif
@@ -223,7 +230,7 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
     const real_t sign = R(side), bound = (q->side[c] == INACTIVE ? side : q->side[c]) > 0 ? q->upper[c] : q->lower[c];
     real_t r[LDV], moved = R(0), left = INF, mm = qp_normal(q, c);
 #if ELASTIC
-    left = qp_reach(q, c);
+    left = R(1 + (q->side[c] != INACTIVE && qp_is_equality(q, c))) * q->penalty[c]; /* 2: from one limit to the other */
 #endif
     while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
 #if BUDGET

@@ -23,7 +23,7 @@
  *   hessian: gauss_newton           hessians/gauss_newton.c                               0 operations       40 bytes
  *   condensing: full                condensing/full.c                                   157 operations      176 bytes
  *   qp: dense_active_set            qp/dense_active_set.c                                70 operations     1480 bytes
- *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      832 bytes
+ *   algorithm: real_time_iteration  algorithms/real_time_iteration.c                     28 operations      816 bytes
  */
 #include "golden.h"
 
@@ -60,6 +60,8 @@ typedef golden_basis_t basis_t;
 typedef golden_condensed_t condensed_t;
 typedef golden_qp_t qp_t;
 typedef golden_step_t step_t;
+typedef golden_measures_t measures_t;
+typedef golden_change_t change_t;
 typedef golden_sqp_t sqp_t;
 typedef golden_solver_t solver_t;
 typedef golden_status_t status_t;

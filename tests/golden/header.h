@@ -9,7 +9,7 @@
  * h   = (product)
  * h_N = (square_end)
  *
- * The caller owns the memory: one golden_solver_t is 3208 bytes in size, holds no pointers and may be
+ * The caller owns the memory: one golden_solver_t is 3192 bytes in size, holds no pointers and may be
  * copied with '='. Only one execution context at a time may use an instance. An interrupt may change measurements
  * during a call: pass a copy of them. Members of size 0 do not exist. */
 #ifndef GOLDEN_H
@@ -112,6 +112,8 @@ typedef union { /* memory of phases that do not overlap */
     golden_columns_t columns; /* while the QP is formed */
     golden_basis_t basis; /* from qp_factorize to the end of the feedback */
 } golden_work_t;
+
+
 
 
 

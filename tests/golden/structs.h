@@ -107,41 +107,44 @@ typedef struct { /* solution of the QP */
     golden_real mult[GOLDEN_NG]; /* multipliers of the rows */
 } golden_step_t;
 
-typedef struct { /* a step in the past of solve(), z = (x, u) */
-    golden_real end[GOLDEN_N + 1][GOLDEN_NZ]; /* point to which it led */
-    golden_real d[GOLDEN_N + 1][GOLDEN_NZ]; /* the step */
-} golden_past_t;
+typedef struct { /* measures of a point */
+    golden_real violation; /* of gaps, initial condition and rows, in their scales */
+    golden_real cost; /* with the penalties of the soft rows */
+} golden_measures_t;
+
+typedef struct { /* a component z of the last two steps d of solve() */
+    golden_real last_d; /* d of the last */
+    golden_real last_end; /* z + d of the last */
+    golden_real d; /* d, less that before */
+    golden_real end; /* z + d, less that before */
+} golden_change_t;
 
 typedef struct { /* line search of solve() */
-    golden_past_t past[2]; /* the last steps */
-    golden_real filter_violation[GOLDEN_FILTER]; /* violations that the filter rejects */
-    golden_real filter_cost[GOLDEN_FILTER]; /* and the costs that belong to them */
+    golden_change_t change[GOLDEN_N + 1][GOLDEN_NZ]; /* of the step and its end */
+    golden_measures_t filter[GOLDEN_FILTER]; /* pairs that the filter rejects */
     golden_step_t step; /* step that is tried, at its full length */
     golden_real row_scale[GOLDEN_NR]; /* scales of the rows */
     golden_real u[GOLDEN_N][GOLDEN_NU]; /* controls before the step */
-    golden_real watched_u[GOLDEN_N][GOLDEN_NU]; /* controls before that step */
+    golden_real gamma[2]; /* shares of the changes that are removed */
+    golden_measures_t base; /* measures before the step */
     golden_real x[GOLDEN_N + 1][GOLDEN_NX]; /* states before the step */
-    int32_t points; /* how many are known */
-    int32_t latest; /* which is the latest */
+    int32_t comparable; /* 1: the last step had its full length */
     int32_t trend; /* of the length of steps in one direction */
-    int32_t much_shorter; /* 1: the step is much shorter than the last */
     golden_real square; /* square of the norm of the step */
-    int32_t watched; /* steps since the filter rejected one; < 0: none is taken */
-    golden_real watched_square; /* that of the step rejected */
-    golden_real watched_x[GOLDEN_N + 1][GOLDEN_NX]; /* states before that step */
+    int32_t watched; /* steps taken that the filter rejected */
+    golden_real milestone; /* square at the first of them */
     golden_real state_scale[GOLDEN_NX]; /* scales of the states */
     golden_real row_weight; /* penalty of the rows in the elastic QP */
     int32_t entries; /* entries of the filter */
     int32_t restoring; /* 1: steps only have to reduce the violation */
     golden_real length; /* length of the last step */
-    golden_real caution; /* factor of shifts of the Hessian */
-    golden_real violation; /* of the constraints at the last point */
+    golden_real slope; /* of the cost along the step */
+    golden_real gain; /* reduction of the violation that the step promises */
+    golden_real cost_unit; /* how much the cost may change */
     golden_real cost_scale; /* largest slope of the cost */
     golden_real most_violation; /* violation that is never accepted */
-    golden_real small_violation; /* violation up to which the cost counts */
     int32_t prepared; /* status of the preparation */
     int32_t attempts; /* new starts */
-    int32_t in_solve; /* 1 while solve() iterates */
     int32_t resumes; /* set to 1 before solve() goes on from where it reached its limit */
     int32_t slow; /* 1: an elastic QP that hardly reduced the violation */
     int32_t elastic; /* 1: the last QP was infeasible and relaxed */

@@ -133,7 +133,7 @@ def _switches(model: Model) -> dict[str, int]:
     switches |= {f"SET_{kind.upper()}": int(layouts[kind] != "fixed" and size > 0) for kind, size in data.items()}
     switches |= {
         "SOLVE": int(model.solve),
-        "HAS_STATE_STEP": int(model.solve or eliminates),
+        "HAS_STATE_STEP": int(eliminates),
         "HAS_ADJOINT_STEP": int(eliminates),
         "STAGE_MULTIPLIERS": int(not eliminates),
         "CONDENSED_QP": int(condensing is not None and condensing.gives == "condensed"),

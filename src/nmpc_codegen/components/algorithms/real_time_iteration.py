@@ -189,7 +189,14 @@ class RealTimeIteration(Defaults):
                 only="RELAXATION",
             ),
         )
-        return (_stats(), _step(dims), _past(dims), _line_search(dims), Struct("solver", "", (*keep, *results)))
+        return (
+            _stats(),
+            _step(dims),
+            _measures(),
+            _change(),
+            _line_search(dims),
+            Struct("solver", "", (*keep, *results)),
+        )
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The linearisation of all nodes; a gap is one subtraction per state."""
@@ -249,17 +256,31 @@ def _step(dims: Dims) -> Struct:
     )
 
 
-def _past(dims: Dims) -> Struct:
-    """A step of solve() that is remembered."""
-    nodes = Size("N + 1", dims.N.value + 1)
+def _measures() -> Struct:
+    """What solve() compares of two points."""
     return Struct(
-        "past",
-        "a step in the past of solve(), z = (x, u)",
+        "measures",
+        "measures of a point",
         (
-            Field("end", (nodes, dims.nz), "point to which it led", "scratch", only="ACCELERATE"),
-            Field("d", (nodes, dims.nz), "the step", "scratch"),
+            Field("violation", (), "of gaps, initial condition and rows, in their scales", "scratch"),
+            Field("cost", (), "with the penalties of the soft rows", "scratch"),
         ),
         only="SOLVE",
+    )
+
+
+def _change() -> Struct:
+    """What solve() remembers of one component of its steps."""
+    return Struct(
+        "change",
+        "a component z of the last two steps d of solve()",
+        (
+            Field("last_d", (), "d of the last", "scratch"),
+            Field("last_end", (), "z + d of the last", "scratch"),
+            Field("d", (), "d, less that before", "scratch"),
+            Field("end", (), "z + d, less that before", "scratch"),
+        ),
+        only="ACCELERATE",
     )
 
 
@@ -274,35 +295,30 @@ def _line_search(dims: Dims) -> Struct:
             Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
             Field("step", (), "step that is tried, at its full length", "scratch", "step"),
             Field("lam", (nodes, dims.nx), "multipliers of its QP", "scratch", only="STAGE_MULTIPLIERS"),
-            Field("past", (Size("2", 2),), "the last steps", "scratch", "past"),
-            Field("points", (), "how many are known", "scratch", "int32"),
-            Field("latest", (), "which is the latest", "scratch", "int32"),
+            Field("change", (nodes, dims.nz), "of the step and its end", "scratch", "change", only="ACCELERATE"),
+            Field("comparable", (), "1: the last step had its full length", "scratch", "int32"),
             Field("trend", (), "of the length of steps in one direction", "scratch", "int32"),
-            Field("much_shorter", (), "1: the step is much shorter than the last", "scratch", "int32"),
             Field("square", (), "square of the norm of the step", "scratch"),
-            Field(
-                *("watched", (), "steps since the filter rejected one; < 0: none is taken", "scratch", "int32"),
-                only="ACCELERATE",
-            ),
-            Field("watched_square", (), "that of the step rejected", "scratch", only="ACCELERATE"),
-            Field("watched_x", (nodes, dims.nx), "states before that step", "scratch", only="ACCELERATE"),
-            Field("watched_u", (dims.N, dims.nu), "controls before that step", "scratch", only="ACCELERATE"),
+            Field("gamma", (Size("2", 2),), "shares of the changes that are removed", "scratch", only="ACCELERATE"),
+            Field("watched", (), "steps taken that the filter rejected", "scratch", "int32", only="ACCELERATE"),
+            Field("milestone", (), "square at the first of them", "scratch", only="ACCELERATE"),
             Field("state_scale", (dims.nx,), "scales of the states", "scratch"),
             Field("row_scale", (dims.nr,), "scales of the rows", "scratch", only="HARD_ROWS"),
             Field("row_weight", (), "penalty of the rows in the elastic QP", "scratch", only="HARD_ROWS"),
-            Field("filter_violation", (Size("FILTER", FILTER),), "violations that the filter rejects", "scratch"),
-            Field("filter_cost", (Size("FILTER", FILTER),), "and the costs that belong to them", "scratch"),
+            Field("filter", (Size("FILTER", FILTER),), "pairs that the filter rejects", "scratch", "measures"),
             Field("entries", (), "entries of the filter", "scratch", "int32"),
             Field("restoring", (), "1: steps only have to reduce the violation", "scratch", "int32"),
             Field("length", (), "length of the last step", "scratch"),
-            Field("caution", (), "factor of shifts of the Hessian", "scratch"),
-            Field("violation", (), "of the constraints at the last point", "scratch"),
+            Field("caution", (), "factor of shifts of the Hessian", "scratch", only="REGULARIZE_REDUCED"),
+            Field("base", (), "measures before the step", "scratch", "measures"),
+            Field("slope", (), "of the cost along the step", "scratch"),
+            Field("gain", (), "reduction of the violation that the step promises", "scratch"),
+            Field("cost_unit", (), "how much the cost may change", "scratch"),
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
-            Field("small_violation", (), "violation up to which the cost counts", "scratch"),
             Field("prepared", (), "status of the preparation", "scratch", "int32"),
             Field("attempts", (), "new starts", "scratch", "int32"),
-            Field("in_solve", (), "1 while solve() iterates", "scratch", "int32"),
+            Field("in_solve", (), "1 while solve() iterates", "scratch", "int32", only="REGULARIZE_REDUCED"),
             Field("resumes", (), "set to 1 before solve() goes on from where it reached its limit", "scratch", "int32"),
             Field(
                 *("slow", (), "1: an elastic QP that hardly reduced the violation", "scratch", "int32"),
