@@ -459,7 +459,8 @@ static status_t sqp_iteration(solver_t *s)
     status = search(s);
     q->comparable = q->length >= R(1) && !q->restoring;
 #if REGULARIZE_REDUCED
-    q->caution = clip(((q->length < R(1)) ? R(4) : R(0.5)) * q->caution, R(1.0625), R(64));
+    const real_t growth = (q->length < R(1)) ? clip(R(1) / q->length, R(1), R(4)) : R(0.5);
+    q->caution = clip(growth * q->caution, R(1.0625), R(64));
 #endif
     if (status == OK) {
         take_multipliers(s);
