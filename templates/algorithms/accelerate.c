@@ -40,9 +40,8 @@ static void update_trend(solver_t *s)
 #if ACCELERATE
     const real_t change = q->square - both + (before - both), determinant = a * change - b * b;
     q->gamma[0] = q->gamma[1] = R(0);
-    /* A step that is much shorter than the last needs no help. */
-    if (q->comparable && q->trend != GROWING && q->square >= R(0.01) * before && change > R(0)) {
-        q->gamma[1] = (determinant > R(1e-6) * a * change) ? (c * change - b * (q->square - both)) / determinant : R(0);
+    if (q->comparable && q->trend != GROWING && change > R(0)) {
+        q->gamma[1] = (determinant > R(1e-3) * a * change) ? (c * change - b * (q->square - both)) / determinant : R(0);
         q->gamma[0] = (q->square - both - q->gamma[1] * b) / change;
     }
 #endif
