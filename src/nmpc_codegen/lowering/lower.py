@@ -148,10 +148,12 @@ def _switches(model: Model) -> dict[str, int]:
         "ACCUMULATORS": int(bool(p.accumulators)),
         "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
         "LAGRANGIAN": 0,
+        "TUNED": 0,
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
     for component in parts.components:
         switches |= component.switches
+    switches["TUNED"] *= int(any(switches[f"SET_{kind}"] for kind in ("PARAMETER", "WEIGHT", "BOUNDS")))
     switches["ACCELERATE"] = int(not switches["LAGRANGIAN"])
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
