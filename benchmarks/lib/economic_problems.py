@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space, solve_discrete_are
+from scipy.optimize import minimize
 
 from nmpc_codegen import OCP
 
@@ -94,9 +95,10 @@ EVAPORATION = Stage(
 )
 
 
-def evaporation(N: int = 200) -> OCP:
-    """The OCP with x_N = x_s."""
-    x_s = steady(EVAPORATION).w[:2]
+def evaporation(N: int = 200, fixed_end: bool = True) -> OCP:
+    """The OCP with x_N = x_s, or with the cost-to-go of the LQR as terminal cost."""
+    at = steady(EVAPORATION)
+    x_s = at.w[:2]
     ocp = OCP("evaporation", T=float(N), N=N)
     X2, P2 = ocp.state("X2", initial=float(x_s[0])), ocp.state("P2", initial=float(x_s[1]))
     P100, F200 = ocp.control("P100"), ocp.control("F200")
@@ -107,7 +109,11 @@ def evaporation(N: int = 200) -> OCP:
     ocp.subject_to(40, P2, 80)
     ocp.subject_to(-np.inf, P100, 400)
     ocp.subject_to(-np.inf, F200, 400)
-    ocp.subject_to(x_s, ocp.x, x_s, at="end", name="steady")
+    if fixed_end:
+        ocp.subject_to(x_s, ocp.x, x_s, at="end", name="steady")
+    else:
+        dx = ocp.x - x_s
+        ocp.terminal_cost(ca.dot(at.lam, dx) + ca.bilin(cost_to_go(EVAPORATION), dx, dx) / 2)
     return ocp
 
 
@@ -244,19 +250,36 @@ def units(stage: Stage) -> Array:
 
 @cache
 def tuned(stage: Stage, less: float = 1e-2) -> tuple[Array, Array]:
-    """(M, M_f); M_f belongs to the terminal cost of cost_to_go(stage)."""
+    """(M, M_f): with dP = P + C_x'q + q'C_x for active rows C_x of states, the free q and F are those with the smallest
+    condition number of M in units of H. M_f belongs to the terminal cost of cost_to_go(stage)."""
     at, nx = steady(stage), stage.nx
     others = [i for i in range(len(at.H)) if i not in stage.cyclic]
     P, S = cost_to_go(stage, less), np.hstack([at.A, at.B])
-    on_states = np.array([not np.any(row[nx:]) for row in at.C], dtype=bool)
-    states, size = at.C[on_states, :nx], float(np.abs(at.H).max())
-    for factor in 10.0 ** np.arange(-4, 7):
-        dP = P + factor * size * states.T @ states
-        M = at.H + S.T @ dP @ S + factor * size * at.C.T @ at.C
+    states = at.C[[not np.any(row[nx:]) for row in at.C], :nx]
+    d, size = np.sqrt(units(stage)[others]), float(np.abs(at.H).max())
+
+    def hessian(free: Array) -> Array:
+        q = size * free[1:].reshape(len(states), nx)
+        dP = P + states.T @ q + q.T @ states
+        M = at.H + S.T @ dP @ S + size * np.exp(free[0]) * at.C.T @ at.C
         M[:nx, :nx] -= dP
-        M = (M + M.T) / 2
-        d = np.sqrt(units(stage)[others])
-        if np.linalg.eigvalsh(M[np.ix_(others, others)] / d / d[:, None]).min() >= less / 2:
-            M[list(stage.cyclic)] = M[:, list(stage.cyclic)] = 0
-            return M, cost_to_go(stage) - P
-    raise ValueError("no positive definite Hessian was found")
+        return np.asarray((M + M.T) / 2)
+
+    def condition(free: Array) -> float:
+        values = np.linalg.eigvalsh(hessian(free)[np.ix_(others, others)] / d / d[:, None])
+        return float(np.log(values.max() / values.min()) if values.min() > 0 else 100 - values.min() / values.max())
+
+    free = np.concatenate([[5.0], 5 * states.ravel()])
+    for _ in range(5):
+        free = minimize(condition, free, method="Nelder-Mead", options={"maxiter": 2000, "xatol": 1e-9}).x
+    if condition(free) >= 100:
+        raise ValueError("no positive definite Hessian was found")
+    M = hessian(free)
+    M[list(stage.cyclic)] = M[:, list(stage.cyclic)] = 0
+    return cleared(M), cleared(cost_to_go(stage) - P)
+
+
+def cleared(M: Array) -> Array:
+    """M without entries that are rounding errors in units of its diagonal, so that the generated code skips them."""
+    size = np.sqrt(np.abs(np.diag(M)))
+    return np.where(np.abs(M) > 1e-12 * np.outer(size, size), M, 0.0)

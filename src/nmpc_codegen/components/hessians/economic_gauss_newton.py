@@ -108,7 +108,7 @@ class EconomicGaussNewton(Defaults):
     def notes(self, problem: Problem) -> tuple[str, ...]:
         """What M belongs to."""
         active = sorted({problem.rows[i].name for i in self._tied(problem)})
-        rows = f"the bounds of {', '.join(active)}" if self.steady_state is not None else "all bounds"
+        rows = f"bounds of {', '.join(active)}" if self.steady_state is not None else "bounds of all rows"
         tied = [name for name, on in zip(problem.parameter_names, tied_parameters(problem), strict=True) if on]
         data = [f"parameters {', '.join(tied)}"] * bool(tied)
         data += ["weights"] * bool(problem.path.ny + problem.terminal.ny) + [rows] * bool(active)
