@@ -213,9 +213,7 @@ def steady(stage: Stage) -> Steady:
         z = z - unit * np.linalg.lstsq(K * unit, value.ravel(), rcond=1e-14)[0]
     lam = np.zeros(nx)
     lam[kept] = z[n : n + len(kept)]
-    evaluate = ca.Function(
-        "data", [w, y], [ca.hessian(L, w)[0], ca.jacobian(step, w), ca.jacobian(rows[active], w)]
-    )
+    evaluate = ca.Function("data", [w, y], [ca.hessian(L, w)[0], ca.jacobian(step, w), ca.jacobian(rows[active], w)])
     H, S, C = (np.asarray(part) for part in evaluate(z[:n], z[n:]))
     return Steady(z[:n], lam, H, S[:, :nx], S[:, nx:], C.reshape(-1, n))
 

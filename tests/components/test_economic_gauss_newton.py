@@ -82,7 +82,9 @@ def built(route: str, precision: Any = "double", **more: Any) -> Controller:
 
 
 def options(hessian: Any, route: str, precision: Any = "double", **more: Any) -> Options:
-    return Options(integrator=ExplicitRungeKutta(steps=2), hessian=hessian, precision=precision, **ROUTES[route], **more)
+    return Options(
+        integrator=ExplicitRungeKutta(steps=2), hessian=hessian, precision=precision, **ROUTES[route], **more
+    )
 
 
 def drawn(c: Controller, seed: int) -> None:
@@ -147,7 +149,9 @@ class NumpyStep:
         widen = np.zeros((m, ns))
         widen[soft, range(ns)] = 1.0
         l1, l2 = (np.array([self.rows[i][0].soft[j] for i in soft]) for j in (0, 1))  # type: ignore[index]
-        lower, upper = (np.array([getattr(row, side) for row, _ in self.rows]) - self.value for side in ("lower", "upper"))
+        lower, upper = (
+            np.array([getattr(row, side) for row, _ in self.rows]) - self.value for side in ("lower", "upper")
+        )
         A = np.block([
             [self.E, np.zeros((len(self.E), ns))],
             [self.A, widen],
@@ -327,7 +331,7 @@ def test_first_step_equals_that_of_the_exact_hessian() -> None:
     c = build(evaporation(30), evaporation_options(), "test").copy()
     c.x[...], c.u[...] = at.w[:2], at.w[2:]
     x, u = c.x.copy(), c.u.copy()
-    c.step(at.w[:2] + [0.0, 0.5])
+    c.step(at.w[:2] + np.array([0.0, 0.5]))
     assert c.status == Status.OK
     assert np.count_nonzero(c.mu_x[1:30, 0]) == 29
     N, n = 30, 4
@@ -343,7 +347,7 @@ def test_first_step_equals_that_of_the_exact_hessian() -> None:
     held[N, -1] = 1.0
     E, e = np.vstack([*E, held]), np.concatenate([*e, np.zeros(N + 1)])
     K = np.block([[H, E.T], [E, np.zeros((len(E), len(E)))]])
-    gradient = np.concatenate([*([np.concatenate([ (np.eye(2) - at.A).T @ at.lam, -at.B.T @ at.lam ])] * N), np.zeros(2)])
+    gradient = np.concatenate([*([np.concatenate([(np.eye(2) - at.A).T @ at.lam, -at.B.T @ at.lam])] * N), np.zeros(2)])
     exact = np.linalg.lstsq(K, np.concatenate([-gradient, e]), rcond=None)[0][: N * n + 2]
     found = step_taken(c, x, u)
     assert np.abs(found - exact).max() <= 1e-6 * np.abs(exact).max()
@@ -436,7 +440,9 @@ def test_weights_and_fixed_data() -> None:
 
 def test_the_report_says_to_what_m_belongs() -> None:
     (note,) = (c for c in built("riccati").description.report.choices if c.startswith("hessian"))
-    assert note.startswith("hessian: economic_gauss_newton; M belongs to the declared parameters p, goal, bounds of all")
+    assert note.startswith(
+        "hessian: economic_gauss_newton; M belongs to the declared parameters p, goal, bounds of all"
+    )
     choices = build(evaporation(10), evaporation_options(), "test").description.report.choices
     assert any("declared bounds of X2, steady[0]_end, steady[1]_end" in c for c in choices)
 

@@ -10,18 +10,17 @@ iteration therefore converges like Gauss-Newton on a tracking problem, without s
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nmpc_codegen.components.allowed import check_options, option
+from nmpc_codegen.components.allowed import Matrix, Point, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
-from nmpc_codegen.components.hessians.given_matrices import Matrix, Point, refuse_indefinite, refuse_shape
+from nmpc_codegen.components.hessians.given_matrices import refuse_indefinite, refuse_shape
 from nmpc_codegen.components.hessians.steady_rows import limits, terminal_state_is_fixed, tied_parameters
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts
 from nmpc_codegen.errors import OptionError
@@ -46,7 +45,8 @@ class EconomicGaussNewton(Defaults):
 
     M belongs to the declared parameters and weights, and to the bounds of rows that are active at the steady state. If
     one of them is changed at run time, the iteration goes on with M, and ``stats.stale_hessian`` is set. References may
-    be changed, and so may parameters on which only the gradient of the cost depends. The block of a least-squares cost of x_0 is added to the first one; other costs of x_0 have no block.
+    be changed, and so may parameters on which only the gradient of the cost depends. The block of a least-squares cost
+    of x_0 is added to the first one; other costs of x_0 have no block.
     """
 
     M: ArrayLike | None = option(None, Matrix())

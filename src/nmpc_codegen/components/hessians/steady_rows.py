@@ -17,7 +17,7 @@ ACTIVE = 1e-6
 
 
 def limits(problem: Problem, steady_state: tuple[ArrayLike, ArrayLike] | None) -> Array:
-    """Least and most lower bound, least and most upper bound of every row that leave the steady state as it is, (4, nr).
+    """Least and most lower bound, least and most upper bound of every row that leave the steady state, (4, nr).
 
     A bound that is active at the steady state must keep its declared value, any other one must admit the steady state.
     Without a steady state all bounds must keep their values. Bounds of cyclic states are free: these have no steady
