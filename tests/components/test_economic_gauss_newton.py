@@ -13,7 +13,7 @@ import osqp
 import pytest
 import scipy.sparse as sp
 
-from benchmarks.lib.economic_problems import DRIVING, EVAPORATION, driving, evaporation, steady, tuned
+from benchmarks.lib.economic_problems import DRIVING, EVAPORATION, Stage, driving, evaporation, steady, tuned
 from nmpc_codegen import (
     OCP,
     DenseActiveSet,
@@ -320,6 +320,41 @@ def test_a_cyclic_state_has_zero_rows(route: str) -> None:
     np.testing.assert_allclose(x[1], 1.0, atol=0.02)
     np.testing.assert_allclose(x[2], 50 / 3.6, atol=0.05)
     assert not c.stats.stale_hessian, "py_ref acts like a reference"
+
+
+# Equations at the end ------------------------------------------------------------------------------------------------
+
+
+def refinements(c: Controller, stage: Stage, x: Array, dt: float) -> list[int]:
+    """Refinements of the QP in 40 samples from x, with the steady state as first plan; no QP iterations in the last."""
+    at = steady(stage)
+    c.x[...], c.u[...] = at.w[: stage.nx], at.w[stage.nx :]
+    found = []
+    for _ in range(40):
+        u = c.step(x)
+        assert c.status == Status.OK
+        x = c.integrate(x, u, dt)
+        found.append(int(c.view("qp.refinements")))
+    assert c.stats.qp_iterations == 0
+    return found
+
+
+@pytest.mark.parametrize("start", [0.0, 1.0])
+def test_equations_at_the_end_cost_no_refinement_loops(start: float) -> None:
+    """They are members of the working set at every sample, also when steps vanish at the steady state.
+
+    For driving they are the only rows, and equations of a Schur complement; the evaporation process has a state at its
+    bound at all nodes besides, so that rows have weights, and one correction removes their error.
+    """
+    at = steady(EVAPORATION)
+    c = build(evaporation(60), evaporation_options(**ROUTES["riccati"]), "fast").copy()
+    assert max(refinements(c, EVAPORATION, at.w[:2] + np.array([0.0, start]), 1.0)[20:]) <= 2
+    at, ocp = steady(DRIVING), driving(30)
+    ocp.subject_to(at.w[1:5], ocp.x[1:5], at.w[1:5], at="end", name="steady")
+    hessian = EconomicGaussNewton(tuned(DRIVING)[0])
+    chosen = dataclasses.replace(options(hessian, "riccati"), integrator=ExplicitRungeKutta(steps=5))
+    c = build(ocp, chosen, "fast").copy()
+    assert max(refinements(c, DRIVING, at.w[:5] + np.array([0, 0.05 * start, 0.1 * start, 0, 0]), 0.1)[20:]) == 0
 
 
 # Corollary 9 ----------------------------------------------------------------------------------------------------------
