@@ -34,6 +34,7 @@ from nmpc_codegen import (
     build,
     generate,
 )
+from nmpc_codegen.cli.settings import apply_settings
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem, Row
 from nmpc_codegen.oracle import trajectory as oracle
@@ -164,7 +165,7 @@ class NumpyStep:
         P = sp.block_diag([self.H, np.diag(l2)]) if ns else sp.csc_matrix(self.H)
         exact = {"eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 200_000, "polishing": True, "verbose": False}
         solver.setup(sp.triu(P, format="csc"), np.concatenate([self.g, l1]), sp.csc_matrix(A), low, high, **exact)
-        return np.asarray(solver.solve().x)[: self.n]
+        return np.asarray(solver.solve(raise_error=True).x)[: self.n]
 
     def on_active_set(self, c: Controller) -> Array:
         """The step by one linear system, with the rows whose multipliers in ``c`` are not 0 at their bounds."""
@@ -420,7 +421,7 @@ def test_stale_data_are_flagged_until_they_return() -> None:
     assert "changed: p" in c.diagnose()
     c.set_parameter("p", 1.5)
     assert not stale()
-    c.set_parameter("goal", -1.0)  # only the gradient depends on it: no, 1 - cos(q - goal) is curved
+    c.set_parameter("goal", -1.0)  # the second derivative of cos(q - goal) depends on it
     assert stale()
     c.set_parameter("goal", 0.2)
     c.set_bounds("effort", -0.8, 0.95)
@@ -540,6 +541,36 @@ def test_options_are_values() -> None:
     given = np.asarray(EconomicGaussNewton(skew).M)
     assert np.array_equal(given, given.T)
     assert re.match(r"EconomicGaussNewton\(M=\(\(0.9, 0.2", repr(a))
+
+
+def test_from_the_command_line() -> None:
+    """--set takes the matrices as Python literals."""
+    settings = [
+        ("hessian", "economic_gauss_newton"),
+        ("hessian.M", "[[1, 0], [0, 2.5]]"),
+        ("hessian.M_f", "[[3]]"),
+        ("hessian.steady_state", "([0.5], [1])"),
+    ]
+    made = apply_settings(Options(), settings).hessian
+    assert made == EconomicGaussNewton([[1, 0], [0, 2.5]], [[3]], ([0.5], [1]))
+    with pytest.raises(OptionError, match=r"M: .*matrix.*--set hessian.M="):
+        apply_settings(Options(), [("hessian", "economic_gauss_newton"), ("hessian.M", "eye")])
+
+
+@pytest.mark.parametrize("route", ["dense", "riccati", "interior"])
+def test_recovers_from_bad_numbers(route: str) -> None:
+    """A measured NaN, a plan with NaN, and a jump: safe controls, then the optimum again."""
+    c, reference = built(route).copy(), built(route).copy()
+    for _ in range(30):
+        expected = reference.step(X0)
+    u = c.step([np.nan, 0.0])
+    assert (c.status, bool(np.all(np.abs(u) <= 1))) == (Status.NOT_FINITE, True)
+    c.x[2] = np.nan
+    assert np.all(np.isfinite(c.step(X0)))
+    for _ in range(30):
+        u = c.step(X0)
+    assert c.status == Status.OK
+    np.testing.assert_allclose(u, expected, atol=1e-6)
 
 
 def test_with_a_shift_and_a_budget() -> None:
