@@ -39,7 +39,7 @@ Files = dict[str, str]
 OTHER_COMPILERS = {
     "clang": frozenset(
         {
-            *("test_recovery.py", "test_soft_and_coupled_rows.py"),
+            *("test_recovery.py", "test_soft_and_coupled_rows.py", "test_economic_gauss_newton.py"),
             *("test_online.py", "test_start_cost.py", "test_closed_loop.py", "test_pathrows.py", "test_linearize.py"),
         }
     ),

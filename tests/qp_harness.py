@@ -38,6 +38,7 @@ SWITCHES = {
     "REGULARIZE_REDUCED": 0,
     "SOLVE": 1,
     "STATE_ROWS": 1,
+    "END_EQUATIONS": 1,
     "GENERAL_ROWS": 1,
     "BLOCK_ROWS": 1,
     "HAS_COST_GRADIENT": 0,

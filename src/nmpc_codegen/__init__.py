@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.components.algorithms import RealTimeIteration
     from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
     from nmpc_codegen.components.hessians import (
+        EconomicGaussNewton,
         ExactHessian,
         ForwardOverAdjoint,
         GaussNewton,
@@ -55,7 +56,8 @@ _HOMES = {
     "compiler": ("Package", "export", "generate"),
     "components.condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
     "components.hessians": (
-        *("ExactHessian", "ForwardOverAdjoint", "GaussNewton", "IdentityHessian", "Mirror", "Project", "Symmetric"),
+        *("EconomicGaussNewton", "ExactHessian", "ForwardOverAdjoint", "GaussNewton", "IdentityHessian", "Mirror"),
+        *("Project", "Symmetric"),
     ),
     "components.integrators": (
         *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
@@ -76,6 +78,7 @@ __all__ = [
     "ControllerError",
     "DenseActiveSet",
     "Discrete",
+    "EconomicGaussNewton",
     "Euler",
     "ExactHessian",
     "ExplicitRungeKutta",

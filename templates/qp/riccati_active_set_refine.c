@@ -124,6 +124,34 @@ static void qp_correct_rows(solver_t *s, real_t times)
     }
 }
 
+#if END_EQUATIONS
+/* Magnitude of the terms of member m, and of the value of the row in the plan, of which the bound is a difference. */
+static real_t qp_member_size(const solver_t *s, int m)
+{
+    return qp_row_size(s, m) + FABS(s->qp.target[m]) + FABS(stage_row_value(s, m));
+}
+
+/* Largest distance of a member from its bound, relative to qp_member_size(). Equations at the end are members at every
+ * sample: at a steady state steps vanish, some before others, and what is left of them is rounding. A distance is
+ * negligible if its cost is, compared with that of the largest member. */
+static real_t qp_distance(const solver_t *s)
+{
+    const qp_t *q = &s->qp;
+    real_t largest = R(0), most = R(0);
+    for (int m = 0; m < NG; m++) {
+        const real_t force = qp_is_member(q->side[NV + m]) ? q->root[m] * qp_member_size(s, m) : R(0);
+        most = force > most ? force : most;
+    }
+    for (int m = 0; m < NG; m++) {
+        if (qp_is_member(q->side[NV + m])) {
+            const real_t distance = FABS(qp_offset(q, m));
+            const real_t size = qp_member_size(s, m) + SQRT(TOL_UNIT) * most / q->root[m];
+            largest = distance > largest * size ? distance / size : largest;
+        }
+    }
+    return largest;
+}
+#else
 /* Largest relative distance of a member from its bound. */
 static real_t qp_distance(const solver_t *s)
 {
@@ -138,6 +166,7 @@ static real_t qp_distance(const solver_t *s)
     }
     return largest;
 }
+#endif
 
 #endif
 /* Adds `times` the correction (dx, du) and the corresponding change of the multipliers. */

@@ -7,9 +7,10 @@ import inspect
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 
-from nmpc_codegen import GaussNewton, OptionError, Options
+from nmpc_codegen import EconomicGaussNewton, GaussNewton, OptionError, Options
 from nmpc_codegen.components.base import SEAMS, Component, Dims, called, refuse_unsupported
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import Field, Macro, Size, Struct, struct_layout
@@ -43,9 +44,12 @@ def linearization(cls: type) -> Model:
     """A tiny problem with the component among the options."""
     seam = cls.seam  # type: ignore[attr-defined]
     discrete = seam == "integrator" and cls.name == "discrete"  # type: ignore[attr-defined]
-    ocp = discrete_map() if discrete else problem_of("reactor", uniform=False)
+    constant = cls is EconomicGaussNewton
+    ocp = discrete_map() if discrete else problem_of("reactor", uniform=constant)
     ocp.subject_to(-1, ocp.x[0] + ocp.u[0], 1, name="row")
-    return linearize(classify(ocp), Options(**{seam: cls()}))
+    nx, nz = ocp.x.numel(), ocp.x.numel() + ocp.u.numel()
+    component = EconomicGaussNewton(np.eye(nz), np.eye(nx)) if constant else cls()
+    return linearize(classify(ocp), Options(**{seam: component}))
 
 
 def parts(cls: type) -> tuple[Any, Model, Dims]:

@@ -10,10 +10,21 @@ import dataclasses
 import re
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from benchmarks.lib.counting import CLASSES, count_mismatches, counting_header, mismatches
-from nmpc_codegen import OCP, DenseActiveSet, ExplicitRungeKutta, GaussNewton, Options, RealTimeIteration
+from benchmarks.lib.house import samples
+from nmpc_codegen import (
+    OCP,
+    DenseActiveSet,
+    EconomicGaussNewton,
+    ExplicitRungeKutta,
+    GaussNewton,
+    Options,
+    RealTimeIteration,
+    RiccatiActiveSet,
+)
 from nmpc_codegen.components.integrators import TABLEAUS
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir import stage_products as products
@@ -40,6 +51,8 @@ CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
     "discrete": (discrete_map, Options()),
     "dense weight": (problems.dense_weight, Options(hessian=GaussNewton(levenberg_marquardt=0.1))),
     "scaled": (problems.scaled, Options(algorithm=RealTimeIteration())),
+    "constant": (samples.tuned, Options(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)))),
+    "constant, end fixed": (samples.tuned_end, Options(hessian=EconomicGaussNewton(np.eye(3)), qp=RiccatiActiveSet())),
     "tiny": (problems.tiny, Options(precision="single")),
 }
 

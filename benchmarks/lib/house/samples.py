@@ -17,6 +17,7 @@ from nmpc_codegen import (
     OCP,
     RK4,
     DenseActiveSet,
+    EconomicGaussNewton,
     ExactHessian,
     ExplicitRungeKutta,
     FullCondensing,
@@ -222,6 +223,28 @@ def economic() -> OCP:
     return ocp
 
 
+def tuned() -> OCP:
+    """General costs with all data that a constant Hessian depends on, and a free start with a cost."""
+    ocp, q, w, u = _pendulum("tuned")
+    p = ocp.parameter("p", value=0.5)
+    ocp.stage_cost(p * ca.exp(0.1 * q * u))
+    ocp.terminal_least_squares(q, weight=2.0)
+    ocp.subject_to(-1, u, 1)
+    ocp.free_initial(w)
+    ocp.start_least_squares(w, weight=2.0)
+    return ocp
+
+
+def tuned_end() -> OCP:
+    """A general cost and a fixed terminal state: the constant Hessian has no terminal block."""
+    ocp = OCP("tuned_end", T=1.0, N=5)
+    q, w, u = ocp.state("q", initial=0.1), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.stage_cost(1 - ca.cos(q) + 0.1 * u**2 + 0.1 * w * u, integrate=True)
+    ocp.subject_to(0, ocp.x, 0, at="end", name="rest")
+    return ocp
+
+
 def mixed() -> OCP:
     """Least squares and a general cost that is not integrated, a general row."""
     ocp, q, w, u = _pendulum("mixed")
@@ -254,6 +277,7 @@ def discrete_rows() -> OCP:
 
 FIXED = Online("fixed", "fixed", "fixed", "fixed")
 REFERENCES = Online("node", "fixed", "fixed", "fixed")
+WEIGHTS = Online("fixed", "node", "fixed", "fixed")
 SHARED = Online("shared", "shared", "shared", "shared")
 NODE = Online("node", "node", "node", "node", dense_weight=True)
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
@@ -361,6 +385,10 @@ SAMPLES = (
     Sample("economic dense", economic, _dense(hessian=ExactHessian(), online=FIXED)),
     Sample("economic riccati", economic, _riccati(hessian=ExactHessian())),
     Sample("economic partial", economic, _partial(hessian=ExactHessian(regularization=None))),
+    Sample("tuned riccati", tuned, _riccati(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)))),
+    Sample("tuned dense", tuned, _dense(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)), online=FIXED)),
+    Sample("tuned weights", tuned, _riccati(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)), online=WEIGHTS)),
+    Sample("tuned end", tuned_end, _riccati(hessian=EconomicGaussNewton(np.eye(3)))),
     Sample("mixed dense", mixed, _dense(hessian=ExactHessian(regularization=Mirror()))),
     Sample("mixed riccati", mixed, _riccati(hessian=ExactHessian(), integrator=LOOPED)),
     Sample("discrete dense", discrete, _dense(algorithm=REPEAT, online=SHARED)),

@@ -9,10 +9,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nmpc_codegen.errors import OptionError
 
 #: Largest integer that becomes a C int.
 INT_MAX = 2**31 - 1
+
+#: Relative asymmetry of a matrix that counts as rounding.
+ASYMMETRY = 1e-9
 
 _KEY = "allowed"
 
@@ -127,6 +133,49 @@ class Named:
         return f"one of {', '.join(self.words)}; in Python also {objects}"
 
 
+@dataclass(frozen=True)
+class Matrix:
+    """A symmetric matrix of finite numbers, or None."""
+
+    def converted(self, value: Any) -> Any:
+        """Tuples of numbers, so that options are equal by value; (value + value') / 2 if that differs by rounding."""
+        array = _numbers(value)
+        if array is None or array.ndim != 2 or array.shape[0] != array.shape[1] or not _symmetric(array):
+            return value
+        return tuple(map(tuple, ((array + array.T) / 2).tolist()))
+
+    def takes(self, value: Any) -> bool:
+        array = _numbers(value)
+        return value is None or (array is not None and isinstance(value, tuple) and array.ndim == 2)
+
+    def __str__(self) -> str:
+        return "a symmetric matrix of finite numbers, or None"
+
+
+@dataclass(frozen=True)
+class Point:
+    """A pair of vectors (x, u) of finite numbers, or None."""
+
+    def converted(self, value: Any) -> Any:
+        """Tuples of numbers."""
+        if not isinstance(value, tuple | list) or len(value) != 2:
+            return value
+        vectors = [_numbers(part) for part in value]
+        if not all(vector is not None and vector.ndim == 1 for vector in vectors):
+            return value
+        return tuple(tuple(vector.tolist()) for vector in vectors if vector is not None)
+
+    def takes(self, value: Any) -> bool:
+        return value is None or (
+            isinstance(value, tuple)
+            and len(value) == 2
+            and all(isinstance(part, tuple) and _numbers(part) is not None for part in value)
+        )
+
+    def __str__(self) -> str:
+        return "a pair of vectors (x_s, u_s) of finite numbers, or None"
+
+
 def option(default: Any, rule: Rule) -> Any:
     """Dataclass field of an option, with its default value and the rule for its values."""
     return field(default=default, metadata={_KEY: rule})
@@ -166,3 +215,22 @@ def shown(value: Any) -> str:
         return short.repr(value)
     except Exception:  # an integer of too many digits, or an object whose __repr__ raises
         return f"a value of type {type(value).__name__}"
+
+
+def _numbers(value: Any) -> NDArray[np.float64] | None:
+    """The value as an array of finite numbers; None if it is something else."""
+    if isinstance(value, str | bytes) or value is None:
+        return None
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind not in "fiu" or given.size == 0:
+            return None
+        array = given.astype(float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return array if bool(np.all(np.isfinite(array))) else None
+
+
+def _symmetric(array: NDArray[np.float64]) -> bool:
+    size = float(np.max(np.abs(array)))
+    return bool(np.max(np.abs(array - array.T)) <= ASYMMETRY * size)

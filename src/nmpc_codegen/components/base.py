@@ -116,6 +116,10 @@ class Component(Protocol):
         """Names that its part tests in `#if` besides the sizes -> 1 or 0; the header does not define them."""
         ...
 
+    def notes(self, problem: Problem) -> tuple[str, ...]:
+        """What the user of a package with it should know; part of the report."""
+        ...
+
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Constant tables that its template reads."""
         ...
@@ -282,6 +286,9 @@ class Defaults:
     @property
     def switches(self) -> Mapping[str, int]:
         return {}
+
+    def notes(self, problem: Problem) -> tuple[str, ...]:
+        return ()
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         return ()

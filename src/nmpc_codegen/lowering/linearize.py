@@ -79,6 +79,7 @@ def linearize(problem: Problem, options: Options) -> Model:
         choice = choose_qp(problem, options, constant, functions, grown)
         parts = replace(parts, condensing=choice.condensing, qp=choice.qp)
     _check(problem, *parts.components)
+    notes = (note for component in parts.components for note in component.notes(problem))
     return Model(
         **{field.name: getattr(functions, field.name) for field in fields(ModelFunctions)},
         problem=problem,
@@ -86,7 +87,7 @@ def linearize(problem: Problem, options: Options) -> Model:
         online=online,
         precision=options.precision,
         solve=options.solve,
-        reasons=(*choices, *stability_warning(problem, integrator), *of_hessian),
+        reasons=(*choices, *stability_warning(problem, integrator), *of_hessian, *notes),
         choice=choice,
         constant_hessian=constant,
     )

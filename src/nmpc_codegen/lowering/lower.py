@@ -144,14 +144,17 @@ def _switches(model: Model) -> dict[str, int]:
         "STATE_ROWS": int(0 in kinds),
         "GENERAL_ROWS": int(1 in kinds),
         "HARD_ROWS": int(any(p.rows[row].soft is None for _, _, _, row in p.qp_rows)),
+        "END_EQUATIONS": int(any(k == p.N and _is_equation(p.rows[row]) for k, _, _, row in p.qp_rows)),
         "CONTROL_BOUNDS": int(any(row.kind == "control" for row in p.rows)),
         "ACCUMULATORS": int(bool(p.accumulators)),
         "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
         "LAGRANGIAN": 0,
+        "TUNED": 0,
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
     for component in parts.components:
         switches |= component.switches
+    switches["TUNED"] *= int(any(switches[f"SET_{kind}"] for kind in ("PARAMETER", "WEIGHT", "BOUNDS")))
     switches["ACCELERATE"] = int(not switches["LAGRANGIAN"])
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
@@ -171,6 +174,11 @@ def _gradients_of_cost(model: Model, switches: Mapping[str, int], eliminates: bo
         "HAS_COST_GRADIENT": int(keeps and not eliminates and path),
         "HAS_TERMINAL_ADJOINT": int(eliminates or (keeps and terminal)),
     }
+
+
+def _is_equation(row: Row) -> bool:
+    """True for a hard row with equal bounds."""
+    return row.soft is None and row.lower >= row.upper
 
 
 def _section_count(counts: Counts) -> OpCount | None:

@@ -336,6 +336,7 @@ class Controller:
             kkt=last,
             prepare_ns=self._prepare_ns,
             feedback_ns=self._feedback_ns,
+            stale_hessian="stale_hessian" in self.description.members("stats") and bool(counts["stale_hessian"]),
         )
 
     @property

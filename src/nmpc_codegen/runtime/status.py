@@ -112,12 +112,20 @@ class Kkt:
         return {part: getattr(self, part) for part in KKT_PARTS}
 
 
+#: What is said of a constant Hessian to which the present data do not belong.
+STALE = (
+    "the constant Hessian M belongs to other parameters, weights or bounds than the present ones: convergence may be "
+    "slow or fail; compute M again for these, or return to the declared ones"
+)
+
+
 @dataclass(frozen=True)
 class Stats:
     """Statistics of the last call. Times (ns) are those of the C calls alone.
 
     ``violated_row``, ``violated_node``, ``violation``: after INFEASIBLE or RELAXED the hard row (by the user's name)
     that the last step of the QP violates most, its node, and the violation; else None, None and 0.
+    ``stale_hessian``: parameters, weights or bounds are not those for which a constant Hessian was computed.
     """
 
     qp_iterations: int
@@ -131,6 +139,7 @@ class Stats:
     kkt: Kkt
     prepare_ns: int
     feedback_ns: int
+    stale_hessian: bool = False
 
     def __str__(self) -> str:
         lines = [
@@ -142,7 +151,7 @@ class Stats:
         ]
         if self.violated_row is not None:
             lines.insert(3, f"violated: {self.violated_row} at node {self.violated_node} by {self.violation:.3g}")
-        return "\n".join(lines)
+        return "\n".join([*lines, STALE] if self.stale_hessian else lines)
 
 
 # Diagnosis ------------------------------------------------------------------------------------------------------------
@@ -154,11 +163,26 @@ def diagnosis(ctrl: Any, measured: Array) -> str:
     ``measured``: the state (nx,) that it was given.
     """
     status = ctrl.status
+    stale = [_stale(ctrl)] if ctrl.stats.stale_hessian else []
     if status == Status.OK:
-        return str(status)
+        return "\n".join([str(status), *stale])
     broken = _broken_plan(ctrl, measured) or _broken_model(ctrl)
-    lines = [str(status), *broken, *_worst_row(ctrl), *_advice(ctrl)]
+    lines = [str(status), *broken, *_worst_row(ctrl), *_advice(ctrl), *stale]
     return "\n".join(dict.fromkeys(lines))
+
+
+def _stale(ctrl: Any) -> str:
+    """STALE, and which parameters and bounds have other values than the declared ones."""
+    description, changed = ctrl.description, []
+    p, declared = ctrl.member("p"), [v for s in description.parameters for v in s.value]
+    if p.size:
+        differs = np.any(p != np.asarray(declared, dtype=p.dtype), axis=0)
+        changed += [name for name, other in zip(ctrl.names.parameters, differs, strict=True) if other]
+    for i, row in enumerate(description.rows if ctrl.member("lower").size else ()):
+        bounds = ((ctrl.view("lower")[:, i], row.lower), (ctrl.view("upper")[:, i], row.upper))
+        if any(np.any(present != present.dtype.type(bound)) for present, bound in bounds):
+            changed.append(row.name)
+    return f"{STALE} (changed: {', '.join(changed)})" if changed else STALE
 
 
 def _broken_plan(ctrl: Any, measured: Array) -> list[str]:

@@ -234,6 +234,10 @@ def _stats() -> Struct:
             count("dropped_rows", "redundant rows left out of the working set"),
             count("relaxed_rows", "soft or relaxed rows that are violated"),
             count("sqp_iterations", "iterations of the last solve"),
+            Field(
+                *("stale_hessian", (), "1: the Hessian belongs to other data than the present ones", "result", "int32"),
+                only="TUNED",
+            ),
             count("violated_row", "hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1"),
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of this row by the last step of the QP", "result"),

@@ -8,6 +8,7 @@ z = (x, u)). Its ``switches`` include REGULARIZE_REDUCED, 1 if an indefinite red
 from collections.abc import Mapping
 
 from nmpc_codegen.components.base import Hessian
+from nmpc_codegen.components.hessians.economic_gauss_newton import EconomicGaussNewton
 from nmpc_codegen.components.hessians.exact import ExactHessian, ForwardOverAdjoint, Symmetric
 from nmpc_codegen.components.hessians.gauss_newton import GaussNewton
 from nmpc_codegen.components.hessians.identity import IdentityHessian
@@ -16,11 +17,13 @@ from nmpc_codegen.components.hessians.regularization import Mirror, Project
 REGISTRY: Mapping[str, type[Hessian]] = {
     GaussNewton.name: GaussNewton,
     ExactHessian.name: ExactHessian,
+    EconomicGaussNewton.name: EconomicGaussNewton,
     IdentityHessian.name: IdentityHessian,
 }
 
 __all__ = [
     "REGISTRY",
+    "EconomicGaussNewton",
     "ExactHessian",
     "ForwardOverAdjoint",
     "GaussNewton",

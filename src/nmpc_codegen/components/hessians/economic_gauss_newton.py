@@ -1,0 +1,170 @@
+"""Constant Hessian for economic costs, computed off line; the gradient is that of the cost.
+
+    Q_k = M,   k = 0 .. N - 1,   Q_N = M_f
+
+M is positive semidefinite, although the Hessian of an economic cost need not be, and equals the Hessian of the
+Lagrangian at the optimal steady state on the null space of the dynamics and of the strictly active rows (Zanon,
+"A Gauss-Newton-like Hessian approximation for economic NMPC", IEEE TAC 66, 2021, Theorem 8). Near the steady state the
+iteration therefore converges like Gauss-Newton on a tracking problem, without second derivatives in the generated code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from nmpc_codegen.components.allowed import Matrix, Point, check_options, option
+from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
+from nmpc_codegen.components.hessians.given_matrices import refuse_indefinite, refuse_shape
+from nmpc_codegen.components.hessians.steady_rows import limits, terminal_state_is_fixed, tied_parameters
+from nmpc_codegen.components.stage_cost import StageCost, StageCosts
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.ir.cmodule import Field, Struct, Table
+from nmpc_codegen.ir.kernel import Kernel, Port, lift
+from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
+from nmpc_codegen.ir.stage_products import pattern
+
+
+@dataclass(frozen=True)
+class EconomicGaussNewton(Defaults):
+    """Constant Hessian M of every stage and M_f of the terminal node, for any cost.
+
+    Args:
+        M: (nx + nu, nx + nu), order z = (x, u), symmetric positive semidefinite, its block of the controls positive
+            definite; the rows of cyclic states may be zero. It contains the factor of the interval length, if the cost
+            has it: M approximates the second derivatives of the cost of one interval.
+        M_f: (nx, nx), symmetric positive semidefinite; None if the terminal state is fixed by equations.
+        steady_state: (x_s, u_s), the point at which M was computed. Bounds that are inactive there may then be changed
+            at run time as long as they admit it; without it, M belongs to all declared bounds.
+
+    M belongs to the declared parameters and weights, and to the bounds of rows that are active at the steady state. If
+    one of them is changed at run time, the iteration goes on with M, and ``stats.stale_hessian`` is set. References may
+    be changed, and so may parameters on which only the gradient of the cost depends. The block of a least-squares cost
+    of x_0 is added to the first one; other costs of x_0 have no block.
+    """
+
+    M: ArrayLike | None = option(None, Matrix())
+    M_f: ArrayLike | None = option(None, Matrix())
+    steady_state: tuple[ArrayLike, ArrayLike] | None = option(None, Point())
+
+    seam: ClassVar[Seam] = "hessian"
+    name: ClassVar[str] = "economic_gauss_newton"
+    template: ClassVar[str] = "hessians/economic_gauss_newton.c"
+    needs: ClassVar[tuple[Seam, ...]] = ()
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self, self.seam)
+        for name in ("M", "M_f"):
+            refuse_indefinite(getattr(self, name), f"EconomicGaussNewton.{name}")
+
+    def check(self, problem: Problem) -> None:
+        """Raise OptionError if the shapes do not fit the problem, a matrix is missing, or intervals differ."""
+        nx, nu, where = problem.nx, problem.nu, f"of {problem.name}"
+        if self.M is None:
+            raise OptionError(
+                f"EconomicGaussNewton.M: None; expected the Hessian {where}, shape {(nx + nu, nx + nu)}, for example "
+                "that of tune(ocp) (--set hessian.M=[[...], ...])"
+            )
+        refuse_shape(self.M, (nx + nu, nx + nu), "EconomicGaussNewton.M", f"order (x, u) {where}")
+        refuse_indefinite(self._path[nx:, nx:], "EconomicGaussNewton.M, block of the controls", strictly=True)
+        if self.M_f is not None:
+            refuse_shape(self.M_f, (nx, nx), "EconomicGaussNewton.M_f", f"states {where}")
+        elif not terminal_state_is_fixed(problem):
+            raise OptionError(
+                f"EconomicGaussNewton.M_f: None, but no equations fix the terminal state {where}; expected a matrix of "
+                f"shape {(nx, nx)}, zero if there is no terminal cost (--set hessian.M_f=[[...], ...])"
+            )
+        if self.steady_state is not None:
+            for name, value, n in zip(("x_s", "u_s"), self.steady_state, (nx, nu), strict=True):
+                refuse_shape(value, (n,), f"EconomicGaussNewton.steady_state, {name}", where)
+        if not problem.uniform:
+            raise OptionError(
+                "EconomicGaussNewton: M belongs to one interval length and clashes with the non-uniform grid "
+                f"{where}; expected equal intervals (--set hessian=economic_gauss_newton)"
+            )
+        limits(problem, self.steady_state)
+
+    @property
+    def _path(self) -> Array:
+        return np.asarray(self.M, dtype=float)
+
+    def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
+        """Constant blocks, and that of a least-squares cost at the start."""
+        self.check(problem)
+        M_f = np.zeros((problem.nx, problem.nx)) if self.M_f is None else np.asarray(self.M_f, dtype=float)
+        path, terminal = _constant("path", "M", self._path), _constant("terminal", "M_f", M_f)
+        start = _start(costs.start)
+        return HessianModel(start, Block(pattern(path, "Q"), path), Block(pattern(terminal, "Q"), terminal))
+
+    def notes(self, problem: Problem) -> tuple[str, ...]:
+        """What M belongs to."""
+        active = sorted({problem.rows[i].name for i in self._tied(problem)})
+        rows = f"bounds of {', '.join(active)}" if self.steady_state is not None else "bounds of all rows"
+        tied = [name for name, on in zip(problem.parameter_names, tied_parameters(problem), strict=True) if on]
+        data = [f"parameters {', '.join(tied)}"] * bool(tied)
+        data += ["weights"] * bool(problem.path.ny + problem.terminal.ny) + [rows] * bool(active)
+        if not data:
+            return ()
+        return (
+            f"hessian: {self.name}; M belongs to the declared {', '.join(data)}: after a change of them at run time "
+            "stats.stale_hessian is 1",
+        )
+
+    def _tied(self, problem: Problem) -> list[int]:
+        """Rows whose declared bounds determine M."""
+        return [i for i, row in enumerate(limits(problem, self.steady_state).T) if row[0] == row[1] or row[2] == row[3]]
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """M is never indefinite, so nothing is regularised; it belongs to data that can be changed."""
+        return {"REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0, "TUNED": 1}
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """Between which values the bounds of every row leave M valid."""
+        values = limits(problem, self.steady_state)
+        names = ("least_lower", "most_lower", "least_upper", "most_upper")
+        tied = tuple(map(int, tied_parameters(problem)))
+        return (
+            Table("tuned_parameter", "int", tied, "1: M belongs to the declared value of the parameter"),
+            *(
+                Table(f"tuned_{name}", "real", tuple(map(float, row)), f"{name.replace('_', ' ')} to which M belongs")
+                for name, row in zip(names, values, strict=True)
+            ),
+        )
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """Hessian blocks, lower triangles in the order z = (x, u)."""
+        fields = (
+            Field("Q", (dims.nq, dims.nz, dims.nz), "path block, the same for all nodes but the first", "data"),
+            Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
+            Field("new_data", (), "1: data have been set since the last comparison", "keep", "int32", only="TUNED"),
+        )
+        return (Struct("hessian", "Hessian blocks, lower triangles, z = (x, u)", fields),)
+
+    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
+        """No operations, since the blocks are constant; that of the start cost has its own."""
+        if model.start.hessian is not None and model.start.hessian.writes:
+            return {}
+        return {"hessian": operations(model.path.hessian) * dims.nq.value + operations(model.terminal.hessian)}
+
+
+def _constant(stage: str, symbol: str, value: Array) -> Kernel:
+    Q = ca.sparsify(ca.SX(ca.DM(np.tril(value))))
+    n = len(value)
+    return lift(ca.Function("constant", [], [Q]), f"{stage}_hessian", f"Q = {symbol}", (), (Port("Q", n, n),))
+
+
+def _start(cost: StageCost) -> Kernel | None:
+    """J' W J of the cost of x_0."""
+    if not cost.ny:
+        return None
+    return cost.kernel("hessian", "Q = J' W J, lower triangle", cost.gauss_newton, Port("Q", cost.nz, cost.nz))
