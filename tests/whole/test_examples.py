@@ -366,7 +366,7 @@ def test_every_example_states_a_problem(name: str) -> None:
     assert callable(module.main)
     problem = classify(module.build_ocp())
     assert problem.N >= 1
-    assert problem.path.ny >= 1 or problem.path.cost_rate is not None
+    assert problem.path.ny >= 1 or problem.path.cost is not None or problem.path.cost_rate is not None
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
