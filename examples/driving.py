@@ -4,12 +4,12 @@ What it shows: cyclic() for the position along the road, which has no steady sta
 whose matrix P is indefinite; a cost integrated with the dynamics, without which the controller has no stable regulator;
 an obstacle that disappears, by bounds that change at every sample.
 
-An electric car keeps 50 km/h with the least energy: the gain ALPHA per metre makes 50 km/h the best steady speed. At 8 s
-the lane moves sideways. The state ``py`` is the distance from the middle of the lane, so the car, which does not foresee
-the move, measures a jump. Until 6 s something blocks the road at 80 m.
+An electric car keeps 50 km/h with the least energy: the gain ALPHA per metre makes 50 km/h the best steady speed. At
+8 s the lane moves sideways. The state ``py`` is the distance from the middle of the lane, so the car, which does not
+foresee the move, measures a jump. Until 6 s something blocks the road at 80 m.
 
-Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section V.B. Powers are divided by 14341 W, so
-that energy and lateral deviations have comparable weights. Time in seconds.
+Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section V.B. Powers are divided by 14341 W,
+so that energy and lateral deviations have comparable weights. Time in seconds.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Evaporation process: an economic cost that is not convex, and the constant Hessian that makes it as cheap as tracking.
+"""Evaporation process: an economic cost that is not convex, and a constant Hessian as cheap as that of tracking.
 
 What it shows: stage_cost() in money per minute; the best steady state, which lies on the bound X2 >= 25; tune(), which
 finds a positive definite Hessian M for it once and off line; why that needs the strictly active bound (eta = 1).
@@ -6,8 +6,8 @@ finds a positive definite Hessian M for it once and off line; why that needs the
 A liquor is concentrated from 5 % to X2 by evaporation at the pressure P2. Steam of the pressure P100 heats it, cooling
 water at the rate F200 condenses the vapour. Steam is dear, so the product is not concentrated beyond its limit.
 
-Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section V.A; the model is that of Newell and
-Lee in the form of Amrit, Rawlings and Biegler, Computers and Chemical Engineering 58 (2013). Time in minutes.
+Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section V.A; the model is that of Newell
+and Lee in the form of Amrit, Rawlings and Biegler, Computers and Chemical Engineering 58 (2013). Time in minutes.
 """
 
 from __future__ import annotations

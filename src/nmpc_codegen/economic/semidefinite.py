@@ -4,8 +4,8 @@
     s.t. I <= alpha H + Hcal(dP) + eta C'F C <= beta I,    I <= alpha H_f - dP - eta D'G D <= beta I
     Hcal(dP) = [A'dP A - dP, A'dP B; B'dP A, B'dP B]
 
-H is divided by its largest |eigenvalue| first, w by a scaling, rows of C and D by their norms; |.| is the spectral norm.
-In the units of the problem M = H + (Hcal(dP) + eta C'F C) / alpha and M_f = H_f - (dP + eta D'G D) / alpha.
+H is divided by its largest |eigenvalue| first, w by a scaling, rows of C and D by their norms; |.| is the spectral
+norm. In the units of the problem M = H + (Hcal(dP) + eta C'F C) / alpha and M_f = H_f - (dP + eta D'G D) / alpha.
 
 Source: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section IV, called [Z20] here. Its
 equation (11) omits the division by alpha.

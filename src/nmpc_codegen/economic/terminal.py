@@ -5,8 +5,8 @@
 
 P solves the Riccati equation of the discrete map, which depends on the integrator; the OCP therefore only records the
 request, and this stage, Problem -> Problem, answers it when the options are known. A positive semidefinite P of a
-tracking cost becomes a least-squares residual x - x_s with the weight P, whose reference can be changed at run time; all
-else is a general cost. Without the linear term an economic controller does not come to rest at the steady state.
+tracking cost becomes a least-squares residual x - x_s with the weight P, whose reference can be changed at run time;
+all else is a general cost. Without the linear term an economic controller does not come to rest at the steady state.
 
 Source: Zanon and Faulwasser, "Economic MPC without terminal constraints: gradient-correcting end penalties enforce
 asymptotic stability", Journal of Process Control 63 (2018).

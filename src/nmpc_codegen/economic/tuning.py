@@ -38,8 +38,8 @@ class Tuning:
 
     M (nx+nu, nx+nu); M_f (nx, nx), None if x_N is fixed; dP (nx, nx), F, G, alpha, beta: the solution of the program;
     H (nx+nu, nx+nu), A (nx, nx), B (nx, nu), C (rows, nx+nu): the expansion at the steady state x_s (nx,), u_s (nu,)
-    with multipliers lam_s (nx,), mu_s (strictly active rows, > 0 at the upper bound). ``dissipativity``: the least value
-    of the frequency function without rows, positive if a quadratic storage function exists without them.
+    with multipliers lam_s (nx,), mu_s (strictly active rows, > 0 at the upper bound). ``dissipativity``: the least
+    value of the frequency function without rows, positive if a quadratic storage function exists without them.
     """
 
     problem: Problem
