@@ -109,8 +109,9 @@ def corrected_multipliers(tuning: Tuning, step: Step) -> Step:
         lam_k += dP dx_k / alpha,   mu_k += eta F C dw_k / alpha,   nu -= eta G D dx_N / alpha
 
     At the steady state both steps agree in dx, du, and so corrected also in the multipliers; further away the
-    correction removes the part of the error that is linear in the step. The mu_k belong to the strictly active rows,
-    where the step has as many rows at node k; elsewhere they stay.
+    correction removes the part of the error that is linear in the step. The mu_k belong to the strictly active rows at
+    the nodes where the step has as many rows. Rows of states alone have no multiplier at node 0, where x_0 is given;
+    their term C'F C dw_0 / alpha is then subtracted from lam_0.
 
     Source: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section V.A, dashed in Fig. 1.
     """
@@ -120,6 +121,8 @@ def corrected_multipliers(tuning: Tuning, step: Step) -> Step:
         m + F @ tuning.C @ w if tuning.eta and len(m) == len(F) else m for m, w in zip(step.mu, step.dw, strict=True)
     )
     nu = step.nu
+    if tuning.eta and not len(mu[0]):
+        lam[0] -= (tuning.C.T @ (F @ (tuning.C @ step.dw[0])))[: lam.shape[1]]
     if tuning.M_f is None:
         # With x_N fixed there is no M_f, and the multipliers of x_N are lam_N itself, up to their sign.
         return Step(step.dx, step.du, lam, mu, nu)

@@ -1,0 +1,35 @@
+"""The constant Hessian of economic NMPC against the statements and figures of its paper, before any C is generated.
+
+python -m benchmarks.economic_gn [--json FILE] [--only tuning,theory,rotation,figure1,figure2,driving]
+
+Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from benchmarks.lib import command
+from benchmarks.lib.economic import artificial, driving, evaporation, rotation
+from benchmarks.lib.report import Report
+
+PARTS: dict[str, Callable[[Report], None]] = {
+    "tuning": evaporation.measure_tuning,
+    "theory": evaporation.measure_theory,
+    "rotation": rotation.measure,
+    "figure1": evaporation.measure_figure1,
+    "figure2": artificial.measure,
+    "driving": driving.measure,
+}
+
+
+def main() -> None:
+    """All parts, or some."""
+    parser = command.parser(__doc__, PARTS)
+    options = parser.parse_args()
+    names, report = command.chosen(parser, options, PARTS), Report("economic_gn")
+    command.measure(report, names, lambda name: PARTS[name](report), options.json)
+
+
+if __name__ == "__main__":
+    main()
