@@ -34,7 +34,7 @@ def solved(ocp: OCP, dP: float) -> ReferenceSolution:
     return found
 
 
-def with_cost(linear: bool = True, tracking: bool = False) -> OCP:
+def with_cost(N: int = N, linear: bool = True, tracking: bool = False) -> OCP:
     """The evaporation process with the cost of a companion instead of its own."""
     ocp, t = evaporation.build_ocp(N), tuning()
     ocp.costs.clear()
@@ -46,17 +46,29 @@ def with_cost(linear: bool = True, tracking: bool = False) -> OCP:
 
 
 def test_letempc_is_locally_equivalent() -> None:
-    """The first control differs by O(dP^2); without the linear term, or with plain tracking, by O(dP)."""
-    gaps: dict[str, list[float]] = {"letempc": [], "no linear term": [], "tracking": []}
-    for dP in (1.0, 0.25):
-        u0 = solved(evaporation.build_ocp(N), dP).u[0]
-        for name, ocp in zip(gaps, (with_cost(), with_cost(linear=False), with_cost(tracking=True)), strict=True):
-            gaps[name].append(float(np.abs(solved(ocp, dP).u[0] - u0).max()))
-    ratio = {name: large / small for name, (large, small) in gaps.items()}
-    assert ratio["letempc"] == pytest.approx(16, abs=4)
-    assert ratio["tracking"] == pytest.approx(4, abs=1)
-    assert ratio["no linear term"] == pytest.approx(4, abs=1)
-    assert gaps["letempc"][1] < 0.1 * min(gaps["tracking"][1], gaps["no linear term"][1])
+    """The first control differs by O(dP^2); without the linear term, or with plain tracking, by O(dP).
+
+    The horizon is that of the example: on a short one the fixed end hides what the linear term does.
+    """
+    long, t, jumps = 200, tuning(), (2.0, 0.5)
+    variants = {
+        "economic": evaporation.build_ocp(long),
+        "letempc": with_cost(N=long),
+        "no linear term": with_cost(N=long, linear=False),
+        "tracking": with_cost(N=long, tracking=True),
+    }
+    u0: dict[str, np.ndarray] = {}
+    for name, ocp in variants.items():
+        problem = classify(ocp)
+        nlp = Reference(problem, ONE_STEP)
+        starts = [node_data(problem, x0=t.x_s + np.array([0.0, dP])) for dP in jumps]
+        u0[name] = np.array([nlp.solve(start, x=t.x_s, u=t.u_s).u[0] for start in starts])
+    gap = {name: np.abs(u0[name] - u0["economic"]).max(axis=1) for name in variants}
+    ratio = {name: gap[name][0] / gap[name][1] for name in ("letempc", "no linear term", "tracking")}
+    assert ratio["letempc"] == pytest.approx(16, abs=2)
+    assert ratio["no linear term"] == pytest.approx(4, abs=0.5)
+    assert ratio["tracking"] == pytest.approx(4, abs=0.5)
+    assert gap["letempc"][1] < 0.01 * min(gap["no linear term"][1], gap["tracking"][1])
 
 
 def test_letempc_at_the_steady_state() -> None:
