@@ -14,21 +14,30 @@ so that energy and lateral deviations have comparable weights. Time in seconds.
 
 from __future__ import annotations
 
+import sys
+from itertools import count
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from matplotlib.figure import Figure
 
 from nmpc_codegen import (
     OCP,
     RK4,
+    Controller,
     ExactHessian,
     ExplicitRungeKutta,
     Online,
     Options,
     Project,
+    RealTimeIteration,
+    build,
+    simulate,
 )
-from nmpc_codegen.economic import Tuning, tune
+from nmpc_codegen.economic import Tuning, steady_state, tune
+from nmpc_codegen.runtime.simulate import Log
 
 LENGTH, MASS, RADIUS, GRAVITY, GEAR = 4.8, 1700.0, 0.35, 9.81, 7.94
 DRAG, ROLLING = 0.45, 0.015
@@ -75,10 +84,14 @@ def build_ocp() -> OCP:
 
 
 def options(hessian: Any = None) -> Options:
-    """Five RK4 steps per interval; the bounds differ between nodes, because the obstacle disappears within the plan."""
+    """Five RK4 steps per interval; the plan moves by one interval per sample.
+
+    The bounds differ between nodes, because the obstacle disappears within the plan.
+    """
     return Options(
         integrator=ExplicitRungeKutta(RK4, steps=STEPS),
         hessian=hessian or ExactHessian(Project(1e-8, level="reduced")),
+        algorithm=RealTimeIteration(shift="repeat"),
         online=Online(bounds="node"),
     )
 
@@ -86,3 +99,69 @@ def options(hessian: Any = None) -> Options:
 def tuned() -> Tuning:
     """The tuning; the position has zero rows in M."""
     return tune(build_ocp(), options())
+
+
+def schedule(k: int, controller: Controller) -> None:
+    """Bounds of the position at the nodes of sample k: OBSTACLE up to the time CLEARED, none after it."""
+    for node in range(1, N + 1):
+        blocked = (k + node) * SAMPLING <= CLEARED + 1e-9
+        controller.set_bounds("obstacle", -np.inf, OBSTACLE if blocked else np.inf, node=node)
+
+
+def closed_loop(side_step: float = 2.0, samples: int = 300, hessian: Any = None) -> Log:
+    """Drive 30 s; from the best steady state as first plan. The lane moves by ``side_step`` m at the time MOVE."""
+    ocp = build_ocp()
+    best = steady_state(ocp, options())
+    controller = build(ocp, options(hessian))
+    controller.x[...] = controller.x[0]
+    controller.x[:, 2] = SPEED
+    controller.x[:, 0] = np.arange(N + 1) * SAMPLING * SPEED
+    controller.u[...] = best.u
+    moved = round(MOVE / SAMPLING)
+    done = count(1)
+
+    def plant(x: np.ndarray, u: np.ndarray, dt: float) -> np.ndarray:
+        x_next = np.array(controller.integrate(x, u, dt))
+        if next(done) == moved:
+            x_next[1] -= side_step
+        return x_next
+
+    start = np.array([0.0, 0.0, SPEED, 0.0, 0.0])
+    return simulate(controller, start, steps=samples, dt=SAMPLING, plant=plant, reference=schedule)
+
+
+def draw(log: Log, picture: str) -> None:
+    """Plot speed, position with the obstacle, lateral distance, torque and brake."""
+    figure = Figure(figsize=(9, 6.5), layout="constrained")
+    axes = figure.subplots(4, 1, sharex=True)
+    values = (log.x[:, 2] * 3.6, log.x[:, 0], log.x[:, 1])
+    names = ("speed [km/h]", "position [m]", "distance from\nthe lane [m]")
+    for axis, value, name in zip(axes, values, names, strict=False):
+        axis.plot(log.t, value, color="#1f5fa8", linewidth=1.6)
+        axis.set_ylabel(name)
+    axes[1].fill_between([0, CLEARED], OBSTACLE, log.x[:, 0].max(), color="#b3202c", alpha=0.12, linewidth=0)
+    axes[3].step(log.t[:-1], log.u[:, 0], where="post", color="#c2571a", linewidth=1.6, label="torque [N m]")
+    axes[3].step(log.t[:-1], log.u[:, 1] / 10, where="post", color="0.4", linewidth=1.2, label="brake [10 N]")
+    axes[3].legend(frameon=False)
+    axes[3].set_xlabel("time [s]")
+    for axis in axes:
+        axis.grid(alpha=0.25)
+        axis.margins(x=0)
+    figure.suptitle("Energy-optimal driving: an obstacle until 6 s, a move of the lane at 8 s", fontsize=11)
+    Path(picture).parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(picture, dpi=90)
+
+
+def main(picture: str = "out/driving.png") -> tuple[Tuning, Log]:
+    """Print the tuning, drive 30 s and draw the figure."""
+    tuning = tuned()
+    print(tuning)
+    log = closed_loop()
+    print(log.summary())
+    print(f"at most {log.x[: round(CLEARED / SAMPLING) + 1, 0].max():.3f} m until {CLEARED:g} s")
+    draw(log, picture)
+    return tuning, log
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
