@@ -1,6 +1,6 @@
 """The constant Hessian of economic NMPC against the statements and figures of its paper, before any C is generated.
 
-python -m benchmarks.economic_gn [--json FILE] [--only tuning,theory,rotation,figure1,figure2,driving]
+python -m benchmarks.economic_gn [--json FILE] [--only tuning,theory,rotation,figure1,figure2,figure3,driving]
 
 Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020).
 """
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.lib import command
-from benchmarks.lib.economic import artificial, driving, evaporation, rotation
+from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, rotation
 from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report], None]] = {
@@ -19,6 +19,7 @@ PARTS: dict[str, Callable[[Report], None]] = {
     "rotation": rotation.measure,
     "figure1": evaporation.measure_figure1,
     "figure2": artificial.measure,
+    "figure3": closed_loop.measure,
     "driving": driving.measure,
 }
 

@@ -76,17 +76,17 @@ def quadratic_program(
 ) -> StageQp:
     """The subproblem at a plan; ``hessian`` None: exact. ``end``: gradient and Hessian of a cost of x_N."""
     n, N = problem.stage.nx, problem.N
-    values = [node(plan.w[k], plan.lam[k + 1], plan.mu[k]) for k in range(N)]
-    Phi, AB, g, C, h, H = ([np.asarray(v[i], dtype=float) for v in values] for i in range(6))
+    columns = [np.asarray(v) for v in node.map(N)(plan.w.T, plan.lam[1:].T, plan.mu.T)]
+    Phi, AB, g, C, h, H = (np.array(np.split(v, N, axis=1)) for v in columns)
     on = [k > 0 for k in range(N)]
-    empty = np.zeros((0, AB[0].shape[1]))
+    empty = np.zeros((0, AB.shape[2]))
     gradient_N, hessian_N = (np.zeros(n), np.zeros((n, n))) if end is None else end
     return StageQp(
-        A=np.array(AB)[:, :, :n],
-        B=np.array(AB)[:, :, n:],
-        b=np.array([Phi[k].ravel() - plan.x[k + 1] for k in range(N)]),
-        H=np.array(H) if hessian is None else np.tile(hessian, (N, 1, 1)),
-        g=np.array([v.ravel() for v in g]),
+        A=AB[:, :, :n],
+        B=AB[:, :, n:],
+        b=Phi[:, :, 0] - plan.x[1:],
+        H=H if hessian is None else np.tile(hessian, (N, 1, 1)),
+        g=g[:, :, 0],
         C=[C[k] if on[k] else empty for k in range(N)],
         c=[problem.bounds - h[k].ravel() if on[k] else np.zeros(0) for k in range(N)],
         H_N=hessian_N,
