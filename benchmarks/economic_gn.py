@@ -1,6 +1,7 @@
 """The constant Hessian of economic NMPC against the statements and figures of its paper, before any C is generated.
 
 python -m benchmarks.economic_gn [--json FILE] [--only tuning,theory,rotation,figure1,figure2,figure3,driving]
+                                 [--draw FOLDER]
 
 Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020).
 """
@@ -10,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.lib import command
-from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, rotation
+from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, figures, rotation
 from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report], None]] = {
@@ -27,9 +28,12 @@ PARTS: dict[str, Callable[[Report], None]] = {
 def main() -> None:
     """All parts, or some."""
     parser = command.parser(__doc__, PARTS)
+    parser.add_argument("--draw", metavar="FOLDER", help="draw Figures 1 and 2, with their data as CSV")
     options = parser.parse_args()
     names, report = command.chosen(parser, options, PARTS), Report("economic_gn")
     command.measure(report, names, lambda name: PARTS[name](report), options.json)
+    if options.draw:
+        print("\n".join(map(str, figures.draw(options.draw))))
 
 
 if __name__ == "__main__":

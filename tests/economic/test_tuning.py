@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from functools import cache
 
+import casadi as ca
 import numpy as np
 import pytest
 import scipy.optimize
@@ -129,6 +130,34 @@ def test_scalings_keep_the_reduced_hessian(scaling: object) -> None:
         rows = np.vstack([np.hstack([t.A - z * np.eye(2), t.B]), t.C])
         motion = np.linalg.svd(rows)[2][-1].conj()
         assert abs(motion.conj() @ (t.M - t.H) @ motion) <= 1e-8
+
+
+@pytest.mark.parametrize(
+    ("units", "money"), [((1, 1, 1, 1), 1.0), ((100, 1e-3, 1e-3, 1 / 60), 1.0), ((0.01, 1e3, 1, 1), 1e-3)]
+)
+def test_units_do_not_decide(units: tuple[float, ...], money: float) -> None:
+    """The process with the regulator as terminal cost, in other units: the same steady state, verdict and rows."""
+    base, s = evaporation.process(3), np.array(units)
+    ocp = OCP("units", T=3.0, N=3)
+    x = [ocp.state("X2", initial=25 / s[0]), ocp.state("P2", initial=55 / s[1])]
+    u = [ocp.control("P100"), ocp.control("F200")]
+    f = ca.Function("f", [base.x, base.u], [base.derivatives[0], base.derivatives[1], base.costs[0].expression])
+    X2, P2, cost = f(ca.vertcat(*x) * s[:2], ca.vertcat(*u) * s[2:])
+    ocp.dynamics(ca.vertcat(X2, P2) / s[:2])
+    ocp.stage_cost(cost * money)
+    ocp.subject_to(25 / s[0], x[0], np.inf)
+    for symbol, scale in zip(u, s[2:], strict=True):
+        ocp.subject_to(0, symbol, 400 / scale)
+    ocp.lqr_terminal_cost(economic=True)
+    t = tune(ocp, evaporation.options())
+    np.testing.assert_allclose(t.x_s * s[:2], tuning().x_s, rtol=1e-8)
+    np.testing.assert_allclose(t.u_s * s[2:], tuning().u_s, rtol=1e-6)
+    assert t.active == t.active_terminal == ("X2",)
+    assert not t.dissipative
+    assert t.dissipativity.least == pytest.approx(tuning().dissipativity.least, rel=1e-5)
+    for matrix, scale in ((t.M, s), (t.M_f, s[:2])):
+        assert matrix is not None
+        assert np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] > 0
 
 
 # Driving --------------------------------------------------------------------------------------------------------------

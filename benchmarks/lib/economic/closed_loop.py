@@ -26,7 +26,7 @@ CONVERGED, LARGEST_STEP = 12, 1e-7
 
 @dataclass(frozen=True)
 class Scheme:
-    """cost: "economic", "letempc", "tracking"; hessian: "exact", "tuned", "identity", "own" (of a quadratic cost)."""
+    """cost: "economic", "letempc", "tracking"; hessian: "exact", "tuned" (M), "indefinite" (H), "identity", "own" (of a quadratic cost)."""
 
     name: str
     cost: str
@@ -38,6 +38,7 @@ SCHEMES = (
     Scheme("economic converged", "economic", "exact", converged=True),
     Scheme("exact", "economic", "exact"),
     Scheme("Gauss-Newton", "economic", "tuned"),
+    Scheme("constant H", "economic", "indefinite"),
     Scheme("identity", "economic", "identity"),
     Scheme("LETEMPC converged", "letempc", "exact", converged=True),
     Scheme("LETEMPC", "letempc", "own"),
@@ -93,8 +94,9 @@ def _cost(name: str) -> Any:
 
 
 def _hessian(scheme: Scheme) -> Array | None:
+    constant = {"tuned": tuning().M, "indefinite": tuning().H, "identity": np.eye(4)}
     own = {"letempc": tuning().M, "tracking": np.diag(TRACKING)}
-    return {"exact": None, "tuned": tuning().M, "identity": np.eye(4), "own": own.get(scheme.cost)}[scheme.hessian]
+    return own[scheme.cost] if scheme.hessian == "own" else constant.get(scheme.hessian)
 
 
 def loops(dP: float = DP, samples: int = SAMPLES) -> dict[str, Loop]:

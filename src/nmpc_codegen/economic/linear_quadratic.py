@@ -17,7 +17,7 @@ import numpy as np
 import scipy.linalg
 import scipy.optimize
 
-from nmpc_codegen.economic.stage import SteadyStage
+from nmpc_codegen.economic.stage import Rows, SteadyStage
 from nmpc_codegen.economic.steady_state import SteadyState
 from nmpc_codegen.frontend.problem import Array
 
@@ -90,22 +90,27 @@ def linear_quadratic(stage: SteadyStage, steady: SteadyState, *, gauss_newton: b
     if not stage.point_terminal:
         V = ca.Function("V", [stage.x], [*ca.hessian(stage.terminal_cost, stage.x), end.h, ca.jacobian(end.h, stage.x)])
         H_f, slope, g, G = (np.asarray(v, dtype=float) for v in V(steady.x))
-        strict = _strict_terminal(g.ravel(), G, end.lower, end.upper, steady.lam - slope.ravel())
+        strict = _strict_terminal(g.ravel(), G, end, steady.lam - slope.ravel(), {rows.names[i] for i in active})
         D, names = G[strict], tuple(end.names[i] for i in strict)
     return LinearQuadratic(
         AB[:, :n], AB[:, n:], (H + H.T) / 2, J[active], H_f, D, tuple(rows.names[i] for i in active), names
     )
 
 
-def _strict_terminal(g: Array, G: Array, lower: Array, upper: Array, force: Array) -> list[int]:
-    """Rows at their bound whose multiplier nu, G' nu = lam_s - dV_f / dx, has the sign of the bound."""
+def _strict_terminal(g: Array, G: Array, rows: Rows, force: Array, on_path: set[str]) -> list[int]:
+    """Rows at their bound whose multiplier nu, G' nu = lam_s - dV_f / dx, has the sign of the bound.
+
+    Rows that are strictly active on the path belong to them ([Z20], equation (15)), although a terminal cost with the
+    slope lam_s gives them no multiplier.
+    """
     size = 1e-8 * np.maximum(1.0, np.abs(g))
-    near = [i for i in range(len(g)) if min(abs(g[i] - lower[i]), abs(g[i] - upper[i])) <= size[i]]
+    near = [i for i in range(len(g)) if min(abs(g[i] - rows.lower[i]), abs(g[i] - rows.upper[i])) <= size[i]]
     if not near:
         return []
-    signs = np.array([1.0 if abs(g[i] - upper[i]) <= size[i] else -1.0 for i in near])
+    signs = np.array([1.0 if abs(g[i] - rows.upper[i]) <= size[i] else -1.0 for i in near])
     nu, _ = scipy.optimize.nnls((G[near] * signs[:, None]).T, force)
-    return [i for i, value in zip(near, nu, strict=True) if value > 1e-9 * max(1.0, float(np.abs(force).max()))]
+    least = 1e-9 * max(1.0, float(np.abs(force).max()))
+    return [i for i, value in zip(near, nu, strict=True) if value > least or rows.names[i] in on_path]
 
 
 @dataclass(frozen=True)

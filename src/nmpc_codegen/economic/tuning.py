@@ -206,12 +206,11 @@ def _solved(
             f"{decisive.theta:.3g} rad per interval, but must be positive; {hint}"
         )
     failed = "; ".join(f"{name}: {status}" for name, status in statuses.items())
-    if lq.H_f is not None and isinstance(
-        convexify(LinearQuadratic(lq.A, lq.B, lq.H, lq.C), weights, next(iter(candidates.values()))), Certificate
-    ):
+    alone = LinearQuadratic(lq.A, lq.B, lq.H, lq.C)
+    if lq.H_f is not None and any(isinstance(convexify(alone, weights, d), Certificate) for d in candidates.values()):
         raise ProblemError(
-            "tune: M exists, but no positive definite M_f with it: the terminal cost bends too little or is missing; "
-            f"state ocp.lqr_terminal_cost(economic=True) or fix x_N (solver: {failed})"
+            "tune: M exists, but no positive definite M_f with it was found: the terminal cost bends too little or is "
+            f"missing; state ocp.lqr_terminal_cost(economic=True) or fix x_N (solver: {failed})"
         )
     raise ProblemError(
         f"tune: the frequency function ({decisive.least:.3g} > 0) says that M exists, but the solver fails ({failed}); "
