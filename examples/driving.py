@@ -48,14 +48,17 @@ SAMPLING, N, STEPS = 0.1, 100, 5
 OBSTACLE, CLEARED, MOVE = 80.0, 6.0, 8.0  # m, s, s
 
 
-def build_ocp() -> OCP:
-    """10 s in 100 intervals; the terminal cost is the cost-to-go of the regulator at 50 km/h."""
+def build_ocp(newton: float = 1000.0) -> OCP:
+    """10 s in 100 intervals; the terminal cost is the cost-to-go of the regulator at 50 km/h.
+
+    Torque and brake are measured in ``newton`` N m and N: in kilo, as their effect on the cost is then of size 1.
+    """
     ocp = OCP("driving", T=SAMPLING * N, N=N)
     px, py = ocp.state("px", unit="m"), ocp.state("py", unit="m")
     v = ocp.state("v", unit="m/s", initial=SPEED)
     theta, delta = ocp.state("theta", unit="rad"), ocp.state("delta", unit="rad")
-    T = ocp.control("T", unit="N m")
-    Fb = ocp.control("Fb", unit="N")
+    T = ocp.control("T", unit="kN m" if newton == 1000.0 else "")
+    Fb = ocp.control("Fb", unit="kN" if newton == 1000.0 else "")
     steering = ocp.control("steering", unit="rad/s")
 
     drag = DRAG * v**2 + MASS * GRAVITY * ROLLING
@@ -63,7 +66,7 @@ def build_ocp() -> OCP:
         {
             px: v * ca.cos(theta),
             py: v * ca.sin(theta),
-            v: (GEAR * T / RADIUS - Fb - drag) / MASS,
+            v: (newton * (GEAR * T / RADIUS - Fb) - drag) / MASS,
             theta: v * ca.tan(delta) / LENGTH,
             delta: steering,
         }
@@ -71,13 +74,14 @@ def build_ocp() -> OCP:
     ocp.cyclic(px)
 
     omega = GEAR * v / RADIUS
-    power = omega * T + 0.0323 * omega * T + 0.0183 * omega**2 + 0.0043 * T**2
+    torque = newton * T
+    power = omega * torque + 0.0323 * omega * torque + 0.0183 * omega**2 + 0.0043 * torque**2
     ocp.stage_cost((power + ALPHA * v) / POWER + py**2 + theta**2 + delta**2 + steering**2, integrate=True)
     ocp.lqr_terminal_cost(economic=True)
 
-    ocp.subject_to(0, T, T_MAX)
-    ocp.subject_to(0, Fb, BRAKE_MAX)
-    ocp.subject_to(-np.inf, T * omega, P_MAX, name="power")
+    ocp.subject_to(0, T, T_MAX / newton)
+    ocp.subject_to(0, Fb, BRAKE_MAX / newton)
+    ocp.subject_to(-np.inf, T * omega, P_MAX / newton, name="power")
     ocp.subject_to(0, v, OMEGA_MAX * RADIUS / GEAR)
     ocp.subject_to(-np.inf, px, np.inf, name="obstacle")
     return ocp
@@ -140,8 +144,8 @@ def draw(log: Log, picture: str) -> None:
         axis.plot(log.t, value, color="#1f5fa8", linewidth=1.6)
         axis.set_ylabel(name)
     axes[1].fill_between([0, CLEARED], OBSTACLE, log.x[:, 0].max(), color="#b3202c", alpha=0.12, linewidth=0)
-    axes[3].step(log.t[:-1], log.u[:, 0], where="post", color="#c2571a", linewidth=1.6, label="torque [N m]")
-    axes[3].step(log.t[:-1], log.u[:, 1] / 10, where="post", color="0.4", linewidth=1.2, label="brake [10 N]")
+    axes[3].step(log.t[:-1], log.u[:, 0], where="post", color="#c2571a", linewidth=1.6, label="torque [kN m]")
+    axes[3].step(log.t[:-1], log.u[:, 1], where="post", color="0.4", linewidth=1.2, label="brake [kN]")
     axes[3].legend(frameon=False)
     axes[3].set_xlabel("time [s]")
     for axis in axes:

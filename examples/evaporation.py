@@ -55,7 +55,8 @@ def process(N: int) -> OCP:
     T2, T3, T100 = A * P2 + B * X2 + C, D * P2 + E, F * P100 + G
     Q100 = H * (F1 + F3) * (T100 - T2)
     F4 = (Q100 - F1 * CP * (T2 - T1)) / LATENT
-    Q200 = UA2 * (T3 - T200) / (1 + UA2 / (2 * CP * F200))
+    flow = 2 * CP * F200
+    Q200 = UA2 * (T3 - T200) * flow / (flow + UA2)  # as in the paper, but finite without cooling water
     F2, F100, F5 = F1 - F4, Q100 / LATENT_STEAM, Q200 / LATENT
     ocp.dynamics({X2: (F1 * X1 - F2 * X2) / M, P2: (F4 - F5) / CAPACITY})
 

@@ -185,8 +185,8 @@ def test_driving() -> None:
 def test_false_infeasibility_is_named() -> None:
     """Clarabel calls the car infeasible without scaling; the frequency function knows better."""
     with pytest.raises(ProblemError, match=r"says that M exists, but the solver fails \(none: infeasible"):
-        tune(driving.build_ocp(), driving.options(), scaling="none")
-    assert car().scaling == "curvature"
+        tune(driving.build_ocp(newton=1.0), driving.options(), scaling="none")
+    assert tune(driving.build_ocp(newton=1.0), driving.options()).scaling == "curvature"
 
 
 def test_terminal_cost_of_the_car() -> None:

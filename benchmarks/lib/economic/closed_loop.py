@@ -26,7 +26,11 @@ CONVERGED, LARGEST_STEP = 12, 1e-7
 
 @dataclass(frozen=True)
 class Scheme:
-    """cost: "economic", "letempc", "tracking"; hessian: "exact", "tuned" (M), "indefinite" (H), "identity", "own" (of a quadratic cost)."""
+    """A cost and a Hessian by name.
+
+    cost: "economic", "letempc", "tracking"; hessian: "exact", "tuned" (M), "indefinite" (H), "identity", or "own" (of a
+    quadratic cost).
+    """
 
     name: str
     cost: str
