@@ -21,6 +21,7 @@ from nmpc_codegen.bounds.package import settled
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.render import Sources, render
@@ -66,7 +67,22 @@ def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) 
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
     with _ONE_AT_A_TIME:
-        return settled(linearize(classify(ocp), options or Options()), name)
+        return settled(linearize(stated(ocp, options), options or Options()), name)
+
+
+def stated(ocp: OCP, options: Options | None = None) -> Problem:
+    """The problem of the OCP, with the terminal cost of lqr_terminal_cost(), which depends on the integrator.
+
+    Raises:
+        ProblemError: the problem is stated wrongly, or that terminal cost does not exist.
+    """
+    problem = classify(ocp)
+    if problem.terminal_lqr is None:
+        return problem
+    # SciPy is loaded only for those who need it.
+    from nmpc_codegen.economic.terminal import with_terminal_cost
+
+    return with_terminal_cost(problem, options)
 
 
 def export(

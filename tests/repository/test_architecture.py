@@ -58,6 +58,7 @@ ONLY_IN = {
     "casadi": {
         "frontend",
         "ir",
+        "economic",
         "oracle",
         "components/integrators",
         "components/hessians",
@@ -70,6 +71,8 @@ ONLY_IN = {
     "jinja2": {"lowering/render"},
     "pycparser": {"bounds"},
     "cffi": {"runtime/build"},
+    "cvxpy": {"economic/semidefinite"},
+    "scipy": {"economic", "components/qp/osqp"},
 }
 
 MODULES_PER_ROOM = 14

@@ -20,7 +20,7 @@ import problems
 import pytest
 from conftest import require_tool
 
-from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
+from examples import bioreactor, cart_pole, chain, crane, cstr, driving, evaporation, quadrotor
 from nmpc_codegen import OCP, Options, build, cli, export, open_package
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, node_data
@@ -81,7 +81,7 @@ def test_crane_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The examples are built with the profile "test", which takes a third of the time; the crane keeps its own."""
-    for module in (bioreactor, cart_pole, chain, cstr, quadrotor):
+    for module in (bioreactor, cart_pole, chain, cstr, driving, evaporation, quadrotor):
         monkeypatch.setattr(module, "build", partial(build, profile="test"))
 
 
@@ -356,6 +356,28 @@ def is_at_bound(values: np.ndarray, lower: float, upper: float) -> bool:
     return bool(np.minimum(values - lower, upper - values).min() <= 1e-7)
 
 
+@pytest.mark.usefixtures("quick")
+def test_evaporation_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The plant is on its way to the cheapest steady state, on the bound; eta = 0 is explained."""
+    tuning, log = evaporation.main(str(tmp_path / "evaporation.png"))
+    assert_picture(tmp_path / "evaporation.png")
+    assert log.ok
+    assert log.x[1:, 0] == pytest.approx(25, abs=1e-4)
+    assert abs(log.x[-1, 1] - tuning.x_s[1]) < 1.0 < log.x[0, 1] - tuning.x_s[1]
+    assert "eta=1 uses the strictly active rows (X2)" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("quick")
+def test_driving_main(tmp_path: Path) -> None:
+    """The car stops short of the obstacle without using the brake, follows the lane and returns to 50 km/h."""
+    _, log = driving.main(str(tmp_path / "driving.png"))
+    assert_picture(tmp_path / "driving.png")
+    assert log.ok
+    assert log.x[60, 0] == pytest.approx(driving.OBSTACLE, abs=1e-3)
+    assert log.u[80:, 1].max() < 1e-6
+    np.testing.assert_allclose(log.x[-1, 1:], [0, driving.SPEED, 0, 0], rtol=0, atol=1e-4)
+
+
 # The packages ---------------------------------------------------------------------------------------------------------
 
 
@@ -366,7 +388,7 @@ def test_every_example_states_a_problem(name: str) -> None:
     assert callable(module.main)
     problem = classify(module.build_ocp())
     assert problem.N >= 1
-    assert problem.path.ny >= 1 or problem.path.cost_rate is not None
+    assert problem.path.ny >= 1 or problem.path.cost is not None or problem.path.cost_rate is not None
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -206,3 +206,30 @@ def check_operations(expression: Any, what: str) -> set[int]:
         word = "a function call (interpolant, callback, external)" if ca.OP_CALL in foreign else "an operation"
         raise ProblemError(f"{what} = {quote(expression)} contains {word} that has no C equivalent; use SX operations")
     return found
+
+
+def checked_penalty(soft: Any, what: str) -> tuple[float, float] | None:
+    """(l1, l2) of a soft row."""
+    if soft is None:
+        return None
+    if not isinstance(soft, (tuple, list, np.ndarray)) or len(soft) != 2:
+        raise ProblemError(f"{what}: soft must be None or (l1, l2), got {quote(soft)}")
+    l1, l2 = (float(v) for v in vector(soft, 2, f"{what}: soft"))
+    if l1 < 0 or l2 < 0 or l1 + l2 == 0:
+        raise ProblemError(f"{what}: soft=(l1, l2) must be nonnegative and not both zero, got ({l1:g}, {l2:g})")
+    return l1, l2
+
+
+_ELEMENT = re.compile(r"([^\[\]]*)(\[[0-9]+\])?")
+
+
+def element_names(names: Any, size: int, what: str) -> list[str]:
+    """One name per element; a single string names several elements name[i]."""
+    if isinstance(names, str):
+        names = [names] if size == 1 else [f"{names}[{i}]" for i in range(size)]
+    if not isinstance(names, (list, tuple)) or len(names) != size:
+        raise ProblemError(f"{what} must be {size} strings, got {quote(names)}")
+    for name in names:
+        match = _ELEMENT.fullmatch(name) if isinstance(name, str) else None
+        identifier(match.group(1) if match else name, what)
+    return list(names)

@@ -48,6 +48,7 @@ def classify(ocp: OCP) -> Problem:
         features=_features(ocp, rows),
         accumulators=tuple(sorted(ocp.accumulators)),
         cyclic=tuple(sorted(ocp.cyclic_states)),
+        terminal_lqr=ocp.terminal_lqr,
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -15,8 +14,10 @@ from nmpc_codegen.frontend.checks import (
     MAX_SIZE,
     NONSMOOTH,
     check_operations,
+    checked_penalty,
     column,
     duplicate,
+    element_names,
     flag,
     identifier,
     integer,
@@ -26,7 +27,7 @@ from nmpc_codegen.frontend.checks import (
     weight_matrix,
 )
 from nmpc_codegen.frontend.grid import grid
-from nmpc_codegen.frontend.problem import Signal, c_identifier
+from nmpc_codegen.frontend.problem import LqrRequest, Signal, c_identifier
 from nmpc_codegen.frontend.statement import (
     At,
     Declared,
@@ -34,7 +35,6 @@ from nmpc_codegen.frontend.statement import (
     GeneralCost,
     Kind,
     Residual,
-    Soft,
     StageName,
     Statement,
     intersection,
@@ -78,6 +78,7 @@ class OCP:
         self.residuals: list[Residual] = []
         self.costs: list[GeneralCost] = []
         self.statements: list[Statement] = []
+        self._terminal_lqr: LqrRequest | None = None
         self.free: set[int] = set()
         self.accumulators: set[int] = set()
         self.cyclic_states: set[int] = set()
@@ -100,6 +101,11 @@ class OCP:
     def discrete(self) -> bool | None:
         """True if the dynamics are a discrete map, None before the first call of dynamics()."""
         return self._discrete
+
+    @property
+    def terminal_lqr(self) -> LqrRequest | None:
+        """The request of lqr_terminal_cost(), None without one."""
+        return self._terminal_lqr
 
     def __repr__(self) -> str:
         sizes = f"nx={self.x.numel()}, nu={self.u.numel()}"
@@ -308,7 +314,7 @@ class OCP:
                 taken = element is None or element.name in earlier or element.name in found
                 found.append(f"y_{len(earlier) + i}" if element is None or taken else element.name)
         else:
-            found = _names(names, y.numel(), f"{what}: names")
+            found = element_names(names, y.numel(), f"{what}: names")
         clash = duplicate(c_identifier(n) for n in [*earlier, *found])
         if clash:
             raise ProblemError(f"{what}: the name '{clash[1]}' is used twice; give other names=")
@@ -328,6 +334,29 @@ class OCP:
         """Add a general cost l_N(x, p) at node N, a scalar; never scaled."""
         l = self._scalar(expr, "terminal_cost", _STATES)  # noqa: E741
         self.costs.append(GeneralCost(l, False, False, "terminal"))
+
+    def lqr_terminal_cost(self, *, economic: bool = False, x: Any = None, u: Any = None) -> None:
+        """Add the cost-to-go of the linear-quadratic regulator at a steady state (x_s, u_s), at node N:
+
+            1/2 (x - x_s)' P (x - x_s),   with ``economic``: lam_s' (x - x_s) + 1/2 (x - x_s)' P (x - x_s)
+
+        P solves the Riccati equation of the discrete map, so it is computed when the options are known: by build(),
+        export() and tune(). States named by cyclic() are left out; rows that are strictly active at the steady state
+        are eliminated first. P of an economic cost may be indefinite.
+
+        Args:
+            economic: take the steady state with the least cost and the Hessian of its Lagrangian, whose multipliers
+                lam_s are the linear term; else the least-squares cost, with J' W J.
+            x: (nx,) steady state; by default that of the references. With ``economic`` only a guess.
+            u: (nu,) control of the steady state.
+        """
+        if self._terminal_lqr is not None:
+            raise ProblemError("lqr_terminal_cost is stated twice")
+        given = (
+            None if x is None else vector(x, self.x.numel(), "lqr_terminal_cost: x"),
+            None if u is None else vector(u, self.u.numel(), "lqr_terminal_cost: u"),
+        )
+        self._terminal_lqr = LqrRequest(flag(economic, "lqr_terminal_cost: economic"), *given)
 
     def start_cost(self, expr: Any) -> None:
         """Add a general cost l_0(x, p) at node 0, a scalar; never scaled. See start_least_squares()."""
@@ -424,7 +453,7 @@ class OCP:
                 raise ProblemError(f"{what}: row {i} has lower {lb[i]:g} > upper {ub[i]:g}")
             if lb[i] == np.inf or ub[i] == -np.inf:
                 raise ProblemError(f"{what}: row {i} has bounds {lb[i]:g}, {ub[i]:g}, which nothing can satisfy")
-        penalty = _penalty(soft, what)
+        penalty = checked_penalty(soft, what)
         names, unnamed = self._row_names(h, name, suffix, what)
         new = Statement(lb, h, ub, at, penalty, names)
         earlier = {i: self._earlier(new, i) for i in range(n)}
@@ -567,30 +596,3 @@ def _require_three(lower: Any, expr: Any, upper: Any, what: str, method: str) ->
         raise ProblemError(
             f"{what}: got {given} only; it takes lower, expression, upper, where -inf and inf stand for no bound"
         )
-
-
-def _penalty(soft: Any, what: str) -> Soft:
-    """(l1, l2) of a soft row."""
-    if soft is None:
-        return None
-    if not isinstance(soft, (tuple, list, np.ndarray)) or len(soft) != 2:
-        raise ProblemError(f"{what}: soft must be None or (l1, l2), got {quote(soft)}")
-    l1, l2 = (float(v) for v in vector(soft, 2, f"{what}: soft"))
-    if l1 < 0 or l2 < 0 or l1 + l2 == 0:
-        raise ProblemError(f"{what}: soft=(l1, l2) must be nonnegative and not both zero, got ({l1:g}, {l2:g})")
-    return l1, l2
-
-
-_ELEMENT = re.compile(r"([^\[\]]*)(\[[0-9]+\])?")
-
-
-def _names(names: Any, size: int, what: str) -> list[str]:
-    """One name per element; a single string names several elements name[i]."""
-    if isinstance(names, str):
-        names = [names] if size == 1 else [f"{names}[{i}]" for i in range(size)]
-    if not isinstance(names, (list, tuple)) or len(names) != size:
-        raise ProblemError(f"{what} must be {size} strings, got {quote(names)}")
-    for name in names:
-        match = _ELEMENT.fullmatch(name) if isinstance(name, str) else None
-        identifier(match.group(1) if match else name, what)
-    return list(names)

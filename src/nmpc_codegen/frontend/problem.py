@@ -76,6 +76,15 @@ class Stage:
 
 
 @dataclass(frozen=True, eq=False)
+class LqrRequest:
+    """A terminal cost that is computed when the integrator is known: the cost-to-go of the regulator at (x, u)."""
+
+    economic: bool
+    x: Array | None  # (nx,)
+    u: Array | None  # (nu,)
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """The whole optimal control problem, validated.
 
@@ -103,6 +112,7 @@ class Problem:
     features: frozenset[str]
     accumulators: tuple[int, ...] = ()  # positions in x of states that are reset to 0 at every sample
     cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
+    terminal_lqr: LqrRequest | None = None  # a terminal cost to be computed before linearize()
 
     @property
     def nx(self) -> int:

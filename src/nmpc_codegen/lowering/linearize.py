@@ -10,6 +10,7 @@ import casadi as ca
 from nmpc_codegen.components.base import Component, Hessian, Integrator, Parts, refuse_unsupported
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import stage_costs, stage_model
+from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
@@ -62,7 +63,10 @@ def linearize(problem: Problem, options: Options) -> Model:
 
     Raises:
         OptionError: a component does not support the problem, or options clash.
+        ProblemError: the problem requests a terminal cost that has not been computed.
     """
+    if problem.terminal_lqr is not None:
+        raise ProblemError(f"OCP '{problem.name}': lqr_terminal_cost() is open; compiler.stated() computes it")
     options, of_hessian = choose_hessian(problem, options)
     options = options.with_defaults
     online = options.online

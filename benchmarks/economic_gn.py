@@ -1,0 +1,40 @@
+"""The constant Hessian of economic NMPC against the statements and figures of its paper, before any C is generated.
+
+python -m benchmarks.economic_gn [--json FILE] [--only tuning,theory,rotation,figure1,figure2,figure3,driving]
+                                 [--draw FOLDER]
+
+Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from benchmarks.lib import command
+from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, figures, rotation
+from benchmarks.lib.report import Report
+
+PARTS: dict[str, Callable[[Report], None]] = {
+    "tuning": evaporation.measure_tuning,
+    "theory": evaporation.measure_theory,
+    "rotation": rotation.measure,
+    "figure1": evaporation.measure_figure1,
+    "figure2": artificial.measure,
+    "figure3": closed_loop.measure,
+    "driving": driving.measure,
+}
+
+
+def main() -> None:
+    """All parts, or some."""
+    parser = command.parser(__doc__, PARTS)
+    parser.add_argument("--draw", metavar="FOLDER", help="draw Figures 1 and 2, with their data as CSV")
+    options = parser.parse_args()
+    names, report = command.chosen(parser, options, PARTS), Report("economic_gn")
+    command.measure(report, names, lambda name: PARTS[name](report), options.json)
+    if options.draw:
+        print("\n".join(map(str, figures.draw(options.draw))))
+
+
+if __name__ == "__main__":
+    main()

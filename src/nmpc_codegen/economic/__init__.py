@@ -1,0 +1,34 @@
+"""Economic NMPC, off line: steady state, terminal cost, and a Hessian as cheap as that of tracking.
+
+    steady_state(ocp)       the best steady state and its multipliers
+    tune(ocp)               M of EconomicGaussNewton, by a semidefinite program
+    lqr_terminal_cost(ocp)  the numbers behind ocp.lqr_terminal_cost()
+    letempc_cost, tracking_cost, rotate   companions: other costs of the same problem
+    kkt_step, corrected_multipliers       one SQP step with any Hessian, also an indefinite one
+
+It works with the discrete map of the controller, so it stands above the components; the controllers do not need it.
+"""
+
+from nmpc_codegen.economic.companions import letempc_cost, letempc_terminal_cost, rotate, tracking_cost
+from nmpc_codegen.economic.steady_state import SteadyState
+from nmpc_codegen.economic.steps import StageQp, Step, corrected_multipliers, kkt_step
+from nmpc_codegen.economic.terminal import TerminalCost, lqr_terminal_cost, with_terminal_cost
+from nmpc_codegen.economic.tuning import Tuning, steady_state, tune
+
+__all__ = [
+    "StageQp",
+    "SteadyState",
+    "Step",
+    "TerminalCost",
+    "Tuning",
+    "corrected_multipliers",
+    "kkt_step",
+    "letempc_cost",
+    "letempc_terminal_cost",
+    "lqr_terminal_cost",
+    "rotate",
+    "steady_state",
+    "tracking_cost",
+    "tune",
+    "with_terminal_cost",
+]

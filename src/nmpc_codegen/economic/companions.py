@@ -1,0 +1,92 @@
+"""Costs that accompany an economic one: locally equivalent tracking, plain tracking, rotation by a storage function.
+
+    LETEMPC   1/2 (w - w_s)' M (w - w_s) - mu_s' C (w - w_s)
+    tracking  1/2 (w - w_s)' W (w - w_s)
+    rotation  l + Lambda(x) - Lambda(Phi(x, u)),   V_f + Lambda   ("map")
+              J + Lambda(x_0)                                     ("nodes": l_k + Lambda(x_k) - Lambda(x_{k+1}))
+
+The two rotations have the same solutions. They differ on gaps, where Phi(x_k, u_k) is not x_{k+1}: SQP iterates with a
+Hessian that does not depend on multipliers are those of the original problem for "nodes" with any storage function, and
+for "map" only if Lambda is linear. On the nodes the sum collapses to Lambda(x_0).
+
+Sources: Zanon, Gros and Diehl, "A tracking MPC formulation that is locally equivalent to economic MPC", Journal of
+Process Control 45 (2016); Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section III.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.economic.stage import tableau
+from nmpc_codegen.economic.tuning import Tuning
+from nmpc_codegen.errors import OptionError, ProblemError
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.options import Options
+from nmpc_codegen.oracle.trajectory import interval_map
+
+
+def letempc_cost(tuning: Tuning, x: Any, u: Any) -> Expression:
+    """The stage cost of LETEMPC as an expression of x (nx,), u (nu,), for ocp.stage_cost(..., scale_with_dt=False).
+
+    Without its linear term, the pull of the economic cost against the strictly active rows, it is not equivalent.
+    """
+    dw = ca.vertcat(x, u) - np.concatenate([tuning.x_s, tuning.u_s])
+    quadratic = ca.dot(dw, ca.DM(tuning.M) @ dw) / 2
+    return ca.SX(quadratic - ca.dot(tuning.C.T @ tuning.mu_s, dw))
+
+
+def letempc_terminal_cost(tuning: Tuning, x: Any) -> Expression:
+    """1/2 (x - x_s)' M_f (x - x_s), for ocp.terminal_cost().
+
+    Raises:
+        ProblemError: the tuning has no M_f, because x_N is fixed.
+    """
+    if tuning.M_f is None:
+        raise ProblemError("letempc_terminal_cost: x_N is fixed, so there is no terminal cost")
+    dx = x - tuning.x_s
+    return ca.SX(ca.dot(dx, ca.DM(tuning.M_f) @ dx) / 2)
+
+
+def tracking_cost(tuning: Tuning, x: Any, u: Any, weight: Any) -> Expression:
+    """1/2 (w - w_s)' W (w - w_s) at the economic steady state; ``weight``: W (nx+nu, nx+nu) or its diagonal."""
+    dw = ca.vertcat(x, u) - np.concatenate([tuning.x_s, tuning.u_s])
+    W = np.asarray(weight, dtype=float)
+    W = np.diag(W) if W.ndim == 1 else W
+    if W.shape != (len(tuning.names), len(tuning.names)):
+        raise ProblemError(f"tracking_cost: weight has shape {W.shape}, expected ({len(tuning.names)},) or its square")
+    return ca.SX(ca.dot(dw, ca.DM(W) @ dw) / 2)
+
+
+def rotate(
+    ocp: OCP, storage: Callable[[Any], Any], options: Options | None = None, *, on: str = "map", sign: float = 1.0
+) -> None:
+    """Add the terms of a rotation to the cost of an OCP.
+
+    Args:
+        ocp: the problem, with its dynamics, on a uniform grid.
+        storage: Lambda, from an SX column (nx,) to an SX scalar.
+        options: its integrator defines Phi.
+        on: "map" or "nodes".
+        sign: -1 undoes a rotation: a tracking cost becomes an economic one with the same solutions.
+
+    Raises:
+        OptionError: ``on`` is another word.
+        ProblemError: the grid is not uniform, or the storage function is no scalar.
+    """
+    if on not in ("map", "nodes"):
+        raise OptionError(f"rotate: on={on!r}; expected 'map' or 'nodes'")
+    if on == "nodes":
+        ocp.start_cost(sign * storage(ocp.x))
+        return
+    problem = classify(ocp)
+    if not problem.uniform:
+        raise ProblemError(f"rotate: '{problem.name}' has intervals of different length; use on='nodes'")
+    Phi, _ = interval_map(problem, tableau(problem, options))(ocp.x, ocp.u, ocp.p, problem.dt[0])
+    ocp.stage_cost(sign * (storage(ocp.x) - storage(Phi)), scale_with_dt=False)
+    ocp.terminal_cost(sign * storage(ocp.x))

@@ -1,0 +1,176 @@
+"""One stage of a problem at steady operation, as CasADi functions of the states that stand still.
+
+    x+ = Phi(x, u),   l(x, u),   lower <= h(x, u) <= upper        V_f(x),   lower <= g(x) <= upper at node N
+
+Phi is the discrete map of the controller, with its scheme and number of steps, and l contains the integral of the cost
+rate by the same scheme. Parameters, weights, references and bounds have the values that the problem declares. Cyclic
+states, which grow for ever, are left out: nothing but their own equations may depend on them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.components.integrators import ExplicitRungeKutta
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.problem import Array, Problem, Row
+from nmpc_codegen.ir.casadi_types import Expression, Function
+from nmpc_codegen.options import Options
+from nmpc_codegen.oracle.trajectory import Tableau, interval_map, node_cost, scaled_weight
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """lower <= h(w) <= upper, one name per row."""
+
+    names: tuple[str, ...]
+    h: Expression
+    lower: Array
+    upper: Array
+    penalty: Array  # largest multiplier: l1 of soft rows, inf for hard ones
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyStage:
+    """Expressions in x (kept states) and u; ``kept``: their positions in the state of the problem."""
+
+    problem: Problem
+    kept: tuple[int, ...]
+    x: Expression
+    u: Expression
+    Phi: Expression
+    cost: Expression
+    gauss_newton: Expression | None  # J' W J, None if the cost is no least squares
+    rows: Rows
+    terminal_cost: Expression
+    terminal_rows: Rows
+    point_terminal: bool  # x_N of every kept state is fixed by rows
+
+    @property
+    def w(self) -> Expression:
+        """(x, u)."""
+        return ca.vertcat(self.x, self.u)
+
+    @property
+    def nx(self) -> int:
+        return len(self.kept)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the kept states and of the controls."""
+        return (*(self.problem.state_names[i] for i in self.kept), *self.problem.control_names)
+
+    @cached_property
+    def values(self) -> Function:
+        """w -> (Phi, l, h)."""
+        return ca.Function("values", [self.w], [self.Phi, self.cost, self.rows.h])
+
+    @cached_property
+    def jacobians(self) -> Function:
+        """w -> ([A B], dl / dw, dh / dw)."""
+        gradient = ca.jacobian(self.cost, self.w)
+        return ca.Function(
+            "jacobians", [self.w], [ca.jacobian(self.Phi, self.w), gradient, ca.jacobian(self.rows.h, self.w)]
+        )
+
+    @cached_property
+    def hessian(self) -> Function:
+        """(w, lam, mu) -> d2 (l + lam' Phi + mu' h) / dw^2."""
+        lam, mu = ca.SX.sym("lam", self.nx), ca.SX.sym("mu", len(self.rows.names))
+        L = self.cost + ca.dot(lam, self.Phi) + ca.dot(mu, self.rows.h)
+        return ca.Function("hessian", [self.w, lam, mu], [ca.hessian(L, self.w)[0]])
+
+    def full(self, x: Array) -> Array:
+        """(nx,) of the problem from the kept states; cyclic ones have their initial value."""
+        found = self.problem.x_initial
+        found[list(self.kept)] = x
+        return found
+
+
+def tableau(problem: Problem, options: Options | None) -> Tableau:
+    """The scheme of the options, else the default of the compiler."""
+    chosen = None if options is None else options.integrator
+    if chosen is None or not isinstance(chosen, ExplicitRungeKutta):
+        chosen = ExplicitRungeKutta()
+    A = tuple(tuple(float(a) for a in row) for row in chosen.tableau.a)
+    return Tableau(A, tuple(float(b) for b in chosen.tableau.b), chosen.steps)
+
+
+def steady_stage(problem: Problem, options: Options | None = None) -> SteadyStage:
+    """The stage of the last interval, which the steady operation repeats.
+
+    Raises:
+        ProblemError: another state, the cost or all states depend on a cyclic state, or only cyclic states exist.
+    """
+    kept = tuple(i for i in range(problem.nx) if i not in problem.cyclic)
+    if not kept:
+        raise ProblemError(f"OCP '{problem.name}': all states are cyclic, so there is no steady state")
+    x, u = ca.SX.sym("x", len(kept)), ca.SX.sym("u", problem.nu)
+    cyclic = ca.SX.sym("cyclic", problem.nx)
+    whole = ca.SX(cyclic)
+    for position, i in enumerate(kept):
+        whole[i] = x[position]
+    p, dt = problem.p_value, problem.dt[-1]
+    Phi, integral = interval_map(problem, tableau(problem, options))(whole, u, p, dt)
+    W = scaled_weight(problem, problem.path.weight, problem.N - 1)
+    cost = integral + node_cost(problem.path)(whole, u, p, dt, problem.path.reference, W)
+    end = node_cost(problem.terminal)(whole, ca.SX(0, 1), p, 0.0, problem.terminal.reference, problem.terminal.weight)
+    names = [problem.state_names[i] for i in problem.cyclic]
+    if names:
+        for what, value in (("the dynamics of another state", Phi[list(kept)]), ("the cost", cost), ("the cost", end)):
+            if ca.sparsify(ca.jacobian(value, cyclic)).nnz():
+                raise ProblemError(f"cyclic: {what} depends on {', '.join(names)}, which therefore cannot be left out")
+    y = ca.Function("y", [problem.path.x, problem.path.u, problem.path.p], [problem.path.y])(whole, u, p)
+    J = ca.jacobian(y, ca.vertcat(x, u))
+    squares = problem.path.cost is None and problem.path.cost_rate is None
+    return SteadyStage(
+        problem=problem,
+        kept=kept,
+        x=x,
+        u=u,
+        Phi=Phi[list(kept)],
+        cost=cost,
+        gauss_newton=J.T @ W @ J if squares else None,
+        rows=_rows(problem, whole, u, cyclic, terminal=False),
+        terminal_cost=end,
+        terminal_rows=_rows(problem, whole, u, cyclic, terminal=True),
+        point_terminal=_is_point(problem, kept),
+    )
+
+
+def _rows(problem: Problem, x: Expression, u: Expression, cyclic: Expression, *, terminal: bool) -> Rows:
+    """The rows of all inner nodes, or those of node N; rows that depend on a cyclic state are left out."""
+    stage = problem.terminal if terminal else problem.path
+    arguments = [stage.x, stage.p] if terminal else [stage.x, stage.u, stage.p]
+    h = ca.Function("h", arguments, [stage.h])(*([x, problem.p_value] if terminal else [x, u, problem.p_value]))
+    chosen: list[tuple[Row, Expression]] = []
+    inner = set(range(1, problem.N)) or {0}
+    of_kind: dict[str, Any] = {"state": x, "control": u, "general": h}
+    for row in problem.rows:
+        if row.kind == "coupled" or not ({problem.N} if terminal else inner) <= set(row.nodes):
+            continue
+        index = row.index_terminal if terminal and row.kind == "general" else row.index
+        value = of_kind[row.kind][index]
+        if not ca.jacobian(value, cyclic).nnz():
+            chosen.append((row, value))
+    return Rows(
+        names=tuple(row.name for row, _ in chosen),
+        h=ca.vertcat(ca.SX(0, 1), *(value for _, value in chosen)),
+        lower=np.array([row.lower for row, _ in chosen]),
+        upper=np.array([row.upper for row, _ in chosen]),
+        penalty=np.array([np.inf if row.soft is None else row.soft[0] for row, _ in chosen]),
+    )
+
+
+def _is_point(problem: Problem, kept: tuple[int, ...]) -> bool:
+    fixed = {
+        row.index
+        for row in problem.rows
+        if row.kind == "state" and problem.N in row.nodes and row.lower == row.upper and row.soft is None
+    }
+    return set(kept) <= fixed

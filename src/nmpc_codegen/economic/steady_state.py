@@ -1,0 +1,156 @@
+"""The best steady state and its multipliers.
+
+    min l(x, u)  s.t.  x = Phi(x, u),  lower <= h(x, u) <= upper
+    L_s = l + lam_s' (Phi - x) + mu_s' h,    mu_s > 0 at the upper bound and < 0 at the lower one
+
+IPOPT finds the active rows; Newton's method on the optimality conditions with these rows as equations then removes the
+error of the barrier. The sign of lam_s is that of the multipliers of the controller: with the opposite one, which [Z20]
+prints in its equation (3), the Hessian of L_s has another spectrum.
+
+Source: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section III, called [Z20] here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.economic.stage import Rows, SteadyStage
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.problem import Array
+
+#: Tolerance of IPOPT; residual of the polished point, relative to the largest multiplier or variable.
+IPOPT_TOLERANCE, RESIDUAL = 1e-12, 1e-10
+#: A multiplier below this part of the largest one does not make its row strictly active.
+STRICT = 1e-9
+NEWTON_STEPS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyState:
+    """x (n,) of the kept states, u (nu,), lam (n,), mu (one per row), the cost of one interval.
+
+    ``active``: positions of the rows that are strictly active; ``residual``: of the optimality conditions.
+    """
+
+    x: Array
+    u: Array
+    lam: Array
+    mu: Array
+    cost: float
+    active: tuple[int, ...]
+    residual: float
+
+    @property
+    def w(self) -> Array:
+        """(x, u)."""
+        return np.concatenate([self.x, self.u])
+
+
+def solve_steady_state(stage: SteadyStage, guess: tuple[Array, Array] | None = None) -> SteadyState:
+    """Solve for the steady state from a guess (x, u) of all states and controls.
+
+    Without a guess, x is the initial state and u the reference of the controls or the middle of their bounds.
+
+    Raises:
+        ProblemError: IPOPT finds no steady state, or the optimality conditions are singular there.
+    """
+    rows, w, n = stage.rows, stage.w, stage.nx
+    g = ca.vertcat(stage.Phi - stage.x, rows.h)
+    quiet: dict[str, Any] = {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": IPOPT_TOLERANCE,
+        "bound_relax_factor": 0.0,
+        "max_iter": 1000,
+    }
+    quiet |= {"acceptable_iter": 0, "constr_viol_tol": IPOPT_TOLERANCE, "compl_inf_tol": IPOPT_TOLERANCE}
+    settings: Any = {"print_time": False, "ipopt": quiet}
+    solver = ca.nlpsol("steady", "ipopt", {"x": w, "f": stage.cost, "g": g}, settings)
+    low, high = np.concatenate([np.zeros(n), rows.lower]), np.concatenate([np.zeros(n), rows.upper])
+    found = solver(x0=_start(stage, guess), lbg=low, ubg=high)
+    point, multipliers = (np.asarray(found[key], dtype=float).ravel() for key in ("x", "lam_g"))
+    violation = float(np.max(np.maximum(low - found["g"].full().ravel(), found["g"].full().ravel() - high), initial=0))
+    if not violation <= 1e-6 * max(1.0, float(np.abs(point).max())):
+        status = solver.stats()["return_status"]
+        raise ProblemError(
+            f"OCP '{stage.problem.name}': no steady state was found (IPOPT: {status}, the constraints are violated by "
+            f"{violation:.2g}); give a guess=(x, u), and name states that grow for ever by ocp.cyclic(...)"
+        )
+    return _polished(stage, point, multipliers[:n], multipliers[n:])
+
+
+def _start(stage: SteadyStage, guess: tuple[Array, Array] | None) -> Array:
+    problem = stage.problem
+    if guess is not None:
+        x, u = (np.asarray(part, dtype=float) for part in guess)
+        if x.shape != (problem.nx,) or u.shape != (problem.nu,):
+            raise ProblemError(f"guess has shapes {x.shape}, {u.shape}, expected ({problem.nx},), ({problem.nu},)")
+        return np.concatenate([x[list(stage.kept)], u])
+    u = np.zeros(problem.nu)
+    for row in problem.rows:
+        if row.kind == "control":
+            both = np.isfinite(row.lower) and np.isfinite(row.upper)
+            u[row.index] = (row.lower + row.upper) / 2 if both else np.clip(u[row.index], row.lower, row.upper)
+    for j, at in enumerate(problem.control_reference):
+        u[j] = problem.path.reference[at] if at >= 0 else u[j]
+    return np.concatenate([problem.x_initial[list(stage.kept)], u])
+
+
+def active_bounds(rows: Rows, h: Array, mu: Array) -> tuple[tuple[int, ...], Array]:
+    """Rows whose multiplier exceeds their distance to the bound of its sign, and those bounds."""
+    bound = np.where(mu > 0, rows.upper, rows.lower)
+    near = [i for i in range(len(mu)) if rows.lower[i] == rows.upper[i] or abs(mu[i]) > abs(h[i] - bound[i])]
+    return tuple(near), bound
+
+
+def _polished(stage: SteadyStage, w: Array, lam: Array, mu: Array) -> SteadyState:
+    """Newton's method on L_w = 0, Phi = x, h = bound for the active rows."""
+    n, rows = stage.nx, stage.rows
+    active, bound = active_bounds(rows, stage.values(w)[2].full().ravel(), mu)
+    E = np.eye(n, len(w))
+    mu = np.where([i in active for i in range(len(mu))], mu, 0.0)
+    best: tuple[float, Array, Array, Array] | None = None
+    for _ in range(NEWTON_STEPS):
+        Phi, _, h = (np.asarray(v, dtype=float).ravel() for v in stage.values(w))
+        AB, gradient, J = (np.asarray(v, dtype=float) for v in stage.jacobians(w))
+        C = J[list(active)]
+        r = np.concatenate(
+            [gradient.ravel() + (AB - E).T @ lam + J.T @ mu, Phi - w[:n], (h - bound)[list(active)]], dtype=float
+        )
+        size = float(np.abs(r).max()) / max(1.0, *np.abs(np.concatenate([w, lam, mu])))
+        if not np.isfinite(size) or (best is not None and size >= best[0]):
+            break
+        best = (size, w, lam, mu)
+        G = np.vstack([AB - E, C])
+        K = np.block([[np.asarray(stage.hessian(w, lam, mu)), G.T], [G, np.zeros((len(G), len(G)))]])
+        step = np.linalg.lstsq(K, -r, rcond=None)[0]
+        w, lam = w + step[: len(w)], lam + step[len(w) : len(w) + n]
+        mu = mu.copy()
+        mu[list(active)] += step[len(w) + n :]
+    if best is None or best[0] > RESIDUAL:
+        raise ProblemError(
+            f"OCP '{stage.problem.name}': the optimality conditions of the steady state are solved only to "
+            f"{np.inf if best is None else best[0]:.2g}; are they singular, or does the guess lead to another point?"
+        )
+    return _checked(stage, *best)
+
+
+def _checked(stage: SteadyStage, residual: float, w: Array, lam: Array, mu: Array) -> SteadyState:
+    rows, n = stage.rows, stage.nx
+    _, cost, h = (np.asarray(v, dtype=float).ravel() for v in stage.values(w))
+    largest = max(np.abs(np.concatenate([mu, lam, stage.jacobians(w)[1].full().ravel()])))
+    strict = tuple(i for i in range(len(mu)) if abs(mu[i]) > STRICT * largest or rows.lower[i] == rows.upper[i])
+    for i in strict:
+        if abs(mu[i]) > rows.penalty[i]:
+            raise ProblemError(
+                f"the soft row '{rows.names[i]}' is violated at the steady state (multiplier {mu[i]:.3g}, l1 = "
+                f"{rows.penalty[i]:.3g}); it must hold there: raise its l1, or move its bound"
+            )
+    excess = float(np.max(np.concatenate([h - rows.upper, rows.lower - h, [0.0]])))
+    if excess > 1e-8 * max(1.0, float(np.abs(w).max())):
+        raise ProblemError(f"OCP '{stage.problem.name}': the steady state violates a row by {excess:.2g}; give guess=")
+    return SteadyState(w[:n], w[n:], lam, mu, float(cost[0]), strict, residual)

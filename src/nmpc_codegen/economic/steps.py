@@ -1,0 +1,131 @@
+"""One SQP step of an optimal control problem with any Hessian, as an equality-constrained quadratic program.
+
+    min  sum_k 1/2 dw_k' H_k dw_k + g_k' dw_k + 1/2 dx_N' H_N dx_N + g_N' dx_N
+    s.t. dx_0 given,  dx_{k+1} = A_k dx_k + B_k du_k + b_k,  C_k dw_k = c_k,  D dx_N = d
+
+The rows are those of a working set. The system of optimality conditions is solved as it is, so H_k may be indefinite as
+long as it is positive definite on the null space of the constraints: an economic cost has such Hessians, and working
+sets that contain the active rows (without them the reduced Hessian may have as many negative eigenvalues as intervals).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+
+from nmpc_codegen.economic.tuning import Tuning
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.problem import Array
+
+
+@dataclass(frozen=True, eq=False)
+class StageQp:
+    """Data of a step: A (N, n, n), B (N, n, m), b (N, n), H (N, n+m, n+m), g (N, n+m); H_N (n, n), g_N (n,).
+
+    Rows of every node: C, c, N arrays (rows, n+m) and (rows,); of node N: D (rows, n), d (rows,).
+    """
+
+    A: Array
+    B: Array
+    b: Array
+    H: Array
+    g: Array
+    C: Sequence[Array]
+    c: Sequence[Array]
+    H_N: Array
+    g_N: Array
+    D: Array
+    d: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """dx (N+1, n), du (N, m), and the new multipliers lam (N+1, n), mu (N arrays), nu of D."""
+
+    dx: Array
+    du: Array
+    lam: Array
+    mu: tuple[Array, ...]
+    nu: Array
+
+    @property
+    def dw(self) -> Array:
+        """(dx_k, du_k) of all intervals, (N, n+m)."""
+        return np.hstack([self.dx[:-1], self.du])
+
+
+def constraint_matrix(qp: StageQp) -> scipy.sparse.csc_matrix:
+    """Rows of x_0 (-1), of the dynamics ([A B] - 1), of the C_k and of D; columns (w_0, ..., w_{N-1}, x_N)."""
+    N, n, m = len(qp.A), qp.A.shape[1], qp.B.shape[2]
+    blocks: list[list[Array | None]] = [[None] * (N + 1) for _ in range(N + 1)]
+    E = np.eye(n, n + m)
+    for k in range(N + 1):
+        blocks[k][k] = -E if k < N else -np.eye(n)
+        if k:
+            blocks[k][k - 1] = np.hstack([qp.A[k - 1], qp.B[k - 1]])
+    dynamics = scipy.sparse.bmat(blocks)
+    rows = scipy.sparse.block_diag([*(np.asarray(C).reshape(-1, n + m) for C in qp.C), qp.D.reshape(-1, n)])
+    return scipy.sparse.vstack([dynamics, rows]).tocsc()
+
+
+def kkt_step(qp: StageQp, dx0: Array) -> Step:
+    """Solve the optimality conditions with the rows C, D as equations.
+
+    L = cost + lam_0'(dx0 - dx_0) + lam_{k+1}'(A dx_k + B du_k + b - dx_{k+1}) + mu_k'(C dw_k - c) + nu'(D dx_N - d)
+
+    Raises:
+        ProblemError: the conditions are singular: the rows depend on each other.
+    """
+    N, n, m = len(qp.A), qp.A.shape[1], qp.B.shape[2]
+    nw = N * (n + m) + n
+    G = constraint_matrix(qp)
+    H = scipy.sparse.block_diag([*qp.H, qp.H_N])
+    K = scipy.sparse.bmat([[H, G.T], [G, None]]).tocsc()
+    right = np.concatenate([-qp.g.ravel(), -qp.g_N, -dx0, -qp.b.ravel(), *qp.c, qp.d])
+    solution = scipy.sparse.linalg.spsolve(K, right)
+    rest = right - K @ solution
+    if np.all(np.isfinite(solution)):
+        solution = solution + scipy.sparse.linalg.spsolve(K, rest)
+    if not np.all(np.isfinite(solution)):
+        raise ProblemError("kkt_step: the optimality conditions are singular; do rows of the working set depend?")
+    dw, dx_N = solution[: nw - n].reshape(N, n + m), solution[nw - n : nw]
+    ends = nw + (N + 1) * n + np.concatenate([[0], np.cumsum([len(c) for c in qp.c])]).astype(int)
+    return Step(
+        dx=np.vstack([dw[:, :n], dx_N]),
+        du=dw[:, n:],
+        lam=solution[nw : nw + (N + 1) * n].reshape(N + 1, n),
+        mu=tuple(solution[ends[k] : ends[k + 1]] for k in range(N)),
+        nu=solution[ends[-1] :],
+    )
+
+
+def corrected_multipliers(tuning: Tuning, step: Step) -> Step:
+    """Multipliers of the step with H from those of the same step with M.
+
+        lam_k += dP dx_k / alpha,   mu_k += eta F C dw_k / alpha,   nu -= eta G D dx_N / alpha
+
+    At the steady state both steps agree in dx, du, and so corrected also in the multipliers; further away the
+    correction removes the part of the error that is linear in the step. The mu_k belong to the strictly active rows at
+    the nodes where the step has as many rows. Rows of states alone have no multiplier at node 0, where x_0 is given;
+    their term C'F C dw_0 / alpha is then subtracted from lam_0.
+
+    Source: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section V.A, dashed in Fig. 1.
+    """
+    P, F, G = tuning.dP / tuning.alpha, tuning.F / tuning.alpha, tuning.G / tuning.alpha
+    lam = step.lam + step.dx @ P
+    mu = tuple(
+        m + F @ tuning.C @ w if tuning.eta and len(m) == len(F) else m for m, w in zip(step.mu, step.dw, strict=True)
+    )
+    nu = step.nu
+    if tuning.eta and not len(mu[0]):
+        lam[0] -= (tuning.C.T @ (F @ (tuning.C @ step.dw[0])))[: lam.shape[1]]
+    if tuning.M_f is None:
+        # With x_N fixed there is no M_f, and the multipliers of x_N are lam_N itself, up to their sign.
+        return Step(step.dx, step.du, lam, mu, nu)
+    if tuning.eta and len(G) and len(nu) == len(G):
+        nu = nu - G @ tuning.D @ step.dx[-1]
+    return Step(step.dx, step.du, lam, mu, nu)

@@ -1,0 +1,153 @@
+"""ocp.lqr_terminal_cost(): the cost-to-go of the linear-quadratic regulator at the steady state as terminal cost.
+
+    tracking:  V_f = 1/2 (x - x_s)' P (x - x_s)
+    economic:  V_f = lam_s' (x - x_s) + 1/2 (x - x_s)' P (x - x_s)
+
+P solves the Riccati equation of the discrete map, which depends on the integrator; the OCP therefore only records the
+request, and this stage, Problem -> Problem, answers it when the options are known. A positive semidefinite P of a
+tracking cost becomes a least-squares residual x - x_s with the weight P, whose reference can be changed at run time;
+all else is a general cost. Without the linear term an economic controller does not come to rest at the steady state.
+
+Source: Zanon and Faulwasser, "Economic MPC without terminal constraints: gradient-correcting end penalties enforce
+asymptotic stability", Journal of Process Control 63 (2018).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.economic.linear_quadratic import linear_quadratic
+from nmpc_codegen.economic.riccati import CostToGo, cost_to_go
+from nmpc_codegen.economic.stage import SteadyStage, steady_stage
+from nmpc_codegen.economic.steady_state import SteadyState, solve_steady_state
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.problem import Array, LqrRequest, Problem, Stage
+from nmpc_codegen.options import Options
+
+#: Largest gap Phi(x, u) - x of a given steady state, and slope of the cost at the references, relative to their size.
+GAP, SLOPE = 1e-6, 1e-7
+SEMIDEFINITE = -1e-12  # least eigenvalue of a weight, relative to the largest
+
+
+@dataclass(frozen=True, eq=False)
+class TerminalCost:
+    """P (nx, nx) with zero rows for cyclic states, lam (nx,), the feedback K (nu, nx), x_s (nx,), u_s (nu,)."""
+
+    P: Array
+    lam: Array
+    K: Array
+    x_s: Array
+    u_s: Array
+    economic: bool
+    residual: float
+    active: tuple[str, ...]
+
+    @property
+    def semidefinite(self) -> bool:
+        """True if P is positive semidefinite up to rounding."""
+        values = np.linalg.eigvalsh(self.P)
+        return bool(values[0] >= SEMIDEFINITE * max(abs(values[-1]), np.finfo(float).tiny))
+
+
+def lqr_terminal_cost(
+    ocp: OCP, options: Options | None = None, *, economic: bool = False, x: Any = None, u: Any = None
+) -> TerminalCost:
+    """The numbers of ocp.lqr_terminal_cost() with the integrator of the options; see there."""
+    request = LqrRequest(economic, *(None if part is None else np.asarray(part, dtype=float) for part in (x, u)))
+    return terminal_cost(replace(classify(ocp), terminal_lqr=None), request, options)
+
+
+def with_terminal_cost(problem: Problem, options: Options | None = None) -> Problem:
+    """The problem with the terminal cost that it requests; the same problem if it requests none.
+
+    Raises:
+        ProblemError: there is no steady state, or the Riccati equation has no solution.
+    """
+    if problem.terminal_lqr is None:
+        return problem
+    request, problem = problem.terminal_lqr, replace(problem, terminal_lqr=None)
+    found = terminal_cost(problem, request, options)
+    if found.semidefinite and not found.economic:
+        return replace(problem, terminal=_with_residual(problem, found))
+    x = problem.terminal.x - found.x_s
+    cost = ca.dot(found.lam, x) + ca.dot(x, ca.DM(found.P) @ x) / 2
+    before = problem.terminal.cost
+    terminal = replace(problem.terminal, cost=cost if before is None else before + cost)
+    return replace(problem, terminal=terminal, features=problem.features | {"general cost"})
+
+
+def terminal_cost(problem: Problem, request: LqrRequest, options: Options | None) -> TerminalCost:
+    """Solve for the steady state and its cost-to-go."""
+    stage = steady_stage(problem, options)
+    steady = _economic_point(stage, request) if request.economic else _tracking_point(stage, request)
+    lq = linear_quadratic(stage, steady, gauss_newton=not request.economic)
+    return _spread(stage, steady, cost_to_go(lq), request.economic, lq.active)
+
+
+def _economic_point(stage: SteadyStage, request: LqrRequest) -> SteadyState:
+    x, u = request.x, request.u
+    if x is None and u is None:
+        return solve_steady_state(stage)
+    problem = stage.problem
+    return solve_steady_state(stage, (problem.x_initial if x is None else x, np.zeros(problem.nu) if u is None else u))
+
+
+def _tracking_point(stage: SteadyStage, request: LqrRequest) -> SteadyState:
+    """The given steady state, else that of the references; its multipliers are zero."""
+    if stage.gauss_newton is None:
+        raise ProblemError("lqr_terminal_cost: the stage cost is no least squares; use economic=True")
+    if request.x is None or request.u is None:
+        if request.x is not None or request.u is not None:
+            raise ProblemError("lqr_terminal_cost: give both x and u of the steady state, or neither")
+        found = solve_steady_state(stage)
+        slope = float(np.abs(stage.jacobians(found.w)[1].full()).max())
+        curvature = np.abs(ca.Function("H", [stage.w], [stage.gauss_newton])(found.w).full()).max()
+        if slope > SLOPE * float(curvature) * max(1.0, float(np.abs(found.w).max())):
+            raise ProblemError(
+                f"lqr_terminal_cost: the references are no steady state (the cost has the slope {slope:.2g} at the "
+                "nearest one); give x= and u= of a steady state, or use economic=True"
+            )
+        x, u = found.x, found.u
+    else:
+        x, u = request.x[list(stage.kept)], request.u
+    w = np.concatenate([x, u])
+    gap = float(np.abs(stage.values(w)[0].full().ravel() - x).max())
+    if not gap <= GAP * max(1.0, float(np.abs(w).max())):
+        raise ProblemError(f"lqr_terminal_cost: x and u are no steady state: one interval moves a state by {gap:.3g}")
+    zero = np.zeros(len(stage.rows.names))
+    return SteadyState(x, u, np.zeros(stage.nx), zero, float(stage.values(w)[1]), (), gap)
+
+
+def _spread(
+    stage: SteadyStage, steady: SteadyState, found: CostToGo, economic: bool, active: tuple[str, ...]
+) -> TerminalCost:
+    """The matrices for all states of the problem."""
+    problem, kept = stage.problem, list(stage.kept)
+    P, K, lam = np.zeros((problem.nx, problem.nx)), np.zeros((problem.nu, problem.nx)), np.zeros(problem.nx)
+    P[np.ix_(kept, kept)], K[:, kept], lam[kept] = found.P, found.K, steady.lam
+    return TerminalCost(P, lam, K, stage.full(steady.x), steady.u, economic, found.residual, active)
+
+
+def _with_residual(problem: Problem, found: TerminalCost) -> Stage:
+    """The terminal stage with 1/2 |x - x_s|^2_P added to its least squares; cyclic states are left out."""
+    stage = problem.terminal
+    kept = [i for i in range(problem.nx) if i not in problem.cyclic]
+    names = [problem.state_names[i] for i in kept]
+    free = [f"{name}_lqr" if name in stage.y_names else name for name in names]
+    weight = np.zeros((stage.ny + len(kept), stage.ny + len(kept)))
+    weight[: stage.ny, : stage.ny] = stage.weight
+    weight[stage.ny :, stage.ny :] = found.P[np.ix_(kept, kept)]
+    return replace(
+        stage,
+        y=ca.densify(ca.vertcat(stage.y, *(stage.x[i] for i in kept))),
+        y_names=(*stage.y_names, *free),
+        reference=np.concatenate([stage.reference, found.x_s[kept]]),
+        weight=weight,
+        scale_with_dt=(*stage.scale_with_dt, *(False for _ in kept)),
+    )

@@ -1,0 +1,273 @@
+"""tune(): a constant positive definite Hessian for economic NMPC, computed once and off line.
+
+    M = H + (Hcal(dP) + eta C'F C) / alpha,   M_f = H_f - (dP + eta D'G D) / alpha
+
+H is the Hessian of the Lagrangian of the best steady state. Rotating the cost by a quadratic storage function (Hcal)
+and adding squares of strictly active rows (C'F C) change neither the solution nor, at the steady state, the Hessian on
+the null space of the dynamics and of those rows; so M keeps the fast convergence near the steady state.
+
+Source: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section IV, called [Z20] here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nmpc_codegen.economic.linear_quadratic import Frequency, LinearQuadratic, frequency_function, linear_quadratic
+from nmpc_codegen.economic.semidefinite import Certificate, Weights, convexify, scalings
+from nmpc_codegen.economic.stage import SteadyStage, steady_stage
+from nmpc_codegen.economic.steady_state import SteadyState, solve_steady_state
+from nmpc_codegen.economic.terminal import with_terminal_cost
+from nmpc_codegen.errors import OptionError, ProblemError
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.options import Options
+
+if TYPE_CHECKING:
+    from nmpc_codegen.components.base import Hessian
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """The result of tune(), in the units and the order of the problem; cyclic states have zero rows and columns.
+
+    M (nx+nu, nx+nu); M_f (nx, nx), None if x_N is fixed; dP (nx, nx), F, G, alpha, beta: the solution of the program;
+    H (nx+nu, nx+nu), A (nx, nx), B (nx, nu), C (rows, nx+nu): the expansion at the steady state x_s (nx,), u_s (nu,)
+    with multipliers lam_s (nx,), mu_s (strictly active rows, > 0 at the upper bound). ``dissipativity``: the least
+    value of the frequency function without rows, positive if a quadratic storage function exists without them.
+    """
+
+    problem: Problem
+    M: Array
+    M_f: Array | None
+    dP: Array
+    F: Array
+    G: Array
+    alpha: float
+    beta: float
+    eta: int
+    H: Array
+    H_f: Array | None
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    x_s: Array
+    u_s: Array
+    lam_s: Array
+    mu_s: Array
+    cost: float
+    active: tuple[str, ...]
+    active_terminal: tuple[str, ...]
+    names: tuple[str, ...]
+    kept: tuple[int, ...]
+    scaling: str
+    conditioning: float
+    dissipativity: Frequency
+    with_rows: Frequency
+
+    @property
+    def dissipative(self) -> bool:
+        """True if the cost is strictly dissipative at the steady state without help of strictly active rows."""
+        return self.dissipativity.positive
+
+    @property
+    def storage(self) -> Array:
+        """S = -dP / alpha of the storage function Lambda(x) = -lam_s'(x - x_s) + 1/2 (x - x_s)' S (x - x_s).
+
+        The rotated cost l + Lambda(x) - Lambda(Phi) has the Hessian M on the null space of the strictly active rows.
+        """
+        return -self.dP / self.alpha
+
+    def hessian(self) -> Hessian:
+        """The component EconomicGaussNewton with this M, M_f and steady state."""
+        module = import_module("nmpc_codegen.components.hessians.economic_gauss_newton")
+        found: Hessian = module.EconomicGaussNewton(M=self.M, M_f=self.M_f, steady_state=(self.x_s, self.u_s))
+        return found
+
+    def __str__(self) -> str:
+        """A table for readers."""
+        states = [f"  {name} = {value:.6g}" for name, value in zip(self.names, [*self.x_s, *self.u_s], strict=True)]
+        kept = np.flatnonzero(np.diag(self.M))
+        values = np.linalg.eigvalsh(self.M[np.ix_(kept, kept)])
+        end = "x_N is fixed, so there is no M_f"
+        if self.M_f is not None:
+            ends = np.linalg.eigvalsh(self.M_f[np.ix_(self.kept, self.kept)])
+            end = f"M_f: eigenvalues {ends[0]:.3g} .. {ends[-1]:.3g}"
+        rows = [f"  {name}: multiplier {mu:.4g}" for name, mu in zip(self.active, self.mu_s, strict=True)]
+        return "\n".join(
+            [
+                f"economic tuning of {self.problem.name} (eta = {self.eta})",
+                f"steady state, cost {self.cost:.8g} per interval:",
+                *states,
+                *(["strictly active rows:", *rows] if rows else ["no row is strictly active"]),
+                f"H: eigenvalues {np.linalg.eigvalsh(self.H)[0]:.3g} .. {np.linalg.eigvalsh(self.H)[-1]:.3g}",
+                f"M: eigenvalues {values[0]:.3g} .. {values[-1]:.3g}, condition number {self.conditioning:.4g}",
+                end,
+                f"alpha {self.alpha:.6g}, beta {self.beta:.4g}, w scaled by: {self.scaling}",
+                f"dissipativity: {self.verdict}",
+            ]
+        )
+
+    @property
+    def verdict(self) -> str:
+        """Dissipativity in a sentence."""
+        if self.dissipative:
+            return f"strictly dissipative at the steady state (frequency function >= {self.dissipativity.least:.3g})"
+        return (
+            f"not strictly dissipative by itself (frequency function {self.dissipativity.least:.3g} at "
+            f"{self.dissipativity.theta:.3g} rad), but on the strictly active rows ({self.with_rows.least:.3g})"
+        )
+
+
+def tune(
+    ocp: OCP,
+    options: Options | None = None,
+    *,
+    rho1: float = 1e-3,
+    rho2: float = 1e-3,
+    eta: int = 1,
+    scaling: Any = "auto",
+    guess: Any = None,
+) -> Tuning:
+    """Compute M and M_f of EconomicGaussNewton for a problem.
+
+    Args:
+        ocp: the problem, on a uniform grid; states that grow for ever are named by ocp.cyclic().
+        options: its integrator defines the discrete map.
+        rho1: penalty of |F|, the multiples of strictly active rows.
+        rho2: penalty of |G|, the same at node N.
+        eta: 1: strictly active rows may be used; 0: the cost must be dissipative without them.
+        scaling: "none", "curvature", "magnitude", or d (nx+nu,) for w / d; "auto": the first of them that succeeds.
+        guess: (x, u) near the steady state; by default the initial state, and references or mid-ranges of controls.
+
+    Raises:
+        ProblemError: there is no steady state or no solution; the message says which condition fails.
+        OptionError: an argument has a value that is not allowed, or CVXPY or Clarabel is missing.
+    """
+    weights = Weights(rho1, rho2, eta)
+    problem = with_terminal_cost(classify(ocp), options)
+    if not problem.uniform:
+        raise ProblemError(f"tune: '{problem.name}' has intervals of different length, so no M is constant on its grid")
+    stage = steady_stage(problem, options)
+    steady = solve_steady_state(stage, guess)
+    lq = linear_quadratic(stage, steady)
+    without, with_rows = frequency_function(lq.without_rows()), frequency_function(lq)
+    candidates = _candidates(stage, lq, steady, scaling)
+    certificate, name = _solved(lq, weights, candidates, (without, with_rows))
+    return _tuning(stage, steady, lq, certificate, name, weights.eta, (without, with_rows))
+
+
+def steady_state(ocp: OCP, options: Options | None = None, guess: Any = None) -> SteadyState:
+    """The best steady state and its multipliers, without M: min l  s.t.  x = Phi(x, u) and the rows of the path.
+
+    Cyclic states are left out; the other arguments and errors are those of tune().
+    """
+    return solve_steady_state(steady_stage(classify(ocp), options), guess)
+
+
+def _candidates(stage: SteadyStage, lq: LinearQuadratic, steady: SteadyState, scaling: Any) -> dict[str, Array]:
+    known = scalings(lq, steady.w)
+    if isinstance(scaling, str):
+        if scaling not in (*known, "auto"):
+            raise OptionError(f"tune: scaling={scaling!r}; expected one of auto, {', '.join(known)}, or an array")
+        return known if scaling == "auto" else {scaling: known[scaling]}
+    d, problem = np.asarray(scaling, dtype=float), stage.problem
+    if d.shape != (problem.nx + problem.nu,) or not np.all(np.isfinite(d) & (d > 0)):
+        raise OptionError(f"tune: scaling must be {problem.nx + problem.nu} positive numbers")
+    return {"the given numbers": d[[*stage.kept, *range(problem.nx, len(d))]]}
+
+
+def _solved(
+    lq: LinearQuadratic, weights: Weights, candidates: dict[str, Array], frequency: tuple[Frequency, Frequency]
+) -> tuple[Certificate, str]:
+    """The certificate of the first scaling in which the program is solved; the reason, checked, if there is none."""
+    decisive = frequency[weights.eta]
+    statuses = {}
+    for name, d in candidates.items():
+        found = convexify(lq, weights, d)
+        if isinstance(found, Certificate):
+            return found, name
+        statuses[name] = found
+        if not decisive.positive:
+            break  # the frequency function confirms that no scaling helps
+    if not decisive.positive:
+        where = "on the strictly active rows " if weights.eta else ""
+        hint = "add curvature to the cost, or integrate it with the dynamics"
+        if not weights.eta and frequency[1].positive:
+            hint = f"eta=1 uses the strictly active rows ({', '.join(lq.active)}), with which a solution exists"
+        raise ProblemError(
+            f"tune: no M exists for eta = {weights.eta}: the frequency function {where}is {decisive.least:.3g} at "
+            f"{decisive.theta:.3g} rad per interval, but must be positive; {hint}"
+        )
+    failed = "; ".join(f"{name}: {status}" for name, status in statuses.items())
+    alone = LinearQuadratic(lq.A, lq.B, lq.H, lq.C)
+    if lq.H_f is not None and any(isinstance(convexify(alone, weights, d), Certificate) for d in candidates.values()):
+        raise ProblemError(
+            "tune: M exists, but no positive definite M_f with it was found: the terminal cost bends too little or is "
+            f"missing; state ocp.lqr_terminal_cost(economic=True) or fix x_N (solver: {failed})"
+        )
+    raise ProblemError(
+        f"tune: the frequency function ({decisive.least:.3g} > 0) says that M exists, but the solver fails ({failed}); "
+        "choose other units, or scaling= with the typical size of every state and control"
+    )
+
+
+def _tuning(
+    stage: SteadyStage,
+    steady: SteadyState,
+    lq: LinearQuadratic,
+    found: Certificate,
+    scaling: str,
+    eta: int,
+    frequency: tuple[Frequency, Frequency],
+) -> Tuning:
+    problem, kept = stage.problem, list(stage.kept)
+    nx, nu = problem.nx, problem.nu
+    both = [*kept, *range(nx, nx + nu)]
+
+    def spread(matrix: Array, rows: list[int] | None, columns: list[int], shape: tuple[int, int]) -> Array:
+        out = np.zeros(shape)
+        out[np.ix_(range(shape[0]) if rows is None else rows, columns)] = matrix
+        out.flags.writeable = False
+        return out
+
+    lam = np.zeros(nx)
+    lam[kept] = steady.lam
+    D = np.zeros((0, lq.n)) if lq.D is None else lq.D
+    values = np.linalg.eigvalsh(found.M)
+    return Tuning(
+        problem=problem,
+        M=spread(found.M, both, both, (nx + nu, nx + nu)),
+        M_f=None if found.M_f is None else spread(found.M_f, kept, kept, (nx, nx)),
+        dP=spread(found.dP, kept, kept, (nx, nx)),
+        F=found.F,
+        G=found.G,
+        alpha=found.alpha,
+        beta=found.beta,
+        eta=eta,
+        H=spread(lq.H, both, both, (nx + nu, nx + nu)),
+        H_f=None if lq.H_f is None else spread(lq.H_f, kept, kept, (nx, nx)),
+        A=spread(lq.A, kept, kept, (nx, nx)),
+        B=spread(lq.B, kept, list(range(nu)), (nx, nu)),
+        C=spread(lq.C, None, both, (len(lq.C), nx + nu)),
+        D=spread(D, None, kept, (len(D), nx)),
+        x_s=stage.full(steady.x),
+        u_s=steady.u,
+        lam_s=lam,
+        mu_s=steady.mu[list(steady.active)],
+        cost=steady.cost,
+        active=lq.active,
+        active_terminal=lq.active_terminal,
+        names=(*problem.state_names, *problem.control_names),
+        kept=stage.kept,
+        scaling=scaling,
+        conditioning=float(values[-1] / values[0]),
+        dissipativity=frequency[0],
+        with_rows=frequency[1],
+    )

@@ -1,0 +1,73 @@
+"""Theorem 8, Corollary 9, Lemmas 4 to 6 and Figures 1 and 2, by the prototypes of the benchmark."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.lib.economic import artificial, closed_loop, evaporation, rotation
+
+
+def test_theorem_8_and_corollary_9() -> None:
+    assert evaporation.reduced_hessian_error() <= 1e-8
+    assert evaporation.first_step_error() <= 1e-8
+    assert evaporation.first_step_dual_error(False) > 0.1
+    assert evaporation.first_step_dual_error(True) <= 1e-8
+
+
+def test_exact_hessian_needs_the_active_rows() -> None:
+    """Without them its reduced Hessian has a negative eigenvalue for every node where the row is active."""
+    assert evaporation.negative_eigenvalues(with_rows=True) == 0
+    assert evaporation.negative_eigenvalues(with_rows=False) == evaporation.N - 1
+
+
+def test_lemma_4() -> None:
+    assert rotation.lemma4_error(rotation.linear) <= 1e-8
+    assert rotation.lemma4_error(rotation.quadratic) <= 1e-8
+
+
+def test_lemma_5() -> None:
+    """Equal iterates for a linear storage function on the map and for any on the nodes."""
+    assert rotation.lemma5_error() <= 1e-8
+
+
+def test_lemma_5_does_not_hold_for_a_nonlinear_storage_function_on_the_map() -> None:
+    """The first iterate, from a plan without gaps, agrees; the second is 2.9 kg/min apart; later ones converge."""
+    first, second, third, fourth = rotation.distances(rotation.quadratic, "map", exact=False)
+    assert first <= 1e-9
+    assert second > 1
+    assert rotation.control_distance() == pytest.approx(2.9, rel=0.05)
+    assert second > third > fourth
+
+
+def test_lemma_6() -> None:
+    """Exact Hessians: the first iterate agrees for consistent multipliers, the second does not."""
+    first, second, *_ = rotation.distances(rotation.quadratic, "map", exact=True)
+    assert first <= 1e-9
+    assert second > 0.05
+
+
+@pytest.mark.slow
+def test_figure_1() -> None:
+    """Sizes of the first steps as printed in the documentation; order of the schemes; an admissible solution."""
+    runs = evaporation.figure1()
+    np.testing.assert_allclose(runs["tuned"][1][:3], [196.2, 31.98, 0.838], rtol=0.01)
+    assert evaporation.figure1_order() == 1
+    assert evaporation.admissible(runs["exact"][0]) == 1
+    np.testing.assert_allclose(runs["tuned"][0].u, runs["exact"][0].u, rtol=0, atol=1e-8)
+    exact = runs["exact"][1]
+    assert exact[4] < 10 * exact[3] ** 2  # quadratic
+
+
+def test_figure_2() -> None:
+    """Both forms have one solution; the rotated one needs no more steps."""
+    original, rotated = artificial.run(False), artificial.run(True)
+    np.testing.assert_allclose(original.plan.u, rotated.plan.u, rtol=0, atol=1e-6)
+    assert evaporation.steps_to(rotated.sizes, 1e-6) <= evaporation.steps_to(original.sizes, 1e-6)
+
+
+def test_closed_loop_prototype() -> None:
+    """A few samples with M: the multipliers of the active bound keep their sign, and the pressure falls."""
+    loop = closed_loop.run(closed_loop.SCHEMES[2], samples=20)
+    assert loop.wrong_sign == 0
+    assert 0.5 < loop.distance < 2.0
