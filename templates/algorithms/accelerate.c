@@ -38,11 +38,11 @@ static void update_trend(solver_t *s)
         q->trend = (q->square < R(0.9) * before) ? SHRINKING : GROWING;
     }
 #if ACCELERATE
-    const real_t change = q->square - both + (before - both), determinant = a * change - b * b;
+    const real_t e = q->square - both, change = e + (before - both), determinant = a * change - b * b;
     q->gamma[0] = q->gamma[1] = R(0);
     if (q->comparable && q->trend != GROWING && change > R(0)) {
-        q->gamma[1] = (determinant > R(1e-3) * a * change) ? (c * change - b * (q->square - both)) / determinant : R(0);
-        q->gamma[0] = (q->square - both - q->gamma[1] * b) / change;
+        q->gamma[1] = (determinant > R(1e-3) * a * change) ? (c * change - b * e) / determinant : R(0);
+        q->gamma[0] = (e - q->gamma[1] * b) / change;
     }
 #endif
 }
@@ -53,7 +53,7 @@ static void accelerate(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < width(k); i++) {
+        for (int i = 0; i < nz_at(k); i++) {
             change_t *change = &q->change[k][i];
             real_t *d = step_at(&s->step, k, i);
             const real_t end = point_at(s, k, i) + *d, older = change->end;
@@ -74,7 +74,7 @@ static int takes_accelerated(solver_t *s)
     sqp_t *q = &s->sqp;
     const real_t slope = q->slope;
     accelerate(s);
-    if (q->gamma[0] == R(0)) {
+    if (!(FABS(q->gamma[0]) > R(0))) {
         return 0;
     }
     q->length = R(1);

@@ -68,7 +68,6 @@ static void forget_plan(solver_t *s)
 static void algorithm_reset(solver_t *s)
 {
     forget_plan(s);
-    memcpy(s->xhat, initial_state, sizeof s->xhat);
     s->prepared = 0;
 #if SHIFT
     s->samples = 0;
@@ -87,7 +86,8 @@ static void algorithm_reset(solver_t *s)
     s->relaxation = INF;
 #endif
     s->stats.violated_row = s->stats.violated_node = -1;
-    start_at(s, s->xhat);
+    start_at(s, initial_state);
+    memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }
 
 /* Gap b_k = Phi(x_k, u_k) - x_{k+1} and general rows of node k. */
@@ -486,7 +486,9 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     status_t status;
     int measured, broken;
     if (s->magic != MAGIC) {
-        memcpy(u0, default_control, sizeof default_control);
+        for (int j = 0; j < NU; j++) { /* not by memcpy, see fill_copies() */
+            u0[j] = default_control[j];
+        }
         return NOT_INITIALIZED;
     }
     measured = take_state(s, xhat);

@@ -8,7 +8,7 @@
  * with the penalty row_weight (elastic QP). */
 
 /* Number of components of (dx, du) at node k. */
-static inline int width(int k)
+static inline int nz_at(int k)
 {
     return (k < N) ? NZ : NX;
 }
@@ -95,7 +95,7 @@ static void move_to_trial(solver_t *s)
     sqp_t *q = &s->sqp;
     move_back(s);
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < width(k); i++) {
+        for (int i = 0; i < nz_at(k); i++) {
             *step_at(&s->step, k, i) = q->length * *step_at(&q->step, k, i);
         }
     }
@@ -148,7 +148,7 @@ static void update_scales(solver_t *s)
     int changed = 0;
     q->cost_unit = R(1);
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < width(k); i++) {
+        for (int i = 0; i < nz_at(k); i++) {
             enlarge(&q->cost_unit, gradient_of(s, k)[i] * point_at(s, k, i));
             enlarge(&size[i], point_at(s, k, i));
             enlarge(&size[i], *step_at(&s->step, k, i));
@@ -314,7 +314,7 @@ static real_t slope_of(solver_t *s)
 {
     real_t slope = R(0);
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < width(k); i++) {
+        for (int i = 0; i < nz_at(k); i++) {
             slope += gradient_of(s, k)[i] * *step_at(&s->step, k, i);
         }
     }
@@ -511,7 +511,8 @@ static status_t iterate(solver_t *s, real_t tol, int last)
 #endif
     for (;; s->stats.sqp_iterations++) {
         if (!q->resumes) {
-            q->prepared = (int32_t)prepare_here(s);
+            const status_t prepared = prepare_here(s);
+            q->prepared = (int32_t)prepared;
         }
         q->resumes = 0;
         if (kkt_converged(s, tol)) {

@@ -103,16 +103,17 @@ static void qp_settle(qp_t *q, int c, int side, int member, real_t moved, real_t
  * penalty is invalid. */
 static int qp_take_penalties(qp_t *q)
 {
-    int valid = 1;
-    q->elastic = 0;
+    int valid = 1, elastic = 0;
     for (int c = 0; c < NV + NG; ++c) {
-        const int limited = q->penalty[c] < INF;
         valid &= q->penalty[c] >= R(0);
-        q->elastic |= limited;
-        if (qp_is_saturated(q, c) && !(limited && isfinite(qp_bound(q, c)))) {
+        elastic |= q->penalty[c] < INF;
+    }
+    for (int c = 0; (elastic || q->elastic) && c < NV + NG; ++c) {
+        if (qp_is_saturated(q, c) && !(q->penalty[c] < INF && isfinite(qp_bound(q, c)))) {
             q->side[c] = INACTIVE;
         }
     }
+    q->elastic = elastic;
     return valid;
 }
 
