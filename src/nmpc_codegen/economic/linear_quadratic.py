@@ -22,6 +22,8 @@ from nmpc_codegen.economic.steady_state import SteadyState
 from nmpc_codegen.frontend.problem import Array
 
 FREQUENCIES = 721
+#: A value of the frequency function up to this one, relative to H, counts as 0.
+POSITIVE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +124,7 @@ class Frequency:
 
     @property
     def positive(self) -> bool:
-        return self.least > 0.0
+        return self.least > POSITIVE
 
 
 def frequency_function(lq: LinearQuadratic) -> Frequency:

@@ -103,7 +103,7 @@ def terminal_cost(problem: Problem, request: LqrRequest, options: Options | None
     stage = steady_stage(problem, options)
     steady = _economic_point(stage, request) if request.economic else _tracking_point(stage, request)
     lq = linear_quadratic(stage, steady, gauss_newton=not request.economic)
-    found = cost_to_go(lq)
+    found = cost_to_go(lq, stage.names)
     _refuse_open_end(lq, found)
     return _spread(stage, steady, found, request.economic, lq.active)
 

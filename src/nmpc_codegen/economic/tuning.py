@@ -151,7 +151,7 @@ def tune(
         OptionError: an argument has a value that is not allowed, or CVXPY or Clarabel is missing.
     """
     weights = Weights(rho1, rho2, eta)
-    problem = with_terminal_cost(classify(ocp), options)
+    problem = with_terminal_cost(_classified(ocp, options), options)
     if not problem.uniform:
         raise ProblemError(f"tune: '{problem.name}' has intervals of different length, so no M is constant on its grid")
     stage = steady_stage(problem, options)
@@ -168,7 +168,15 @@ def steady_state(ocp: OCP, options: Options | None = None, guess: Any = None) ->
 
     Cyclic states are left out; the other arguments and errors are those of tune().
     """
-    return solve_steady_state(steady_stage(classify(ocp), options), guess)
+    return solve_steady_state(steady_stage(_classified(ocp, options), options), guess)
+
+
+def _classified(ocp: OCP, options: Options | None) -> Problem:
+    if not isinstance(ocp, OCP):
+        raise ProblemError(f"ocp: {type(ocp).__name__}; expected an OCP")
+    if options is not None and not isinstance(options, Options):
+        raise OptionError(f"options: {options!r}; expected Options(...) or None")
+    return classify(ocp)
 
 
 def _candidates(stage: SteadyStage, lq: LinearQuadratic, steady: SteadyState, scaling: Any) -> dict[str, Array]:
@@ -177,7 +185,11 @@ def _candidates(stage: SteadyStage, lq: LinearQuadratic, steady: SteadyState, sc
         if scaling not in (*known, "auto"):
             raise OptionError(f"tune: scaling={scaling!r}; expected one of auto, {', '.join(known)}, or an array")
         return known if scaling == "auto" else {scaling: known[scaling]}
-    d, problem = np.asarray(scaling, dtype=float), stage.problem
+    problem = stage.problem
+    try:
+        d = np.asarray(scaling, dtype=float)
+    except (TypeError, ValueError):
+        d = np.zeros(0)
     if d.shape != (problem.nx + problem.nu,) or not np.all(np.isfinite(d) & (d > 0)):
         raise OptionError(f"tune: scaling must be {problem.nx + problem.nu} positive numbers")
     return {"the given numbers": d[[*stage.kept, *range(problem.nx, len(d))]]}
