@@ -14,6 +14,7 @@ from examples import driving, evaporation
 from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, OptionError, Options, ProblemError
 from nmpc_codegen.economic import Tuning, steady_state, tune
 from nmpc_codegen.economic.terminal import lqr_terminal_cost
+from nmpc_codegen.frontend.classify import classify
 
 
 @cache
@@ -280,6 +281,31 @@ def test_start_that_is_not_finite_is_named() -> None:
     with pytest.raises(ProblemError, match=r"not finite at x = 0, u = 0.*initial="):
         steady_state(ocp)
     assert steady_state(ocp, guess=([1.0], [0.0])).x[0] == pytest.approx(np.sqrt(0.5), abs=1e-9)
+
+
+@pytest.mark.parametrize("money", [1e-9, 1e9])
+@pytest.mark.parametrize("units", [(1e-4, 1e4, 1e4, 1e-4), (1e4, 1e-4, 1e-4, 1e4)])
+def test_steady_state_in_bad_units(units: tuple[float, ...], money: float) -> None:
+    """The best steady state, its active row and the cost-to-go of the evaporation process do not depend on units."""
+    plain, ocp = evaporation.process(5), OCP("units", T=5.0, N=5)
+    d = np.array(units)
+    a, b = ocp.state("a", initial=25 / d[0]), ocp.state("b", initial=54.7 / d[1])
+    v = ocp.control("v", size=2)
+    w = ca.vertcat(a, b, v) * d
+    problem = classify(plain)
+    x, u = problem.path.x, problem.path.u
+    rates = problem.dynamics(w[:2], w[2:], [])
+    cost = ca.Function("l", [x, u, problem.path.dt], [problem.path.cost])(w[:2], w[2:], 1.0)
+    ocp.dynamics({a: rates[0] / d[0], b: rates[1] / d[1]})
+    ocp.stage_cost(money * cost)
+    ocp.subject_to(np.array([25, 40]) / d[:2], ca.vertcat(a, b), np.array([np.inf, 80]) / d[:2])
+    ocp.subject_to(0, v, 400 / d[2:])
+    best = steady_state(ocp, evaporation.options())
+    np.testing.assert_allclose(best.w * d, [25, 49.742975, 191.713225, 215.888440], rtol=1e-7)
+    assert best.active == (0,)
+    ends = [lqr_terminal_cost(o, evaporation.options(), economic=True) for o in (plain, ocp)]
+    np.testing.assert_allclose(ends[1].P * money**-1 / np.outer(d[:2], d[:2]), ends[0].P, atol=1e-6)
+    np.testing.assert_allclose(ends[1].slope / money / d[:2], ends[0].slope, rtol=1e-7)
 
 
 def test_contradictory_rows_are_named() -> None:

@@ -38,6 +38,7 @@ class LinearQuadratic:
     D: Array | None = None
     active: tuple[str, ...] = ()
     active_terminal: tuple[str, ...] = ()
+    size: Array | None = None  # (n + m,) typical magnitudes of w, where they are known
 
     @property
     def n(self) -> int:
@@ -69,7 +70,7 @@ class LinearQuadratic:
     def without_rows(self) -> LinearQuadratic:
         """The same problem without strictly active rows."""
         D = None if self.D is None else self.D[:0]
-        return LinearQuadratic(self.A, self.B, self.H, self.C[:0], self.H_f, D)
+        return LinearQuadratic(self.A, self.B, self.H, self.C[:0], self.H_f, D, size=self.size)
 
 
 def _unit_rows(C: Array) -> Array:
@@ -95,7 +96,7 @@ def linear_quadratic(stage: SteadyStage, steady: SteadyState, *, gauss_newton: b
         strict = _strict_terminal(g.ravel(), G, end, steady.lam - slope.ravel(), {rows.names[i] for i in active})
         D, names = G[strict], tuple(end.names[i] for i in strict)
     return LinearQuadratic(
-        AB[:, :n], AB[:, n:], (H + H.T) / 2, J[active], H_f, D, tuple(rows.names[i] for i in active), names
+        AB[:, :n], AB[:, n:], (H + H.T) / 2, J[active], H_f, D, tuple(rows.names[i] for i in active), names, steady.size
     )
 
 
@@ -156,7 +157,14 @@ def frequency_function(lq: LinearQuadratic) -> Frequency:
 
 
 def curvature_scaling(lq: LinearQuadratic) -> Array:
-    """d_i = 1 / sqrt |H_ii|; a variable without curvature gets the largest of the others."""
+    """d_i = 1 / sqrt |H_ii|; a variable without curvature gets the largest of the others.
+
+    Where typical magnitudes are known, d stays within a factor of 1000 of them, up to a common factor.
+    """
+    if lq.size is not None:
+        curvature = np.abs(np.diag(lq.H)) * lq.size**2
+        largest = float(curvature.max())
+        return lq.size / np.sqrt(np.maximum(curvature, 1e-6 * largest) if largest > 0 else 1.0)
     diagonal = np.abs(np.diag(lq.H))
     flat = diagonal <= 1e-12 * max(float(diagonal.max()), np.finfo(float).tiny)
     d = 1.0 / np.sqrt(np.where(flat, 1.0, diagonal))

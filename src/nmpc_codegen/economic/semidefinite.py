@@ -125,10 +125,11 @@ def scalings(lq: LinearQuadratic, w: Array) -> dict[str, Array]:
     w at the steady state becomes 1.
     """
     size = np.abs(w)
+    size = np.where(size > 1e-6 * max(float(size.max()), 1.0), size, 1.0) if lq.size is None else lq.size
     return {
         "none": np.ones(len(w)),
         "curvature": curvature_scaling(lq),
-        "magnitude": np.where(size > 1e-6 * max(float(size.max()), 1.0), size, 1.0),
+        "magnitude": size,
     }
 
 

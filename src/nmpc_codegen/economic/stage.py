@@ -9,7 +9,7 @@ states, which grow for ever, are left out: nothing but their own equations may d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -89,6 +89,36 @@ class SteadyStage:
         found = self.problem.x_initial
         found[list(self.kept)] = x
         return found
+
+
+def magnitudes(stage: SteadyStage, *points: Array) -> Array:
+    """Typical sizes of w (n + nu,): the largest of given values and of its finite simple bounds; 1 if all are zero."""
+    size = np.max(np.abs(points), axis=0)
+    for row in stage.problem.rows:
+        if row.kind == "control":
+            at = stage.nx + row.index
+        elif row.kind == "state" and row.index in stage.kept:
+            at = stage.kept.index(row.index)
+        else:
+            continue
+        size[at] = max(size[at], *(abs(bound) for bound in (row.lower, row.upper) if np.isfinite(bound)), 0.0)
+    found: Array = np.where(size > 0, size, 1.0)
+    return found
+
+
+def in_units(stage: SteadyStage, d: Array, money: float, rows: Array) -> SteadyStage:
+    """The same stage in w / d, cost / money, h / rows; multipliers are then lam d / money and mu rows / money."""
+    w = ca.SX.sym("w", len(d))
+    n, r = stage.nx, stage.rows
+    Phi, cost, h = stage.values(w * d)
+    return replace(
+        stage,
+        x=w[:n],
+        u=w[n:],
+        Phi=Phi / d[:n],
+        cost=cost / money,
+        rows=replace(r, h=h / rows, lower=r.lower / rows, upper=r.upper / rows, penalty=r.penalty * rows / money),
+    )
 
 
 def tableau(problem: Problem, options: Options | None) -> Tableau:

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
-from nmpc_codegen.economic.stage import Rows, SteadyStage
+from nmpc_codegen.economic.stage import Rows, SteadyStage, in_units, magnitudes
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import vector
 from nmpc_codegen.frontend.problem import Array
@@ -38,7 +38,8 @@ CURVED, ATTEMPTS, LEAVE = -1e-9, 3, 0.1
 class SteadyState:
     """x (n,) of the kept states, u (nu,), lam (n,), mu (one per row), the cost of one interval.
 
-    ``active``: positions of the rows that are strictly active; ``residual``: of the optimality conditions.
+    ``active``: positions of the rows that are strictly active; ``residual``: of the optimality conditions;
+    ``size`` (n + nu,): typical magnitudes of w.
     """
 
     x: Array
@@ -48,6 +49,7 @@ class SteadyState:
     cost: float
     active: tuple[int, ...]
     residual: float
+    size: Array
 
     @property
     def w(self) -> Array:
@@ -67,7 +69,26 @@ def solve_steady_state(stage: SteadyStage, guess: tuple[Array, Array] | None = N
         ProblemError: IPOPT finds no steady state, the cost has no lower bound on the steady states, or the optimality
             conditions are singular.
     """
-    w, direction = _start(stage, guess), np.zeros(0)
+    w = _start(stage, guess)
+    _refuse_infinite(stage, w)
+    size = magnitudes(stage, w)
+    gradient, J = (np.asarray(part, dtype=float) * size for part in stage.jacobians(w)[1:])
+    zero = np.zeros(len(stage.rows.names))
+    H = np.asarray(stage.hessian(w, np.zeros(stage.nx), zero), dtype=float) * np.outer(size, size)
+    money = max(float(np.abs(gradient).max()), float(np.abs(H).max()))
+    norms = np.linalg.norm(J, axis=1)
+    money, norms = money if 0 < money < np.inf else 1.0, np.where(norms > 0, norms, 1.0)
+    found = _least(in_units(stage, size, money, norms), w / size)
+    lam, mu = found.lam * money / size[: stage.nx], found.mu * money / norms
+    w = found.w * size
+    _refuse_violated(stage.rows, found.active, mu)
+    n, cost = stage.nx, found.cost * money
+    return SteadyState(w[:n], w[n:], lam, mu, cost, found.active, found.residual, magnitudes(stage, w, size))
+
+
+def _least(stage: SteadyStage, w: Array) -> SteadyState:
+    """A minimum from the start w, in the units of the stage."""
+    direction = np.zeros(0)
     for _ in range(ATTEMPTS):
         found = _optimum(stage, w)
         direction = _downhill(stage, found)
@@ -118,7 +139,6 @@ def _optimum(stage: SteadyStage, start: Array) -> SteadyState:
     }
     quiet |= {"acceptable_iter": 0, "constr_viol_tol": IPOPT_TOLERANCE, "compl_inf_tol": IPOPT_TOLERANCE}
     settings: Any = {"print_time": False, "show_eval_warnings": False, "ipopt": quiet}
-    _refuse_infinite(stage, start)
     solver = ca.nlpsol("steady", "ipopt", {"x": w, "f": stage.cost, "g": g}, settings)
     low, high = np.concatenate([np.zeros(n), rows.lower]), np.concatenate([np.zeros(n), rows.upper])
     found = solver(x0=start, lbg=low, ubg=high)
@@ -224,13 +244,17 @@ def _checked(stage: SteadyStage, residual: float, w: Array, lam: Array, mu: Arra
     _, cost, h = (np.asarray(v, dtype=float).ravel() for v in stage.values(w))
     largest = max(np.abs(np.concatenate([mu, lam, stage.jacobians(w)[1].full().ravel()])))
     strict = tuple(i for i in range(len(mu)) if abs(mu[i]) > STRICT * largest or rows.lower[i] == rows.upper[i])
-    for i in strict:
+    excess = float(np.max(np.concatenate([h - rows.upper, rows.lower - h, [0.0]])))
+    if excess > 1e-8 * max(1.0, float(np.abs(w).max())):
+        raise ProblemError(f"OCP '{stage.problem.name}': the steady state violates a row by {excess:.2g}; give guess=")
+    return SteadyState(w[:n], w[n:], lam, mu, float(cost[0]), strict, residual, np.ones(len(w)))
+
+
+def _refuse_violated(rows: Rows, active: tuple[int, ...], mu: Array) -> None:
+    """Raise ProblemError if the penalty of a soft row is too small to keep it."""
+    for i in active:
         if abs(mu[i]) > rows.penalty[i]:
             raise ProblemError(
                 f"the soft row '{rows.names[i]}' is violated at the steady state (multiplier {mu[i]:.3g}, l1 = "
                 f"{rows.penalty[i]:.3g}); it must hold there: raise its l1, or move its bound"
             )
-    excess = float(np.max(np.concatenate([h - rows.upper, rows.lower - h, [0.0]])))
-    if excess > 1e-8 * max(1.0, float(np.abs(w).max())):
-        raise ProblemError(f"OCP '{stage.problem.name}': the steady state violates a row by {excess:.2g}; give guess=")
-    return SteadyState(w[:n], w[n:], lam, mu, float(cost[0]), strict, residual)

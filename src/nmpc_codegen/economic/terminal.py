@@ -27,7 +27,7 @@ import scipy.linalg
 
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, curvature_scaling, linear_quadratic
 from nmpc_codegen.economic.riccati import CostToGo, cost_to_go
-from nmpc_codegen.economic.stage import SteadyStage, steady_stage
+from nmpc_codegen.economic.stage import SteadyStage, magnitudes, steady_stage
 from nmpc_codegen.economic.steady_state import SteadyState, solve_steady_state
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import flag, vector
@@ -147,9 +147,10 @@ def _tracking_point(stage: SteadyStage, request: LqrRequest) -> SteadyState:
                 f"lqr_terminal_cost: the references are no steady state (the cost has the slope {slope:.2g} at the "
                 "nearest one); give x= and u= of a steady state, or use economic=True"
             )
-        x, u = found.x, found.u
+        x, u, size = found.x, found.u, found.size
     else:
         x, u = request.x[list(stage.kept)], request.u
+        size = magnitudes(stage, np.concatenate([x, u]))
     w = np.concatenate([x, u])
     Phi, cost, h = (part.full().ravel() for part in stage.values(w))
     gap = float(np.abs(Phi - x).max())
@@ -163,7 +164,7 @@ def _tracking_point(stage: SteadyStage, request: LqrRequest) -> SteadyState:
                 f"{lower:.6g} .. {upper:.6g}"
             )
     equations = tuple(i for i in range(len(h)) if rows.lower[i] == rows.upper[i] and rows.penalty[i] > 0)
-    return SteadyState(x, u, np.zeros(stage.nx), np.zeros(len(h)), float(cost[0]), equations, gap)
+    return SteadyState(x, u, np.zeros(stage.nx), np.zeros(len(h)), float(cost[0]), equations, gap, size)
 
 
 def _spread(

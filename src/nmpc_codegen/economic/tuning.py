@@ -218,7 +218,7 @@ def _solved(
             f"{decisive.theta:.3g} rad per interval, but must be positive; {hint}"
         )
     failed = "; ".join(f"{name}: {status}" for name, status in statuses.items())
-    alone = LinearQuadratic(lq.A, lq.B, lq.H, lq.C)
+    alone = LinearQuadratic(lq.A, lq.B, lq.H, lq.C, size=lq.size)
     if lq.H_f is not None and any(isinstance(convexify(alone, weights, d), Certificate) for d in candidates.values()):
         raise ProblemError(
             "tune: M exists, but no positive definite M_f with it was found: the terminal cost bends too little or is "
