@@ -103,17 +103,20 @@ def linear_quadratic(stage: SteadyStage, steady: SteadyState, *, gauss_newton: b
 def _strict_terminal(g: Array, G: Array, rows: Rows, force: Array, on_path: set[str]) -> list[int]:
     """Rows at their bound whose multiplier nu, G' nu = lam_s - dV_f / dx, has the sign of the bound.
 
-    Rows that are strictly active on the path belong to them ([Z20], equation (15)), although a terminal cost with the
-    slope lam_s gives them no multiplier.
+    Equations belong to them, and rows that are strictly active on the path ([Z20], equation (15)), although a terminal
+    cost with the slope lam_s gives these no multiplier.
     """
     size = 1e-8 * np.maximum(1.0, np.abs(g))
     near = [i for i in range(len(g)) if min(abs(g[i] - rows.lower[i]), abs(g[i] - rows.upper[i])) <= size[i]]
     if not near:
         return []
     signs = np.array([1.0 if abs(g[i] - rows.upper[i]) <= size[i] else -1.0 for i in near])
-    nu, _ = scipy.optimize.nnls((G[near] * signs[:, None]).T, force)
+    equations = [i for i in near if rows.lower[i] == rows.upper[i]]
+    columns = np.vstack([G[near] * signs[:, None], -G[equations]])
+    nu, _ = scipy.optimize.nnls(columns.T, force)
     least = 1e-9 * max(1.0, float(np.abs(force).max()))
-    return [i for i, value in zip(near, nu, strict=True) if value > least or rows.names[i] in on_path]
+    held = set(equations) | {i for i in near if rows.names[i] in on_path}
+    return [i for i, value in zip(near, nu[: len(near)], strict=True) if value > least or i in held]
 
 
 @dataclass(frozen=True)

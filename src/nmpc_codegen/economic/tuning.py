@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 
 from nmpc_codegen.economic.linear_quadratic import Frequency, LinearQuadratic, frequency_function, linear_quadratic
@@ -38,7 +39,8 @@ class Tuning:
 
     M (nx+nu, nx+nu); M_f (nx, nx), None if x_N is fixed; dP (nx, nx), F, G, alpha, beta: the solution of the program;
     H (nx+nu, nx+nu), A (nx, nx), B (nx, nu), C (rows, nx+nu): the expansion at the steady state x_s (nx,), u_s (nu,)
-    with multipliers lam_s (nx,), mu_s (strictly active rows, > 0 at the upper bound). ``dissipativity``: the least
+    with multipliers lam_s (nx,), mu_s (strictly active rows, > 0 at the upper bound); nu_s those of D (rows, nx), the
+    rows that are active at node N. ``dissipativity``: the least
     value of the frequency function without rows, positive if a quadratic storage function exists without them.
     """
 
@@ -61,6 +63,7 @@ class Tuning:
     u_s: Array
     lam_s: Array
     mu_s: Array
+    nu_s: Array
     cost: float
     active: tuple[str, ...]
     active_terminal: tuple[str, ...]
@@ -92,7 +95,9 @@ class Tuning:
 
     def __str__(self) -> str:
         """A table for readers."""
-        states = [f"  {name} = {value:.6g}" for name, value in zip(self.names, [*self.x_s, *self.u_s], strict=True)]
+        w = np.concatenate([self.x_s, self.u_s])
+        w[np.abs(w) < 1e-15 * np.abs(w).max()] = 0.0
+        states = [f"  {name} = {value:.6g}" for name, value in zip(self.names, w, strict=True)]
         kept = np.flatnonzero(np.diag(self.M))
         values = np.linalg.eigvalsh(self.M[np.ix_(kept, kept)])
         end = "x_N is fixed, so there is no M_f"
@@ -252,6 +257,7 @@ def _tuning(
     lam = np.zeros(nx)
     lam[kept] = steady.lam
     D = np.zeros((0, lq.n)) if lq.D is None else lq.D
+    slope = ca.Function("V", [stage.x], [ca.gradient(stage.terminal_cost, stage.x)])(steady.x).full().ravel()
     values = np.linalg.eigvalsh(found.M)
     return Tuning(
         problem=problem,
@@ -273,6 +279,7 @@ def _tuning(
         u_s=steady.u,
         lam_s=lam,
         mu_s=steady.mu[list(steady.active)],
+        nu_s=np.linalg.lstsq(D.T, steady.lam - slope, rcond=None)[0],
         cost=steady.cost,
         active=lq.active,
         active_terminal=lq.active_terminal,
