@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from examples import driving
 from nmpc_codegen import OCP, ExplicitRungeKutta, Options, ProblemError, build
 from nmpc_codegen.compiler import compiled, stated
 from nmpc_codegen.economic.terminal import lqr_terminal_cost
@@ -110,6 +111,20 @@ def test_active_row_at_the_steady_state(N: int, turn: float, mixed: bool) -> Non
     np.testing.assert_allclose(short.u, long.u[:N], rtol=0, atol=2e-7)
     np.testing.assert_allclose(short.x, long.x[: N + 1], rtol=0, atol=2e-7)
     assert np.abs(long.x[N] - found.x_s).max() > 1e-4, "the plan must not end in the steady state already"
+
+
+def test_indefinite_cost_to_go_of_the_car(monkeypatch: pytest.MonkeyPatch) -> None:
+    """2 s with the cost-to-go plan like 12 s, by IPOPT; the brake is held at its bound, the position left out."""
+    plans = []
+    for N in (20, 120):
+        monkeypatch.setattr(driving, "N", N)
+        ocp = driving.build_ocp()
+        problem = stated(ocp, driving.options())
+        x0 = np.array([0.0, 0.3, driving.SPEED + 0.05, 0.01, 0.0])
+        plans.append(solve_reference(problem, replace(CLASSICAL, steps=driving.STEPS), x0=x0))
+    assert np.linalg.eigvalsh(lqr_terminal_cost(ocp, driving.options(), economic=True).P)[0] < -0.1
+    np.testing.assert_allclose(plans[0].u, plans[1].u[:20], rtol=0, atol=5e-6)
+    np.testing.assert_allclose(plans[0].x, plans[1].x[:21], rtol=0, atol=5e-5)
 
 
 def test_rows_that_bind_further_states_are_refused() -> None:
