@@ -38,6 +38,8 @@ from nmpc_codegen.options import Options
 
 #: Largest gap Phi(x, u) - x of a given steady state, and slope of the cost at the references, relative to their size.
 GAP, SLOPE = 1e-6, 1e-7
+#: Entries below this part of the largest one, in typical units of w, are rounding errors.
+NOISE = 1e-14
 #: Largest part of a direction, in units of the curvature, that counts as inside a subspace.
 OUTSIDE = 1e-6
 SEMIDEFINITE = -1e-12  # least eigenvalue of a weight, relative to the largest
@@ -180,7 +182,16 @@ def _spread(
     for i in steady.active:
         if stage.rows.names[i] in end.names:
             slope[kept] -= steady.mu[i] * at_end[end.names.index(stage.rows.names[i])]
-    return TerminalCost(P, lam, slope, K, stage.full(steady.x), steady.u, economic, found.residual, active)
+    # Rounding errors would cost operations in the generated code.
+    d = steady.size[: stage.nx]
+    unit = np.zeros(problem.nx)
+    unit[kept] = d
+    scaled = P * np.outer(unit, unit)
+    largest = max(float(np.abs(scaled).max(initial=0.0)), float(np.abs(slope * unit).max(initial=0.0)))
+    P[np.abs(scaled) <= NOISE * largest] = 0.0
+    slope[np.abs(slope * unit) <= NOISE * largest] = 0.0
+    x_s = np.where(np.abs(steady.x) <= NOISE * d, 0.0, steady.x)
+    return TerminalCost(P, lam, slope, K, stage.full(x_s), steady.u, economic, found.residual, active)
 
 
 def _with_residual(problem: Problem, found: TerminalCost) -> Stage:
