@@ -2,7 +2,8 @@
 
 What it shows: cyclic() for the position along the road, which has no steady state; lqr_terminal_cost(economic=True),
 whose matrix P is indefinite; a cost integrated with the dynamics, without which the controller has no stable regulator;
-an obstacle that disappears, by bounds that change at every sample.
+the constant Hessian M of tune(), which has no rows for the position; an obstacle that disappears, by bounds that change
+at every sample: those of the position do not concern M.
 
 An electric car keeps 50 km/h with the least energy: the gain ALPHA per metre makes 50 km/h the best steady speed. At
 8 s the lane moves sideways. The state ``py`` is the distance from the middle of the lane, so the car, which does not
@@ -90,7 +91,8 @@ def build_ocp(newton: float = 1000.0) -> OCP:
 def options(hessian: Any = None) -> Options:
     """Five RK4 steps per interval; the plan moves by one interval per sample.
 
-    The bounds differ between nodes, because the obstacle disappears within the plan.
+    The bounds differ between nodes, because the obstacle disappears within the plan. Without a Hessian it is the exact
+    one, so that an export needs no semidefinite program.
     """
     return Options(
         integrator=ExplicitRungeKutta(RK4, steps=STEPS),
@@ -157,10 +159,10 @@ def draw(log: Log, picture: str) -> None:
 
 
 def main(picture: str = "out/driving.png") -> tuple[Tuning, Log]:
-    """Print the tuning, drive 30 s and draw the figure."""
+    """Print the tuning, drive 30 s with M and draw the figure."""
     tuning = tuned()
     print(tuning)
-    log = closed_loop()
+    log = closed_loop(hessian=tuning.hessian())
     print(log.summary())
     print(f"at most {log.x[: round(CLEARED / SAMPLING) + 1, 0].max():.3f} m until {CLEARED:g} s")
     draw(log, picture)

@@ -1,7 +1,8 @@
 """Evaporation process: an economic cost that is not convex, and a constant Hessian as cheap as that of tracking.
 
 What it shows: stage_cost() in money per minute; the best steady state, which lies on the bound X2 >= 25; tune(), which
-finds a positive definite Hessian M for it once and off line; why that needs the strictly active bound (eta = 1).
+finds a positive definite Hessian M for it once and off line; why that needs the strictly active bound (eta = 1); a
+controller with M, whose code contains no second derivatives.
 
 A liquor is concentrated from 5 % to X2 by evaporation at the pressure P2. Steam of the pressure P100 heats it, cooling
 water at the rate F200 condenses the vapour. Steam is dear, so the product is not concentrated beyond its limit.
@@ -69,7 +70,7 @@ def process(N: int) -> OCP:
 
 
 def options(hessian: Any = None) -> Options:
-    """One RK4 step per minute."""
+    """One RK4 step per minute; without a Hessian the exact one, so that an export needs no semidefinite program."""
     return Options(
         integrator=ExplicitRungeKutta(RK4, steps=1), hessian=hessian or ExactHessian(Project(1e-8, level="reduced"))
     )
@@ -80,7 +81,7 @@ def tuned(N: int = 200, eta: int = 1) -> Tuning:
     return tune(build_ocp(N), options(), eta=eta)
 
 
-def closed_loop(dP: float = 10.0, samples: int = 120, hessian: Any = None, N: int = 200) -> Log:
+def closed_loop(dP: float = 10.0, samples: int = 200, hessian: Any = None, N: int = 200) -> Log:
     """Start ``dP`` kPa above the best pressure, with the steady state as first plan."""
     ocp = build_ocp(N)
     best = steady_state(ocp, options())
@@ -100,6 +101,8 @@ def draw(log: Log, best: SteadyState, picture: str) -> None:
         axis.plot(log.t[: len(value)], value, color="#c2571a" if trace in log.controls else "#1f5fa8", linewidth=1.6)
         axis.set_ylabel(trace.label)
         axis.margins(x=0)
+        if np.ptp(value) < 1e-2 * abs(goal):
+            axis.set_ylim(0.95 * goal, 1.05 * goal)
         axis.grid(alpha=0.25)
     for axis in axes[-1]:
         axis.set_xlabel("time [min]")
@@ -109,14 +112,14 @@ def draw(log: Log, best: SteadyState, picture: str) -> None:
 
 
 def main(picture: str = "out/evaporation.png") -> tuple[Tuning, Log]:
-    """Print the tuning and why eta = 0 has none; simulate the controller from 10 kPa above the best pressure."""
+    """Print the tuning and why eta = 0 has none; simulate M from 10 kPa above the best pressure."""
     tuning = tuned()
     print(tuning)
     try:
         tuned(eta=0)
     except ProblemError as error:
         print(f"without the bound: {error}")
-    log = closed_loop()
+    log = closed_loop(hessian=tuning.hessian())
     print(log.summary())
     draw(log, steady_state(build_ocp(), options()), picture)
     return tuning, log

@@ -27,6 +27,7 @@ static int bounds_differ(const real_t lower[NR], const real_t upper[NR])
 }
 
 #endif
+/* Returns 1 if parameters, weights or bounds have other values than those for which M was computed. */
 static int data_differ(const solver_t *s)
 {
     int differ = 0;

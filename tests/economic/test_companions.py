@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from examples import evaporation
-from nmpc_codegen import OCP, OptionError, ProblemError
-from nmpc_codegen.economic import Tuning, letempc_cost, letempc_terminal_cost, rotate, tracking_cost
+from nmpc_codegen import OCP, OptionError, ProblemError, compiler
+from nmpc_codegen.economic import Tuning, letempc_cost, letempc_terminal_cost, rotate, tracking_cost, tune
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, node_data
+from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, node_data, solve_reference
 from nmpc_codegen.oracle.trajectory import Tableau
 
 N = 30
@@ -80,6 +80,31 @@ def test_letempc_at_the_steady_state() -> None:
     np.testing.assert_allclose(value[0].full(), t.M, atol=1e-12)
     np.testing.assert_allclose(value[1].full().ravel(), -t.C.T @ t.mu_s, atol=1e-12)
     assert float(value[2]) == pytest.approx(0, abs=1e-10)
+
+
+@pytest.mark.parametrize("N", [1, 4])
+def test_letempc_that_ends_on_an_active_row(N: int) -> None:
+    """Of a linear-quadratic problem it is the problem itself, as long as the row is active: x_0 <= 1 at every node."""
+
+    def stated(cost: str) -> OCP:
+        ocp = OCP("pushed", N=N)
+        x, u = ocp.state("x", size=2, initial=[0.9, 0.02]), ocp.control("u", size=2)
+        ocp.dynamics({x: np.array([[0.9, 0.2], [-0.3, 1.1]]) @ x + np.array([[1, 0.3], [0.2, 1]]) @ u}, discrete=True)
+        ocp.subject_to(-9, x, [1, 9])
+        if cost == "letempc":
+            t = tune(stated("economic"))
+            ocp.stage_cost(letempc_cost(t, x, u), scale_with_dt=False)
+            ocp.terminal_cost(letempc_terminal_cost(t, x))
+        else:
+            ocp.stage_cost(-5 * x[0] + x[1] ** 2 + 0.1 * ca.sumsqr(u))
+            ocp.lqr_terminal_cost(economic=True)
+        return ocp
+
+    t = tune(stated("economic"))
+    assert t.active_terminal == ("x[0]",)
+    assert t.nu_s == pytest.approx(t.mu_s, rel=1e-9)
+    u = [solve_reference(compiler.stated(stated(cost))).u for cost in ("economic", "letempc")]
+    np.testing.assert_allclose(u[1], u[0], rtol=0, atol=1e-6)
 
 
 def test_refusals() -> None:

@@ -7,7 +7,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.linalg
 
+from examples import driving
 from nmpc_codegen import OCP, ExplicitRungeKutta, Options, ProblemError, build
 from nmpc_codegen.compiler import compiled, stated
 from nmpc_codegen.economic.terminal import lqr_terminal_cost
@@ -75,6 +77,103 @@ def test_economic_is_the_infinite_horizon(N: int) -> None:
     assert "general cost" in problem.features
     u0 = solve_reference(problem).u[0]
     np.testing.assert_allclose(u0, found.u_s - found.K @ (problem.x_initial - found.x_s), rtol=0, atol=1e-7)
+
+
+def pushed(N: int, turn: float = 0.0, mixed: bool = False) -> OCP:
+    """An indefinite quadratic cost that pushes the first of two states against its bound; rotated by a storage."""
+    ocp = OCP("pushed", N=N)
+    x, u = ocp.state("x", size=2, initial=[0.8, 0.3]), ocp.control("u", size=2)
+    x_next = np.array([[0.9, 0.2], [-0.3, 1.1]]) @ x + np.array([[1.0, 0.3], [0.2, 1.0]]) @ u
+    ocp.dynamics({x: x_next}, discrete=True)
+    storage = lambda z: turn * (z[0] ** 2 - z[0] * z[1] - 2 * z[1] ** 2 + z[0])  # noqa: E731
+    ocp.stage_cost(-5 * x[0] + x[1] ** 2 + 0.1 * ca.sumsqr(u) + 0.05 * u[0] * x[1] + storage(x_next) - storage(x))
+    if mixed:
+        ocp.subject_to(-np.inf, x[0] + 0.1 * u[0], 1, name="row")
+        ocp.subject_to(-9, x, 9)
+    else:
+        ocp.subject_to(-9, x, [1, 9])
+    ocp.lqr_terminal_cost(economic=True)
+    return ocp
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+@pytest.mark.parametrize("turn", [0.0, 1.5])
+@pytest.mark.parametrize("N", [1, 3])
+def test_active_row_at_the_steady_state(N: int, turn: float, mixed: bool) -> None:
+    """A short plan is the beginning of a long one, also when it ends on a row, which keeps its multiplier there.
+
+    IPOPT solves both. A row of states is stated at node N, too; a mixed row belongs to the cost-to-go.
+    """
+    found = lqr_terminal_cost(pushed(2, turn, mixed), economic=True)
+    assert found.active == (("row",) if mixed else ("x[0]",))
+    assert (abs(found.slope[0] - found.lam[0]) < 1e-9) == mixed
+    long, short = (solve_reference(stated(pushed(k, turn, mixed))) for k in (40, N))
+    np.testing.assert_allclose(short.u, long.u[:N], rtol=0, atol=2e-7)
+    np.testing.assert_allclose(short.x, long.x[: N + 1], rtol=0, atol=2e-7)
+    assert np.abs(long.x[N] - found.x_s).max() > 1e-4, "the plan must not end in the steady state already"
+
+
+def test_indefinite_cost_to_go_of_the_car(monkeypatch: pytest.MonkeyPatch) -> None:
+    """2 s with the cost-to-go plan like 12 s, by IPOPT; the brake is held at its bound, the position left out."""
+    plans = []
+    for N in (20, 120):
+        monkeypatch.setattr(driving, "N", N)
+        ocp = driving.build_ocp()
+        problem = stated(ocp, driving.options())
+        x0 = np.array([0.0, 0.3, driving.SPEED + 0.05, 0.01, 0.0])
+        plans.append(solve_reference(problem, replace(CLASSICAL, steps=driving.STEPS), x0=x0))
+    assert np.linalg.eigvalsh(lqr_terminal_cost(ocp, driving.options(), economic=True).P)[0] < -0.1
+    np.testing.assert_allclose(plans[0].u, plans[1].u[:20], rtol=0, atol=5e-6)
+    np.testing.assert_allclose(plans[0].x, plans[1].x[:21], rtol=0, atol=5e-5)
+
+
+def test_rows_that_bind_further_states_are_refused() -> None:
+    """p <= 1 of p+ = p + v, v+ = v + u, strictly active, keeps v = 0, which no row states at node N."""
+    ocp = OCP("wall", N=3)
+    p, v, u = ocp.state("p"), ocp.state("v"), ocp.control("u")
+    ocp.dynamics({p: p + v, v: v + u}, discrete=True)
+    ocp.stage_cost(-p + v**2 + u**2)
+    ocp.subject_to(-np.inf, p, 1)
+    with pytest.raises(ProblemError, match=r"strictly active rows \(p\).*ocp\.subject_to\(best\.x"):
+        lqr_terminal_cost(ocp, economic=True)
+
+
+def test_equations_of_a_tracking_problem_hold_behind_the_end() -> None:
+    """u_0 + u_1 = 0 at every interval: the regulator has one control."""
+    ocp = OCP("equation", N=1)
+    x, u = ocp.state("x", size=2, initial=[1.0, 1.0]), ocp.control("u", size=2)
+    A, B = np.array([[0.9, 0.2], [-0.3, 1.1]]), np.array([[1.0, 0.3], [0.2, 1.0]])
+    ocp.dynamics({x: A @ x + B @ u}, discrete=True)
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    ocp.subject_to(0, u[0] + u[1], 0)
+    found = lqr_terminal_cost(ocp)
+    expected = scipy.linalg.solve_discrete_are(A, B @ [[1.0], [-1.0]], np.eye(2), [[2.0]])
+    np.testing.assert_allclose(found.P, expected, rtol=1e-9)
+
+
+def test_mode_that_no_control_moves_is_named() -> None:
+    ocp = OCP("uncontrolled", T=1.0, N=5)
+    x, y, u = ocp.state("x"), ocp.state("y"), ocp.control("u")
+    ocp.dynamics({x: u - x, y: 0.5 * y})
+    ocp.least_squares(ca.vertcat(x, y, u), weight=1.0)
+    with pytest.raises(ProblemError, match=r"no control moves a mode of y that changes by the factor 1\.105"):
+        lqr_terminal_cost(ocp)
+
+
+def test_steady_state_outside_its_bounds_is_refused() -> None:
+    ocp = oscillator(x=[0.5, 0.0], u=[0.5])
+    ocp.subject_to(-1, ocp.x[0], 0.4, name="near")
+    with pytest.raises(ProblemError, match=r"violates the row 'near': 0\.5 is not in -1 \.\. 0\.4"):
+        stated(ocp)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [({"x": [1, 2, 3], "u": [0]}, "x has shape"), ({"x": "a"}, "x must be numbers"), ({"economic": "yes"}, "economic")],
+)
+def test_bad_arguments(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(ProblemError, match=message):
+        lqr_terminal_cost(oscillator(), **arguments)  # type: ignore[arg-type]
 
 
 def test_terminal_terms_add_up() -> None:

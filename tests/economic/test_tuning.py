@@ -14,6 +14,7 @@ from examples import driving, evaporation
 from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, OptionError, Options, ProblemError
 from nmpc_codegen.economic import Tuning, steady_state, tune
 from nmpc_codegen.economic.terminal import lqr_terminal_cost
+from nmpc_codegen.frontend.classify import classify
 
 
 @cache
@@ -218,6 +219,8 @@ def small(cost: float = 1.0, **more: bool) -> OCP:
         ({"rho1": -1.0}, "rho1=-1.0; expected a number >= 0"),
         ({"rho2": float("nan")}, "rho2=nan"),
         ({"scaling": "other"}, "expected one of auto, none, curvature, magnitude"),
+        ({"eta": np.array([1, 2])}, "expected 0 or 1"),
+        ({"scaling": ["a", 1.0]}, "scaling must be 2 positive numbers"),
         ({"scaling": [1.0]}, "scaling must be 2 positive numbers"),
         ({"scaling": [1.0, -1.0]}, "scaling must be 2 positive numbers"),
     ],
@@ -228,9 +231,102 @@ def test_bad_arguments(arguments: dict[str, object], message: str) -> None:
 
 
 def test_no_solution() -> None:
-    """x+ = x / 2 + u with -x^2 + u^2 earns by moving away."""
-    with pytest.raises(ProblemError, match="no M exists for eta = 1: the frequency function"):
-        tune(small(-1.0))
+    """x+ = u with x^2 + u^2 + 3 x u rests best at 0, but earns by changing its sign at every interval."""
+    ocp = OCP("swing", N=5)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u}, discrete=True)
+    ocp.stage_cost(x**2 + u**2 + 3 * x * u)
+    with pytest.raises(ProblemError, match=r"no M exists for eta = 1: the frequency function .* at 3\.14 rad"):
+        tune(ocp)
+
+
+def test_a_value_of_zero_is_not_positive() -> None:
+    """A position without weight: rounding must not make the frequency function positive."""
+    ocp = OCP("undetectable", T=2.0, N=5)
+    p, v, a = ocp.state("p", initial=1.0), ocp.state("v"), ocp.control("a")
+    ocp.dynamics({p: v, v: a})
+    ocp.stage_cost(v**2 + a**2)
+    with pytest.raises(ProblemError, match="no M exists for eta = 1"):
+        tune(ocp)
+
+
+@pytest.mark.parametrize("cost", [-1.0, 0.0])
+def test_cost_without_bound_is_named(cost: float) -> None:
+    """-x^2 starts at a maximum, which is left; -x runs away at once."""
+    ocp = OCP("unbounded", T=1.0, N=5)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u - x})
+    ocp.stage_cost(cost * x**2 - (1 + cost) * x)
+    with pytest.raises(ProblemError, match="no lower bound on the steady states"):
+        steady_state(ocp)
+
+
+def test_start_at_a_maximum_is_left() -> None:
+    """x = u = 0 is stationary, but the best steady state lies on the bound of u."""
+    ocp = OCP("hill", T=1.0, N=5)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u - x})
+    ocp.stage_cost(-(x**2) + 0.1 * u**2 + 0.01 * x**4)
+    ocp.subject_to(-3, u, 3)
+    found = steady_state(ocp)
+    assert abs(found.x[0]) == pytest.approx(3, abs=1e-9)
+    assert found.active == (0,)
+
+
+def test_start_that_is_not_finite_is_named() -> None:
+    ocp = OCP("logarithm", T=1.0, N=3)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u - x})
+    ocp.stage_cost(u**2 - ca.log(x))
+    with pytest.raises(ProblemError, match=r"not finite at x = 0, u = 0.*initial="):
+        steady_state(ocp)
+    assert steady_state(ocp, guess=([1.0], [0.0])).x[0] == pytest.approx(np.sqrt(0.5), abs=1e-9)
+
+
+@pytest.mark.parametrize("money", [1e-9, 1e9])
+@pytest.mark.parametrize("units", [(1e-4, 1e4, 1e4, 1e-4), (1e4, 1e-4, 1e-4, 1e4)])
+def test_steady_state_in_bad_units(units: tuple[float, ...], money: float) -> None:
+    """The best steady state, its active row and the cost-to-go of the evaporation process do not depend on units."""
+    plain, ocp = evaporation.process(5), OCP("units", T=5.0, N=5)
+    d = np.array(units)
+    a, b = ocp.state("a", initial=25 / d[0]), ocp.state("b", initial=54.7 / d[1])
+    v = ocp.control("v", size=2)
+    w = ca.vertcat(a, b, v) * d
+    problem = classify(plain)
+    x, u = problem.path.x, problem.path.u
+    rates = problem.dynamics(w[:2], w[2:], [])
+    cost = ca.Function("l", [x, u, problem.path.dt], [problem.path.cost])(w[:2], w[2:], 1.0)
+    ocp.dynamics({a: rates[0] / d[0], b: rates[1] / d[1]})
+    ocp.stage_cost(money * cost)
+    ocp.subject_to(np.array([25, 40]) / d[:2], ca.vertcat(a, b), np.array([np.inf, 80]) / d[:2])
+    ocp.subject_to(0, v, 400 / d[2:])
+    best = steady_state(ocp, evaporation.options())
+    np.testing.assert_allclose(best.w * d, [25, 49.742975, 191.713225, 215.888440], rtol=1e-7)
+    assert best.active == (0,)
+    ends = [lqr_terminal_cost(o, evaporation.options(), economic=True) for o in (plain, ocp)]
+    np.testing.assert_allclose(ends[1].P * money**-1 / np.outer(d[:2], d[:2]), ends[0].P, atol=1e-6)
+    np.testing.assert_allclose(ends[1].slope / money / d[:2], ends[0].slope, rtol=1e-7)
+
+
+def test_contradictory_rows_are_named() -> None:
+    ocp = small(end=False)
+    ocp.subject_to(-1, ocp.u, 1)
+    ocp.subject_to(3, ocp.x, 4)
+    with pytest.raises(ProblemError, match=r"no steady state was found .*(row|state) 'x'.*check rows"):
+        steady_state(ocp)
+
+
+@pytest.mark.parametrize("guess", [3, ([1.0],), ("a", "b"), ([1.0, 2.0, 3.0], [0.0]), ([np.nan], [0.0])])
+def test_bad_guess(guess: object) -> None:
+    with pytest.raises(ProblemError, match="guess"):
+        steady_state(small(), guess=guess)
+
+
+def test_bad_first_arguments() -> None:
+    with pytest.raises(ProblemError, match="expected an OCP"):
+        tune("small")  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match=r"expected Options\(...\)"):
+        steady_state(small(), "RK4")  # type: ignore[arg-type]
 
 
 def test_missing_terminal_cost_is_named() -> None:

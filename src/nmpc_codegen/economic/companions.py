@@ -42,7 +42,7 @@ def letempc_cost(tuning: Tuning, x: Any, u: Any) -> Expression:
 
 
 def letempc_terminal_cost(tuning: Tuning, x: Any) -> Expression:
-    """1/2 (x - x_s)' M_f (x - x_s), for ocp.terminal_cost().
+    """1/2 (x - x_s)' M_f (x - x_s) - nu_s' D (x - x_s), for ocp.terminal_cost().
 
     Raises:
         ProblemError: the tuning has no M_f, because x_N is fixed.
@@ -50,7 +50,7 @@ def letempc_terminal_cost(tuning: Tuning, x: Any) -> Expression:
     if tuning.M_f is None:
         raise ProblemError("letempc_terminal_cost: x_N is fixed, so there is no terminal cost")
     dx = x - tuning.x_s
-    return ca.SX(ca.dot(dx, ca.DM(tuning.M_f) @ dx) / 2)
+    return ca.SX(ca.dot(dx, ca.DM(tuning.M_f) @ dx) / 2 - ca.dot(tuning.D.T @ tuning.nu_s, dx))
 
 
 def tracking_cost(tuning: Tuning, x: Any, u: Any, weight: Any) -> Expression:

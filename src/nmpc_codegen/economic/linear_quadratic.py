@@ -22,6 +22,8 @@ from nmpc_codegen.economic.steady_state import SteadyState
 from nmpc_codegen.frontend.problem import Array
 
 FREQUENCIES = 721
+#: A value of the frequency function up to this one, relative to H, counts as 0.
+POSITIVE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +38,7 @@ class LinearQuadratic:
     D: Array | None = None
     active: tuple[str, ...] = ()
     active_terminal: tuple[str, ...] = ()
+    size: Array | None = None  # (n + m,) typical magnitudes of w, where they are known
 
     @property
     def n(self) -> int:
@@ -67,7 +70,7 @@ class LinearQuadratic:
     def without_rows(self) -> LinearQuadratic:
         """The same problem without strictly active rows."""
         D = None if self.D is None else self.D[:0]
-        return LinearQuadratic(self.A, self.B, self.H, self.C[:0], self.H_f, D)
+        return LinearQuadratic(self.A, self.B, self.H, self.C[:0], self.H_f, D, size=self.size)
 
 
 def _unit_rows(C: Array) -> Array:
@@ -93,24 +96,27 @@ def linear_quadratic(stage: SteadyStage, steady: SteadyState, *, gauss_newton: b
         strict = _strict_terminal(g.ravel(), G, end, steady.lam - slope.ravel(), {rows.names[i] for i in active})
         D, names = G[strict], tuple(end.names[i] for i in strict)
     return LinearQuadratic(
-        AB[:, :n], AB[:, n:], (H + H.T) / 2, J[active], H_f, D, tuple(rows.names[i] for i in active), names
+        AB[:, :n], AB[:, n:], (H + H.T) / 2, J[active], H_f, D, tuple(rows.names[i] for i in active), names, steady.size
     )
 
 
 def _strict_terminal(g: Array, G: Array, rows: Rows, force: Array, on_path: set[str]) -> list[int]:
     """Rows at their bound whose multiplier nu, G' nu = lam_s - dV_f / dx, has the sign of the bound.
 
-    Rows that are strictly active on the path belong to them ([Z20], equation (15)), although a terminal cost with the
-    slope lam_s gives them no multiplier.
+    Equations belong to them, and rows that are strictly active on the path ([Z20], equation (15)), although a terminal
+    cost with the slope lam_s gives these no multiplier.
     """
     size = 1e-8 * np.maximum(1.0, np.abs(g))
     near = [i for i in range(len(g)) if min(abs(g[i] - rows.lower[i]), abs(g[i] - rows.upper[i])) <= size[i]]
     if not near:
         return []
     signs = np.array([1.0 if abs(g[i] - rows.upper[i]) <= size[i] else -1.0 for i in near])
-    nu, _ = scipy.optimize.nnls((G[near] * signs[:, None]).T, force)
+    equations = [i for i in near if rows.lower[i] == rows.upper[i]]
+    columns = np.vstack([G[near] * signs[:, None], -G[equations]])
+    nu, _ = scipy.optimize.nnls(columns.T, force)
     least = 1e-9 * max(1.0, float(np.abs(force).max()))
-    return [i for i, value in zip(near, nu, strict=True) if value > least or rows.names[i] in on_path]
+    held = set(equations) | {i for i in near if rows.names[i] in on_path}
+    return [i for i, value in zip(near, nu[: len(near)], strict=True) if value > least or i in held]
 
 
 @dataclass(frozen=True)
@@ -122,7 +128,7 @@ class Frequency:
 
     @property
     def positive(self) -> bool:
-        return self.least > 0.0
+        return self.least > POSITIVE
 
 
 def frequency_function(lq: LinearQuadratic) -> Frequency:
@@ -154,7 +160,14 @@ def frequency_function(lq: LinearQuadratic) -> Frequency:
 
 
 def curvature_scaling(lq: LinearQuadratic) -> Array:
-    """d_i = 1 / sqrt |H_ii|; a variable without curvature gets the largest of the others."""
+    """d_i = 1 / sqrt |H_ii|; a variable without curvature gets the largest of the others.
+
+    Where typical magnitudes are known, d stays within a factor of 1000 of them, up to a common factor.
+    """
+    if lq.size is not None:
+        curvature = np.abs(np.diag(lq.H)) * lq.size**2
+        largest = float(curvature.max())
+        return lq.size / np.sqrt(np.maximum(curvature, 1e-6 * largest) if largest > 0 else 1.0)
     diagonal = np.abs(np.diag(lq.H))
     flat = diagonal <= 1e-12 * max(float(diagonal.max()), np.finfo(float).tiny)
     d = 1.0 / np.sqrt(np.where(flat, 1.0, diagonal))

@@ -67,8 +67,8 @@ def eliminated(lq: LinearQuadratic) -> Reduced:
     return Reduced(T, Kc, N, T.T @ (lq.A @ T + lq.B @ Kc), T.T @ lq.B @ N, Z.T @ lq.H @ Z)
 
 
-def cost_to_go(lq: LinearQuadratic) -> CostToGo:
-    """P and K of the infinite horizon, in the units of the problem.
+def cost_to_go(lq: LinearQuadratic, names: tuple[str, ...] = ()) -> CostToGo:
+    """P and K of the infinite horizon, in the units of the problem; ``names`` of the states are for errors.
 
     Raises:
         ProblemError: the Riccati equation has no stabilising solution.
@@ -77,6 +77,7 @@ def cost_to_go(lq: LinearQuadratic) -> CostToGo:
     scaled = lq.scaled(d)
     size = max(float(np.abs(np.linalg.eigvalsh(scaled.H)).max()), np.finfo(float).tiny)
     r = eliminated(LinearQuadratic(scaled.A, scaled.B, scaled.H / size, scaled.C))
+    _refuse_uncontrolled(r, names, lq.active)
     P, K, residual = _riccati(r)
     radius = float(np.abs(np.linalg.eigvals(r.A - r.B @ K)).max(initial=0.0))
     if not radius <= STABLE:
@@ -86,6 +87,26 @@ def cost_to_go(lq: LinearQuadratic) -> CostToGo:
     feedback = (-(r.Kc - r.N @ K) @ r.T.T) * du[:, None] / dx
     basis = scipy.linalg.orth(r.T * dx[:, None]) if r.T.shape[1] else r.T
     return CostToGo((P + P.T) / 2, feedback, basis, residual, radius)
+
+
+def _refuse_uncontrolled(r: Reduced, names: tuple[str, ...], active: tuple[str, ...]) -> None:
+    """Raise ProblemError if a mode that does not decay is moved by no control (Hautus test)."""
+    values, left = np.linalg.eig(r.A.T) if len(r.A) else (np.zeros(0), np.zeros((0, 0)))
+    size = max(1.0, float(np.abs(r.B).max(initial=0.0)))
+    for value, v in zip(values, left.T, strict=True):
+        if abs(value) > STABLE and np.abs(v @ r.B).max(initial=0.0) <= RANK * size:
+            part = np.abs(r.T @ v)
+            who = ", ".join(name for name, p in zip(names, part, strict=False) if p > 0.1 * part.max())
+            held = f" while the strictly active rows {', '.join(active)} hold" if active else ""
+            raise ProblemError(
+                f"the steady state cannot be stabilised: no control moves a mode of {who or 'the states'} that changes "
+                f"by the factor {abs(value):.6g} per interval{held}; "
+                + (
+                    "move these bounds, or fix x_N instead"
+                    if active
+                    else "name states that grow for ever by ocp.cyclic()"
+                )
+            )
 
 
 def _riccati(r: Reduced) -> tuple[Array, Array, float]:
@@ -137,6 +158,6 @@ def _residual(r: Reduced, P: Array) -> tuple[Array, Array]:
 def _no_solution(why: str) -> str:
     return (
         f"the Riccati equation at the steady state has no stabilising solution: {why}; the cost is not dissipative "
-        "there (add curvature to it, or integrate it with the dynamics), or a state cannot be controlled "
-        "(ocp.cyclic for one that grows for ever)"
+        "there (add curvature to it, or integrate it with the dynamics), or does not depend on a state that does not "
+        "decay (weigh it, or ocp.cyclic for one that grows for ever)"
     )

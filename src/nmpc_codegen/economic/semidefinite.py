@@ -39,7 +39,7 @@ class Weights:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < np.inf:
                 raise OptionError(f"tune: {name}={value!r}; expected a number >= 0")
-        if isinstance(self.eta, bool) or self.eta not in (0, 1):
+        if isinstance(self.eta, bool) or not isinstance(self.eta, int) or self.eta not in (0, 1):
             raise OptionError(f"tune: eta={self.eta!r}; expected 0 or 1")
 
 
@@ -125,10 +125,11 @@ def scalings(lq: LinearQuadratic, w: Array) -> dict[str, Array]:
     w at the steady state becomes 1.
     """
     size = np.abs(w)
+    size = np.where(size > 1e-6 * max(float(size.max()), 1.0), size, 1.0) if lq.size is None else lq.size
     return {
         "none": np.ones(len(w)),
         "curvature": curvature_scaling(lq),
-        "magnitude": np.where(size > 1e-6 * max(float(size.max()), 1.0), size, 1.0),
+        "magnitude": size,
     }
 
 

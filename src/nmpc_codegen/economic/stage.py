@@ -9,9 +9,8 @@ states, which grow for ever, are left out: nothing but their own equations may d
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -92,6 +91,36 @@ class SteadyStage:
         return found
 
 
+def magnitudes(stage: SteadyStage, *points: Array) -> Array:
+    """Typical sizes of w (n + nu,): the largest of given values and of its finite simple bounds; 1 if all are zero."""
+    size = np.max(np.abs(points), axis=0)
+    for row in stage.problem.rows:
+        if row.kind == "control":
+            at = stage.nx + row.index
+        elif row.kind == "state" and row.index in stage.kept:
+            at = stage.kept.index(row.index)
+        else:
+            continue
+        size[at] = max(size[at], *(abs(bound) for bound in (row.lower, row.upper) if np.isfinite(bound)), 0.0)
+    found: Array = np.where(size > 0, size, 1.0)
+    return found
+
+
+def in_units(stage: SteadyStage, d: Array, money: float, rows: Array) -> SteadyStage:
+    """The same stage in w / d, cost / money, h / rows; multipliers are then lam d / money and mu rows / money."""
+    w = ca.SX.sym("w", len(d))
+    n, r = stage.nx, stage.rows
+    Phi, cost, h = stage.values(w * d)
+    return replace(
+        stage,
+        x=w[:n],
+        u=w[n:],
+        Phi=Phi / d[:n],
+        cost=cost / money,
+        rows=replace(r, h=h / rows, lower=r.lower / rows, upper=r.upper / rows, penalty=r.penalty * rows / money),
+    )
+
+
 def tableau(problem: Problem, options: Options | None) -> Tableau:
     """The scheme of the options, else the default of the compiler."""
     chosen = None if options is None else options.integrator
@@ -144,18 +173,22 @@ def steady_stage(problem: Problem, options: Options | None = None) -> SteadyStag
 
 
 def _rows(problem: Problem, x: Expression, u: Expression, cyclic: Expression, *, terminal: bool) -> Rows:
-    """The rows of all inner nodes, or those of node N; rows that depend on a cyclic state are left out."""
-    stage = problem.terminal if terminal else problem.path
-    arguments = [stage.x, stage.p] if terminal else [stage.x, stage.u, stage.p]
-    h = ca.Function("h", arguments, [stage.h])(*([x, problem.p_value] if terminal else [x, u, problem.p_value]))
+    """The rows of all inner nodes, or those of node N; rows that depend on a cyclic state are left out.
+
+    If N = 1 there is no inner node, and the rows of the only interval hold at every sample, also those of its end.
+    Equations at the end are left out: they are no part of the steady operation, but must agree with it.
+    """
+    path, end, p = problem.path, problem.terminal, problem.p_value
+    h = ca.Function("h", [path.x, path.u, path.p], [path.h])(x, u, p)
+    h_N = ca.Function("h", [end.x, end.p], [end.h])(x, p)
     chosen: list[tuple[Row, Expression]] = []
-    inner = set(range(1, problem.N)) or {0}
-    of_kind: dict[str, Any] = {"state": x, "control": u, "general": h}
     for row in problem.rows:
-        if row.kind == "coupled" or not ({problem.N} if terminal else inner) <= set(row.nodes):
+        if row.kind == "coupled" or not _holds(row, problem.N, terminal):
             continue
-        index = row.index_terminal if terminal and row.kind == "general" else row.index
-        value = of_kind[row.kind][index]
+        if row.kind == "general":
+            value = h_N[row.index_terminal] if terminal or row.index < 0 else h[row.index]
+        else:
+            value = (x if row.kind == "state" else u)[row.index]
         if not ca.jacobian(value, cyclic).nnz():
             chosen.append((row, value))
     return Rows(
@@ -165,6 +198,15 @@ def _rows(problem: Problem, x: Expression, u: Expression, cyclic: Expression, *,
         upper=np.array([row.upper for row, _ in chosen]),
         penalty=np.array([np.inf if row.soft is None else row.soft[0] for row, _ in chosen]),
     )
+
+
+def _holds(row: Row, N: int, terminal: bool) -> bool:
+    """True if the row is imposed at node N, else at all inner nodes."""
+    if terminal:
+        return N in row.nodes
+    if N == 1:
+        return 0 in row.nodes or (bool(row.nodes) and row.lower < row.upper)
+    return set(range(1, N)) <= set(row.nodes)
 
 
 def _is_point(problem: Problem, kept: tuple[int, ...]) -> bool:

@@ -17,9 +17,11 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
 
-from nmpc_codegen.economic.stage import Rows, SteadyStage
+from nmpc_codegen.economic.stage import Rows, SteadyStage, in_units, magnitudes
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.checks import vector
 from nmpc_codegen.frontend.problem import Array
 
 #: Tolerance of IPOPT; residual of the polished point, relative to the largest multiplier or variable.
@@ -27,13 +29,17 @@ IPOPT_TOLERANCE, RESIDUAL = 1e-12, 1e-10
 #: A multiplier below this part of the largest one does not make its row strictly active.
 STRICT = 1e-9
 NEWTON_STEPS = 20
+#: Curvature below this part of the largest one, in units of the curvature, is negative; how often a point that is no
+#: minimum is left, and by which part of its size.
+CURVED, ATTEMPTS, LEAVE = -1e-9, 3, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyState:
     """x (n,) of the kept states, u (nu,), lam (n,), mu (one per row), the cost of one interval.
 
-    ``active``: positions of the rows that are strictly active; ``residual``: of the optimality conditions.
+    ``active``: positions of the rows that are strictly active; ``residual``: of the optimality conditions;
+    ``size`` (n + nu,): typical magnitudes of w.
     """
 
     x: Array
@@ -43,6 +49,7 @@ class SteadyState:
     cost: float
     active: tuple[int, ...]
     residual: float
+    size: Array
 
     @property
     def w(self) -> Array:
@@ -55,9 +62,72 @@ def solve_steady_state(stage: SteadyStage, guess: tuple[Array, Array] | None = N
 
     Without a guess, x is the initial state and u the reference of the controls or the middle of their bounds.
 
+    A point of the optimality conditions that is no minimum, such as the start at a maximum, is left along the direction
+    of negative curvature.
+
     Raises:
-        ProblemError: IPOPT finds no steady state, or the optimality conditions are singular there.
+        ProblemError: IPOPT finds no steady state, the cost has no lower bound on the steady states, or the optimality
+            conditions are singular.
     """
+    w = _start(stage, guess)
+    _refuse_infinite(stage, w)
+    size = magnitudes(stage, w)
+    gradient, J = (np.asarray(part, dtype=float) * size for part in stage.jacobians(w)[1:])
+    zero = np.zeros(len(stage.rows.names))
+    H = np.asarray(stage.hessian(w, np.zeros(stage.nx), zero), dtype=float) * np.outer(size, size)
+    money = max(float(np.abs(gradient).max()), float(np.abs(H).max()))
+    norms = np.linalg.norm(J, axis=1)
+    money, norms = money if 0 < money < np.inf else 1.0, np.where(norms > 0, norms, 1.0)
+    found = _least(in_units(stage, size, money, norms), w / size)
+    lam, mu = found.lam * money / size[: stage.nx], found.mu * money / norms
+    w = found.w * size
+    _refuse_violated(stage.rows, found.active, mu)
+    n, cost = stage.nx, found.cost * money
+    return SteadyState(w[:n], w[n:], lam, mu, cost, found.active, found.residual, magnitudes(stage, w, size))
+
+
+def _least(stage: SteadyStage, w: Array) -> SteadyState:
+    """A minimum from the start w, in the units of the stage."""
+    direction = np.zeros(0)
+    for _ in range(ATTEMPTS):
+        found = _optimum(stage, w)
+        direction = _downhill(stage, found)
+        if not direction.any():
+            return found
+        w = found.w + LEAVE * max(1.0, float(np.abs(found.w).max())) * direction
+    names = ", ".join(stage.names[i] for i in np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max()))
+    raise ProblemError(
+        f"OCP '{stage.problem.name}': every steady state found is a maximum or a saddle of the cost in the direction "
+        f"of {names}; give a guess=(x, u) near the minimum, or bound these variables"
+    )
+
+
+def _downhill(stage: SteadyStage, found: SteadyState) -> Array:
+    """A direction (n + nu,) of norm 1 among the steady states with negative curvature of the Lagrangian, else zero.
+
+    Rows at their bounds are held, also those without a multiplier.
+    """
+    w, rows = found.w, stage.rows
+    h = stage.values(w)[2].full().ravel()
+    size = 1e-8 * np.maximum(1.0, np.abs(h))
+    held = (np.abs(h - rows.lower) <= size) | (np.abs(h - rows.upper) <= size)
+    H = np.asarray(stage.hessian(w, found.lam, found.mu))
+    diagonal = np.abs(np.diag(H))
+    unit = 1 / np.sqrt(np.where(diagonal > 1e-12 * max(diagonal.max(), np.finfo(float).tiny), diagonal, 1.0))
+    AB, _, J = (np.asarray(v, dtype=float) for v in stage.jacobians(w))
+    basis = scipy.linalg.null_space(np.vstack([AB - np.eye(stage.nx, len(w)), J[held]]) * unit)
+    if not basis.shape[1]:
+        return np.zeros(len(w))
+    scaled = H * np.outer(unit, unit)
+    values, vectors = np.linalg.eigh(basis.T @ scaled @ basis)
+    if values[0] >= CURVED * np.abs(np.linalg.eigvalsh(scaled)).max():
+        return np.zeros(len(w))
+    direction: Array = unit * (basis @ vectors[:, 0])
+    return direction / np.linalg.norm(direction)
+
+
+def _optimum(stage: SteadyStage, start: Array) -> SteadyState:
+    """A point that satisfies the optimality conditions."""
     rows, w, n = stage.rows, stage.w, stage.nx
     g = ca.vertcat(stage.Phi - stage.x, rows.h)
     quiet: dict[str, Any] = {
@@ -68,27 +138,49 @@ def solve_steady_state(stage: SteadyStage, guess: tuple[Array, Array] | None = N
         "max_iter": 1000,
     }
     quiet |= {"acceptable_iter": 0, "constr_viol_tol": IPOPT_TOLERANCE, "compl_inf_tol": IPOPT_TOLERANCE}
-    settings: Any = {"print_time": False, "ipopt": quiet}
+    settings: Any = {"print_time": False, "show_eval_warnings": False, "ipopt": quiet}
     solver = ca.nlpsol("steady", "ipopt", {"x": w, "f": stage.cost, "g": g}, settings)
     low, high = np.concatenate([np.zeros(n), rows.lower]), np.concatenate([np.zeros(n), rows.upper])
-    found = solver(x0=_start(stage, guess), lbg=low, ubg=high)
+    found = solver(x0=start, lbg=low, ubg=high)
+    g_found = found["g"].full().ravel()
     point, multipliers = (np.asarray(found[key], dtype=float).ravel() for key in ("x", "lam_g"))
-    violation = float(np.max(np.maximum(low - found["g"].full().ravel(), found["g"].full().ravel() - high), initial=0))
-    if not violation <= 1e-6 * max(1.0, float(np.abs(point).max())):
-        status = solver.stats()["return_status"]
-        raise ProblemError(
-            f"OCP '{stage.problem.name}': no steady state was found (IPOPT: {status}, the constraints are violated by "
-            f"{violation:.2g}); give a guess=(x, u), and name states that grow for ever by ocp.cyclic(...)"
-        )
+    _refuse_failure(stage, solver.stats()["return_status"], point, np.maximum(low - g_found, g_found - high))
     return _polished(stage, point, multipliers[:n], multipliers[n:])
+
+
+def _refuse_infinite(stage: SteadyStage, w: Array) -> None:
+    if all(np.all(np.isfinite(v.full())) for v in (*stage.values(w), *stage.jacobians(w))):
+        return
+    at = ", ".join(f"{name} = {value:.6g}" for name, value in zip(stage.names, w, strict=True))
+    raise ProblemError(
+        f"OCP '{stage.problem.name}': cost, dynamics or rows are not finite at {at}, where the search for a steady "
+        "state starts; declare other initial= values of the states, or give a guess=(x, u)"
+    )
+
+
+def _refuse_failure(stage: SteadyStage, status: str, w: Array, over: Array) -> None:
+    """Raise ProblemError if IPOPT found no point at rest within the rows; ``over`` (n + rows,) the limits."""
+    if status == "Diverging_Iterates":
+        raise ProblemError(
+            f"OCP '{stage.problem.name}': the cost has no lower bound on the steady states; bound the states and "
+            "controls by subject_to(), or check the sign of the cost"
+        )
+    worst, n = int(np.argmax(over)), stage.nx
+    if over[worst] <= 1e-6 * max(1.0, float(np.abs(w).max())):
+        return
+    what = f"the state '{stage.names[worst]}' is not at rest" if worst < n else f"row '{stage.rows.names[worst - n]}'"
+    raise ProblemError(
+        f"OCP '{stage.problem.name}': no steady state was found (IPOPT: {status}; {what}, by {over[worst]:.2g}); check "
+        "rows and parameters, give a guess=(x, u), or name states that grow for ever by ocp.cyclic(...)"
+    )
 
 
 def _start(stage: SteadyStage, guess: tuple[Array, Array] | None) -> Array:
     problem = stage.problem
     if guess is not None:
-        x, u = (np.asarray(part, dtype=float) for part in guess)
-        if x.shape != (problem.nx,) or u.shape != (problem.nu,):
-            raise ProblemError(f"guess has shapes {x.shape}, {u.shape}, expected ({problem.nx},), ({problem.nu},)")
+        if not isinstance(guess, (tuple, list)) or len(guess) != 2:
+            raise ProblemError(f"guess={guess!r}; expected (x, u) with {problem.nx} and {problem.nu} values")
+        x, u = vector(guess[0], problem.nx, "guess: x"), vector(guess[1], problem.nu, "guess: u")
         return np.concatenate([x[list(stage.kept)], u])
     u = np.zeros(problem.nu)
     for row in problem.rows:
@@ -121,12 +213,13 @@ def _polished(stage: SteadyStage, w: Array, lam: Array, mu: Array) -> SteadyStat
         r = np.concatenate(
             [gradient.ravel() + (AB - E).T @ lam + J.T @ mu, Phi - w[:n], (h - bound)[list(active)]], dtype=float
         )
-        size = float(np.abs(r).max()) / max(1.0, *np.abs(np.concatenate([w, lam, mu])))
+        H = np.asarray(stage.hessian(w, lam, mu))
+        size = _relative(r, w, np.concatenate([gradient.ravel(), lam, mu, H.ravel() * max(1.0, np.abs(w).max())]))
         if not np.isfinite(size) or (best is not None and size >= best[0]):
             break
         best = (size, w, lam, mu)
         G = np.vstack([AB - E, C])
-        K = np.block([[np.asarray(stage.hessian(w, lam, mu)), G.T], [G, np.zeros((len(G), len(G)))]])
+        K = np.block([[H, G.T], [G, np.zeros((len(G), len(G)))]])
         step = np.linalg.lstsq(K, -r, rcond=None)[0]
         w, lam = w + step[: len(w)], lam + step[len(w) : len(w) + n]
         mu = mu.copy()
@@ -139,18 +232,29 @@ def _polished(stage: SteadyStage, w: Array, lam: Array, mu: Array) -> SteadyStat
     return _checked(stage, *best)
 
 
+def _relative(r: Array, w: Array, forces: Array) -> float:
+    """The residual: its slopes relative to the terms of the Lagrangian, its gaps relative to w."""
+    slopes, gaps = np.abs(r[: len(w)]), np.abs(r[len(w) :])
+    largest = max(float(np.abs(forces).max()), np.finfo(float).tiny)
+    return max(float(slopes.max()) / largest, float(gaps.max()) / max(1.0, float(np.abs(w).max())))
+
+
 def _checked(stage: SteadyStage, residual: float, w: Array, lam: Array, mu: Array) -> SteadyState:
     rows, n = stage.rows, stage.nx
     _, cost, h = (np.asarray(v, dtype=float).ravel() for v in stage.values(w))
     largest = max(np.abs(np.concatenate([mu, lam, stage.jacobians(w)[1].full().ravel()])))
     strict = tuple(i for i in range(len(mu)) if abs(mu[i]) > STRICT * largest or rows.lower[i] == rows.upper[i])
-    for i in strict:
+    excess = float(np.max(np.concatenate([h - rows.upper, rows.lower - h, [0.0]])))
+    if excess > 1e-8 * max(1.0, float(np.abs(w).max())):
+        raise ProblemError(f"OCP '{stage.problem.name}': the steady state violates a row by {excess:.2g}; give guess=")
+    return SteadyState(w[:n], w[n:], lam, mu, float(cost[0]), strict, residual, np.ones(len(w)))
+
+
+def _refuse_violated(rows: Rows, active: tuple[int, ...], mu: Array) -> None:
+    """Raise ProblemError if the penalty of a soft row is too small to keep it."""
+    for i in active:
         if abs(mu[i]) > rows.penalty[i]:
             raise ProblemError(
                 f"the soft row '{rows.names[i]}' is violated at the steady state (multiplier {mu[i]:.3g}, l1 = "
                 f"{rows.penalty[i]:.3g}); it must hold there: raise its l1, or move its bound"
             )
-    excess = float(np.max(np.concatenate([h - rows.upper, rows.lower - h, [0.0]])))
-    if excess > 1e-8 * max(1.0, float(np.abs(w).max())):
-        raise ProblemError(f"OCP '{stage.problem.name}': the steady state violates a row by {excess:.2g}; give guess=")
-    return SteadyState(w[:n], w[n:], lam, mu, float(cost[0]), strict, residual)

@@ -1,7 +1,11 @@
 """ocp.lqr_terminal_cost(): the cost-to-go of the linear-quadratic regulator at the steady state as terminal cost.
 
     tracking:  V_f = 1/2 (x - x_s)' P (x - x_s)
-    economic:  V_f = lam_s' (x - x_s) + 1/2 (x - x_s)' P (x - x_s)
+    economic:  V_f = (lam_s - D' mu_s)' (x - x_s) + 1/2 (x - x_s)' P (x - x_s)
+
+D are the slopes of the strictly active rows that are also imposed at node N, and mu_s their multipliers: the problem
+itself states these rows at x_N, so the cost-to-go begins behind them. With lam_s alone they would have no multiplier at
+x_N, and the plan could leave them there, away from the steady state.
 
 P solves the Riccati equation of the discrete map, which depends on the integrator; the OCP therefore only records the
 request, and this stage, Problem -> Problem, answers it when the options are known. A positive semidefinite P of a
@@ -19,12 +23,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.linalg
 
-from nmpc_codegen.economic.linear_quadratic import linear_quadratic
+from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, curvature_scaling, linear_quadratic
 from nmpc_codegen.economic.riccati import CostToGo, cost_to_go
-from nmpc_codegen.economic.stage import SteadyStage, steady_stage
+from nmpc_codegen.economic.stage import SteadyStage, magnitudes, steady_stage
 from nmpc_codegen.economic.steady_state import SteadyState, solve_steady_state
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.checks import flag, vector
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, LqrRequest, Problem, Stage
@@ -32,15 +38,23 @@ from nmpc_codegen.options import Options
 
 #: Largest gap Phi(x, u) - x of a given steady state, and slope of the cost at the references, relative to their size.
 GAP, SLOPE = 1e-6, 1e-7
+#: Entries below this part of the largest one, in typical units of w, are rounding errors.
+NOISE = 1e-14
+#: Largest part of a direction, in units of the curvature, that counts as inside a subspace.
+OUTSIDE = 1e-6
 SEMIDEFINITE = -1e-12  # least eigenvalue of a weight, relative to the largest
 
 
 @dataclass(frozen=True, eq=False)
 class TerminalCost:
-    """P (nx, nx) with zero rows for cyclic states, lam (nx,), the feedback K (nu, nx), x_s (nx,), u_s (nu,)."""
+    """P (nx, nx) with zero rows for cyclic states, lam (nx,), the feedback K (nu, nx), x_s (nx,), u_s (nu,).
+
+    ``slope`` (nx,) is the gradient of V_f at x_s: lam - D' mu_s, and zero for tracking.
+    """
 
     P: Array
     lam: Array
+    slope: Array
     K: Array
     x_s: Array
     u_s: Array
@@ -59,8 +73,12 @@ def lqr_terminal_cost(
     ocp: OCP, options: Options | None = None, *, economic: bool = False, x: Any = None, u: Any = None
 ) -> TerminalCost:
     """The numbers of ocp.lqr_terminal_cost() with the integrator of the options; see there."""
-    request = LqrRequest(economic, *(None if part is None else np.asarray(part, dtype=float) for part in (x, u)))
-    return terminal_cost(replace(classify(ocp), terminal_lqr=None), request, options)
+    problem = replace(classify(ocp), terminal_lqr=None)
+    given = [
+        None if part is None else vector(part, size, f"lqr_terminal_cost: {name}")
+        for name, part, size in (("x", x, problem.nx), ("u", u, problem.nu))
+    ]
+    return terminal_cost(problem, LqrRequest(flag(economic, "lqr_terminal_cost: economic"), *given), options)
 
 
 def with_terminal_cost(problem: Problem, options: Options | None = None) -> Problem:
@@ -76,7 +94,7 @@ def with_terminal_cost(problem: Problem, options: Options | None = None) -> Prob
     if found.semidefinite and not found.economic:
         return replace(problem, terminal=_with_residual(problem, found))
     x = problem.terminal.x - found.x_s
-    cost = ca.dot(found.lam, x) + ca.dot(x, ca.DM(found.P) @ x) / 2
+    cost = ca.dot(found.slope, x) + ca.dot(x, ca.DM(found.P) @ x) / 2
     before = problem.terminal.cost
     terminal = replace(problem.terminal, cost=cost if before is None else before + cost)
     return replace(problem, terminal=terminal, features=problem.features | {"general cost"})
@@ -87,7 +105,25 @@ def terminal_cost(problem: Problem, request: LqrRequest, options: Options | None
     stage = steady_stage(problem, options)
     steady = _economic_point(stage, request) if request.economic else _tracking_point(stage, request)
     lq = linear_quadratic(stage, steady, gauss_newton=not request.economic)
-    return _spread(stage, steady, cost_to_go(lq), request.economic, lq.active)
+    found = cost_to_go(lq, stage.names)
+    _refuse_open_end(lq, found)
+    return _spread(stage, steady, found, request.economic, lq.active)
+
+
+def _refuse_open_end(lq: LinearQuadratic, found: CostToGo) -> None:
+    """Raise ProblemError if x_N may leave the subspace on which the cost-to-go is finite."""
+    if lq.D is None or found.subspace.shape[1] == lq.n:
+        return
+    unit = curvature_scaling(lq)[: lq.n, None]
+    inside = scipy.linalg.orth(found.subspace / unit)
+    free = scipy.linalg.null_space(lq.scaled(curvature_scaling(lq)).D) if len(lq.D) else np.eye(lq.n)
+    if np.abs(free - inside @ (inside.T @ free)).max(initial=0.0) > OUTSIDE:
+        raise ProblemError(
+            f"lqr_terminal_cost: behind node N, only some of the states that the rows at node N allow can stay on the "
+            f"strictly active rows ({', '.join(lq.active)}), so the cost-to-go is infinite next to the steady state; "
+            "end the plan in it instead: best = nmpc_codegen.economic.steady_state(ocp, options), "
+            "ocp.subject_to(best.x, ocp.x, best.x, at='end')"
+        )
 
 
 def _economic_point(stage: SteadyStage, request: LqrRequest) -> SteadyState:
@@ -113,15 +149,24 @@ def _tracking_point(stage: SteadyStage, request: LqrRequest) -> SteadyState:
                 f"lqr_terminal_cost: the references are no steady state (the cost has the slope {slope:.2g} at the "
                 "nearest one); give x= and u= of a steady state, or use economic=True"
             )
-        x, u = found.x, found.u
+        x, u, size = found.x, found.u, found.size
     else:
         x, u = request.x[list(stage.kept)], request.u
+        size = magnitudes(stage, np.concatenate([x, u]))
     w = np.concatenate([x, u])
-    gap = float(np.abs(stage.values(w)[0].full().ravel() - x).max())
+    Phi, cost, h = (part.full().ravel() for part in stage.values(w))
+    gap = float(np.abs(Phi - x).max())
     if not gap <= GAP * max(1.0, float(np.abs(w).max())):
         raise ProblemError(f"lqr_terminal_cost: x and u are no steady state: one interval moves a state by {gap:.3g}")
-    zero = np.zeros(len(stage.rows.names))
-    return SteadyState(x, u, np.zeros(stage.nx), zero, float(stage.values(w)[1]), (), gap)
+    rows = stage.rows
+    for name, lower, value, upper, l1 in zip(rows.names, rows.lower, h, rows.upper, rows.penalty, strict=True):
+        if l1 == np.inf and not lower - GAP * (1 + abs(value)) <= value <= upper + GAP * (1 + abs(value)):
+            raise ProblemError(
+                f"lqr_terminal_cost: the steady state violates the row '{name}': {value:.6g} is not in "
+                f"{lower:.6g} .. {upper:.6g}"
+            )
+    equations = tuple(i for i in range(len(h)) if rows.lower[i] == rows.upper[i] and rows.penalty[i] > 0)
+    return SteadyState(x, u, np.zeros(stage.nx), np.zeros(len(h)), float(cost[0]), equations, gap, size)
 
 
 def _spread(
@@ -131,7 +176,22 @@ def _spread(
     problem, kept = stage.problem, list(stage.kept)
     P, K, lam = np.zeros((problem.nx, problem.nx)), np.zeros((problem.nu, problem.nx)), np.zeros(problem.nx)
     P[np.ix_(kept, kept)], K[:, kept], lam[kept] = found.P, found.K, steady.lam
-    return TerminalCost(P, lam, K, stage.full(steady.x), steady.u, economic, found.residual, active)
+    slope = lam.copy()
+    end = stage.terminal_rows
+    at_end = ca.Function("G", [stage.x], [ca.jacobian(end.h, stage.x)])(steady.x).full()
+    for i in steady.active:
+        if stage.rows.names[i] in end.names:
+            slope[kept] -= steady.mu[i] * at_end[end.names.index(stage.rows.names[i])]
+    # Rounding errors would cost operations in the generated code.
+    d = steady.size[: stage.nx]
+    unit = np.zeros(problem.nx)
+    unit[kept] = d
+    scaled = P * np.outer(unit, unit)
+    largest = max(float(np.abs(scaled).max(initial=0.0)), float(np.abs(slope * unit).max(initial=0.0)))
+    P[np.abs(scaled) <= NOISE * largest] = 0.0
+    slope[np.abs(slope * unit) <= NOISE * largest] = 0.0
+    x_s = np.where(np.abs(steady.x) <= NOISE * d, 0.0, steady.x)
+    return TerminalCost(P, lam, slope, K, stage.full(x_s), steady.u, economic, found.residual, active)
 
 
 def _with_residual(problem: Problem, found: TerminalCost) -> Stage:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 
 from nmpc_codegen.economic.linear_quadratic import Frequency, LinearQuadratic, frequency_function, linear_quadratic
@@ -38,7 +39,8 @@ class Tuning:
 
     M (nx+nu, nx+nu); M_f (nx, nx), None if x_N is fixed; dP (nx, nx), F, G, alpha, beta: the solution of the program;
     H (nx+nu, nx+nu), A (nx, nx), B (nx, nu), C (rows, nx+nu): the expansion at the steady state x_s (nx,), u_s (nu,)
-    with multipliers lam_s (nx,), mu_s (strictly active rows, > 0 at the upper bound). ``dissipativity``: the least
+    with multipliers lam_s (nx,), mu_s (strictly active rows, > 0 at the upper bound); nu_s those of D (rows, nx), the
+    rows that are active at node N. ``dissipativity``: the least
     value of the frequency function without rows, positive if a quadratic storage function exists without them.
     """
 
@@ -61,6 +63,7 @@ class Tuning:
     u_s: Array
     lam_s: Array
     mu_s: Array
+    nu_s: Array
     cost: float
     active: tuple[str, ...]
     active_terminal: tuple[str, ...]
@@ -92,7 +95,9 @@ class Tuning:
 
     def __str__(self) -> str:
         """A table for readers."""
-        states = [f"  {name} = {value:.6g}" for name, value in zip(self.names, [*self.x_s, *self.u_s], strict=True)]
+        w = np.concatenate([self.x_s, self.u_s])
+        w[np.abs(w) < 1e-15 * np.abs(w).max()] = 0.0
+        states = [f"  {name} = {value:.6g}" for name, value in zip(self.names, w, strict=True)]
         kept = np.flatnonzero(np.diag(self.M))
         values = np.linalg.eigvalsh(self.M[np.ix_(kept, kept)])
         end = "x_N is fixed, so there is no M_f"
@@ -151,7 +156,7 @@ def tune(
         OptionError: an argument has a value that is not allowed, or CVXPY or Clarabel is missing.
     """
     weights = Weights(rho1, rho2, eta)
-    problem = with_terminal_cost(classify(ocp), options)
+    problem = with_terminal_cost(_classified(ocp, options), options)
     if not problem.uniform:
         raise ProblemError(f"tune: '{problem.name}' has intervals of different length, so no M is constant on its grid")
     stage = steady_stage(problem, options)
@@ -168,7 +173,15 @@ def steady_state(ocp: OCP, options: Options | None = None, guess: Any = None) ->
 
     Cyclic states are left out; the other arguments and errors are those of tune().
     """
-    return solve_steady_state(steady_stage(classify(ocp), options), guess)
+    return solve_steady_state(steady_stage(_classified(ocp, options), options), guess)
+
+
+def _classified(ocp: OCP, options: Options | None) -> Problem:
+    if not isinstance(ocp, OCP):
+        raise ProblemError(f"ocp: {type(ocp).__name__}; expected an OCP")
+    if options is not None and not isinstance(options, Options):
+        raise OptionError(f"options: {options!r}; expected Options(...) or None")
+    return classify(ocp)
 
 
 def _candidates(stage: SteadyStage, lq: LinearQuadratic, steady: SteadyState, scaling: Any) -> dict[str, Array]:
@@ -177,7 +190,11 @@ def _candidates(stage: SteadyStage, lq: LinearQuadratic, steady: SteadyState, sc
         if scaling not in (*known, "auto"):
             raise OptionError(f"tune: scaling={scaling!r}; expected one of auto, {', '.join(known)}, or an array")
         return known if scaling == "auto" else {scaling: known[scaling]}
-    d, problem = np.asarray(scaling, dtype=float), stage.problem
+    problem = stage.problem
+    try:
+        d = np.asarray(scaling, dtype=float)
+    except (TypeError, ValueError):
+        d = np.zeros(0)
     if d.shape != (problem.nx + problem.nu,) or not np.all(np.isfinite(d) & (d > 0)):
         raise OptionError(f"tune: scaling must be {problem.nx + problem.nu} positive numbers")
     return {"the given numbers": d[[*stage.kept, *range(problem.nx, len(d))]]}
@@ -206,7 +223,7 @@ def _solved(
             f"{decisive.theta:.3g} rad per interval, but must be positive; {hint}"
         )
     failed = "; ".join(f"{name}: {status}" for name, status in statuses.items())
-    alone = LinearQuadratic(lq.A, lq.B, lq.H, lq.C)
+    alone = LinearQuadratic(lq.A, lq.B, lq.H, lq.C, size=lq.size)
     if lq.H_f is not None and any(isinstance(convexify(alone, weights, d), Certificate) for d in candidates.values()):
         raise ProblemError(
             "tune: M exists, but no positive definite M_f with it was found: the terminal cost bends too little or is "
@@ -240,6 +257,7 @@ def _tuning(
     lam = np.zeros(nx)
     lam[kept] = steady.lam
     D = np.zeros((0, lq.n)) if lq.D is None else lq.D
+    slope = ca.Function("V", [stage.x], [ca.gradient(stage.terminal_cost, stage.x)])(steady.x).full().ravel()
     values = np.linalg.eigvalsh(found.M)
     return Tuning(
         problem=problem,
@@ -261,6 +279,7 @@ def _tuning(
         u_s=steady.u,
         lam_s=lam,
         mu_s=steady.mu[list(steady.active)],
+        nu_s=np.linalg.lstsq(D.T, steady.lam - slope, rcond=None)[0],
         cost=steady.cost,
         active=lq.active,
         active_terminal=lq.active_terminal,

@@ -338,11 +338,12 @@ class OCP:
     def lqr_terminal_cost(self, *, economic: bool = False, x: Any = None, u: Any = None) -> None:
         """Add the cost-to-go of the linear-quadratic regulator at a steady state (x_s, u_s), at node N:
 
-            1/2 (x - x_s)' P (x - x_s),   with ``economic``: lam_s' (x - x_s) + 1/2 (x - x_s)' P (x - x_s)
+            1/2 (x - x_s)' P (x - x_s),   with ``economic``: (lam_s - D' mu_s)' (x - x_s) + 1/2 (x - x_s)' P (x - x_s)
 
         P solves the Riccati equation of the discrete map, so it is computed when the options are known: by build(),
         export() and tune(). States named by cyclic() are left out; rows that are strictly active at the steady state
-        are eliminated first. P of an economic cost may be indefinite.
+        are eliminated first; D and mu_s are the slopes and multipliers of those that hold at node N. P of an economic
+        cost may be indefinite.
 
         Args:
             economic: take the steady state with the least cost and the Hessian of its Lagrangian, whose multipliers

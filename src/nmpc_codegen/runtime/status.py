@@ -182,7 +182,7 @@ def _stale(ctrl: Any) -> str:
         bounds = ((ctrl.view("lower")[:, i], row.lower), (ctrl.view("upper")[:, i], row.upper))
         if any(np.any(present != present.dtype.type(bound)) for present, bound in bounds):
             changed.append(row.name)
-    return f"{STALE} (changed: {', '.join(changed)})" if changed else STALE
+    return f"{STALE} (not at their declared values: {', '.join(changed)})" if changed else STALE
 
 
 def _broken_plan(ctrl: Any, measured: Array) -> list[str]:

@@ -136,7 +136,12 @@ class EconomicGaussNewton(Defaults):
         return (
             Table("tuned_parameter", "int", tied, "1: M belongs to the declared value of the parameter"),
             *(
-                Table(f"tuned_{name}", "real", tuple(map(float, row)), f"{name.replace('_', ' ')} to which M belongs")
+                Table(
+                    f"tuned_{name}",
+                    "real",
+                    tuple(map(float, row)),
+                    f"{name.replace('_', ' ')} bound of every row with which M holds",
+                )
                 for name, row in zip(names, values, strict=True)
             ),
         )
