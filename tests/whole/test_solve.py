@@ -10,7 +10,7 @@ import problems
 import pytest
 from problems import CASES
 
-from nmpc_codegen import OCP, GaussNewton, Options, build
+from nmpc_codegen import OCP, GaussNewton, Options, RealTimeIteration, build, simulate
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
@@ -134,6 +134,15 @@ def test_warm_start_needs_no_iteration() -> None:
     assert first.iterations > 2
     assert again.iterations == 0
     np.testing.assert_array_equal(again.u, first.u)
+
+
+def test_a_warm_started_loop_begins_with_the_solution() -> None:
+    """The plan of solve() belongs to the first sample, so that this sample does not shift it."""
+    c = build(CASES["crane"].make(), Options(algorithm=RealTimeIteration(shift="repeat")), profile="test")
+    x0 = (0.8, 0.2, 0.1, 0.0)
+    solution = c.copy().solve(x0, tol=1e-10)
+    log = simulate(c, x0, 1, warm_start=True)
+    np.testing.assert_allclose(log.u[0], solution.u[0], atol=1e-9)
 
 
 def test_start_elsewhere() -> None:

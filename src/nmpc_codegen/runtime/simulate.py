@@ -201,10 +201,15 @@ class _PathRows:
 
 
 def _solve_first(ctrl: Controller, x0: Array, reference: Reference | None) -> None:
-    """Iterate to convergence with the data of the first sample; a plan that has not converged is a start as well."""
+    """Iterate to convergence with the data of the first sample; a plan that has not converged is a start as well.
+
+    The plan belongs to the first sample, which therefore must not shift it.
+    """
     if reference is not None:
         reference(0, ctrl)
     ctrl.solve(x0)
+    if "samples" in ctrl.description.members("solver"):
+        ctrl.view("samples")[...] = 0
 
 
 def _check_steps(steps: object, ctrl: Controller, rows: int) -> None:
