@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.lib import command
-from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, figures, rotation
+from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, figures, rotation, timing
 from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report], None]] = {
@@ -22,6 +22,7 @@ PARTS: dict[str, Callable[[Report], None]] = {
     "figure2": artificial.measure,
     "figure3": closed_loop.measure,
     "driving": driving.measure,
+    "times": timing.measure,
 }
 
 
