@@ -62,7 +62,8 @@ static inline void qp_add_row(solver_t *s, int m, real_t f)
     real_t *g = s->riccati.work.vectors.rhs.g[stage_of_row[m]];
 #if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
-        riccati_combine(g, &f, stage_row(s, m), NZS, 1, stage_of_row[m] < NS ? NZS : NXS);
+        const real_t factor[1] = {f};
+        riccati_combine(g, factor, stage_row(s, m), NZS, 1, stage_of_row[m] < NS ? NZS : NXS);
         return;
     }
 #endif
@@ -113,7 +114,8 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
         const real_t f = s->riccati.held[m] * qp_row_value(s, m);
 #if GENERAL_ROWS || NE || BLOCK_ROWS
         if (stage_state[m] < 0) {
-            riccati_combine(y, &f, stage_row(s, m), NZS, 1, k < NS ? NZS : NXS);
+            const real_t factor[1] = {f};
+            riccati_combine(y, factor, stage_row(s, m), NZS, 1, k < NS ? NZS : NXS);
             continue;
         }
 #endif
