@@ -1,6 +1,6 @@
-"""The constant Hessian of economic NMPC against the statements and figures of its paper, before any C is generated.
+"""The constant Hessian of economic NMPC: statements and figures of its paper, and times of a sample in generated C.
 
-python -m benchmarks.economic_gn [--json FILE] [--only tuning,theory,rotation,figure1,figure2,figure3,driving]
+python -m benchmarks.economic_gn [--json FILE] [--only tuning,theory,rotation,figure1,figure2,figure3,driving,timing]
                                  [--draw FOLDER]
 
 Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020).
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from benchmarks.lib import command
+from benchmarks.lib import command, economic_timing
 from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, figures, rotation
 from benchmarks.lib.report import Report
 
@@ -22,6 +22,7 @@ PARTS: dict[str, Callable[[Report], None]] = {
     "figure2": artificial.measure,
     "figure3": closed_loop.measure,
     "driving": driving.measure,
+    "timing": economic_timing.measure,
 }
 
 
