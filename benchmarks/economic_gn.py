@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from benchmarks.lib import command, economic_timing
-from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, figures, rotation
+from benchmarks.lib import command
+from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, figures, rotation, timing
 from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report], None]] = {
@@ -22,7 +22,7 @@ PARTS: dict[str, Callable[[Report], None]] = {
     "figure2": artificial.measure,
     "figure3": closed_loop.measure,
     "driving": driving.measure,
-    "timing": economic_timing.measure,
+    "timing": timing.measure,
 }
 
 

@@ -49,12 +49,12 @@ SAMPLING, N, STEPS = 0.1, 100, 5
 OBSTACLE, CLEARED, MOVE = 80.0, 6.0, 8.0  # m, s, s
 
 
-def build_ocp(newton: float = 1000.0) -> OCP:
-    """10 s in 100 intervals; the terminal cost is the cost-to-go of the regulator at 50 km/h.
+def build_ocp(newton: float = 1000.0, intervals: int = N, *, economic: bool = True) -> OCP:
+    """Intervals of 0.1 s; the terminal cost is the cost-to-go of the regulator at 50 km/h. No cost if not ``economic``.
 
     Torque and brake are measured in ``newton`` N m and N: in kilo, as their effect on the cost is then of size 1.
     """
-    ocp = OCP("driving", T=SAMPLING * N, N=N)
+    ocp = OCP("driving", T=SAMPLING * intervals, N=intervals)
     px, py = ocp.state("px", unit="m"), ocp.state("py", unit="m")
     v = ocp.state("v", unit="m/s", initial=SPEED)
     theta, delta = ocp.state("theta", unit="rad"), ocp.state("delta", unit="rad")
@@ -74,18 +74,23 @@ def build_ocp(newton: float = 1000.0) -> OCP:
     )
     ocp.cyclic(px)
 
-    omega = GEAR * v / RADIUS
-    torque = newton * T
-    power = omega * torque + 0.0323 * omega * torque + 0.0183 * omega**2 + 0.0043 * torque**2
-    ocp.stage_cost((power + ALPHA * v) / POWER + py**2 + theta**2 + delta**2 + steering**2, integrate=True)
-    ocp.lqr_terminal_cost(economic=True)
+    if economic:
+        ocp.stage_cost(cost_rate(ocp.x, ocp.u, newton), integrate=True)
+        ocp.lqr_terminal_cost(economic=True)
 
     ocp.subject_to(0, T, T_MAX / newton)
     ocp.subject_to(0, Fb, BRAKE_MAX / newton)
-    ocp.subject_to(-np.inf, T * omega, P_MAX / newton, name="power")
+    ocp.subject_to(-np.inf, T * GEAR * v / RADIUS, P_MAX / newton, name="power")
     ocp.subject_to(0, v, OMEGA_MAX * RADIUS / GEAR)
     ocp.subject_to(-np.inf, px, np.inf, name="obstacle")
     return ocp
+
+
+def cost_rate(x: Any, u: Any, newton: float = 1000.0, lane: Any = 0.0) -> Any:
+    """Electric power with the gain of speed, and deviations from the middle of the lane at ``lane`` m."""
+    v, omega, torque = x[2], GEAR * x[2] / RADIUS, newton * u[0]
+    power = omega * torque + 0.0323 * omega * torque + 0.0183 * omega**2 + 0.0043 * torque**2
+    return (power + ALPHA * v) / POWER + (x[1] - lane) ** 2 + x[3] ** 2 + x[4] ** 2 + u[2] ** 2
 
 
 def options(hessian: Any = None) -> Options:

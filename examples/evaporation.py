@@ -42,8 +42,8 @@ def build_ocp(N: int = 200) -> OCP:
     return ocp
 
 
-def process(N: int) -> OCP:
-    """Model, cost and bounds.
+def process(N: int, *, economic: bool = True) -> OCP:
+    """Model, bounds and, with ``economic``, the cost.
 
     The end is stated by build_ocp(), to all digits: a rounded steady state is no fixed point of the discrete map.
     """
@@ -61,7 +61,8 @@ def process(N: int) -> OCP:
     F2, F100, F5 = F1 - F4, Q100 / LATENT_STEAM, Q200 / LATENT
     ocp.dynamics({X2: (F1 * X1 - F2 * X2) / M, P2: (F4 - F5) / CAPACITY})
 
-    ocp.stage_cost(10.09 * (F2 + F3) + 600 * F100 + 0.6 * F200)
+    if economic:
+        ocp.stage_cost(10.09 * (F2 + F3) + 600 * F100 + 0.6 * F200)
     ocp.subject_to(25, X2, np.inf)
     ocp.subject_to(40, P2, 80)
     ocp.subject_to(0, P100, 400)

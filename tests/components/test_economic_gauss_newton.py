@@ -13,7 +13,7 @@ import osqp
 import pytest
 import scipy.sparse as sp
 
-from benchmarks.lib.economic_problems import DRIVING, EVAPORATION, Stage, driving, evaporation, steady, tuned
+from examples import driving, evaporation
 from nmpc_codegen import (
     OCP,
     DenseActiveSet,
@@ -35,6 +35,7 @@ from nmpc_codegen import (
     generate,
 )
 from nmpc_codegen.cli.settings import apply_settings
+from nmpc_codegen.economic import Tuning
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem, Row
 from nmpc_codegen.oracle import trajectory as oracle
@@ -307,29 +308,34 @@ def test_with_free_components_accumulators_and_coupled_rows(route: str) -> None:
 @pytest.mark.parametrize("route", ["dense", "riccati", "partial", "interior"])
 def test_a_cyclic_state_has_zero_rows(route: str) -> None:
     """Driving, whose first state grows for ever: the side step is reached, and no factorisation fails."""
-    at, (hessian, last) = steady(DRIVING), tuned(DRIVING)
-    assert not np.any(hessian[0])
-    more = dataclasses.replace(options(None, route), integrator=ExplicitRungeKutta(steps=5))
-    c = build(driving(30), dataclasses.replace(more, hessian=EconomicGaussNewton(hessian, last)), "test").copy()
-    c.x[...], c.u[...] = at.w[:5], at.w[5:]
-    x = at.w[:5].copy()
-    c.set_parameter("py_ref", 1.0)
+    t = tuning(driving)
+    assert not np.any(t.M[0])
+    more = dataclasses.replace(options(t.hessian(), route), integrator=ExplicitRungeKutta(steps=driving.STEPS))
+    c = build(driving.build_ocp(intervals=30), more, "test").copy()
+    c.x[...], c.u[...] = t.x_s, t.u_s
+    x = t.x_s - np.array([0.0, 1.0, 0.0, 0.0, 0.0])
     for _ in range(60):
         u = c.step(x)
         assert c.status == Status.OK
-        x = c.integrate(x, u, 0.1)
-    np.testing.assert_allclose(x[1], 1.0, atol=0.02)
-    np.testing.assert_allclose(x[2], 50 / 3.6, atol=0.05)
-    assert not c.stats.stale_hessian, "py_ref acts like a reference"
+        x = c.integrate(x, u, driving.SAMPLING)
+    np.testing.assert_allclose(x[1], 0.0, atol=0.02)
+    np.testing.assert_allclose(x[2], driving.SPEED, atol=0.05)
+    assert not c.stats.stale_hessian
 
 
 # Equations at the end ------------------------------------------------------------------------------------------------
 
 
-def refinements(c: Controller, stage: Stage, x: Array, dt: float) -> list[int]:
+@functools.cache
+def tuning(example: Any) -> Tuning:
+    """M of an example; it does not depend on the number of intervals."""
+    found: Tuning = example.tuned()
+    return found
+
+
+def refinements(c: Controller, t: Tuning, x: Array, dt: float) -> list[int]:
     """Refinements of the QP in 40 samples from x, with the steady state as first plan; no QP iterations in the last."""
-    at = steady(stage)
-    c.x[...], c.u[...] = at.w[: stage.nx], at.w[stage.nx :]
+    c.x[...], c.u[...] = t.x_s, t.u_s
     found = []
     for _ in range(40):
         u = c.step(x)
@@ -347,15 +353,16 @@ def test_equations_at_the_end_cost_no_refinement_loops(start: float) -> None:
     For driving they are the only rows, and equations of a Schur complement; the evaporation process has a state at its
     bound at all nodes besides, so that rows have weights, and one correction removes their error.
     """
-    at = steady(EVAPORATION)
-    c = build(evaporation(60), evaporation_options(**ROUTES["riccati"]), "fast").copy()
-    assert max(refinements(c, EVAPORATION, at.w[:2] + np.array([0.0, start]), 1.0)[20:]) <= 2
-    at, ocp = steady(DRIVING), driving(30)
-    ocp.subject_to(at.w[1:5], ocp.x[1:5], at.w[1:5], at="end", name="steady")
-    hessian = EconomicGaussNewton(tuned(DRIVING)[0])
-    chosen = dataclasses.replace(options(hessian, "riccati"), integrator=ExplicitRungeKutta(steps=5))
+    t = tuning(evaporation)
+    c = build(evaporation.build_ocp(60), evaporation_options(**ROUTES["riccati"]), "fast").copy()
+    assert max(refinements(c, t, t.x_s + np.array([0.0, start]), 1.0)[20:]) <= 2
+    t, ocp = tuning(driving), driving.build_ocp(intervals=30)
+    ocp.subject_to(t.x_s[1:], ocp.x[1:], t.x_s[1:], at="end", name="steady")
+    hessian = EconomicGaussNewton(t.M)
+    chosen = dataclasses.replace(options(hessian, "riccati"), integrator=ExplicitRungeKutta(steps=driving.STEPS))
     c = build(ocp, chosen, "fast").copy()
-    assert max(refinements(c, DRIVING, at.w[:5] + np.array([0, 0.05 * start, 0.1 * start, 0, 0]), 0.1)[20:]) == 0
+    far = np.array([0, 0.05 * start, 0.1 * start, 0, 0])
+    assert max(refinements(c, t, t.x_s + far, driving.SAMPLING)[20:]) == 0
 
 
 # Corollary 9 ----------------------------------------------------------------------------------------------------------
@@ -363,11 +370,11 @@ def test_equations_at_the_end_cost_no_refinement_loops(start: float) -> None:
 
 def test_first_step_equals_that_of_the_exact_hessian() -> None:
     """[Z20] Corollary 9: from the steady state, the QP with M and the one with H on the steady active set."""
-    at, (hessian, _) = steady(EVAPORATION), tuned(EVAPORATION)
-    c = build(evaporation(30), evaporation_options(), "test").copy()
-    c.x[...], c.u[...] = at.w[:2], at.w[2:]
+    at = tuning(evaporation)
+    c = build(evaporation.build_ocp(30), evaporation_options(), "test").copy()
+    c.x[...], c.u[...] = at.x_s, at.u_s
     x, u = c.x.copy(), c.u.copy()
-    c.step(at.w[:2] + np.array([0.0, 0.5]))
+    c.step(at.x_s + np.array([0.0, 0.5]))
     assert c.status == Status.OK
     assert np.count_nonzero(c.mu_x[1:30, 0]) == 29
     N, n = 30, 4
@@ -383,24 +390,19 @@ def test_first_step_equals_that_of_the_exact_hessian() -> None:
     held[N, -1] = 1.0
     E, e = np.vstack([*E, held]), np.concatenate([*e, np.zeros(N + 1)])
     K = np.block([[H, E.T], [E, np.zeros((len(E), len(E)))]])
-    gradient = np.concatenate([*([np.concatenate([(np.eye(2) - at.A).T @ at.lam, -at.B.T @ at.lam])] * N), np.zeros(2)])
+    gradient = np.concatenate(
+        [*([np.concatenate([(np.eye(2) - at.A).T @ at.lam_s, -at.B.T @ at.lam_s])] * N), np.zeros(2)]
+    )
     exact = np.linalg.lstsq(K, np.concatenate([-gradient, e]), rcond=None)[0][: N * n + 2]
     found = step_taken(c, x, u)
     assert np.abs(found - exact).max() <= 1e-6 * np.abs(exact).max()
-    assert not np.allclose(hessian, at.H)
+    assert not np.allclose(at.M, at.H)
 
 
 def evaporation_options(with_steady_state: bool = True, **more: Any) -> Options:
-    at, (hessian, _) = steady(EVAPORATION), tuned(EVAPORATION)
-    given = (at.w[:2], at.w[2:]) if with_steady_state else None
-    return Options(ExplicitRungeKutta(steps=1), EconomicGaussNewton(hessian, None, given), **more)
-
-
-def test_the_steady_state_is_that_of_the_paper() -> None:
-    at = steady(EVAPORATION)
-    np.testing.assert_allclose(at.w, [25, 49.743, 191.713, 215.888], atol=1e-3)
-    assert float(EVAPORATION.step(at.w[:2], at.w[2:])[1]) == pytest.approx(6210.38, abs=5e-3)
-    assert np.linalg.eigvalsh(at.H)[0] < 0 < np.linalg.eigvalsh(tuned(EVAPORATION)[0])[0]
+    t = tuning(evaporation)
+    given = (t.x_s, t.u_s) if with_steady_state else None
+    return Options(ExplicitRungeKutta(steps=1), EconomicGaussNewton(t.M, None, given), **more)
 
 
 # Data to which M does not belong --------------------------------------------------------------------------------------
@@ -437,8 +439,8 @@ def test_stale_data_are_flagged_until_they_return() -> None:
 
 @pytest.mark.parametrize("online", [Online(), Online(bounds="node"), Online(bounds="node", parameter="shared")])
 def test_with_a_steady_state_only_active_bounds_are_tied(online: Online) -> None:
-    c = build(evaporation(10), evaporation_options(online=online), "test").copy()
-    x_s = steady(EVAPORATION).w[:2]
+    c = build(evaporation.build_ocp(10), evaporation_options(online=online), "test").copy()
+    x_s = tuning(evaporation).x_s
 
     def stale(name: str, low: float, high: float, declared: tuple[float, float]) -> bool:
         c.set_bounds(name, low, high)
@@ -451,10 +453,10 @@ def test_with_a_steady_state_only_active_bounds_are_tied(online: Online) -> None
 
     assert not stale("P2", 45, 70, (40, 80)), "inactive, and the steady state is inside"
     assert stale("P2", 50, 80, (40, 80)), "the steady state is cut off"
-    assert stale("P100", -np.inf, 190, (-np.inf, 400))
+    assert stale("P100", 0, 190, (0, 400))
     assert stale("X2", 24, np.inf, (25, np.inf)), "active"
     assert not stale("X2", 25, 90, (25, np.inf))
-    assert stale("steady[1]_end", 50, 50, (x_s[1], x_s[1]))
+    assert stale("P2_end", 50, 50, (x_s[1], x_s[1]))
 
 
 def test_weights_and_fixed_data() -> None:
@@ -479,8 +481,8 @@ def test_the_report_says_to_what_m_belongs() -> None:
     assert note.startswith(
         "hessian: economic_gauss_newton; M belongs to the declared parameters p, goal, bounds of all"
     )
-    choices = build(evaporation(10), evaporation_options(), "test").description.report.choices
-    assert any("declared bounds of X2, steady[0]_end, steady[1]_end" in c for c in choices)
+    choices = build(evaporation.build_ocp(10), evaporation_options(), "test").description.report.choices
+    assert any("declared bounds of P2_end, X2, X2_end" in c for c in choices)
 
 
 # Refusals -------------------------------------------------------------------------------------------------------------

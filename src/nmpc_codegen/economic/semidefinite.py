@@ -22,8 +22,8 @@ from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, curvature_sc
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array
 
-#: How far below I the matrices of an accepted solution may be.
-SLACK = 1e-3
+#: How far below I the matrices of an accepted solution may be; entries, relative to the diagonal, that count as 0.
+SLACK, ROUNDING = 1e-3, 1e-12
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,17 @@ def _certificate(
     M_f = None
     if lq.H_f is not None and lq.D is not None:
         M_f = lq.H_f - unit * (P + lq.D.T @ G_value @ lq.D)
-        M_f = (M_f + M_f.T) / 2
-    return Certificate(P, F_value, G_value, 1.0 / unit, beta, (M + M.T) / 2, M_f, d, status)
+        M_f = cleared((M_f + M_f.T) / 2)
+    return Certificate(P, F_value, G_value, 1.0 / unit, beta, cleared((M + M.T) / 2), M_f, d, status)
+
+
+def cleared(M: Array) -> Array:
+    """M without entries |M_ij| <= 1e-12 sqrt |M_ii M_jj|, so that the generated code has no products with them.
+
+    They are rounding errors of variables that the problem does not couple.
+    """
+    size = np.sqrt(np.abs(np.diag(M)))
+    return np.where(np.abs(M) > ROUNDING * np.outer(size, size), M, 0.0)
 
 
 def scalings(lq: LinearQuadratic, w: Array) -> dict[str, Array]:
