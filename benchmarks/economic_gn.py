@@ -1,7 +1,6 @@
-"""The constant Hessian of economic NMPC: statements and figures of its paper, and times of a sample in generated C.
+"""The constant Hessian of economic NMPC against the statements and figures of its paper; times of a sample.
 
-python -m benchmarks.economic_gn [--json FILE] [--only tuning,theory,rotation,figure1,figure2,figure3,driving,timing]
-                                 [--draw FOLDER]
+python -m benchmarks.economic_gn [--json FILE] [--only PART,...] [--draw FOLDER]
 
 Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020).
 """
@@ -11,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.lib import command
-from benchmarks.lib.economic import artificial, closed_loop, driving, evaporation, figures, rotation, timing
+from benchmarks.lib.economic import artificial, driving, evaporation, figure3, figure4, figures, rotation, timing
 from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report], None]] = {
@@ -20,7 +19,8 @@ PARTS: dict[str, Callable[[Report], None]] = {
     "rotation": rotation.measure,
     "figure1": evaporation.measure_figure1,
     "figure2": artificial.measure,
-    "figure3": closed_loop.measure,
+    "figure3": figure3.measure,
+    "figure4": figure4.measure,
     "driving": driving.measure,
     "timing": timing.measure,
 }
@@ -29,7 +29,7 @@ PARTS: dict[str, Callable[[Report], None]] = {
 def main() -> None:
     """All parts, or some."""
     parser = command.parser(__doc__, PARTS)
-    parser.add_argument("--draw", metavar="FOLDER", help="draw Figures 1 and 2, with their data as CSV")
+    parser.add_argument("--draw", metavar="FOLDER", help="draw Figures 1 to 4, with their data as CSV")
     options = parser.parse_args()
     names, report = command.chosen(parser, options, PARTS), Report("economic_gn")
     command.measure(report, names, lambda name: PARTS[name](report), options.json)

@@ -1,14 +1,14 @@
 """Schemes of economic NMPC as generated controllers, and their closed loops.
 
 A scheme has a cost (economic, LETEMPC, tracking) and a Hessian; it takes one step per sample, or iterates to
-convergence. All have the constraints, the plant and the first plan in common: the model, at the best steady state.
+convergence. All have the constraints, the plant (the model) and the first plan (the best steady state) in common.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from types import ModuleType
 from typing import Any
 
@@ -27,7 +27,7 @@ from nmpc_codegen import (
     RealTimeIteration,
     Status,
 )
-from nmpc_codegen.economic import Tuning, letempc_cost, letempc_terminal_cost, tracking_cost
+from nmpc_codegen.economic import Tuning, letempc_cost, letempc_terminal_cost, lqr_terminal_cost, tracking_cost
 from nmpc_codegen.economic.stage import SteadyStage, steady_stage
 from nmpc_codegen.frontend.classify import classify
 
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 #: l = 10 x'x + 0.1 u'u of [Z20] as 1/2 w'Ww.
 TRACKING = (20.0, 20.0, 0.2, 0.2)
 #: Optimality conditions of a converged sample, relative to the terms they sum.
-TOLERANCE = 1e-8
+TOLERANCE, MOST = 1e-8, 30
 
 
 @dataclass(frozen=True)
@@ -64,124 +64,136 @@ TRACK, TRACK_CONVERGED = (
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """An example with its tuning and the functions of a node of its economic problem."""
+    """An example with its tuning, the functions of a node of its economic problem, and its problem for a scheme."""
 
     example: ModuleType
     tuning: Tuning
     stage: SteadyStage
+    make: Callable[[Scheme], OCP]
 
     def cost(self, x: Array, u: Array) -> float:
         """Economic cost of an interval."""
         w = np.concatenate([x[list(self.tuning.kept)], u])
         return float(np.asarray(self.stage.values(w)[1]).item())
 
+    def options(self, scheme: Scheme) -> Options:
+        """Options of the example with the Hessian of the scheme; the plan moves by one interval per sample."""
+        hessian: Any = {
+            "exact": None,
+            "tuned": self.tuning.hessian(),
+            "identity": IdentityHessian(),
+            "least squares": GaussNewton(),
+        }[scheme.hessian]
+        found: Options = replace(self.example.options(hessian), algorithm=RealTimeIteration(shift="repeat"))
+        return found
+
 
 @cache
 def subject(name: str) -> Subject:
-    """ "evaporation" or "driving"."""
+    """ "evaporation", or "driving" with the lane as a parameter of every node."""
     example = {"evaporation": evaporation, "driving": driving}[name]
-    stage = steady_stage(classify(example.build_ocp()), example.options())
-    return Subject(example, example.tuned(), stage)
+    tuning, stage = example.tuned(), steady_stage(classify(example.build_ocp()), example.options())
+    return Subject(example, tuning, stage, partial({"evaporation": process, "driving": car}[name], tuning))
+
+
+def process(t: Tuning, scheme: Scheme) -> OCP:
+    """The evaporation process with the cost of the scheme."""
+    if scheme.cost == "economic":
+        return evaporation.build_ocp()
+    ocp = evaporation.process(t.problem.N, economic=False)
+    ocp.subject_to(t.x_s, ocp.x, t.x_s, at="end")
+    if scheme.hessian == "least squares":
+        y = ca.vertcat(ocp.x, ocp.u)
+        ocp.least_squares(y, weight=np.array(TRACKING), reference=[*t.x_s, *t.u_s])
+    elif scheme.cost == "tracking":
+        ocp.stage_cost(tracking_cost(t, ocp.x, ocp.u, TRACKING), scale_with_dt=False)
+    else:
+        ocp.stage_cost(letempc_cost(t, ocp.x, ocp.u), scale_with_dt=False)
+    return ocp
+
+
+def car(t: Tuning, scheme: Scheme) -> OCP:
+    """The car with the cost of the scheme; the middle of the lane is a parameter, so that a move can be foreseen."""
+    ocp = driving.build_ocp(economic=False)
+    lane = ocp.parameter("lane", value=0.0)
+    x = ocp.x - ca.vertcat(0, lane, 0, 0, 0)
+    if scheme.cost == "economic":
+        end = lqr_terminal_cost(driving.build_ocp(), driving.options(), economic=True)
+        dx = (x - t.x_s)[1:]
+        ocp.stage_cost(driving.cost_rate(ocp.x, ocp.u, lane=lane), integrate=True)
+        ocp.terminal_cost(ca.dot(ca.DM(end.lam[1:]), dx) + ca.bilin(ca.DM(end.P[1:, 1:]), dx, dx) / 2)
+    else:
+        ocp.stage_cost(letempc_cost(t, x, ocp.u), scale_with_dt=False)
+        ocp.terminal_cost(letempc_terminal_cost(t, x))
+    return ocp
 
 
 @cache
 def controllers(name: str, schemes: tuple[Scheme, ...]) -> dict[Scheme, Controller]:
     """The compiled controllers of the schemes."""
-    found = build_all([(problem(name, scheme), options(name, scheme)) for scheme in schemes])
-    return dict(zip(schemes, found, strict=True))
-
-
-def problem(name: str, scheme: Scheme) -> OCP:
-    """The problem of the example with the cost of the scheme."""
     s = subject(name)
-    if scheme.cost == "economic":
-        return s.example.build_ocp()  # type: ignore[no-any-return]
-    ocp: OCP
-    if name == "evaporation":
-        ocp = evaporation.process(200, economic=False)
-        ocp.subject_to(s.tuning.x_s, ocp.x, s.tuning.x_s, at="end")
-    else:
-        ocp = driving.build_ocp(economic=False)
-        ocp.terminal_cost(letempc_terminal_cost(s.tuning, ocp.x))
-    if scheme.hessian == "least squares":
-        ocp.least_squares(ca.vertcat(ocp.x, ocp.u), weight=np.array(TRACKING), reference=[*s.tuning.x_s, *s.tuning.u_s])
-    elif scheme.cost == "tracking":
-        ocp.stage_cost(tracking_cost(s.tuning, ocp.x, ocp.u, TRACKING), scale_with_dt=False)
-    else:
-        ocp.stage_cost(letempc_cost(s.tuning, ocp.x, ocp.u), scale_with_dt=False)
-    return ocp
-
-
-def options(name: str, scheme: Scheme) -> Options:
-    """Options of the example with the Hessian of the scheme; the plan moves by one interval per sample."""
-    s = subject(name)
-    hessian: Any = {
-        "exact": None,
-        "tuned": s.tuning.hessian(),
-        "identity": IdentityHessian(),
-        "least squares": GaussNewton(),
-    }[scheme.hessian]
-    found: Options = replace(s.example.options(hessian), algorithm=RealTimeIteration(shift="repeat"))
-    return found
+    return dict(zip(schemes, build_all([(s.make(scheme), s.options(scheme)) for scheme in schemes]), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """cost: sum of the economic cost over the samples (inf after a state that is not finite); x (samples + 1, nx), u;
-    time (samples,): prepare() and feedback(), us; failed: samples whose status is not OK."""
+    """cost: sum of the economic cost over the samples, inf if the state leaves all bounds; x (samples + 1, nx), u;
+    failed: samples whose status is not OK."""
 
     cost: float
     x: Array
     u: Array
-    time: Array
     failed: int
 
 
+#: (sample, controller, state) -> state: what happens before a sample.
 Event = Callable[[int, Controller, Array], Array]
+DIVERGED = 1e6
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Samples of a closed loop from x0 with intervals dt; ``event`` sees the controller and may move the state."""
+    """Samples of a closed loop from x0 with intervals dt; with ``warm``, the plan of the first sample is converged.
+
+    ``origin``: (sample) -> what is subtracted from the state in the cost.
+    """
 
     name: str
     x0: tuple[float, ...]
     samples: int
     dt: float
     event: Event | None = None
-    plan: Callable[[Controller, Tuning], None] = field(default=lambda c, t: _steady_plan(c, t))
+    origin: Callable[[int], Array | float] = field(default=lambda n: 0.0)
+    warm: bool = False
+    drift: tuple[float, ...] | float = 0.0
 
-    def run(self, controller: Controller, converged: bool) -> Run:
-        """The closed loop of a controller; it ends early where the state leaves all bounds."""
+    def run(self, scheme: Scheme, controller: Controller) -> Run:
+        """The closed loop of a controller."""
         s, c, x, total, failed = subject(self.name), controller.copy(), np.array(self.x0), 0.0, 0
-        self.plan(c, s.tuning)
-        states, controls, times = [x], [], []
+        steps = np.arange(len(c.x))[:, None]
+        c.x[...], c.u[...] = s.tuning.x_s + steps * np.asarray(self.drift), s.tuning.u_s
+        states, controls = [x], []
         for n in range(self.samples):
             x = x if self.event is None else self.event(n, c, x)
-            u = _converged(c, x, first=n == 0) if converged else np.array(c.step(x))
+            if n and scheme.converged:
+                c.shift()
+            converged = scheme.converged or (n == 0 and self.warm and scheme.hessian != "identity")
+            u = _solution(c, x) if converged else np.array(c.step(x))
             failed += int(c.status != Status.OK)
-            total += s.cost(x, u)
+            total += s.cost(x - self.origin(n), u)
             x = np.array(c.integrate(x, u, self.dt))
             states.append(x)
             controls.append(u)
-            times.append((c.stats.prepare_ns + c.stats.feedback_ns) / 1e3)
-            if not np.all(np.isfinite(x)) or np.abs(x).max() > 1e6:
+            if not np.abs(x).max() <= DIVERGED:
                 total = np.inf
                 break
-        return Run(total, np.array(states), np.array(controls), np.array(times), failed)
+        return Run(total, np.array(states), np.array(controls), failed)
 
     def runs(self, schemes: Iterable[Scheme]) -> dict[str, Run]:
         """The closed loops of all schemes by name."""
         built = controllers(self.name, tuple(schemes))
-        return {scheme.name: self.run(c, scheme.converged) for scheme, c in built.items()}
+        return {scheme.name: self.run(scheme, c) for scheme, c in built.items()}
 
 
-def _steady_plan(c: Controller, t: Tuning) -> None:
-    c.x[...], c.u[...] = t.x_s, t.u_s
-
-
-def _converged(c: Controller, x: Array, *, first: bool) -> Array:
-    """The first control of the solution from the moved plan."""
-    if not first:
-        c.shift()
-    return np.array(c.solve(x, tol=TOLERANCE, max_iterations=50).u[0])
+def _solution(c: Controller, x: Array) -> Array:
+    return np.array(c.solve(x, tol=TOLERANCE, max_iterations=MOST).u[0])

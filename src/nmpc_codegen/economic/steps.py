@@ -86,12 +86,15 @@ def kkt_step(qp: StageQp, dx0: Array) -> Step:
     H = scipy.sparse.block_diag([*qp.H, qp.H_N])
     K = scipy.sparse.bmat([[H, G.T], [G, None]]).tocsc()
     right = np.concatenate([-qp.g.ravel(), -qp.g_N, -dx0, -qp.b.ravel(), *qp.c, qp.d])
-    solution = scipy.sparse.linalg.spsolve(K, right)
-    rest = right - K @ solution
-    if np.all(np.isfinite(solution)):
-        solution = solution + scipy.sparse.linalg.spsolve(K, rest)
+    singular = "kkt_step: the optimality conditions are singular; do rows of the working set depend?"
+    try:
+        factors = scipy.sparse.linalg.splu(K)
+    except RuntimeError as error:
+        raise ProblemError(singular) from error
+    solution = factors.solve(right)
+    solution = solution + factors.solve(right - K @ solution)
     if not np.all(np.isfinite(solution)):
-        raise ProblemError("kkt_step: the optimality conditions are singular; do rows of the working set depend?")
+        raise ProblemError(singular)
     dw, dx_N = solution[: nw - n].reshape(N, n + m), solution[nw - n : nw]
     ends = nw + (N + 1) * n + np.concatenate([[0], np.cumsum([len(c) for c in qp.c])]).astype(int)
     return Step(
