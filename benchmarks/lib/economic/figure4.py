@@ -21,7 +21,7 @@ from nmpc_codegen import Controller
 SAMPLES = 300
 SIDE_STEPS = (0.0, 0.5, 1.0, 2.0, 3.0)  # m
 SCHEMES = (CONVERGED, EXACT, TUNED, IDENTITY, schemes.LETEMPC_CONVERGED, LETEMPC)
-MOVE = round(driving.MOVE / driving.SAMPLING)
+MOVE, CLEARED = round(driving.MOVE / driving.SAMPLING), round(driving.CLEARED / driving.SAMPLING)
 #: Agreement of M and exact, and resolution of a loss, both relative to |l_s| 300.
 CLOSE = 1e-5
 
@@ -30,10 +30,15 @@ def loop(side: float, foreseen: bool) -> Loop:
     """The closed loop with a side step in m."""
 
     def event(n: int, c: Controller, x: Array) -> Array:
-        driving.schedule(n, c)
-        for k in range(driving.N + 1):
-            moved = n + k >= MOVE if foreseen else n >= MOVE
-            c.set_parameter("lane", side * moved, node=k)
+        if n <= CLEARED:
+            driving.schedule(n, c)
+        if foreseen and n == 0:
+            for k in range(MOVE + 1, driving.N + 1):
+                c.set_parameter("lane", side, node=k)
+        if foreseen and n <= MOVE:
+            c.set_parameter("lane", side, node=MOVE - n)
+        if not foreseen and n == MOVE:
+            c.set_parameter("lane", side)
         return x
 
     def origin(n: int) -> Array:
@@ -65,9 +70,12 @@ def measure(report: Report) -> None:
         for side in SIDE_STEPS:
             found = losses(side, foreseen)
             case = f"{side:g} m, {word}"
+            diverged = not np.isfinite(found[IDENTITY.name])
+            report.add("figure4_identity_diverges", float(diverged), limit=1, at_least=True, case=case, n=SAMPLES)
             for name, loss in found.items():
-                key = "figure4_loss" if foreseen else "figure4_unforeseen_loss"
-                report.add(key, loss * 100, "%", case=f"{name}, {case}", n=SAMPLES)
+                if name != IDENTITY.name:
+                    key = "figure4_loss" if foreseen else "figure4_unforeseen_loss"
+                    report.add(key, loss * 100, "%", case=f"{name}, {case}", n=SAMPLES)
             if foreseen:
                 gap = abs(found[TUNED.name] - found[EXACT.name])
                 report.add("figure4_gap", gap, limit=CLOSE, case=f"M and exact, {case}")

@@ -196,4 +196,10 @@ class Loop:
 
 
 def _solution(c: Controller, x: Array) -> Array:
-    return np.array(c.solve(x, tol=TOLERANCE, max_iterations=MOST).u[0])
+    """The first control of the solution: by full steps from the moved plan, else by the filter."""
+    before = c.x.copy(), c.u.copy(), c.lam.copy()
+    found = c.solve(x, tol=TOLERANCE, max_iterations=MOST, globalization="full_step")
+    if found.status != Status.OK:
+        c.x[...], c.u[...], c.lam[...] = before
+        found = c.solve(x, tol=TOLERANCE, max_iterations=MOST)
+    return np.array(found.u[0])

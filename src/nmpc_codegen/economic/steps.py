@@ -61,15 +61,37 @@ class Step:
 def constraint_matrix(qp: StageQp) -> scipy.sparse.csc_matrix:
     """Rows of x_0 (-1), of the dynamics ([A B] - 1), of the C_k and of D; columns (w_0, ..., w_{N-1}, x_N)."""
     N, n, m = len(qp.A), qp.A.shape[1], qp.B.shape[2]
-    blocks: list[list[Array | None]] = [[None] * (N + 1) for _ in range(N + 1)]
+    AB = np.concatenate([qp.A, qp.B], axis=2)
+    first = np.arange(N) * (n + m)
     E = np.eye(n, n + m)
-    for k in range(N + 1):
-        blocks[k][k] = -E if k < N else -np.eye(n)
-        if k:
-            blocks[k][k - 1] = np.hstack([qp.A[k - 1], qp.B[k - 1]])
-    dynamics = scipy.sparse.bmat(blocks)
-    rows = scipy.sparse.block_diag([*(np.asarray(C).reshape(-1, n + m) for C in qp.C), qp.D.reshape(-1, n)])
-    return scipy.sparse.vstack([dynamics, rows]).tocsc()
+    ahead, nodes = [*first, N * (n + m)], np.arange(N + 1) * n
+    dynamics = _blocks([*[-E] * N, -np.eye(n), *AB], [*nodes, *nodes[1:]], [*ahead, *first])
+    rows = [*(np.asarray(C).reshape(-1, n + m) for C in qp.C), qp.D.reshape(-1, n)]
+    starts = np.concatenate([[0], np.cumsum([len(C) for C in rows])])
+    end = N * (n + m) + n
+    held = _blocks(rows, [*starts[:-1]], ahead)
+    return _matrix([(dynamics, 0, 0), (held, (N + 1) * n, 0)], ((N + 1) * n + int(starts[-1]), end))
+
+
+Triplets = tuple[Array, Array, Array]
+
+
+def _blocks(blocks: Sequence[Array], rows: Sequence[int], columns: Sequence[int]) -> Triplets:
+    """Values, rows and columns of dense blocks whose first entries are at (rows, columns)."""
+    values = [np.ravel(block) for block in blocks]
+    i = [row + np.repeat(np.arange(len(b)), b.shape[1]) for b, row in zip(blocks, rows, strict=True)]
+    j = [column + np.tile(np.arange(b.shape[1]), len(b)) for b, column in zip(blocks, columns, strict=True)]
+    return np.concatenate(values), np.concatenate(i), np.concatenate(j)
+
+
+def _matrix(parts: Sequence[tuple[Triplets, int, int]], shape: tuple[int, int]) -> scipy.sparse.csc_matrix:
+    """Sum of triplets that are moved by a number of rows and columns."""
+    values = np.concatenate([v for (v, _, _), _, _ in parts])
+    i = np.concatenate([i + down for (_, i, _), down, _ in parts])
+    j = np.concatenate([j + right for (_, _, j), _, right in parts])
+    found = scipy.sparse.coo_matrix((values, (i, j)), shape=shape).tocsc()
+    found.eliminate_zeros()
+    return found
 
 
 def kkt_step(qp: StageQp, dx0: Array) -> Step:
@@ -82,9 +104,11 @@ def kkt_step(qp: StageQp, dx0: Array) -> Step:
     """
     N, n, m = len(qp.A), qp.A.shape[1], qp.B.shape[2]
     nw = N * (n + m) + n
-    G = constraint_matrix(qp)
-    H = scipy.sparse.block_diag([*qp.H, qp.H_N])
-    K = scipy.sparse.bmat([[H, G.T], [G, None]]).tocsc()
+    G = constraint_matrix(qp).tocoo()
+    at = [*np.arange(N + 1) * (n + m)]
+    H = _blocks([*qp.H, qp.H_N], at, at)
+    size = nw + G.shape[0]
+    K = _matrix([(H, 0, 0), ((G.data, G.row, G.col), nw, 0), ((G.data, G.col, G.row), 0, nw)], (size, size))
     right = np.concatenate([-qp.g.ravel(), -qp.g_N, -dx0, -qp.b.ravel(), *qp.c, qp.d])
     singular = "kkt_step: the optimality conditions are singular; do rows of the working set depend?"
     try:
