@@ -12,8 +12,12 @@ from matplotlib.figure import Figure
 from benchmarks.lib.economic import artificial, evaporation, figure3, figure4
 
 LOSS_COLOURS = {
-    **{"exact": "#1f5fa8", "M": "#c2571a", figure3.INDEFINITE: "#5f9e6e"},
-    **{"identity": "0.2", "LETEMPC": "#8a5fb0", "tracking": "#b3202c"},
+    "exact": "#1f5fa8",
+    "M": "#c2571a",
+    figure3.INDEFINITE: "#5f9e6e",
+    "identity": "0.2",
+    "LETEMPC": "#8a5fb0",
+    "tracking": "#b3202c",
 }
 COLOURS = {"exact": "#1f5fa8", "tuned": "#c2571a", "corrected": "#e0a070", "identity": "0.2"}
 

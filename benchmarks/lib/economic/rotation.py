@@ -18,7 +18,7 @@ from benchmarks.lib.economic.sqp import Array, Plan, quadratic_program, steady_p
 from benchmarks.lib.report import Report
 from nmpc_codegen.economic import kkt_step
 
-N = 50
+N = 200
 LINEAR, QUADRATIC = np.array([3.0, -2.0]), 100.0
 #: Steps to the solution; steps that are compared.
 CONVERGED, COMPARED = 10, 4

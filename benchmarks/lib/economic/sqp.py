@@ -107,7 +107,7 @@ def iterate(
 ) -> tuple[Plan, list[float], list[float]]:
     """Full steps from the steady state: the last plan, the size of every step, and the residual before every step.
 
-    Sizes and residuals are Euclidean norms; the residual is that of the optimality conditions, with gaps.
+    The size is the largest component; the residual, a Euclidean norm, is that of the optimality conditions, with gaps.
     """
     node = problem.functions()
     size = problem.stage.nx + tuning.B.shape[1]
@@ -118,7 +118,7 @@ def iterate(
         qp = quadratic_program(problem, node, plan, hessian)
         residuals.append(residual(qp, plan, x0))
         step = kkt_step(qp, x0 - plan.x[0])
-        sizes.append(float(np.linalg.norm(np.concatenate([step.dx.ravel(), step.du.ravel()]))))
+        sizes.append(float(max(np.abs(step.dx).max(), np.abs(step.du).max())))
         plan = stepped(plan, corrected_multipliers(tuning, step) if name == "corrected" else step)
         if not np.isfinite(sizes[-1]) or sizes[-1] > 1e8:
             break
