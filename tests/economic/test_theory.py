@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import require_tool
 
-from benchmarks.lib.economic import artificial, evaporation, figure3, figure4, rotation
+from benchmarks.lib.economic import artificial, evaporation, figure3, figure4, rotation, timing
 
 
 def test_theorem_8_and_corollary_9() -> None:
@@ -67,15 +68,34 @@ def test_figure_2() -> None:
 
 
 def test_generated_controllers_of_figure_3() -> None:
-    """50 samples: the order of the schemes; the converged loop is that of NumPy steps; every sample is solved."""
+    """50 samples: every sample is solved, M follows the NumPy steps with H; so short a run favours the identity."""
     found, failed, last = figure3.losses(2.0, 50)
-    assert figure3.ordered(found)
     assert failed == 0
-    assert 0.3 < last < 1.0
-    assert found[figure3.INDEFINITE] == pytest.approx(found["M"], rel=0.01)
+    assert 0.3 < last < 1.5
+    assert abs(found[figure3.INDEFINITE] - found["M"]) <= 1e-8
+    assert abs(found["exact"] - found["M"]) <= 1e-5
+    assert found["identity"] < 0, "its pressure has not settled yet"
+
+
+@pytest.mark.slow
+def test_figure_3() -> None:
+    found, _, last = figure3.losses(2.0)
+    assert figure3.ordered(found)
+    assert abs(found["exact"] - found["M"]) <= 1e-6
+    assert last <= 1e-3
 
 
 @pytest.mark.slow
 def test_figure_4() -> None:
     """A foreseen side step of 1 m: exact and M agree, LETEMPC is worse, the identity diverges."""
     assert figure4.ordered(figure4.losses(1.0, True))
+
+
+def test_times_in_c() -> None:
+    """The evaporation process with M: every sample is solved, and a push needs QP iterations."""
+    require_tool("cc")
+    loop = timing.LOOPS[1]
+    t = timing.timed(loop, loop.tuned(), exact=False, runs=1, steps=60)
+    assert t.failed == 0
+    assert t.qp_iterations > 0
+    assert 0 < t.feedback < t.total

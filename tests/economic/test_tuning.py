@@ -398,3 +398,13 @@ def test_scheme_of_the_options() -> None:
     assert tune(ocp).A[0, 0] == pytest.approx((1 - 0.5 + 0.125 - 0.125 / 6 + 0.0625 / 24) ** 2, abs=1e-14)
     assert t.dissipative
     assert "strictly dissipative at the steady state" in str(t)
+
+
+def test_variables_that_are_not_coupled_have_no_products() -> None:
+    """The lateral motion of the car is independent of its speed at the steady state: zeros, not rounding errors."""
+    t = driving.tuned()
+    lateral, along = [1, 3, 4, 7], [2, 5, 6]
+    assert not np.any(t.M[np.ix_(lateral, along)])
+    assert t.M_f is not None
+    assert not np.any(t.M_f[np.ix_([1, 3, 4], [2])])
+    assert np.all(t.M[np.ix_(lateral, lateral)])

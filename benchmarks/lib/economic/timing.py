@@ -19,7 +19,7 @@ from examples import driving, evaporation
 from nmpc_codegen import OCP, Options, generate
 from nmpc_codegen.economic import Tuning
 
-RUNS, STEPS = 9, 500
+RUNS, STEPS = 9, 400
 
 
 @dataclass(frozen=True)
