@@ -113,12 +113,11 @@ def test_active_row_at_the_steady_state(N: int, turn: float, mixed: bool) -> Non
     assert np.abs(long.x[N] - found.x_s).max() > 1e-4, "the plan must not end in the steady state already"
 
 
-def test_indefinite_cost_to_go_of_the_car(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_indefinite_cost_to_go_of_the_car() -> None:
     """2 s with the cost-to-go plan like 12 s, by IPOPT; the brake is held at its bound, the position left out."""
     plans = []
     for N in (20, 120):
-        monkeypatch.setattr(driving, "N", N)
-        ocp = driving.build_ocp()
+        ocp = driving.build_ocp(intervals=N)
         problem = stated(ocp, driving.options())
         x0 = np.array([0.0, 0.3, driving.SPEED + 0.05, 0.01, 0.0])
         plans.append(solve_reference(problem, replace(CLASSICAL, steps=driving.STEPS), x0=x0))

@@ -308,6 +308,22 @@ def test_steady_state_in_bad_units(units: tuple[float, ...], money: float) -> No
     np.testing.assert_allclose(ends[1].slope / money / d[:2], ends[0].slope, rtol=1e-7)
 
 
+@pytest.mark.parametrize("end", [1e-33, -3e-20, 0.0])
+def test_equation_at_the_end_is_no_unit(end: float) -> None:
+    """x_N = x_s with x_s = 0 up to rounding: the least cost of u >= 0 is at 0, where u is held by its bound."""
+    ocp = OCP("rounded", T=1.0, N=5)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u - x})
+    ocp.stage_cost(u + x**2)
+    ocp.subject_to(0, u, 2)
+    ocp.subject_to(end, x, end, at="end")
+    for guess in (None, ([end], [1.0])):
+        best = steady_state(ocp, guess=guess)
+        assert best.size == pytest.approx([1.0, 2.0])
+        assert best.active == (0,)
+        np.testing.assert_allclose(best.w, 0, atol=1e-12)
+
+
 def test_contradictory_rows_are_named() -> None:
     ocp = small(end=False)
     ocp.subject_to(-1, ocp.u, 1)

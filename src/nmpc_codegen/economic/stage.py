@@ -22,6 +22,9 @@ from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.options import Options
 from nmpc_codegen.oracle.trajectory import Tableau, interval_map, node_cost, scaled_weight
 
+#: Values of w below this part of the largest one are rounding errors.
+ROUNDING = float(np.finfo(float).eps)
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -92,9 +95,16 @@ class SteadyStage:
 
 
 def magnitudes(stage: SteadyStage, *points: Array) -> Array:
-    """Typical sizes of w (n + nu,): the largest of given values and of its finite simple bounds; 1 if all are zero."""
+    """Typical sizes of w (n + nu,): the largest of given values and of its finite simple bounds; 1 if all are zero.
+
+    A row lower == upper says where a variable is, not how far it moves, so it counts as little as a given value that is
+    a rounding error: x_N = x_s would measure a state in units of 1e-33.
+    """
     size = np.max(np.abs(points), axis=0)
+    size = np.where(size > ROUNDING * float(size.max()), size, 0.0)
     for row in stage.problem.rows:
+        if row.lower == row.upper:
+            continue
         if row.kind == "control":
             at = stage.nx + row.index
         elif row.kind == "state" and row.index in stage.kept:
