@@ -1,5 +1,6 @@
 #if NG
-/* A row of node k takes the predicted side of the same row at node k + 1, if it is imposed there too. */
+/* A row of node k takes the predicted side and the multiplier of the same row at node k + 1, if it is imposed there too.
+ * A row that begins at node k + 1 leaves nothing at node k. */
 static void shift_rows(solver_t *s)
 {
     int source[NG];
@@ -10,6 +11,9 @@ static void shift_rows(solver_t *s)
                 source[m] = next;
             }
         }
+    }
+    for (int m = 0; m < NG; m++) { /* in place, as source[m] >= m */
+        ROW_MULTIPLIER(s, m) = ROW_MULTIPLIER(s, source[m]);
     }
     condense_shift_rows(s, source);
 }
@@ -24,18 +28,12 @@ static void shift_by_one(solver_t *s)
         for (int i = 0; i < NX; i++) {
             s->x[k][i] = s->x[k + 1][i];
             s->lam[k][i] = s->lam[k + 1][i];
-            s->mu_x[k][i] = s->mu_x[from][i];
         }
         for (int j = 0; j < NU; j++) {
             s->u[k][j] = s->u[from][j];
             s->u[k][j] = safe_value(s, k, j);
             s->mu_u[k][j] = s->mu_u[from][j];
         }
-#if NH
-        for (int j = 0; j < NH; j++) {
-            s->mu[k][j] = s->mu[from][j];
-        }
-#endif
     }
     condense_shift(s);
 #if NG

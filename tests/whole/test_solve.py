@@ -10,7 +10,7 @@ import problems
 import pytest
 from problems import CASES
 
-from nmpc_codegen import OCP, GaussNewton, Options, RealTimeIteration, build, simulate
+from nmpc_codegen import OCP, ExactHessian, GaussNewton, Options, RealTimeIteration, build, simulate
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
@@ -291,3 +291,31 @@ def test_all_of_the_initial_state_free() -> None:
     assert first.status == Status.OK
     assert relative(first.x, reference.x) <= 1e-6
     np.testing.assert_allclose(c.solve((-0.3, 1.0), tol=1e-9).x, first.x, atol=1e-6)
+
+
+@pytest.mark.parametrize("hessian", [GaussNewton(), ExactHessian()])
+def test_solve_after_shift_of_a_row_that_begins_at_node_1(hessian: Any) -> None:
+    """Where x_0 is given, the bound of v and the row of v^2 hold from node 1 on.
+
+    At node 0 their multipliers would be forces of no row, which no QP replaces.
+    """
+    ocp = OCP("held", T=2.0, N=8)
+    p, v, u = ocp.state("p"), ocp.state("v", initial=1.0), ocp.control("u")
+    ocp.dynamics({p: v, v: u})
+    ocp.least_squares(ca.vertcat(p, v, u), weight=[1.0, 0.1, 0.1], reference=[9.0, 0.0, 0.0])
+    ocp.terminal_least_squares(ca.vertcat(p, v), weight=[1.0, 0.1], reference=[9.0, 0.0])
+    ocp.subject_to(-1, v, 1)
+    ocp.subject_to(-np.inf, v**2 + 0.1 * p, 1.05)
+    c = build(ocp, Options(hessian=hessian), "test")
+    x = np.array([0.0, 1.0])
+    assert c.solve(x, tol=1e-10).status == Status.OK
+    assert c.mu_x[1, 1] > 1e-3
+    assert c.mu[4:].max() > 1e-3
+    for _ in range(8):
+        x = np.array(c.integrate(x, c.u[0], 0.25))
+        c.shift()
+        assert not c.mu_x[0].any()
+        solution = c.solve(x, tol=1e-10, max_iterations=20)
+        assert solution.status == Status.OK, c.diagnose()
+        np.testing.assert_allclose(solution.u, c.copy().solve(x, tol=1e-10, globalization="full_step").u, atol=1e-7)
+    assert c.mu[1, 0] > 1e-3
