@@ -69,7 +69,7 @@ def test_figure_2() -> None:
 
 def test_generated_controllers_of_figure_3() -> None:
     """50 samples: every sample is solved, M follows the NumPy steps with H; so short a run favours the identity."""
-    found, failed, last = figure3.losses(2.0, 50)
+    found, failed, last = figure3.losses(2.0, 50, figure3.SCHEMES[:4])
     assert failed == 0
     assert 0.3 < last < 1.5
     assert abs(found[figure3.INDEFINITE] - found["M"]) <= 1e-8

@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.lib.economic import schemes
 from benchmarks.lib.economic.evaporation import N, shooting, tuning
-from benchmarks.lib.economic.schemes import CONVERGED, EXACT, IDENTITY, LETEMPC, TRACK, TUNED, Loop
+from benchmarks.lib.economic.schemes import CONVERGED, EXACT, IDENTITY, LETEMPC, TRACK, TUNED, Loop, Scheme
 from benchmarks.lib.economic.sqp import Array, Plan, quadratic_program, steady_plan, stepped
 from benchmarks.lib.report import Report
 from nmpc_codegen.economic import kkt_step
@@ -30,10 +30,10 @@ Losses = dict[str, float]
 
 
 @cache
-def losses(dP: float, samples: int = SAMPLES) -> tuple[Losses, int, float]:
+def losses(dP: float, samples: int = SAMPLES, compared: tuple[Scheme, ...] = SCHEMES) -> tuple[Losses, int, float]:
     """Loss of every scheme but the first, in percent; failed samples; last distance of the loop with M from x_s."""
     t = tuning()
-    runs = Loop("evaporation", tuple(t.x_s + np.array([0.0, dP])), samples, 1.0).runs(SCHEMES)
+    runs = Loop("evaporation", tuple(t.x_s + np.array([0.0, dP])), samples, 1.0).runs(compared)
     costs = {name: run.cost for name, run in runs.items()}
     costs[INDEFINITE] = indefinite(dP, samples)
     best = costs.pop(CONVERGED.name)

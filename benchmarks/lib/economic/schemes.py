@@ -121,7 +121,7 @@ def car(t: Tuning, scheme: Scheme) -> OCP:
         end = lqr_terminal_cost(driving.build_ocp(), driving.options(), economic=True)
         dx = (x - t.x_s)[1:]
         ocp.stage_cost(driving.cost_rate(ocp.x, ocp.u, lane=lane), integrate=True)
-        ocp.terminal_cost(ca.dot(ca.DM(end.lam[1:]), dx) + ca.bilin(ca.DM(end.P[1:, 1:]), dx, dx) / 2)
+        ocp.terminal_cost(ca.dot(ca.DM(end.slope[1:]), dx) + ca.bilin(ca.DM(end.P[1:, 1:]), dx, dx) / 2)
     else:
         ocp.stage_cost(letempc_cost(t, x, ocp.u), scale_with_dt=False)
         ocp.terminal_cost(letempc_terminal_cost(t, x))
