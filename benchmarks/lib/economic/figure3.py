@@ -19,7 +19,7 @@ from benchmarks.lib.economic.sqp import Array, Plan, quadratic_program, steady_p
 from benchmarks.lib.report import Report
 from nmpc_codegen.economic import kkt_step
 
-SAMPLES = 400
+SAMPLES, SHORT = 400, 30
 DISTURBANCES = (1.0, 2.0, 4.0, 7.0, 10.0)  # kPa
 SCHEMES = (
     *(CONVERGED, EXACT, TUNED, IDENTITY),
@@ -67,7 +67,10 @@ def ordered(found: Losses) -> bool:
 
 
 def measure(report: Report) -> None:
-    """Losses and their order; the loop with M reaches the steady state (Theorem 11)."""
+    """Losses and their order; the loop with M reaches the steady state (Theorem 11); the linear term of LETEMPC."""
+    equivalent = (CONVERGED, TUNED, schemes.LETEMPC_CONVERGED, schemes.QUADRATIC_CONVERGED)
+    for name, loss in losses(2.0, SHORT, equivalent)[0].items():
+        report.add("letempc_loss", loss, "%", case=f"{name}, dP = 2", profile="", n=SHORT)
     for dP in DISTURBANCES:
         found, failed, last = losses(dP)
         for name, loss in found.items():

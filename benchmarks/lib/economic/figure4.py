@@ -13,10 +13,22 @@ from functools import cache
 import numpy as np
 
 from benchmarks.lib.economic import schemes
-from benchmarks.lib.economic.schemes import CONVERGED, EXACT, IDENTITY, LETEMPC, TUNED, Array, Loop, subject
+from benchmarks.lib.economic.schemes import (
+    CONVERGED,
+    EXACT,
+    IDENTITY,
+    LETEMPC,
+    MOST,
+    TOLERANCE,
+    TUNED,
+    Array,
+    Loop,
+    Scheme,
+    subject,
+)
 from benchmarks.lib.report import Report
 from examples import driving
-from nmpc_codegen import Controller
+from nmpc_codegen import Controller, Status
 
 SAMPLES = 300
 SIDE_STEPS = (0.0, 0.5, 1.0, 2.0, 3.0)  # m
@@ -56,6 +68,16 @@ def losses(side: float, foreseen: bool) -> dict[str, float]:
     return {name: (cost - best) / abs(subject("driving").tuning.cost) / SAMPLES for name, cost in costs.items()}
 
 
+def first_plan(scheme: Scheme) -> float:
+    """Full steps from constant speed to the plan of the first sample, which ends at the obstacle; MOST + 1: it fails."""
+    c = schemes.controllers("driving", SCHEMES)[scheme].copy()
+    begun = loop(0.0, False)
+    driving.schedule(0, c)
+    begun.start(c)
+    found = c.solve(np.array(begun.x0), tol=TOLERANCE, max_iterations=MOST, globalization="full_step")
+    return float(found.iterations if found.status == Status.OK else MOST + 1)
+
+
 def ordered(found: dict[str, float]) -> bool:
     """M within 1e-5 of exact, LETEMPC worse than both, the identity diverges."""
     better = max(found[TUNED.name], found[EXACT.name])
@@ -65,6 +87,8 @@ def ordered(found: dict[str, float]) -> bool:
 
 def measure(report: Report) -> None:
     """Losses and their order; the order is required where the side step is foreseen."""
+    for scheme in (EXACT, TUNED):
+        report.add("figure4_first_plan_iterations", first_plan(scheme), case=scheme.name)
     for foreseen in (True, False):
         word = "foreseen" if foreseen else "unforeseen"
         for side in SIDE_STEPS:

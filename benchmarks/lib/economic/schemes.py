@@ -41,7 +41,11 @@ TOLERANCE, MOST = 1e-8, 30
 
 @dataclass(frozen=True)
 class Scheme:
-    """cost: "economic", "letempc", "tracking"; hessian: "exact", "tuned" (M), "identity", "least squares"."""
+    """A cost and a Hessian.
+
+    cost: "economic", "letempc", "quadratic" (LETEMPC without its linear term), "tracking"; hessian: "exact", "tuned"
+    (M), "identity", "least squares".
+    """
 
     name: str
     cost: str
@@ -56,6 +60,7 @@ LETEMPC, LETEMPC_CONVERGED = (
     Scheme("LETEMPC", "letempc", "tuned"),
     Scheme("LETEMPC converged", "letempc", "tuned", converged=True),
 )
+QUADRATIC_CONVERGED = Scheme("LETEMPC without linear term converged", "quadratic", "tuned", converged=True)
 TRACK, TRACK_CONVERGED = (
     Scheme("tracking", "tracking", "least squares"),
     Scheme("tracking converged", "tracking", "exact", converged=True),
@@ -108,8 +113,14 @@ def process(t: Tuning, scheme: Scheme) -> OCP:
     elif scheme.cost == "tracking":
         ocp.stage_cost(tracking_cost(t, ocp.x, ocp.u, TRACKING), scale_with_dt=False)
     else:
-        ocp.stage_cost(letempc_cost(t, ocp.x, ocp.u), scale_with_dt=False)
+        ocp.stage_cost(equivalent_cost(t, scheme, ocp.x, ocp.u), scale_with_dt=False)
     return ocp
+
+
+def equivalent_cost(t: Tuning, scheme: Scheme, x: Any, u: Any) -> Any:
+    """LETEMPC, with or without its linear term."""
+    linear = ca.dot(ca.DM(t.C.T @ t.mu_s), ca.vertcat(x, u)) if scheme.cost == "quadratic" else 0
+    return letempc_cost(t, x, u) + linear
 
 
 def car(t: Tuning, scheme: Scheme) -> OCP:
@@ -123,7 +134,7 @@ def car(t: Tuning, scheme: Scheme) -> OCP:
         ocp.stage_cost(driving.cost_rate(ocp.x, ocp.u, lane=lane), integrate=True)
         ocp.terminal_cost(ca.dot(ca.DM(end.slope[1:]), dx) + ca.bilin(ca.DM(end.P[1:, 1:]), dx, dx) / 2)
     else:
-        ocp.stage_cost(letempc_cost(t, x, ocp.u), scale_with_dt=False)
+        ocp.stage_cost(equivalent_cost(t, scheme, x, ocp.u), scale_with_dt=False)
         ocp.terminal_cost(letempc_terminal_cost(t, x))
     return ocp
 
@@ -167,11 +178,15 @@ class Loop:
     warm: bool = False
     drift: tuple[float, ...] | float = 0.0
 
+    def start(self, c: Controller) -> None:
+        """The first plan: the best steady state, with the drift of cyclic states."""
+        t, steps = subject(self.name).tuning, np.arange(len(c.x))[:, None]
+        c.x[...], c.u[...] = t.x_s + steps * np.asarray(self.drift), t.u_s
+
     def run(self, scheme: Scheme, controller: Controller) -> Run:
         """The closed loop of a controller."""
         s, c, x, total, failed = subject(self.name), controller.copy(), np.array(self.x0), 0.0, 0
-        steps = np.arange(len(c.x))[:, None]
-        c.x[...], c.u[...] = s.tuning.x_s + steps * np.asarray(self.drift), s.tuning.u_s
+        self.start(c)
         states, controls = [x], []
         for n in range(self.samples):
             x = x if self.event is None else self.event(n, c, x)
