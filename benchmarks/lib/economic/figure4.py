@@ -69,7 +69,7 @@ def losses(side: float, foreseen: bool) -> dict[str, float]:
 
 
 def first_plan(scheme: Scheme) -> float:
-    """Full steps from constant speed to the plan of the first sample, which ends at the obstacle; MOST + 1: it fails."""
+    """Full steps from constant speed to the plan of the first sample, which ends at the obstacle; MOST + 1 if none."""
     c = schemes.controllers("driving", SCHEMES)[scheme].copy()
     begun = loop(0.0, False)
     driving.schedule(0, c)
