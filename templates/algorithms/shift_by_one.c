@@ -1,4 +1,4 @@
-#if NG
+#if NG && HAS_QP
 /* A row of node k takes the predicted side of the same row at node k + 1, if it is imposed there too. */
 static void shift_rows(solver_t *s)
 {
@@ -37,8 +37,10 @@ static void shift_by_one(solver_t *s)
         }
 #endif
     }
+#if HAS_QP
     condense_shift(s);
 #if NG
     shift_rows(s);
+#endif
 #endif
 }

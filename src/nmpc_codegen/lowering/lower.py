@@ -138,6 +138,7 @@ def _switches(model: Model) -> dict[str, int]:
         "STAGE_MULTIPLIERS": int(not eliminates),
         "CONDENSED_QP": int(condensing is not None and condensing.gives == "condensed"),
         "INTEGRATE_PLAN": 0,
+        "HAS_QP": int("qp" in parts.algorithm.needs),
         "NODES": int("nodes" in core),
         "PRODUCTS": int("products" in core),
         "KKT": int("kkt" in core),
