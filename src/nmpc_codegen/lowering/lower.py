@@ -75,7 +75,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
         tables=_tables(model),
         settings=_settings(model, dims),
         setters=_setters(model, switches),
-        routines=_printed(model),
+        routines=tuple(r for r in _printed(model) if switches.get(f"HAS_{r.name.upper()}", 1)),
         products=model.products,
         core_parts=tuple(part for word in sorted(model.parts.algorithm.core) for part in PARTS.get(word, ())),
         switches=switches,
@@ -150,6 +150,7 @@ def _switches(model: Model) -> dict[str, int]:
         "ACCUMULATORS": int(bool(p.accumulators)),
         "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
         "LAGRANGIAN": 0,
+        "START_IS_MEASURED": 0,
         "TUNED": 0,
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }

@@ -143,7 +143,7 @@ class RealTimeIteration(Defaults):
         if self.shift == "resample":
             return (
                 *accumulators,
-                Table("node_time", "real", _node_times(problem), "t_k"),
+                Table("node_time", "real", node_times(problem), "t_k"),
                 Table("sampling_time", "real", (float(self.sampling_time or 0.0),), "shift of the plan in time"),
             )
         return accumulators
@@ -152,7 +152,7 @@ class RealTimeIteration(Defaults):
         """With shift="resample": from the last node of the plan before a new node; rounding may pass over a node."""
         if self.sampling_time is None:
             return 0.0
-        times, rounding = _node_times(problem), 1e-6 * (self.sampling_time + math.fsum(problem.dt))
+        times, rounding = node_times(problem), 1e-6 * (self.sampling_time + math.fsum(problem.dt))
         moved = (time + self.sampling_time for time in times)
         return max(new - max((t for t in times[:-1] if t < new - rounding), default=0.0) for new in moved)
 
@@ -334,5 +334,5 @@ def _line_search(dims: Dims) -> Struct:
     )
 
 
-def _node_times(problem: Problem) -> tuple[float, ...]:
+def node_times(problem: Problem) -> tuple[float, ...]:
     return tuple(math.fsum(problem.dt[:k]) for k in range(problem.N + 1))
