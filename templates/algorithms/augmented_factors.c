@@ -122,7 +122,7 @@ static int factorize(solver_t *s)
             return 1;
         }
         s->stats.shifts++;
-        shift = (trial == 0) ? R(1e-3) * a->largest : R(30) * shift;
+        shift = (trial == 0) ? R(0.01) * a->bend : R(10) * shift;
     }
     return 0;
 }

@@ -68,6 +68,8 @@ static void assemble_node(solver_t *s, int k)
         }
     }
     for (int i = 0; i < NZ; i++) {
+        const real_t bend = FABS(HESSIAN(s, k)[i][i]) * variable_scale[i] * variable_scale[i];
+        a->bend = (bend > a->bend) ? bend : a->bend;
         for (int j = 0; j <= i; j++) {
             a->Q[k][i][j] = a->Q[k][j][i] = HESSIAN(s, k)[i][j];
         }
@@ -78,6 +80,7 @@ static void assemble_node(solver_t *s, int k)
 static void assemble(solver_t *s)
 {
     auglag_t *a = &s->auglag;
+    a->bend = R(0);
     for (int k = 0; k < N; k++) {
         assemble_node(s, k);
     }

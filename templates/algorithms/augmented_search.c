@@ -88,17 +88,18 @@ static real_t multiply_free(solver_t *s, real_t (*v)[NZ], real_t (*y)[NZ])
     return inner(v, y);
 }
 
-/* Longest t for which w + t p moves no variable by more than twice the trust region. */
-static real_t longest_move(const auglag_t *a)
+/* Largest t <= most for which d + w + t p is in the box; 0 if d + w is not. */
+static real_t longest_move(const auglag_t *a, real_t (*w)[NZ], real_t (*p)[NZ], real_t most)
 {
-    real_t most = R(0);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NZ; i++) {
-            const real_t move = FABS(a->p[k][i]) / variable_scale[i];
-            most = (move > most) ? move : most;
+            const real_t room = ((p[k][i] > R(0)) ? a->upper[k][i] : a->lower[k][i]) - a->d[k][i] - w[k][i];
+            if (FABS(p[k][i]) * most > FABS(room) || room * p[k][i] < R(0)) {
+                most = (room * p[k][i] > R(0)) ? room / p[k][i] : R(0);
+            }
         }
     }
-    return (most > R(0)) ? R(2) * a->radius / most : R(0);
+    return most;
 }
 
 /* w: approximate minimiser of the model plus proximal term along the free variables, from d; stops at directions of
@@ -116,7 +117,7 @@ static void conjugate_gradients(solver_t *s)
         s->stats.cg_iterations++;
         if (!(curvature > R(0))) {
             s->stats.negative_curvature++;
-            add_multiple(a->w, longest_move(a), a->p);
+            add_multiple(a->w, longest_move(a, a->w, a->p, R(1e30)), a->p);
             return;
         }
         add_multiple(a->w, size / curvature, a->p);
@@ -138,6 +139,7 @@ static int projected_search(solver_t *s, real_t *value)
 {
     auglag_t *a = &s->auglag;
     real_t t = R(1);
+    memset(a->residual, 0, sizeof a->residual);
     for (int trial = 0; trial < MAX_BACKTRACKS; trial++) {
         real_t linear = R(0), found;
         project_step(a, a->p, a->d, t, a->w);
@@ -154,7 +156,7 @@ static int projected_search(solver_t *s, real_t *value)
             *value = found;
             return 1;
         }
-        t *= R(0.25);
+        t = (trial == 1) ? longest_move(a, a->residual, a->w, t) : R(0.25) * t;
     }
     return 0;
 }
@@ -226,6 +228,7 @@ static int descend(solver_t *s)
     assemble(s);
     set_box(s);
     predicted = -refine(s, cauchy_point(s));
+    a->predicted = predicted;
     length = step_length_of(a);
     move_plan(s);
     evaluate_path(s);

@@ -53,14 +53,14 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
         }
         set_box(s);
         const real_t gradient = projected_gradient(a);
-        if (gradient <= accuracy) {
+        if (gradient <= accuracy || a->predicted < TOL_UNIT * (R(1) + FABS(a->cost))) {
             advance_multipliers(s, &violation);
             accuracy = R(0.1) * ((accuracy < violation) ? accuracy : violation);
             accuracy = (accuracy > R(0.1) * tol) ? accuracy : R(0.1) * tol;
             linearize_plan(s);
             assemble(s);
         }
-        a->proximal = proximal_weight[0] * ((gradient < R(1)) ? gradient : R(1));
+        a->proximal = R(0);
         s->stats.sqp_iterations++;
         s->stats.newton_iterations++;
         if (descend(s)) {
@@ -90,6 +90,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
     s->auglag.precision = R(1e-8);
+    s->auglag.predicted = INF;
     status = prepare_here(s);
     if (status == OK) {
         status = iterate(s, tol, max_iterations);

@@ -25,6 +25,7 @@ from nmpc_codegen.components.algorithms.real_time_iteration import (
     SOLVE,
     node_times,
 )
+from nmpc_codegen.components.algorithms.scales import row_scales, variable_scales
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Core, Defaults, Dims, Parts, Seam
 from nmpc_codegen.errors import OptionError
@@ -41,7 +42,9 @@ class AugmentedLagrangian(Defaults):
     """``iterations`` Newton iterations per sample on the augmented Lagrangian with the penalty ``penalty``.
 
     ``proximal``: weight r of the term r/2 |z - z_c|^2 that keeps the refinement near the Cauchy point z_c. ``radius``:
-    of the trust region at the start of a sample. Both are in scaled variables. ``shift`` and ``sampling_time``: how the
+    of the trust region at the start of a sample. Both are in scaled variables, and so is the penalty of the gaps.
+    ``scaling``: "units", variables as they are; "declared", divided by the largest of initial value and bounds. Rows are
+    always divided by their declared magnitude. ``shift`` and ``sampling_time``: how the
     plan moves before every prepare, as in RealTimeIteration.
     """
 
@@ -49,6 +52,7 @@ class AugmentedLagrangian(Defaults):
     penalty: float = option(100.0, Number())
     proximal: float = option(0.1, Number(closed=True))
     radius: float = option(10.0, Number())
+    scaling: str = option("units", Words(("units", "declared")))
     shift: str | None = option(None, Words(SHIFTS))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
 
@@ -110,12 +114,12 @@ class AugmentedLagrangian(Defaults):
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
-        scale = np.ones(problem.nx + problem.nu)
+        declared = variable_scales(problem)
+        scale = declared if self.scaling == "declared" else np.ones_like(declared)
         state = 1.0 / scale[: problem.nx] ** 2
         initial = [0.0 if i in problem.free_initial else w for i, w in enumerate(state)]
         rows = problem.qp_rows
         soft = [problem.rows[row].soft is not None for _, _, _, row in rows]
-        relaxed = tuple(int(kind != 0) or 2 * int(s) for (_, kind, _, _), s in zip(rows, soft, strict=True))
         relaxed = tuple(2 * int(s) or int(kind != 0) for (_, kind, _, _), s in zip(rows, soft, strict=True))
         return (
             Table(
@@ -131,7 +135,7 @@ class AugmentedLagrangian(Defaults):
             Table("variable_scale", "real", tuple(scale), "scales of (x, u)"),
             Table("state_weight", "real", tuple(state), "1 / scale^2 of the states"),
             Table("initial_weight", "real", tuple(initial), "the same at node 0, 0 for free components of x_0"),
-            Table("row_weight", "real", (1.0,) * len(rows), "1 / scale^2 of row m"),
+            Table("row_weight", "real", tuple(1.0 / row_scales(problem, declared) ** 2), "1 / scale^2 of row m"),
             Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
             Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
             *(
@@ -214,6 +218,8 @@ def _auglag(dims: Dims) -> Struct:
             real("radius", (), "of the trust region"),
             real("precision", (), "of conjugate gradients, squared"),
             real("largest", (), "largest diagonal entry of the Hessian, scaled"),
+            real("bend", (), "largest diagonal entry of the Hessian of the stages, scaled"),
+            real("predicted", (), "reduction that the last step promised"),
             Field("factorized", (), "1: the factors exist", "scratch", "int32"),
             real("Q", (nodes, dims.nz, dims.nz), "Hessian blocks of the nodes"),
             real("L", (nodes, dims.nz, dims.nz), "their factors"),
