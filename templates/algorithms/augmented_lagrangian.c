@@ -158,6 +158,7 @@ static status_t feedback_here(solver_t *s)
     s->auglag.radius = initial_radius[0];
     s->auglag.proximal = proximal_weight[0];
     s->auglag.precision = R(1e-4);
+    s->auglag.faces = MAX_FACES;
     evaluate_ends(s);
     estimate_multipliers(s);
 #if NE

@@ -66,7 +66,8 @@ static int find_face(auglag_t *a)
     int changes = 0;
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NZ; i++) {
-            const int inside = a->d[k][i] > a->lower[k][i] && a->d[k][i] < a->upper[k][i];
+            const real_t rounding = R(64) * TOL_UNIT * (a->upper[k][i] - a->lower[k][i]);
+            const int inside = a->d[k][i] > a->lower[k][i] + rounding && a->d[k][i] < a->upper[k][i] - rounding;
             changes += !inside && a->open[k][i] > R(0);
             a->open[k][i] = inside ? a->open[k][i] : R(0);
         }
@@ -172,7 +173,7 @@ static real_t refine(solver_t *s, real_t value)
     }
     (void)find_face(a);
     a->largest = largest_curvature(s);
-    for (int face = 0; face < MAX_FACES; face++) {
+    for (int face = 0; face < a->faces; face++) { /* at most MAX_FACES passes */
         a->factorized = factorize(s);
         for (int k = 0; k <= N; k++) {
             for (int i = 0; i < NZ; i++) {

@@ -28,12 +28,12 @@ static real_t residual_of(solver_t *s)
 }
 
 /* The dual update; the penalty grows if the violation has hardly decreased since the last one. */
-static void advance_multipliers(solver_t *s, real_t *violation)
+static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
 {
     auglag_t *a = &s->auglag;
     const real_t now = violation_of(s);
     update_multipliers(s);
-    if (!(now < R(0.1) * *violation) && a->penalty < R(0.1) * MOST_PENALTY) {
+    if (!(now < R(0.1) * *violation) && now > tol && a->penalty < R(0.1) * MOST_PENALTY) {
         a->penalty *= R(10);
     }
     *violation = now;
@@ -46,6 +46,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
 {
     auglag_t *a = &s->auglag;
     real_t violation = INF, accuracy = R(1);
+    int since = 0;
     for (int n = 0; n < max_iterations; n++) {
         assemble(s);
         if (residual_of(s) <= tol) {
@@ -53,8 +54,9 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
         }
         set_box(s);
         const real_t gradient = projected_gradient(a);
-        if (gradient <= accuracy || a->predicted < TOL_UNIT * (R(1) + FABS(a->cost))) {
-            advance_multipliers(s, &violation);
+        if (gradient <= accuracy || a->predicted < TOL_UNIT * (R(1) + FABS(a->cost)) || ++since > MAX_INNER) {
+            advance_multipliers(s, tol, &violation);
+            since = 0;
             accuracy = R(0.1) * ((accuracy < violation) ? accuracy : violation);
             accuracy = (accuracy > R(0.1) * tol) ? accuracy : R(0.1) * tol;
             linearize_plan(s);
@@ -90,6 +92,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
     s->auglag.precision = R(1e-8);
+    s->auglag.faces = FACES_OF_SOLVE;
     s->auglag.predicted = INF;
     status = prepare_here(s);
     if (status == OK) {
