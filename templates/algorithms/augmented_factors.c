@@ -18,7 +18,7 @@ static void fill_block(solver_t *s, int k, real_t shift)
         const real_t *row = s->node[k].S[l];
         for (int i = 0; i < NZ; i++) {
             const real_t factor = gap_weight(s, l) * row[i];
-            for (int j = 0; j <= i; j++) {
+            for (int j = 0; j < NZ; j++) {
                 A[i][j] += factor * row[j];
             }
         }
@@ -33,7 +33,7 @@ static void eliminate_successor(solver_t *s, int k)
     for (int l = 0; l < NX; l++) {
         const real_t weight = -gap_weight(s, l) * a->open[k + 1][l];
         for (int i = 0; i < NZ; i++) {
-            W[l][i] = weight * s->node[k].S[l][i];
+            W[l][i] = weight * a->open[k][i] * s->node[k].S[l][i];
         }
     }
     for (int l = NX - 1; l >= 0; l--) {
@@ -46,7 +46,7 @@ static void eliminate_successor(solver_t *s, int k)
             }
         }
         for (int i = 0; i < NZ; i++) {
-            for (int j = 0; j <= i; j++) {
+            for (int j = 0; j < NZ; j++) {
                 a->L[k][i][j] -= W[l][i] * W[l][j];
             }
         }
@@ -127,38 +127,60 @@ static int factorize(solver_t *s)
     return 0;
 }
 
-/* y = (preconditioner) y over the free variables: the factors or, where there are none, scale^2 / largest. */
-static void precondition(solver_t *s, real_t (*y)[NZ])
+/* Forward pass: b_k := L_k^{-T} b_k and its effect on the node before. */
+static void eliminate_node(const auglag_t *a, int k, real_t *y)
 {
-    auglag_t *a = &s->auglag;
-    for (int k = N; k >= 0 && a->factorized; k--) {
-        for (int l = NZ - 1; l >= 0; l--) {
-            y[k][l] *= a->L[k][l][l];
-            for (int i = 0; i < l; i++) {
-                y[k][i] -= a->L[k][l][i] * y[k][l];
+    for (int l = NZ - 1; l >= 0; l--) {
+        const real_t value = y[l] * a->L[k][l][l];
+        y[l] = value;
+        for (int i = 0; i < l; i++) {
+            y[i] -= a->L[k][l][i] * value;
+        }
+    }
+}
+
+/* Backward pass: solves L_k y = b. */
+static void substitute_node(const auglag_t *a, int k, real_t *y)
+{
+    for (int l = 0; l < NZ; l++) {
+        real_t sum = y[l];
+        for (int i = 0; i < l; i++) {
+            sum -= a->L[k][l][i] * y[i];
+        }
+        y[l] = a->open[k][l] * sum * a->L[k][l][l];
+    }
+}
+
+/* y = (preconditioner) y over the free variables: the factors or, where there are none, scale^2 / largest. */
+static void precondition(const auglag_t *a, real_t (*y)[NZ])
+{
+    if (!a->factorized) {
+        for (int k = 0; k <= N; k++) {
+            for (int l = 0; l < NZ; l++) {
+                y[k][l] *= a->open[k][l] * variable_scale[l] * variable_scale[l] / a->largest;
             }
         }
-        for (int l = 0; k > 0 && l < NX; l++) {
+        return;
+    }
+    eliminate_node(a, N, y[N]);
+    for (int k = N - 1; k >= 0; k--) {
+        for (int l = 0; l < NX; l++) {
+            const real_t value = y[k + 1][l];
             for (int i = 0; i < NZ; i++) {
-                y[k - 1][i] -= a->open[k - 1][i] * a->W[k - 1][l][i] * y[k][l];
+                y[k][i] -= a->W[k][l][i] * value;
             }
         }
+        eliminate_node(a, k, y[k]);
     }
-    for (int k = 0; k <= N && a->factorized; k++) {
-        for (int l = 0; l < NZ; l++) {
-            real_t sum = y[k][l];
-            for (int i = 0; k > 0 && l < NX && i < NZ; i++) {
-                sum -= a->W[k - 1][l][i] * y[k - 1][i];
+    substitute_node(a, 0, y[0]);
+    for (int k = 0; k < N; k++) {
+        for (int l = 0; l < NX; l++) {
+            real_t sum = R(0);
+            for (int i = 0; i < NZ; i++) {
+                sum += a->W[k][l][i] * y[k][i];
             }
-            for (int i = 0; i < l; i++) {
-                sum -= a->L[k][l][i] * y[k][i];
-            }
-            y[k][l] = a->open[k][l] * sum * a->L[k][l][l];
+            y[k + 1][l] -= sum;
         }
-    }
-    for (int k = 0; k <= N && !a->factorized; k++) {
-        for (int l = 0; l < NZ; l++) {
-            y[k][l] *= a->open[k][l] * variable_scale[l] * variable_scale[l] / a->largest;
-        }
+        substitute_node(a, k + 1, y[k + 1]);
     }
 }

@@ -5,8 +5,6 @@
  *
  * Q_k = Hessian of the stage + sum of psi_m'' J_m' J_m over the relaxed rows of node k. */
 
-enum { VARIABLES = (N + 1) * NZ };
-
 /* sum_i a_i b_i over all variables. */
 static real_t inner(real_t (*a)[NZ], real_t (*b)[NZ])
 {

@@ -111,7 +111,7 @@ static void conjugate_gradients(solver_t *s)
     real_t size, first;
     memset(a->w, 0, sizeof a->w);
     memcpy(a->p, a->residual, sizeof a->p);
-    precondition(s, a->p);
+    precondition(a, a->p);
     size = first = inner(a->residual, a->p);
     for (int n = 0; n < MAX_CG && size > a->precision * first && size < INF; n++) {
         const real_t curvature = multiply_free(s, a->p, a->Hp);
@@ -124,7 +124,7 @@ static void conjugate_gradients(solver_t *s)
         add_multiple(a->w, size / curvature, a->p);
         add_multiple(a->residual, -size / curvature, a->Hp);
         memcpy(a->Hp, a->residual, sizeof a->Hp);
-        precondition(s, a->Hp);
+        precondition(a, a->Hp);
         const real_t next = inner(a->residual, a->Hp), ratio = next / size;
         for (int k = 0; k <= N; k++) {
             for (int i = 0; i < NZ; i++) {
@@ -173,7 +173,7 @@ static real_t refine(solver_t *s, real_t value)
     }
     (void)find_face(a);
     a->largest = largest_curvature(s);
-    for (int face = 0; face < a->faces; face++) { /* at most MAX_FACES passes */
+    for (int face = 0; face < a->faces; face++) { /* at most FACES_OF_SOLVE passes */
         a->factorized = factorize(s);
         for (int k = 0; k <= N; k++) {
             for (int i = 0; i < NZ; i++) {

@@ -247,8 +247,13 @@ class Algorithm(Component, Protocol):
         """How the plan is shifted before every prepare; None: it is not."""
         ...
 
-    def default(self, seam: Seam) -> str | None:
-        """The name of its default component for a seam that it needs; None: the compiler chooses for the problem."""
+    def default(self, seam: Seam) -> str | Component | None:
+        """Its default component for a seam that it needs, or the name of the class; None: the compiler chooses for the
+        problem."""
+        ...
+
+    def check_parts(self, parts: Parts) -> None:
+        """Raise OptionError if it does not work with one of the other components."""
         ...
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
@@ -304,6 +309,9 @@ class Defaults:
 
     def reach(self, problem: Problem) -> float:
         return 0.0
+
+    def check_parts(self, parts: Parts) -> None:
+        return None
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}

@@ -249,7 +249,7 @@ START_PLACES = {
 }
 
 
-def kernel_call(routine: Routine, everywhere: Mapping[str, str] = PLACES) -> Definition:
+def kernel_call(routine: Routine, everywhere: dict[str, str] = PLACES) -> Definition:
     """(macro, arguments, text): call of a printed kernel; it passes what is read or written, nothing else.
 
     The arguments of the macro are always the same: the solver, the node of a path kernel, the outputs;

@@ -321,7 +321,7 @@ class Controller:
     def stats(self) -> Stats:
         """Counters, residuals and times of the last call; counters that the algorithm does not have are 0."""
         members = self.description.members("solver")
-        found = self._struct["stats"] if "stats" in members else {}
+        found: Any = self._struct["stats"] if "stats" in members else {}
         counts = _NO_COUNTS | {name: found[name] for name in self.description.members("stats")}
         solved = self._struct["kkt"].__getitem__ if "kkt" in members else lambda _: math.nan
         last = Kkt.read(solved, self.description.members("kkt") or KKT_PARTS)

@@ -3,9 +3,9 @@
     min_z  cost + sum_i (lam_i + rho_i/2 c_i) c_i + sum_m psi_m(v_m)   subject to bounds of controls and states,
     z = (x_0, u_0, .., x_N),   c_0 = xhat - x_0,   c_{k+1} = Phi_k(x_k, u_k) - x_{k+1},   rho_i = rho / scale_i^2
 
-with the terms psi_m of all other rows, whose multipliers stay between 0 and the weight of a soft row, or are at least 0
-for a hard inequality. Every sample takes ``iterations`` steps of a trust-region method and then sets lam_i += rho_i c_i.
-It needs no convex Hessian and no QP.
+with the terms psi_m of all other rows, whose multipliers are at least 0 for an inequality and at most the weight of a
+soft row. Every sample takes ``iterations`` steps of a trust-region method and then sets lam_i += rho_i c_i. It needs no
+convex Hessian and no QP.
 
 Hours, Shukla and Jones, "A parametric augmented Lagrangian algorithm for real-time economic NMPC", ECC 2016.
 """
@@ -21,17 +21,29 @@ import numpy as np
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     PATIENCE,
     PHASES,
-    SHIFTS,
     SOLVE,
-    node_times,
 )
 from nmpc_codegen.components.algorithms.scales import row_scales, variable_scales
+from nmpc_codegen.components.algorithms.shifts import (
+    SHIFTS,
+    check_sampling_time,
+    check_shift,
+    resample_reach,
+    resample_tables,
+)
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Defaults, Dims, Parts, Seam
+from nmpc_codegen.components.base import Component, Core, Defaults, Dims, Parts, Seam
+from nmpc_codegen.components.hessians.exact import ExactHessian
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.runtime.package_description import EntryPoint
+
+PREPARE = EntryPoint(
+    "prepare",
+    "Preparation phase: evaluate and linearise the plan. A call that fails leaves the plan unchanged; feedback "
+    "restarts a plan that fails repeatedly.",
+)
 
 #: Faces per iteration, shifts of a factorisation, trials of a projected search, iterations of conjugate gradients.
 MAX_FACES, MAX_SHIFTS, MAX_BACKTRACKS, MAX_CG = 5, 3, 8, 20
@@ -43,9 +55,9 @@ class AugmentedLagrangian(Defaults):
 
     ``proximal``: weight r of the term r/2 |z - z_c|^2 that keeps the refinement near the Cauchy point z_c. ``radius``:
     of the trust region at the start of a sample. Both are in scaled variables, and so is the penalty of the gaps.
-    ``scaling``: "units", variables as they are; "declared", divided by the largest of initial value and bounds. Rows are
-    always divided by their declared magnitude. ``shift`` and ``sampling_time``: how the
-    plan moves before every prepare, as in RealTimeIteration.
+    ``scaling``: "units", variables as they are; "declared", divided by their declared initial value or bounds. Rows
+    are always divided by their declared magnitude. ``shift`` and ``sampling_time``: how the plan moves before every
+    prepare, as in RealTimeIteration.
     """
 
     iterations: int = option(3, Whole(most=1000))
@@ -67,18 +79,31 @@ class AugmentedLagrangian(Defaults):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
-        if (self.sampling_time is not None) != (self.shift == "resample"):
+        check_sampling_time("AugmentedLagrangian", self.shift, self.sampling_time)
+
+    def default(self, seam: Seam) -> Component | None:
+        """The exact Hessian as it is; the compiler chooses the integrator for the problem."""
+        return ExactHessian(regularization=None) if seam == "hessian" else None
+
+    def check_parts(self, parts: Parts) -> None:
+        """Raise OptionError for a Hessian that is made convex or was computed off line."""
+        switches = parts.hessian.switches if parts.hessian is not None else {}
+        if switches.get("REGULARIZE_REDUCED") or switches.get("REGULARIZE_STAGES"):
             raise OptionError(
-                f'AugmentedLagrangian.sampling_time: {self.sampling_time!r} with shift={self.shift!r}; shift="resample" '
-                "requires it, no other shift allows it (--set algorithm.shift=... --set algorithm.sampling_time=...)"
+                "AugmentedLagrangian() (--set algorithm=augmented_lagrangian) follows negative curvature and clashes "
+                "with a regularisation of the Hessian; expected ExactHessian(regularization=None) "
+                "(--set hessian.regularization=none) or GaussNewton() (--set hessian=gauss_newton)"
+            )
+        if switches.get("TUNED"):
+            raise OptionError(
+                "AugmentedLagrangian() (--set algorithm=augmented_lagrangian) clashes with a Hessian that was computed "
+                "off line for QPs; expected ExactHessian(regularization=None) (--set hessian.regularization=none) or "
+                "GaussNewton() (--set hessian=gauss_newton)"
             )
 
-    def default(self, seam: Seam) -> str | None:
-        """The exact Hessian; the compiler chooses the integrator for the problem."""
-        return "exact" if seam == "hessian" else None
-
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
-        return (*PHASES, *((SOLVE,) if solve else ()))
+        """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
+        return (PREPARE, *PHASES[1:], *((SOLVE,) if solve else ()))
 
     @property
     def switches(self) -> Mapping[str, int]:
@@ -94,17 +119,7 @@ class AugmentedLagrangian(Defaults):
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for shifts that clash with the grid, and for coupled rows with a free x_0."""
-        if self.shift in ("repeat", "periodic") and not problem.uniform:
-            raise OptionError(
-                f'AugmentedLagrangian(shift="{self.shift}") moves the plan by one interval and clashes with a '
-                'non-uniform grid; expected shift="resample", sampling_time=... '
-                "(--set algorithm.shift=resample --set algorithm.sampling_time=...)"
-            )
-        if self.shift == "resample" and problem.discrete:
-            raise OptionError(
-                'AugmentedLagrangian(shift="resample") (--set algorithm.shift=resample) reads the plan between nodes '
-                "and clashes with a discrete map"
-            )
+        check_shift("AugmentedLagrangian", self.shift, problem)
         if problem.coupled_rows and problem.free_initial:
             raise OptionError(
                 "AugmentedLagrangian() reads the measured state where a coupled row reads x_0, and clashes with "
@@ -138,18 +153,15 @@ class AugmentedLagrangian(Defaults):
             Table("row_weight", "real", tuple(1.0 / row_scales(problem, declared) ** 2), "1 / scale^2 of row m"),
             Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
             Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
-            *(
-                (
-                    Table("node_time", "real", node_times(problem), "t_k"),
-                    Table("sampling_time", "real", (float(self.sampling_time or 0.0),), "shift of the plan in time"),
-                )
-                if self.shift == "resample"
-                else ()
-            ),
+            *resample_tables(self.shift, self.sampling_time, problem),
         )
+
+    def reach(self, problem: Problem) -> float:
+        return resample_reach(self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
+            ("VARIABLES", (dims.N.value + 1) * dims.nz.value, "(N + 1) NZ"),
             ("ITERATIONS", self.iterations, "Newton iterations of a sample"),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),

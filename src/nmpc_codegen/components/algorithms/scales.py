@@ -28,9 +28,8 @@ def row_scales(problem: Problem, scale: Array) -> Array:
     """Scales of the rows of the QP: sqrt(sum_i (J_i scale_i)^2) at the initial state and u = 0; 1 where that is 0 or
     not finite. A coupled row is a function of x_N."""
     nx, x = problem.nx, problem.x_initial
-    slopes = {
-        N: _slopes(stage.h, stage, problem) for N, stage in ((False, problem.path), (True, problem.terminal)) if stage.nh
-    }
+    stages = ((False, problem.path), (True, problem.terminal))
+    slopes = {at_end: _slopes(stage.h, stage, problem) for at_end, stage in stages if stage.nh}
     coupled = np.zeros((0, nx))
     if problem.coupled is not None:
         x_0, x_N = ca.SX.sym("x_0", nx), ca.SX.sym("x_N", nx)
