@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, cast, get_args
+from typing import Any, TypeVar, get_args
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
@@ -155,7 +155,5 @@ def _or_default(given: C | None, algorithm: Algorithm, seam: Seam, registry: Map
     """The given component, else the default of the algorithm if it needs the seam and has one."""
     if given is not None or seam not in algorithm.needs:
         return given
-    found = algorithm.default(seam)
-    if isinstance(found, str):
-        return registry[found]()
-    return cast("C | None", found)
+    word = algorithm.default(seam)
+    return None if word is None else registry[word](**algorithm.defaults_of(seam))

@@ -167,9 +167,14 @@ static status_t feedback_here(solver_t *s)
 #if SET_REFERENCE
     if (s->renewal != UP_TO_DATE) {
         evaluate_path(s);
+        estimate_multipliers(s);
         linearize_plan(s);
         s->renewal = UP_TO_DATE;
     }
+#elif SET_WEIGHT || SET_PARAMETER
+    evaluate_path(s);
+    estimate_multipliers(s);
+    linearize_plan(s);
 #endif
     if (!isfinite(merit(s))) {
         return NUMERICAL_FAILURE;

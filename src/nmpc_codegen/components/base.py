@@ -247,9 +247,12 @@ class Algorithm(Component, Protocol):
         """How the plan is shifted before every prepare; None: it is not."""
         ...
 
-    def default(self, seam: Seam) -> str | Component | None:
-        """Its default component for a seam that it needs, or the name of the class; None: the compiler chooses for the
-        problem."""
+    def default(self, seam: Seam) -> str | None:
+        """The name of its default component for a seam that it needs; None: the compiler chooses for the problem."""
+        ...
+
+    def defaults_of(self, seam: Seam) -> Mapping[str, object]:
+        """The options of that component that differ from its own defaults."""
         ...
 
     def check_parts(self, parts: Parts) -> None:
@@ -312,6 +315,9 @@ class Defaults:
 
     def check_parts(self, parts: Parts) -> None:
         return None
+
+    def defaults_of(self, seam: Seam) -> Mapping[str, object]:
+        return {}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}

@@ -326,11 +326,7 @@ class Controller:
         solved = self._struct["kkt"].__getitem__ if "kkt" in members else lambda _: math.nan
         last = Kkt.read(solved, self.description.members("kkt") or KKT_PARTS)
         return Stats(
-            qp_iterations=int(counts["qp_iterations"]),
-            active_set_changes=int(counts["active_set_changes"]),
-            dropped_rows=int(counts["dropped_rows"]),
-            relaxed_rows=int(counts["relaxed_rows"]),
-            sqp_iterations=int(counts["sqp_iterations"]),
+            **{name: int(counts[name]) for name in (*COUNTERS[:5], *NEWTON)},
             violated_row=self._violated_row(),
             violated_node=int(counts["violated_node"]) if self._violated_row() else None,
             violation=float(counts["violation"]),
@@ -338,7 +334,6 @@ class Controller:
             prepare_ns=self._prepare_ns,
             feedback_ns=self._feedback_ns,
             stale_hessian=bool(counts.get("stale_hessian", 0)),
-            **{name: int(counts[name]) for name in NEWTON},
         )
 
     @property

@@ -32,8 +32,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     resample_tables,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Component, Core, Defaults, Dims, Parts, Seam
-from nmpc_codegen.components.hessians.exact import ExactHessian
+from nmpc_codegen.components.base import Core, Defaults, Dims, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
@@ -81,9 +80,13 @@ class AugmentedLagrangian(Defaults):
         check_options(self, self.seam)
         check_sampling_time("AugmentedLagrangian", self.shift, self.sampling_time)
 
-    def default(self, seam: Seam) -> Component | None:
-        """The exact Hessian as it is; the compiler chooses the integrator for the problem."""
-        return ExactHessian(regularization=None) if seam == "hessian" else None
+    def default(self, seam: Seam) -> str | None:
+        """The exact Hessian; the compiler chooses the integrator for the problem."""
+        return "exact" if seam == "hessian" else None
+
+    def defaults_of(self, seam: Seam) -> Mapping[str, object]:
+        """The Hessian is not made convex."""
+        return {"regularization": None} if seam == "hessian" else {}
 
     def check_parts(self, parts: Parts) -> None:
         """Raise OptionError for a Hessian that is made convex or was computed off line."""
