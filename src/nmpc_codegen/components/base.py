@@ -251,8 +251,8 @@ class Algorithm(Component, Protocol):
         """The name of its default component for a seam that it needs; None: the compiler chooses for the problem."""
         ...
 
-    def defaults_of(self, seam: Seam) -> Mapping[str, object]:
-        """The options of that component that differ from its own defaults."""
+    def unset(self, seam: Seam) -> tuple[str, ...]:
+        """The options of that component that are None, other than by its own defaults."""
         ...
 
     def check_parts(self, parts: Parts) -> None:
@@ -316,8 +316,8 @@ class Defaults:
     def check_parts(self, parts: Parts) -> None:
         return None
 
-    def defaults_of(self, seam: Seam) -> Mapping[str, object]:
-        return {}
+    def unset(self, seam: Seam) -> tuple[str, ...]:
+        return ()
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}

@@ -84,9 +84,9 @@ class AugmentedLagrangian(Defaults):
         """The exact Hessian; the compiler chooses the integrator for the problem."""
         return "exact" if seam == "hessian" else None
 
-    def defaults_of(self, seam: Seam) -> Mapping[str, object]:
+    def unset(self, seam: Seam) -> tuple[str, ...]:
         """The Hessian is not made convex."""
-        return {"regularization": None} if seam == "hessian" else {}
+        return ("regularization",) if seam == "hessian" else ()
 
     def check_parts(self, parts: Parts) -> None:
         """Raise OptionError for a Hessian that is made convex or was computed off line."""
