@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,7 @@ def exact_real_time() -> Controller:
     return build(bioreactor.build_ocp(soft=True), chosen)
 
 
+@cache
 def plant() -> Controller:
     """The bioreactor with 20 RK4 steps per interval."""
     return build(

@@ -412,7 +412,7 @@ SAMPLES = (
     Sample("states augmented", states, _augmented(shift="repeat", precision="single")),
     Sample("path augmented", path, _augmented(hessian=GaussNewton(), online=NODE)),
     Sample("final augmented", final, _augmented(online=REFERENCES)),
-    Sample("soft states augmented", soft_states, _augmented(online=FIXED)),
+    Sample("soft states augmented", soft_states, _augmented(online=WEIGHTS)),
     Sample("soft rows augmented", soft_rows, _augmented(integrator=LOOPED)),
     Sample("arrival augmented", arrival, _augmented()),
     Sample("loop augmented", bioreactor_in_loop, _augmented(shift="periodic")),
