@@ -14,7 +14,7 @@ from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
 
 #: Example -> problem, Runge-Kutta steps per interval.
 CASES = {
-    "crane": (crane.build_ocp, 1),
+    "crane": (crane.build_ocp, 2),
     "cstr": (cstr.build_ocp, 2),
     "bioreactor": (lambda: bioreactor.build_ocp("a", periodic=False), 3),
     "quadrotor": (quadrotor.build_ocp, 1),

@@ -104,7 +104,7 @@ def fastest(make: Controller, jump: Sequence[float], repeats: int) -> tuple[Loop
 def measure(report: Report, scale: float) -> None:
     """Productivity and feed of the last 48 h, times, conjugate-gradient iterations."""
     found: dict[str, tuple[Loop, np.ndarray]] = {}
-    repeats = max(3, round(7 * scale))
+    repeats = max(1, round(5 * scale))
     for name, jump in JUMPS.items():
         loop, us = found[name] = fastest(controller(), jump, repeats)
         produced = bioreactor.productivity(loop, SAMPLES - bioreactor.N, SAMPLES)  # type: ignore[arg-type]
