@@ -9,7 +9,6 @@
 static void algorithm_reset(solver_t *s)
 {
     forget_plan(s);
-    memcpy(s->xhat, initial_state, sizeof s->xhat);
     s->prepared = 0;
 #if SHIFT
     s->samples = 0;
@@ -17,7 +16,8 @@ static void algorithm_reset(solver_t *s)
     s->failing = FINE;
     s->status = (int32_t)OK;
     s->auglag.penalty = penalty_weight[0];
-    start_at(s, s->xhat);
+    start_at(s, initial_state);
+    memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }
 
 #include "algorithms/linearize.c"
@@ -196,7 +196,9 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     status_t status;
     int measured, broken;
     if (s->magic != MAGIC) {
-        memcpy(u0, default_control, sizeof default_control);
+        for (int j = 0; j < NU; j++) { /* not by memcpy, see fill_copies() */
+            u0[j] = default_control[j];
+        }
         return NOT_INITIALIZED;
     }
     measured = take_state(s, xhat);
