@@ -1,68 +1,7 @@
 /* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt and, if SOLVE, _solve.
  * Here: real-time iteration, one QP and one full step per sample. */
 
-/* Values of failing: failures in a row, and how much of the plan is given up. After a restart it is negative until
- * PATIENCE samples have succeeded. */
-enum { FINE, ONCE, TWICE, FOR_GOOD };
-
-/* Control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
-static real_t safe_value(const solver_t *s, int k, int j)
-{
-    const real_t u = s->u[k][j];
-    return clip(isfinite(u) ? u : CONTROL_REFERENCE(s, k, j), CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
-}
-
-static void forget_multipliers(solver_t *s)
-{
-    memset(s->lam, 0, sizeof s->lam);
-    memset(s->mu_x, 0, sizeof s->mu_x);
-    memset(s->mu_u, 0, sizeof s->mu_u);
-#if NH
-    memset(s->mu, 0, sizeof s->mu);
-#endif
-#if NH_N
-    memset(s->mu_N, 0, sizeof s->mu_N);
-#endif
-#if NE
-    memset(s->eta, 0, sizeof s->eta);
-#endif
-}
-
-/* Restarts the plan: sets every state to x, replaces controls that are not finite by their references, sets all
- * multipliers to 0 and empties the working set. */
-static void start_at(solver_t *s, const real_t *x)
-{
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            s->x[k][i] = x[i];
-        }
-        for (int j = 0; k < N && j < NU; j++) {
-            s->u[k][j] = safe_value(s, k, j);
-        }
-    }
-    forget_multipliers(s);
-    condense_init(s);
-}
-
-static void start_at_measured(solver_t *s)
-{
-    start_at(s, all_finite(s->xhat, NX) ? s->xhat : initial_state);
-}
-
-/* Sets the controls of the plan to their references, and free components of x_0 to their declared initial values. */
-static void forget_plan(solver_t *s)
-{
-    for (int k = 0; k < N; k++) {
-        for (int j = 0; j < NU; j++) {
-            s->u[k][j] = CONTROL_REFERENCE(s, k, j);
-        }
-    }
-#if NF
-    for (int f = 0; f < NF; f++) {
-        s->xhat[free_state[f]] = initial_state[free_state[f]];
-    }
-#endif
-}
+#include "algorithms/plan.c"
 
 /* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
 static void algorithm_reset(solver_t *s)
@@ -90,60 +29,7 @@ static void algorithm_reset(solver_t *s)
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }
 
-/* Gap b_k = Phi(x_k, u_k) - x_{k+1} and general rows of node k. */
-static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t *node)
-{
-    for (int i = 0; i < NX; i++) {
-        node->b[i] = x_next[i] - s->x[k + 1][i];
-    }
-#if NH
-    PATH_ROWS(s, k, node->h, &node->J[0][0]);
-#endif
-}
-
-#if HAS_TERMINAL_GRADIENT || NH_N
-/* Gradient and general rows of the terminal node. */
-static void linearize_terminal(const solver_t *s, terminal_t *terminal)
-{
-#if HAS_TERMINAL_GRADIENT
-    TERMINAL_GRADIENT(s, terminal->g);
-#endif
-#if NH_N
-    TERMINAL_ROWS(s, terminal->h, &terminal->J[0][0]);
-#endif
-}
-#endif
-
-#if HAS_START_GRADIENT
-/* q_0 += gradient of the cost of x_0. */
-static void add_start_gradient(const solver_t *s, real_t *q)
-{
-    real_t slope[NX] = {R(0)};
-    START_GRADIENT(s, slope);
-    for (int i = 0; i < NX; i++) {
-        q[i] += slope[i];
-    }
-}
-#endif
-
-/* Linearises all nodes, from the last to the first. The same evaluations provide the data that the Hessian needs. */
-static void linearize(solver_t *s)
-{
-    real_t x_next[NX];
-#if HAS_TERMINAL_GRADIENT || NH_N
-    linearize_terminal(s, &s->terminal);
-#endif
-#if NE
-    COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
-#endif
-    for (int k = N - 1; k >= 0; k--) {
-        expand_node(s, k, x_next);
-        complete_node(s, k, x_next, &s->node[k]);
-    }
-#if HAS_START_GRADIENT
-    add_start_gradient(s, s->node[0].g);
-#endif
-}
+#include "algorithms/linearize.c"
 
 #if SET_REFERENCE
 /* Values of renewal: gradients of the linearisation compared with references, weights and parameters. Weights and
@@ -181,20 +67,7 @@ static void hold_gradients(solver_t *s)
 #endif
 #endif
 
-/* The control returned if no new one could be computed: that of the plan or, if it is not finite, its reference,
- * clipped to the bounds. */
-static void safe_control(const solver_t *s, real_t *u0)
-{
-    for (int j = 0; j < NU; j++) {
-        u0[j] = safe_value(s, 0, j);
-    }
-}
-
-static status_t finish(solver_t *s, status_t status)
-{
-    s->status = (int32_t)status;
-    return status;
-}
+#include "algorithms/finish.c"
 
 #if BUDGET
 /* ITERATION_LIMIT in place of a failure of a sample whose budget is used up. */
@@ -217,14 +90,7 @@ static status_t prepare_here(solver_t *s)
     return condense_prepare(s);
 }
 
-/* largest = max(largest, |value|), where NaN counts as the largest value. */
-static void enlarge(real_t *largest, real_t value)
-{
-    const real_t a = FABS(value);
-    if (a > *largest || a != a) {
-        *largest = a;
-    }
-}
+#include "algorithms/enlarge.c"
 
 #if LAGRANGIAN
 #include "algorithms/settle.c"
@@ -292,32 +158,7 @@ static void take_step(solver_t *s)
     }
 }
 
-#if ALL_MEASURED
-/* s->xhat = xhat. Returns 0 if an entry is not finite. */
-static int take_state(solver_t *s, const real_t *xhat)
-{
-    if (!all_finite(xhat, NX)) {
-        return 0;
-    }
-    memcpy(s->xhat, xhat, sizeof s->xhat);
-    return 1;
-}
-#else
-/* s->xhat = xhat in measured components, 0 in accumulators, x_0 of the plan in free components. Returns 0 if a measured
- * entry is not finite. */
-static int take_state(solver_t *s, const real_t *xhat)
-{
-    for (int i = 0; i < NX; i++) {
-        if (is_measured[i] && !isfinite(xhat[i])) {
-            return 0;
-        }
-    }
-    for (int i = 0; i < NX; i++) {
-        s->xhat[i] = is_measured[i] ? xhat[i] : (is_accumulator[i] ? R(0) : s->x[0][i]);
-    }
-    return 1;
-}
-#endif
+#include "algorithms/take_state.c"
 
 /* Solves the QP for dx_0 = xhat - x_0 and the present bounds, and copies its counters to the statistics. */
 static status_t run_qp(solver_t *s)
@@ -519,27 +360,7 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     return API(feedback)(s, xhat, u0);
 }
 
-#if SHIFT_RESAMPLE
-#include "algorithms/shift_resample.c"
-#else
-#include "algorithms/shift_by_one.c"
-
-#if SHIFT_PERIODIC
-#include "algorithms/shift_periodic.c"
-#else
-#include "algorithms/shift_repeat.c"
-#endif
-#endif
-
-status_t API(shift)(solver_t *s)
-{
-    if (s->magic != MAGIC) {
-        return NOT_INITIALIZED;
-    }
-    shift_plan(s);
-    s->prepared = 0;
-    return OK;
-}
+#include "algorithms/shift.c"
 
 #include "algorithms/kkt.c"
 #if SOLVE

@@ -1,6 +1,6 @@
 #if NG
-/* A row of node k takes the predicted side and the multiplier of the same row at node k + 1, if it is imposed there too.
- * A row that begins at node k + 1 leaves nothing at node k. */
+/* A row of node k takes the multiplier and, for a QP solver, the predicted side of the same row at node k + 1, if it is
+ * imposed there too. A row that begins at node k + 1 leaves nothing at node k. */
 static void shift_rows(solver_t *s)
 {
     int source[NG];
@@ -15,7 +15,9 @@ static void shift_rows(solver_t *s)
     for (int m = 0; m < NG; m++) { /* in place, as source[m] >= m */
         ROW_MULTIPLIER(s, m) = ROW_MULTIPLIER(s, source[m]);
     }
+#if HAS_QP
     condense_shift_rows(s, source);
+#endif
 }
 
 #endif
@@ -35,7 +37,9 @@ static void shift_by_one(solver_t *s)
             s->mu_u[k][j] = s->mu_u[from][j];
         }
     }
+#if HAS_QP
     condense_shift(s);
+#endif
 #if NG
     shift_rows(s);
 #endif

@@ -62,6 +62,7 @@ ONLY_IN = {
         "oracle",
         "components/integrators",
         "components/hessians",
+        "components/algorithms/scales",
         "components/stage_cost",
         "lowering/choose_hessian",
         "lowering/linearize",

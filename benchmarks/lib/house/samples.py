@@ -16,6 +16,7 @@ from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
     OCP,
     RK4,
+    AugmentedLagrangian,
     DenseActiveSet,
     EconomicGaussNewton,
     ExactHessian,
@@ -144,6 +145,11 @@ def arrival_rows() -> OCP:
     ocp = arrival()
     ocp.subject_to(-0.8, ocp.x[1] + 0.1 * ocp.x[0], 0.8, name="slow")
     return ocp
+
+
+def bioreactor_in_loop() -> OCP:
+    """Soft coupled rows with a measured start, accumulators, an integrated cost."""
+    return bioreactor.build_ocp(soft=True)
 
 
 def ring() -> OCP:
@@ -287,6 +293,12 @@ STAGES = NoCondensing()
 LOOPED = ExplicitRungeKutta(unroll="none")
 
 
+def _augmented(
+    shift: str | None = None, sampling_time: float | None = None, hessian: Any = None, **options: Any
+) -> Options:
+    return Options(algorithm=AugmentedLagrangian(shift=shift, sampling_time=sampling_time), hessian=hessian, **options)
+
+
 def _dense(**more: Any) -> Options:
     return Options(qp=DenseActiveSet(), condensing=FullCondensing(), **more)
 
@@ -395,4 +407,14 @@ SAMPLES = (
     Sample("discrete interior", discrete, _interior()),
     Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
     Sample("discrete rows dense", discrete_rows, _dense(precision="single", online=FIXED)),
+    Sample("bare augmented", bare, _augmented(online=FIXED, solve=False)),
+    Sample("controls augmented", controls, _augmented(shift="resample", sampling_time=0.1)),
+    Sample("states augmented", states, _augmented(shift="repeat", precision="single")),
+    Sample("path augmented", path, _augmented(hessian=GaussNewton(), online=NODE)),
+    Sample("final augmented", final, _augmented(online=REFERENCES)),
+    Sample("soft states augmented", soft_states, _augmented(online=WEIGHTS)),
+    Sample("soft rows augmented", soft_rows, _augmented(integrator=LOOPED)),
+    Sample("arrival augmented", arrival, _augmented()),
+    Sample("loop augmented", bioreactor_in_loop, _augmented(shift="periodic")),
+    Sample("discrete augmented", discrete, _augmented(hessian=GaussNewton())),
 )  # fmt: skip

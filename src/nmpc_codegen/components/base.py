@@ -251,6 +251,14 @@ class Algorithm(Component, Protocol):
         """The name of its default component for a seam that it needs; None: the compiler chooses for the problem."""
         ...
 
+    def unset(self, seam: Seam) -> tuple[str, ...]:
+        """The options of that component that are None, other than by its own defaults."""
+        ...
+
+    def check_parts(self, parts: Parts) -> None:
+        """Raise OptionError if it does not work with one of the other components."""
+        ...
+
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """The C functions that a sample calls; with ``solve`` also the one that iterates to convergence."""
         ...
@@ -304,6 +312,12 @@ class Defaults:
 
     def reach(self, problem: Problem) -> float:
         return 0.0
+
+    def check_parts(self, parts: Parts) -> None:
+        return None
+
+    def unset(self, seam: Seam) -> tuple[str, ...]:
+        return ()
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}

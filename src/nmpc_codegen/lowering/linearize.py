@@ -83,6 +83,7 @@ def linearize(problem: Problem, options: Options) -> Model:
         choice = choose_qp(problem, options, constant, functions, grown)
         parts = replace(parts, condensing=choice.condensing, qp=choice.qp)
     _check(problem, *parts.components)
+    parts.algorithm.check_parts(parts)
     notes = (note for component in parts.components for note in component.notes(problem))
     return Model(
         **{field.name: getattr(functions, field.name) for field in fields(ModelFunctions)},

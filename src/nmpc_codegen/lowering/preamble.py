@@ -75,7 +75,8 @@ def all_definitions(module: CModule) -> list[Definition]:
     constants += arithmetic(module.precision)
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
     parametric.append(("HESSIAN", "s, k", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]"))
-    parametric += [kernel_call(routine) for routine in module.routines]
+    places = PLACES | (MEASURED_START if module.switches["START_IS_MEASURED"] else {})
+    parametric += [kernel_call(routine, places) for routine in module.routines]
     parametric += [product_call(routine, unit_style(module.precision)) for routine in module.called_products]
     return [*((name, None, text) for name, text in constants), *parametric]
 
@@ -238,6 +239,8 @@ TERMINAL_PLACES = {
     "W": "WEIGHT_N(s)",
     "mu": "(s)->mu_N",
 }
+#: Where coupled rows read x_0 if the algorithm writes the measured state for it.
+MEASURED_START = {"x_0": "(s)->xhat", "first": "(s)->xhat"}
 START_PLACES = {
     "x": "(s)->x[0]",
     "p": "PARAM(s, 0)",
@@ -246,7 +249,7 @@ START_PLACES = {
 }
 
 
-def kernel_call(routine: Routine) -> Definition:
+def kernel_call(routine: Routine, everywhere: dict[str, str] = PLACES) -> Definition:
     """(macro, arguments, text): call of a printed kernel; it passes what is read or written, nothing else.
 
     The arguments of the macro are always the same: the solver, the node of a path kernel, the outputs;
@@ -256,13 +259,13 @@ def kernel_call(routine: Routine) -> Definition:
         places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h"}
         leading = ["s", "k", "x", "u", "h"]
     elif routine.name.startswith("terminal_"):
-        places, leading = {**PLACES, **TERMINAL_PLACES}, ["s"]
+        places, leading = {**everywhere, **TERMINAL_PLACES}, ["s"]
     elif routine.name.startswith("start_"):
-        places, leading = {**PLACES, **START_PLACES}, ["s"]
+        places, leading = {**everywhere, **START_PLACES}, ["s"]
     elif routine.name.startswith(("coupled_", "initial_")):
-        places, leading = PLACES, ["s"]
+        places, leading = everywhere, ["s"]
     else:
-        places, leading = PLACES, ["s", "k"]
+        places, leading = everywhere, ["s", "k"]
     passed = [places[p.name] for p in routine.reads] + [p.name for p in routine.writes]
     arguments = ", ".join([*leading, *(p.name for p in routine.outputs)])
     return routine.name.upper(), arguments, f"{routine.name}({', '.join(passed)})"

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.compiled import COUNTERS, CompiledPackage
+from nmpc_codegen.runtime.compiled import COUNTERS, NEWTON, CompiledPackage
 from nmpc_codegen.runtime.given import checked_array, checked_weight, is_integer, ndim
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
@@ -29,7 +29,7 @@ __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
 #: Stats of an algorithm without counters.
-_NO_COUNTS = {**dict.fromkeys(COUNTERS, 0), "violation": 0.0}
+_NO_COUNTS = {**dict.fromkeys((*COUNTERS, *NEWTON), 0), "violation": 0.0}
 
 EVERY_NODE = -1  # <NAME>_ALL of the C package
 
@@ -321,22 +321,19 @@ class Controller:
     def stats(self) -> Stats:
         """Counters, residuals and times of the last call; counters that the algorithm does not have are 0."""
         members = self.description.members("solver")
-        counts = self._struct["stats"] if "stats" in members else _NO_COUNTS
+        found: Any = self._struct["stats"] if "stats" in members else {}
+        counts = _NO_COUNTS | {name: found[name] for name in self.description.members("stats")}
         solved = self._struct["kkt"].__getitem__ if "kkt" in members else lambda _: math.nan
         last = Kkt.read(solved, self.description.members("kkt") or KKT_PARTS)
         return Stats(
-            qp_iterations=int(counts["qp_iterations"]),
-            active_set_changes=int(counts["active_set_changes"]),
-            dropped_rows=int(counts["dropped_rows"]),
-            relaxed_rows=int(counts["relaxed_rows"]),
-            sqp_iterations=int(counts["sqp_iterations"]),
+            **{name: int(counts[name]) for name in (*COUNTERS[:5], *NEWTON)},
             violated_row=self._violated_row(),
             violated_node=int(counts["violated_node"]) if self._violated_row() else None,
             violation=float(counts["violation"]),
             kkt=last,
             prepare_ns=self._prepare_ns,
             feedback_ns=self._feedback_ns,
-            stale_hessian="stale_hessian" in self.description.members("stats") and bool(counts["stale_hessian"]),
+            stale_hessian=bool(counts.get("stale_hessian", 0)),
         )
 
     @property
@@ -454,7 +451,7 @@ class Controller:
         return f"; measured {', '.join(bad)}" if status is Status.NOT_FINITE and bad else ""
 
     def _violated_row(self) -> str | None:
-        if "stats" not in self.description.members("solver"):
+        if "violated_row" not in self.description.members("stats"):
             return None
         index = int(self._struct["stats"]["violated_row"])
         return self.description.rows[index].name if index >= 0 else None

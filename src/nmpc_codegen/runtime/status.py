@@ -125,6 +125,8 @@ class Stats:
 
     ``violated_row``, ``violated_node``, ``violation``: after INFEASIBLE or RELAXED the hard row (by the user's name)
     that the last step of the QP violates most, its node, and the violation; else None, None and 0.
+    ``newton_iterations``, ``accepted``, ``faces``, ``cg_iterations``, ``shifts``, ``negative_curvature``: those of the
+    augmented Lagrangian, whose ``violation`` is the largest gap or violation of a hard row in its scale; else 0.
     ``stale_hessian``: parameters, weights or bounds are not those for which a constant Hessian was computed.
     """
 
@@ -140,18 +142,36 @@ class Stats:
     prepare_ns: int
     feedback_ns: int
     stale_hessian: bool = False
+    newton_iterations: int = 0
+    accepted: int = 0
+    cg_iterations: int = 0
+    faces: int = 0
+    shifts: int = 0
+    negative_curvature: int = 0
 
     def __str__(self) -> str:
-        lines = [
-            f"QP: {self.qp_iterations} iterations, {self.active_set_changes} changes of the active set",
-            f"SQP: {self.sqp_iterations} iterations",
-            f"rows: {self.dropped_rows} redundant, {self.relaxed_rows} soft or relaxed and violated",
+        lines = [*(self._newton() if self.newton_iterations else self._qp())]
+        lines += [
             f"KKT: {self.kkt}",
             f"time: prepare {self.prepare_ns / 1e3:.1f} us, feedback {self.feedback_ns / 1e3:.1f} us",
         ]
         if self.violated_row is not None:
             lines.insert(3, f"violated: {self.violated_row} at node {self.violated_node} by {self.violation:.3g}")
         return "\n".join([*lines, STALE] if self.stale_hessian else lines)
+
+    def _qp(self) -> tuple[str, ...]:
+        return (
+            f"QP: {self.qp_iterations} iterations, {self.active_set_changes} changes of the active set",
+            f"SQP: {self.sqp_iterations} iterations",
+            f"rows: {self.dropped_rows} redundant, {self.relaxed_rows} soft or relaxed and violated",
+        )
+
+    def _newton(self) -> tuple[str, ...]:
+        return (
+            f"Newton: {self.newton_iterations} iterations, {self.accepted} accepted, on {self.faces} faces",
+            f"conjugate gradients: {self.cg_iterations} iterations, {self.negative_curvature} negative curvatures",
+            f"preconditioner: {self.shifts} shifts; largest gap or violation {self.violation:.3g}",
+        )
 
 
 # Diagnosis ------------------------------------------------------------------------------------------------------------

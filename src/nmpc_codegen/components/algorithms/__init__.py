@@ -2,9 +2,13 @@
 
 from collections.abc import Mapping
 
+from nmpc_codegen.components.algorithms.augmented_lagrangian import AugmentedLagrangian
 from nmpc_codegen.components.algorithms.real_time_iteration import RealTimeIteration
 from nmpc_codegen.components.base import Algorithm
 
-REGISTRY: Mapping[str, type[Algorithm]] = {RealTimeIteration.name: RealTimeIteration}
+REGISTRY: Mapping[str, type[Algorithm]] = {
+    RealTimeIteration.name: RealTimeIteration,
+    AugmentedLagrangian.name: AugmentedLagrangian,
+}
 
-__all__ = ["REGISTRY", "RealTimeIteration"]
+__all__ = ["REGISTRY", "AugmentedLagrangian", "RealTimeIteration"]

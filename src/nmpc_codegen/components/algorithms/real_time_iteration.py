@@ -13,9 +13,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from nmpc_codegen.components.algorithms.shifts import (
+    SHIFTS,
+    check_sampling_time,
+    check_shift,
+    resample_reach,
+    resample_tables,
+)
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Seam
-from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
@@ -46,7 +52,6 @@ SOLVE = EntryPoint(
     (_XHAT, Argument("tol", "real"), Argument("max_iterations", "int")),
 )
 
-SHIFTS = (None, "repeat", "periodic", "resample")
 MAX_TRIALS = 30
 FILTER = 16
 MAX_ATTEMPTS = 2
@@ -87,11 +92,7 @@ class RealTimeIteration(Defaults):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
-        if (self.sampling_time is not None) != (self.shift == "resample"):
-            raise OptionError(
-                f'RealTimeIteration.sampling_time: {self.sampling_time!r} with shift={self.shift!r}; shift="resample" '
-                "requires it, no other shift allows it (--set algorithm.shift=... --set algorithm.sampling_time=...)"
-            )
+        check_sampling_time("RealTimeIteration", self.shift, self.sampling_time)
 
     def default(self, seam: Seam) -> str | None:
         """Gauss-Newton; the compiler chooses integrator, condensing and QP solver for the problem."""
@@ -114,17 +115,7 @@ class RealTimeIteration(Defaults):
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for a shift by one interval on a non-uniform grid, or for resampling a discrete map."""
-        if self.shift in ("repeat", "periodic") and not problem.uniform:
-            raise OptionError(
-                f'RealTimeIteration(shift="{self.shift}") moves the plan by one interval and clashes with a '
-                'non-uniform grid; expected shift="resample", sampling_time=... '
-                "(--set algorithm.shift=resample --set algorithm.sampling_time=...)"
-            )
-        if self.shift == "resample" and problem.discrete:
-            raise OptionError(
-                'RealTimeIteration(shift="resample") (--set algorithm.shift=resample) reads the plan between nodes '
-                "and clashes with a discrete map"
-            )
+        check_shift("RealTimeIteration", self.shift, problem)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Flags of accumulators and measured components of x_0, the relaxation, node times for shift="resample"."""
@@ -140,21 +131,11 @@ class RealTimeIteration(Defaults):
                 "l1 penalty of hard rows if the QP is infeasible; infinite: they stay hard",
             ),
         )
-        if self.shift == "resample":
-            return (
-                *accumulators,
-                Table("node_time", "real", _node_times(problem), "t_k"),
-                Table("sampling_time", "real", (float(self.sampling_time or 0.0),), "shift of the plan in time"),
-            )
-        return accumulators
+        return (*accumulators, *resample_tables(self.shift, self.sampling_time, problem))
 
     def reach(self, problem: Problem) -> float:
         """With shift="resample": from the last node of the plan before a new node; rounding may pass over a node."""
-        if self.sampling_time is None:
-            return 0.0
-        times, rounding = _node_times(problem), 1e-6 * (self.sampling_time + math.fsum(problem.dt))
-        moved = (time + self.sampling_time for time in times)
-        return max(new - max((t for t in times[:-1] if t < new - rounding), default=0.0) for new in moved)
+        return resample_reach(self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         budget = (("MAX_OPERATIONS", self.budget or 0, "operations of a sample at most"),)
@@ -332,7 +313,3 @@ def _line_search(dims: Dims) -> Struct:
         ),
         only="SOLVE",
     )
-
-
-def _node_times(problem: Problem) -> tuple[float, ...]:
-    return tuple(math.fsum(problem.dt[:k]) for k in range(problem.N + 1))

@@ -1,0 +1,258 @@
+"""Real-time augmented Lagrangian: Newton iterations of fixed number on a bound-constrained problem, one dual update.
+
+    min_z  cost + sum_i (lam_i + rho_i/2 c_i) c_i + sum_m psi_m(v_m)   subject to bounds of controls and states,
+    z = (x_0, u_0, .., x_N),   c_0 = xhat - x_0,   c_{k+1} = Phi_k(x_k, u_k) - x_{k+1},   rho_i = rho / scale_i^2
+
+with the terms psi_m of all other rows, whose multipliers are at least 0 for an inequality and at most the weight of a
+soft row. Every sample takes ``iterations`` steps of a trust-region method and then sets lam_i += rho_i c_i. It needs no
+convex Hessian and no QP.
+
+Hours, Shukla and Jones, "A parametric augmented Lagrangian algorithm for real-time economic NMPC", ECC 2016.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from nmpc_codegen.components.algorithms.real_time_iteration import (
+    PATIENCE,
+    PHASES,
+    SOLVE,
+)
+from nmpc_codegen.components.algorithms.scales import row_scales, variable_scales
+from nmpc_codegen.components.algorithms.shifts import (
+    SHIFTS,
+    check_sampling_time,
+    check_shift,
+    resample_reach,
+    resample_tables,
+)
+from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
+from nmpc_codegen.components.base import Core, Defaults, Dims, Parts, Seam
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.runtime.package_description import EntryPoint
+
+PREPARE = EntryPoint(
+    "prepare",
+    "Preparation phase: evaluate and linearise the plan. A call that fails leaves the plan unchanged; feedback "
+    "restarts a plan that fails repeatedly.",
+)
+
+#: Faces per iteration, shifts of a factorisation, trials of a projected search, iterations of conjugate gradients.
+MAX_FACES, MAX_SHIFTS, MAX_BACKTRACKS, MAX_CG = 5, 3, 8, 20
+
+
+@dataclass(frozen=True)
+class AugmentedLagrangian(Defaults):
+    """``iterations`` Newton iterations per sample on the augmented Lagrangian with the penalty ``penalty``.
+
+    ``proximal``: weight r of the term r/2 |z - z_c|^2 that keeps the refinement near the Cauchy point z_c. ``radius``:
+    of the trust region at the start of a sample. Both are in scaled variables, and so is the penalty of the gaps.
+    ``scaling``: "units", variables as they are; "declared", divided by their declared initial value or bounds. Rows
+    are always divided by their declared magnitude. ``shift`` and ``sampling_time``: how the plan moves before every
+    prepare, as in RealTimeIteration.
+    """
+
+    iterations: int = option(3, Whole(most=1000))
+    penalty: float = option(100.0, Number())
+    proximal: float = option(0.1, Number(closed=True))
+    radius: float = option(10.0, Number())
+    scaling: str = option("units", Words(("units", "declared")))
+    shift: str | None = option(None, Words(SHIFTS))
+    sampling_time: float | None = option(None, Number(optional=True, unit="s"))
+
+    seam: ClassVar[Seam] = "algorithm"
+    name: ClassVar[str] = "augmented_lagrangian"
+    template: ClassVar[str] = "algorithms/augmented_lagrangian.c"
+    needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian")
+    core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "kkt"})
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self, self.seam)
+        check_sampling_time("AugmentedLagrangian", self.shift, self.sampling_time)
+
+    def default(self, seam: Seam) -> str | None:
+        """The exact Hessian; the compiler chooses the integrator for the problem."""
+        return "exact" if seam == "hessian" else None
+
+    def unset(self, seam: Seam) -> tuple[str, ...]:
+        """The Hessian is not made convex."""
+        return ("regularization",) if seam == "hessian" else ()
+
+    def check_parts(self, parts: Parts) -> None:
+        """Raise OptionError for a Hessian that is made convex or was computed off line."""
+        switches = parts.hessian.switches if parts.hessian is not None else {}
+        if switches.get("REGULARIZE_REDUCED") or switches.get("REGULARIZE_STAGES"):
+            raise OptionError(
+                "AugmentedLagrangian() (--set algorithm=augmented_lagrangian) follows negative curvature and clashes "
+                "with a regularisation of the Hessian; expected ExactHessian(regularization=None) "
+                "(--set hessian.regularization=none) or GaussNewton() (--set hessian=gauss_newton)"
+            )
+        if switches.get("TUNED"):
+            raise OptionError(
+                "AugmentedLagrangian() (--set algorithm=augmented_lagrangian) clashes with a Hessian that was computed "
+                "off line for QPs; expected ExactHessian(regularization=None) (--set hessian.regularization=none) or "
+                "GaussNewton() (--set hessian=gauss_newton)"
+            )
+
+    def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
+        """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
+        return (PREPARE, *PHASES[1:], *((SOLVE,) if solve else ()))
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        return {
+            "SHIFT_RESAMPLE": int(self.shift == "resample"),
+            "INTEGRATE_PLAN": int(self.shift == "resample"),
+            "SHIFT_PERIODIC": int(self.shift == "periodic"),
+            "RELAX": 0,
+            "BUDGET": 0,
+            "HAS_INITIAL_HESSIAN": 0,
+            "START_IS_MEASURED": 1,
+        }
+
+    def check(self, problem: Problem) -> None:
+        """Raise OptionError for shifts that clash with the grid, and for coupled rows with a free x_0."""
+        check_shift("AugmentedLagrangian", self.shift, problem)
+        if problem.coupled_rows and problem.free_initial:
+            raise OptionError(
+                "AugmentedLagrangian() reads the measured state where a coupled row reads x_0, and clashes with "
+                f"free_initial() together with the row {next(r.name for r in problem.rows if r.kind == 'coupled')!r}; "
+                "choose RealTimeIteration() (--set algorithm=real_time_iteration), or measure x_0"
+            )
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
+        declared = variable_scales(problem)
+        scale = declared if self.scaling == "declared" else np.ones_like(declared)
+        state = 1.0 / scale[: problem.nx] ** 2
+        initial = [0.0 if i in problem.free_initial else w for i, w in enumerate(state)]
+        rows = problem.qp_rows
+        soft = [problem.rows[row].soft is not None for _, _, _, row in rows]
+        relaxed = tuple(2 * int(s) or int(kind != 0) for (_, kind, _, _), s in zip(rows, soft, strict=True))
+        return (
+            Table(
+                "is_accumulator",
+                "int",
+                tuple(int(i in problem.accumulators) for i in range(problem.nx)),
+                "1: the state starts at 0 at every sample",
+            ),
+            Table("is_measured", "int", measured, "1: x_0 is the measured state"),
+            Table("penalty_weight", "real", (float(self.penalty),), "penalty of gaps and rows in their scales"),
+            Table("proximal_weight", "real", (float(self.proximal),), "weight of the proximal term"),
+            Table("initial_radius", "real", (float(self.radius),), "of the trust region"),
+            Table("variable_scale", "real", tuple(scale), "scales of (x, u)"),
+            Table("state_weight", "real", tuple(state), "1 / scale^2 of the states"),
+            Table("initial_weight", "real", tuple(initial), "the same at node 0, 0 for free components of x_0"),
+            Table("row_weight", "real", tuple(1.0 / row_scales(problem, declared) ** 2), "1 / scale^2 of row m"),
+            Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
+            Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
+            *resample_tables(self.shift, self.sampling_time, problem),
+        )
+
+    def reach(self, problem: Problem) -> float:
+        return resample_reach(self.sampling_time, problem)
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return (
+            ("VARIABLES", (dims.N.value + 1) * dims.nz.value, "(N + 1) NZ"),
+            ("ITERATIONS", self.iterations, "Newton iterations of a sample"),
+            ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
+            ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
+            ("MAX_FACES", MAX_FACES, "faces of the box that one iteration visits"),
+            ("FACES_OF_SOLVE", 40, "the same in solve()"),
+            ("MAX_INNER", 100, "iterations of solve() between updates of the multipliers"),
+            ("MAX_SHIFTS", MAX_SHIFTS, "shifts of a factorisation"),
+            ("MAX_BACKTRACKS", MAX_BACKTRACKS, "trials of a projected search"),
+            ("MAX_CG", MAX_CG, "conjugate-gradient iterations on a face"),
+            ("MOST_PENALTY", 1_000_000_000, "largest penalty of solve()"),
+        )
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        keep = (
+            Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
+            Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
+            *((Field("samples", (), "feedbacks since init or reset", "keep", "int32"),) if self.shift else ()),
+            Field(
+                "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
+            ),
+        )
+        results = (
+            Field("stats", (), "counters", "result", "stats"),
+            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
+        )
+        return (_stats(), _auglag(dims), Struct("solver", "", (*keep, *results)))
+
+
+def _stats() -> Struct:
+    def count(name: str, doc: str) -> Field:
+        return Field(name, (), doc, "result", "int32")
+
+    return Struct(
+        "stats",
+        "counters of the last feedback or solve",
+        (
+            count("newton_iterations", "Newton iterations"),
+            count("accepted", "those whose step was accepted"),
+            count("cg_iterations", "iterations of conjugate gradients"),
+            count("faces", "faces on which the model was minimised"),
+            count("shifts", "shifts of the preconditioner"),
+            count("negative_curvature", "directions of negative curvature"),
+            count("sqp_iterations", "iterations of the last solve"),
+            Field("violation", (), "largest gap or violation of a hard row, scaled", "result"),
+        ),
+    )
+
+
+def _auglag(dims: Dims) -> Struct:
+    nodes = Size("N + 1", dims.N.value + 1)
+    step = (nodes, dims.nz)
+
+    def real(name: str, shape: tuple[Size, ...], doc: str) -> Field:
+        return Field(name, shape, doc, "scratch")
+
+    return Struct(
+        "auglag",
+        "augmented Lagrangian",
+        (
+            real("lam", (nodes, dims.nx), "multipliers of the gaps after the last update"),
+            real("row", (dims.ng,), "multipliers of the relaxed rows after the last update"),
+            real("gap", (nodes, dims.nx), "xhat - x_0, Phi_k - x_{k+1}"),
+            real("value", (dims.ng,), "values of the rows"),
+            real("curvature", (dims.ng,), "second derivatives of their terms"),
+            real("cost", (), "cost of the plan"),
+            real("penalty", (), "rho"),
+            real("proximal", (), "r"),
+            real("radius", (), "of the trust region"),
+            real("precision", (), "of conjugate gradients, squared"),
+            real("largest", (), "largest diagonal entry of the Hessian, scaled"),
+            real("bend", (), "largest diagonal entry of the Hessian of the stages, scaled"),
+            real("predicted", (), "reduction that the last step promised"),
+            Field("faces", (), "faces that an iteration visits at most", "scratch", "int32"),
+            Field("factorized", (), "1: the factors exist", "scratch", "int32"),
+            real("Q", (nodes, dims.nz, dims.nz), "Hessian blocks of the nodes"),
+            real("L", (nodes, dims.nz, dims.nz), "their factors"),
+            real("W", (dims.N, dims.nx, dims.nz), "factors of the couplings"),
+            real("g", step, "gradient"),
+            real("lower", step, "lower bounds of the step"),
+            real("upper", step, "upper bounds of the step"),
+            real("open", step, "1: free variable of the face"),
+            real("d", step, "step"),
+            real("Hd", step, "H d"),
+            real("w", step, "direction on a face"),
+            real("residual", step, "residual of conjugate gradients"),
+            real("p", step, "their direction"),
+            real("Hp", step, "H p"),
+            real("x", (nodes, dims.nx), "states before the step"),
+            real("u", (dims.N, dims.nu), "controls before the step"),
+        ),
+    )

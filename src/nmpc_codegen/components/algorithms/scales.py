@@ -1,0 +1,53 @@
+"""Scales of variables and rows, from declared values and bounds, for an algorithm that measures them together."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.frontend.problem import Array, Problem, Stage
+from nmpc_codegen.ir.casadi_types import Expression
+
+
+def variable_scales(problem: Problem) -> Array:
+    """Scales of (x, u), (nx + nu,), each the largest magnitude of its initial value and finite bounds, or 1 if all are
+    0; a control with two finite bounds has half the distance between them."""
+    nx = problem.nx
+    largest = np.concatenate([np.abs(problem.x_initial), np.zeros(problem.nu)])
+    for row in problem.rows:
+        bounds = [abs(bound) for bound in (row.lower, row.upper) if np.isfinite(bound)]
+        if row.kind == "state":
+            largest[row.index] = max(largest[row.index], *bounds)
+        elif row.kind == "control":
+            half = (row.upper - row.lower) / 2
+            largest[nx + row.index] = half if np.isfinite(half) else max(bounds)
+    return np.where(largest > 0.0, largest, 1.0)
+
+
+def row_scales(problem: Problem, scale: Array) -> Array:
+    """Scales of the rows of the QP: sqrt(sum_i (J_i scale_i)^2) at the initial state and u = 0; 1 where that is 0 or
+    not finite. A coupled row is a function of x_N."""
+    nx, x = problem.nx, problem.x_initial
+    stages = ((False, problem.path), (True, problem.terminal))
+    slopes = {at_end: _slopes(stage.h, stage, problem) for at_end, stage in stages if stage.nh}
+    coupled = np.zeros((0, nx))
+    if problem.coupled is not None:
+        x_0, x_N = ca.SX.sym("x_0", nx), ca.SX.sym("x_N", nx)
+        J = ca.jacobian(problem.coupled(x_0, x_N), x_N)
+        coupled = np.asarray(ca.Function("slopes", [x_0, x_N], [ca.densify(J)])(x, x))
+    found = np.ones(len(problem.qp_rows))
+    for m, (k, kind, index, _) in enumerate(problem.qp_rows):
+        if kind == 0:
+            found[m] = scale[index]
+            continue
+        J = slopes[k == problem.N][index] if kind == 1 else coupled[index]
+        size = float(np.linalg.norm(J * scale[: J.size]))
+        found[m] = size if np.isfinite(size) and size > 0 else 1.0
+    return found
+
+
+def _slopes(h: Expression, stage: Stage, problem: Problem) -> Array:
+    """Jacobian of the rows of a stage at the initial state."""
+    z = ca.vertcat(stage.x, stage.u)
+    J = ca.Function("slopes", [stage.x, stage.u, stage.p], [ca.densify(ca.jacobian(h, z))])
+    return np.asarray(J(problem.x_initial, np.zeros(stage.nu), problem.p_value))

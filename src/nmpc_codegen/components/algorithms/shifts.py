@@ -1,0 +1,58 @@
+"""How the plan moves before a sample: options that several algorithms share."""
+
+from __future__ import annotations
+
+import math
+
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Table
+
+SHIFTS = (None, "repeat", "periodic", "resample")
+
+
+def check_sampling_time(algorithm: str, shift: str | None, sampling_time: float | None) -> None:
+    """Raise OptionError unless a sampling time is given exactly with shift="resample"."""
+    if (sampling_time is not None) != (shift == "resample"):
+        raise OptionError(
+            f'{algorithm}.sampling_time: {sampling_time!r} with shift={shift!r}; shift="resample" '
+            "requires it, no other shift allows it (--set algorithm.shift=... --set algorithm.sampling_time=...)"
+        )
+
+
+def check_shift(algorithm: str, shift: str | None, problem: Problem) -> None:
+    """Raise OptionError for a shift by one interval on a non-uniform grid, or for resampling a discrete map."""
+    if shift in ("repeat", "periodic") and not problem.uniform:
+        raise OptionError(
+            f'{algorithm}(shift="{shift}") moves the plan by one interval and clashes with a '
+            'non-uniform grid; expected shift="resample", sampling_time=... '
+            "(--set algorithm.shift=resample --set algorithm.sampling_time=...)"
+        )
+    if shift == "resample" and problem.discrete:
+        raise OptionError(
+            f'{algorithm}(shift="resample") (--set algorithm.shift=resample) reads the plan between nodes '
+            "and clashes with a discrete map"
+        )
+
+
+def resample_tables(shift: str | None, sampling_time: float | None, problem: Problem) -> tuple[Table, ...]:
+    """Node times and the sampling time for shift="resample"."""
+    if shift != "resample":
+        return ()
+    return (
+        Table("node_time", "real", _node_times(problem), "t_k"),
+        Table("sampling_time", "real", (float(sampling_time or 0.0),), "shift of the plan in time"),
+    )
+
+
+def resample_reach(sampling_time: float | None, problem: Problem) -> float:
+    """With shift="resample": from the last node of the plan before a new node; rounding may pass over a node."""
+    if sampling_time is None:
+        return 0.0
+    times, rounding = _node_times(problem), 1e-6 * (sampling_time + math.fsum(problem.dt))
+    moved = (time + sampling_time for time in times)
+    return max(new - max((t for t in times[:-1] if t < new - rounding), default=0.0) for new in moved)
+
+
+def _node_times(problem: Problem) -> tuple[float, ...]:
+    return tuple(math.fsum(problem.dt[:k]) for k in range(problem.N + 1))

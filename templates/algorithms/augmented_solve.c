@@ -1,0 +1,107 @@
+/* solve(): the method of multipliers. The iterations of a sample reduce the augmented Lagrangian until its projected
+ * gradient is small compared with the violation of gaps and rows; then the multipliers are updated, and the penalty
+ * grows where the violation has not become much smaller. */
+
+/* Largest component of the projected gradient, in scaled variables. */
+static real_t projected_gradient(auglag_t *a)
+{
+    real_t most = R(0);
+    (void)steepest_descent(a);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NZ; i++) {
+            enlarge(&most, a->p[k][i] / variable_scale[i]);
+        }
+    }
+    return most;
+}
+
+/* The multipliers of the plan for the KKT residuals, which are written to s->kkt; then the estimates again. */
+static real_t residual_of(solver_t *s)
+{
+    memset(s->auglag.Hd, 0, sizeof s->auglag.Hd);
+    finish_multipliers(s);
+    API(kkt)(s, &s->kkt);
+#if NE
+    couple_start(s, -R(1));
+#endif
+    return s->kkt.relative;
+}
+
+/* The dual update; the penalty grows if the violation has hardly decreased since the last one. */
+static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
+{
+    auglag_t *a = &s->auglag;
+    const real_t now = violation_of(s);
+    update_multipliers(s);
+    if (!(now < R(0.1) * *violation) && now > tol && a->penalty < R(0.1) * MOST_PENALTY) {
+        a->penalty *= R(10);
+    }
+    *violation = now;
+    estimate_multipliers(s);
+    a->radius = (a->radius > initial_radius[0]) ? a->radius : initial_radius[0];
+}
+
+/* Iterates from the evaluated and linearised plan. */
+static status_t iterate(solver_t *s, real_t tol, int max_iterations)
+{
+    auglag_t *a = &s->auglag;
+    real_t violation = INF, accuracy = R(1);
+    int since = 0;
+    for (int n = 0; n < max_iterations; n++) {
+        assemble(s);
+        if (residual_of(s) <= tol) {
+            return OK;
+        }
+        set_box(s);
+        const real_t gradient = projected_gradient(a);
+        if (gradient <= accuracy || a->predicted < TOL_UNIT * (R(1) + FABS(a->cost)) || ++since > MAX_INNER) {
+            advance_multipliers(s, tol, &violation);
+            since = 0;
+            accuracy = R(0.1) * ((accuracy < violation) ? accuracy : violation);
+            accuracy = (accuracy > R(0.1) * tol) ? accuracy : R(0.1) * tol;
+            linearize_plan(s);
+            assemble(s);
+        }
+        a->proximal = R(0);
+        s->stats.sqp_iterations++;
+        s->stats.newton_iterations++;
+        if (descend(s)) {
+            linearize_plan(s);
+        }
+    }
+    assemble(s);
+    return (residual_of(s) <= tol) ? OK : ITERATION_LIMIT;
+}
+
+status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
+{
+    status_t status;
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    if (!(tol > R(0)) || !isfinite(tol) || max_iterations < 1) {
+        return finish(s, BAD_ARGUMENT);
+    }
+    if (s->prepared) {
+        restore_multipliers(s);
+    }
+    s->prepared = 0;
+    if (!take_state(s, xhat)) {
+        return finish(s, NOT_FINITE);
+    }
+    memset(&s->stats, 0, sizeof s->stats);
+    s->auglag.radius = initial_radius[0];
+    s->auglag.precision = R(1e-8);
+    s->auglag.faces = FACES_OF_SOLVE;
+    s->auglag.predicted = INF;
+    status = prepare_here(s);
+    if (status == OK) {
+        status = iterate(s, tol, max_iterations);
+    }
+    s->auglag.penalty = penalty_weight[0];
+#if NE
+    couple_start(s, R(1));
+#endif
+    s->stats.violation = violation_of(s);
+    return finish(s, status);
+}

@@ -1,0 +1,149 @@
+/* Contract of this part: the augmented Lagrangian of the present plan,
+ *
+ *     L = cost + sum (lam_i + rho_i/2 c_i) c_i + sum psi_m(v_m),   c_0 = xhat - x_0,   c_{k+1} = Phi_k - x_{k+1},
+ *     psi_m(v) = min_y P_m(y) + mu_m (v - y) + rho_m/2 (v - y)^2,
+ *
+ * where P_m is 0 between the bounds of row m and, outside, the penalty of a soft row or infinite. Its derivatives are
+ * those of the Lagrangian with the multipliers lam_i + rho_i c_i and psi_m'(v_m), the first-order estimates. */
+
+/* c_{k+1} and the cost of the nodes. */
+static void evaluate_path(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    for (int k = 0; k < N; k++) {
+        interval_value(s, k, a->gap[k + 1]);
+        for (int i = 0; i < NX; i++) {
+            a->gap[k + 1][i] -= s->x[k + 1][i];
+        }
+    }
+    a->cost = nodal_cost(s);
+}
+
+/* c_0 and the values of the rows, which depend on xhat; free components of x_0 have no gap. */
+static void evaluate_ends(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    for (int i = 0; i < NX; i++) {
+        a->gap[0][i] = s->xhat[i] - s->x[0][i];
+    }
+#if NF
+    for (int f = 0; f < NF; f++) {
+        a->gap[0][free_state[f]] = R(0);
+    }
+#endif
+#if NG
+    evaluate_rows(s, a->value);
+#endif
+}
+
+/* rho_i of component i of the gap at a node. */
+static inline real_t gap_weight(const solver_t *s, int i)
+{
+    return s->auglag.penalty * state_weight[i];
+}
+
+#if NG
+/* psi_m(v), its derivative and its second derivative. */
+static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature)
+{
+    const real_t lower = ROW_LOWER(s, m), upper = ROW_UPPER(s, m);
+    const real_t weight = s->auglag.penalty * row_weight[m], mu = s->auglag.row[m], moved = v + mu / weight;
+    real_t y = clip(moved, lower, upper), penalty = R(0);
+    *slope = mu + weight * (v - y);
+    *curvature = (moved > lower && moved < upper) ? R(0) : weight;
+    if (moved > lower && moved < upper) {
+        *slope = R(0);
+    }
+#if SOFT_ROWS
+    const real_t l1 = row_l1[row_id[m]], l2 = ROW_CURVATURE(m);
+    if (FABS(*slope) > l1) {
+        const real_t side = (*slope > R(0)) ? R(1) : -R(1), bound = (*slope > R(0)) ? upper : lower;
+        const real_t excess = (side * (mu + weight * (v - bound)) - l1) / (weight + l2);
+        y = bound + side * excess;
+        penalty = (l1 + R(0.5) * l2 * excess) * excess;
+        *slope = side * (l1 + l2 * excess);
+        *curvature = weight * l2 / (weight + l2);
+    }
+#endif
+    return penalty + (mu + R(0.5) * weight * (v - y)) * (v - y);
+}
+#endif
+
+/* L, with the multipliers of the last update. */
+static real_t merit(const solver_t *s)
+{
+    const auglag_t *a = &s->auglag;
+    real_t sum = a->cost;
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            sum += (a->lam[k][i] + R(0.5) * gap_weight(s, i) * a->gap[k][i]) * a->gap[k][i];
+        }
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        real_t slope, curvature;
+        sum += row_relaxed[m] ? row_term(s, m, a->value[m], &slope, &curvature) : R(0);
+    }
+#endif
+    return sum;
+}
+
+/* Sets the multipliers of the plan to their first-order estimates. */
+static void estimate_multipliers(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            s->lam[k][i] = a->lam[k][i] + gap_weight(s, i) * a->gap[k][i];
+        }
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        if (row_relaxed[m]) {
+            (void)row_term(s, m, a->value[m], &ROW_MULTIPLIER(s, m), &a->curvature[m]);
+        }
+    }
+#endif
+}
+
+/* The dual update: the estimates become the multipliers. As L reads xhat where the coupled rows read x_0, its
+ * multiplier of the initial condition is lam_0 - E_0' eta. */
+static void update_multipliers(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    memcpy(a->lam, s->lam, sizeof a->lam);
+#if NG
+    for (int m = 0; m < NG; m++) {
+        a->row[m] = row_relaxed[m] ? ROW_MULTIPLIER(s, m) : R(0);
+    }
+#endif
+}
+
+#if NE
+/* lam_0 += sign E_0' eta. */
+static void couple_start(solver_t *s, real_t sign)
+{
+    for (int j = 0; j < NE; j++) {
+        for (int i = 0; i < NX; i++) {
+            s->lam[0][i] += sign * s->coupled.J_0[j][i] * s->eta[j];
+        }
+    }
+}
+#endif
+
+/* The multipliers of the plan, as they were before the estimates. */
+static void restore_multipliers(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    memcpy(s->lam, a->lam, sizeof s->lam);
+#if NG
+    for (int m = 0; m < NG; m++) {
+        if (row_relaxed[m]) {
+            ROW_MULTIPLIER(s, m) = a->row[m];
+        }
+    }
+#endif
+#if NE
+    couple_start(s, R(1));
+#endif
+}

@@ -1,0 +1,14 @@
+/* The control returned if no new one could be computed: that of the plan or, if it is not finite, its reference,
+ * clipped to the bounds. */
+static void safe_control(const solver_t *s, real_t *u0)
+{
+    for (int j = 0; j < NU; j++) {
+        u0[j] = safe_value(s, 0, j);
+    }
+}
+
+static status_t finish(solver_t *s, status_t status)
+{
+    s->status = (int32_t)status;
+    return status;
+}

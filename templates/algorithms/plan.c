@@ -1,0 +1,64 @@
+/* Values of failing: failures in a row, and how much of the plan is given up. After a restart it is negative until
+ * PATIENCE samples have succeeded. */
+enum { FINE, ONCE, TWICE, FOR_GOOD };
+
+/* Control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
+static real_t safe_value(const solver_t *s, int k, int j)
+{
+    const real_t u = s->u[k][j];
+    return clip(isfinite(u) ? u : CONTROL_REFERENCE(s, k, j), CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+}
+
+static void forget_multipliers(solver_t *s)
+{
+    memset(s->lam, 0, sizeof s->lam);
+    memset(s->mu_x, 0, sizeof s->mu_x);
+    memset(s->mu_u, 0, sizeof s->mu_u);
+#if NH
+    memset(s->mu, 0, sizeof s->mu);
+#endif
+#if NH_N
+    memset(s->mu_N, 0, sizeof s->mu_N);
+#endif
+#if NE
+    memset(s->eta, 0, sizeof s->eta);
+#endif
+}
+
+/* Restarts the plan: sets every state to x, replaces controls that are not finite by their references, sets all
+ * multipliers to 0 and empties the working set. */
+static void start_at(solver_t *s, const real_t *x)
+{
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            s->x[k][i] = x[i];
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            s->u[k][j] = safe_value(s, k, j);
+        }
+    }
+    forget_multipliers(s);
+#if HAS_QP
+    condense_init(s);
+#endif
+}
+
+static void start_at_measured(solver_t *s)
+{
+    start_at(s, all_finite(s->xhat, NX) ? s->xhat : initial_state);
+}
+
+/* Sets the controls of the plan to their references, and free components of x_0 to their declared initial values. */
+static void forget_plan(solver_t *s)
+{
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            s->u[k][j] = CONTROL_REFERENCE(s, k, j);
+        }
+    }
+#if NF
+    for (int f = 0; f < NF; f++) {
+        s->xhat[free_state[f]] = initial_state[free_state[f]];
+    }
+#endif
+}

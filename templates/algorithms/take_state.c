@@ -1,0 +1,26 @@
+#if ALL_MEASURED
+/* s->xhat = xhat. Returns 0 if an entry is not finite. */
+static int take_state(solver_t *s, const real_t *xhat)
+{
+    if (!all_finite(xhat, NX)) {
+        return 0;
+    }
+    memcpy(s->xhat, xhat, sizeof s->xhat);
+    return 1;
+}
+#else
+/* s->xhat = xhat in measured components, 0 in accumulators, x_0 of the plan in free components. Returns 0 if a measured
+ * entry is not finite. */
+static int take_state(solver_t *s, const real_t *xhat)
+{
+    for (int i = 0; i < NX; i++) {
+        if (is_measured[i] && !isfinite(xhat[i])) {
+            return 0;
+        }
+    }
+    for (int i = 0; i < NX; i++) {
+        s->xhat[i] = is_measured[i] ? xhat[i] : (is_accumulator[i] ? R(0) : s->x[0][i]);
+    }
+    return 1;
+}
+#endif

@@ -1,0 +1,295 @@
+"""AugmentedLagrangian: solutions of IPOPT, closed loops, the failure contract, and what it refuses."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.lib.house import samples
+from examples import bioreactor, crane, cstr, quadrotor
+from nmpc_codegen import (
+    OCP,
+    RK4,
+    AugmentedLagrangian,
+    Controller,
+    DenseActiveSet,
+    EconomicGaussNewton,
+    ExactHessian,
+    ExplicitRungeKutta,
+    GaussNewton,
+    OptionError,
+    Options,
+    Status,
+    build,
+    generate,
+    simulate,
+)
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
+
+THREE_STEPS = ExplicitRungeKutta(RK4, steps=3)
+
+
+def options(**more: Any) -> Options:
+    return Options(algorithm=AugmentedLagrangian(), **more)
+
+
+def loop_options(**algorithm: Any) -> Options:
+    return Options(integrator=THREE_STEPS, algorithm=AugmentedLagrangian(shift="periodic", **algorithm))
+
+
+def unique_bioreactor() -> OCP:
+    return bioreactor.build_ocp("a", periodic=False)
+
+
+# solve() against IPOPT ------------------------------------------------------------------------------------------------
+
+EXAMPLES: dict[str, tuple[Callable[[], OCP], ExplicitRungeKutta]] = {
+    "crane": (crane.build_ocp, ExplicitRungeKutta(RK4, steps=1)),
+    "cstr": (cstr.build_ocp, ExplicitRungeKutta(RK4, steps=2)),
+    "bioreactor": (unique_bioreactor, THREE_STEPS),
+    "quadrotor": (quadrotor.build_ocp, ExplicitRungeKutta(RK4, steps=1)),
+}
+SMALL = {
+    make.__name__: make
+    for make in (
+        *(samples.bare, samples.single, samples.controls, samples.states, samples.path, samples.final),
+        *(samples.soft_states, samples.soft_rows, samples.arrival, samples.discrete),
+    )
+}
+
+
+def disturbed(ocp: OCP) -> np.ndarray:
+    """A state near the declared one."""
+    x = np.array(classify(ocp).x_initial, dtype=float)
+    return x + 0.05 * np.where(x != 0, np.abs(x), 0.1) * np.random.default_rng(2).uniform(-1, 1, x.size)
+
+
+def assert_solves(ocp: OCP, given: Options, x0: np.ndarray, atol: float) -> Controller:
+    """solve() converges to a point with the multipliers, the cost and the controls of IPOPT."""
+    problem, controller = classify(ocp), build(ocp, given)
+    solution = controller.solve(x0, tol=1e-9, max_iterations=300)
+    tableau = CLASSICAL
+    if isinstance(given.integrator, ExplicitRungeKutta):
+        tableau = replace(CLASSICAL, steps=given.integrator.steps)
+    found = Reference(problem, tableau).solve(node_data(problem, x0=x0))
+    assert solution.status is Status.OK
+    assert solution.kkt.relative <= 1e-9
+    assert found.success
+    np.testing.assert_allclose(solution.u, found.u, atol=atol)
+    np.testing.assert_allclose(solution.x, found.x, atol=atol)
+    assert solution.cost == pytest.approx(found.cost, rel=1e-6, abs=1e-9)
+    return controller
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_solve_finds_the_solution_of_ipopt(name: str) -> None:
+    make, integrator = EXAMPLES[name]
+    ocp = make()
+    x0 = bioreactor.START if name == "bioreactor" else disturbed(ocp)
+    controller = assert_solves(ocp, options(integrator=integrator), x0, 1e-5)
+    assert 0 < controller.stats.accepted <= controller.stats.newton_iterations
+
+
+@pytest.mark.parametrize("hessian", [None, GaussNewton()], ids=["exact", "gauss_newton"])
+@pytest.mark.parametrize("name", SMALL)
+def test_solve_satisfies_every_kind_of_row(name: str, hessian: Any) -> None:
+    ocp = SMALL[name]()
+    if hessian is not None and classify(ocp).features - GaussNewton.supports:
+        pytest.skip("no least squares")
+    assert_solves(ocp, options(hessian=hessian), disturbed(ocp), 2e-6)
+
+
+@pytest.mark.parametrize("penalty", [(0.05, 0.0), (0.05, 0.2), (50.0, 0.0)])
+def test_soft_rows_that_are_violated(penalty: tuple[float, float]) -> None:
+    """Multipliers at the weight of the row, beyond it with a quadratic penalty, and below it (an exact penalty)."""
+    ocp = samples.controls()
+    ocp.subject_to(-0.3, ocp.x[1], 0.3, soft=penalty)
+    controller = assert_solves(ocp, options(), np.array([0.5, 0.6]), 2e-6)
+    largest = np.abs(controller.mu_x).max()
+    if penalty[0] == 50.0:
+        assert 0.05 < largest < 50.0
+    elif penalty[1]:
+        assert largest > penalty[0] * (1 + 1e-3)
+    else:
+        assert largest == pytest.approx(penalty[0], rel=1e-9)
+
+
+def test_soft_coupled_rows() -> None:
+    """r(xhat, x_N) instead of r(x_0, x_N): the solution and its KKT residuals are those of the problem."""
+    ocp = bioreactor.build_ocp(soft=True)
+    problem, controller = classify(ocp), build(ocp, loop_options())
+    bioreactor.guess(controller)
+    x0 = np.append(controller.x[0, :3] * 1.02, [0.0, 0.0])
+    solution = controller.solve(x0, tol=1e-8, max_iterations=500)
+    assert solution.status is Status.OK
+    found = Reference(problem, replace(CLASSICAL, steps=3)).solve(node_data(problem, x0=x0))
+    assert solution.cost <= found.cost + 1e-6 * abs(found.cost)  # the problem has several local solutions
+    assert np.abs(solution.eta).max() <= 1 + 1e-9
+
+
+# Trust region ---------------------------------------------------------------------------------------------------------
+
+
+def test_negative_curvature_is_met_and_survived() -> None:
+    """A saddle: the cost is concave in x, and at the start all first derivatives vanish but that of the control."""
+    ocp = OCP("saddle", T=1.0, N=6)
+    x, u = ocp.state("x", initial=0.1), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.stage_cost(x**4 / 4 - 2 * x**2 + 0.05 * u**2)
+    ocp.subject_to(-3, u, 3)
+    controller = assert_solves(ocp, options(), np.array([0.1]), 1e-5)
+    assert controller.stats.negative_curvature > 0
+    assert controller.stats.shifts > 0
+    assert controller.x[-1, 0] > 1  # a minimum, not the saddle x = 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_no_iterate_leaves_the_box_and_the_model_decreases(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    ocp = samples.states()
+    controller = _states_controller(ocp)
+    controller.reset()
+    controller.x[...] += random.uniform(-2, 2, controller.x.shape)
+    controller.u[...] += random.uniform(-2, 2, controller.u.shape)
+    controller.lam[...] = random.uniform(-1, 1, controller.lam.shape)
+    for _ in range(3):
+        controller.step(random.uniform(-1, 1, 2), on_failure="raise")
+        assert np.all(np.abs(controller.x[1:, 1]) <= 0.6)
+        assert abs(controller.x[-1, 0]) <= 1
+        assert float(controller.view("auglag.predicted")) >= 0
+        assert controller.stats.faces <= 3 * 5
+
+
+_BUILT: dict[str, Controller] = {}
+
+
+def _states_controller(ocp: OCP) -> Controller:
+    return _BUILT.setdefault(ocp.name, build(ocp, options()))
+
+
+# Closed loops ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_bioreactor_stays_on_its_orbit_after_a_jump() -> None:
+    """Productivity and mean feed over the last 48 h (Hours, Shukla and Jones, section V), with S + 20 % on the way."""
+    ocp = bioreactor.build_ocp(soft=True)
+    controller = build(ocp, loop_options())
+    plant = build(ocp, replace(bioreactor.options(), integrator=ExplicitRungeKutta(RK4, steps=20)))
+    bioreactor.guess(controller)
+    x, states, feeds = controller.x[0].copy(), [], []
+    for n in range(160):
+        x[1] *= 1.2 if n == 80 else 1.0
+        x[3:] = 0.0
+        u = controller.step(x, on_failure="raise")
+        states.append(x.copy())
+        feeds.append(u.copy())
+        x = np.asarray(plant.integrate(x, u, bioreactor.SAMPLING))
+    log: Any = type("Loop", (), {"x": np.array(states), "u": np.array(feeds)})
+    assert bioreactor.productivity(log, 140, 160) == pytest.approx(3.0548, rel=0.01)
+    assert np.mean(log.u[140:]) == pytest.approx(32.9, abs=0.1)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_the_crane_comes_to_rest(precision: Any) -> None:
+    controller = build(crane.build_ocp(), Options(algorithm=AugmentedLagrangian(shift="repeat"), precision=precision))
+    log = simulate(controller, np.array([0.5, 0.0, 0.0, 0.0]), steps=60, dt=0.3)
+    assert not np.any(log.status)
+    assert np.abs(log.x[-1]).max() < 1e-2
+    assert np.abs(log.u).max() <= 1
+
+
+# Failure contract -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_the_control_is_finite_and_inside_its_bounds(precision: Any, data: st.DataObject) -> None:
+    key = f"cstr {precision}"
+    if key not in _BUILT:
+        _BUILT[key] = build(cstr.build_ocp(), options(precision=precision))
+    controller = _BUILT[key].copy()
+    controller.reset()
+    problem = classify(cstr.build_ocp())
+    hostile = st.sampled_from([0.0, 1.0, -1e3, 1e30, -1e30, np.nan, np.inf, -np.inf])
+    bounds = [(row.lower, row.upper) for row in problem.rows if row.kind == "control"]
+    for _ in range(4):
+        where = data.draw(st.sampled_from(["x", "u", "lam", "measured"]))
+        x = np.array(problem.x_initial)
+        if where == "measured":
+            x[data.draw(st.integers(0, 3))] = data.draw(hostile)
+        else:
+            getattr(controller, where)[data.draw(st.integers(0, 9))] = data.draw(hostile)
+        u = controller.step(x)
+        assert np.all(np.isfinite(u))
+        for value, (lower, upper) in zip(u, bounds, strict=True):
+            assert np.nextafter(lower, -np.inf, dtype=u.dtype) <= value <= np.nextafter(upper, np.inf, dtype=u.dtype)
+    for _ in range(12):
+        controller.step(problem.x_initial)
+    assert controller.status is Status.OK
+
+
+def test_feedback_without_prepare_and_nan() -> None:
+    controller = build(crane.build_ocp(), options())
+    planned = controller.u[0].copy()
+    np.testing.assert_array_equal(controller.feedback([2.0, 0, 0, 0]), planned)
+    assert controller.status is Status.NOT_PREPARED
+    np.testing.assert_array_equal(controller.step([np.nan, 0, 0, 0]), planned)
+    assert controller.status is Status.NOT_FINITE
+
+
+def test_data_that_change_after_prepare_act_in_the_feedback() -> None:
+    ocp = samples.controls()
+    first, second = build(ocp, options()), build(ocp, options())
+    first.prepare()
+    for controller in (first, second):
+        controller.set_reference([0.2, 0.0, 0.1])
+    late = first.feedback([0.5, 0.1])
+    np.testing.assert_allclose(second.step([0.5, 0.1]), late, rtol=0, atol=1e-12)
+
+
+def test_a_second_prepare_changes_nothing() -> None:
+    first = build(bioreactor.build_ocp(soft=True), loop_options())
+    bioreactor.guess(first)
+    x = first.x[0].copy()
+    first.step(x)
+    second = first.copy()
+    for controller in (first, second):
+        controller.prepare()
+    second.prepare()
+    np.testing.assert_allclose(second.feedback(x), first.feedback(x), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(second.lam, first.lam, rtol=0, atol=1e-9)
+
+
+# What a package contains and what is refused --------------------------------------------------------------------------
+
+
+def test_a_package_has_neither_condensing_nor_qp() -> None:
+    sources = generate(crane.build_ocp(), options())
+    for file in ("crane_nmpc.h", "README.md", "main.c") if "crane_nmpc.h" in sources else ("crane.h", "README.md"):
+        assert not re.findall(r"(?i)\b(?:\w*condens\w*|qp_?\w*|\w*riccati\w*|working_set)\b", sources[file])
+
+
+def test_what_makes_no_sense_is_refused() -> None:
+    with pytest.raises(OptionError, match=r"clashes with a regularisation .*regularization=None"):
+        generate(crane.build_ocp(), options(hessian=ExactHessian()))
+    with pytest.raises(OptionError, match=r"qp .* clashes with algorithm AugmentedLagrangian"):
+        options(qp=DenseActiveSet())
+    with pytest.raises(OptionError, match="computed off line"):
+        generate(samples.tuned(), options(hessian=EconomicGaussNewton(np.eye(3), np.eye(2))))
+    with pytest.raises(OptionError, match="free_initial"):
+        generate(samples.cycle(), options())
+    with pytest.raises(OptionError, match="sampling_time"):
+        AugmentedLagrangian(shift="resample")
+    for wrong in ({"iterations": 0}, {"penalty": 0.0}, {"proximal": -1.0}, {"radius": 0.0}, {"scaling": "none"}):
+        with pytest.raises(OptionError):
+            AugmentedLagrangian(**wrong)  # type: ignore[arg-type]
