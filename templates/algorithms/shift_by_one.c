@@ -6,14 +6,12 @@ static void shift_rows(solver_t *s)
     int source[NG];
     for (int m = 0; m < NG; m++) {
         source[m] = m;
-        for (int next = m + 1; next < NG && row_node[next] <= row_node[m] + 1; next++) {
-            if (row_node[next] > row_node[m] && row_id[next] == row_id[m]) {
-                source[m] = next;
+        for (int n = m + 1; n < NG && row_node[n] <= row_node[m] + 1; n++) {
+            if (row_node[n] > row_node[m] && row_id[n] == row_id[m]) {
+                source[m] = n;
             }
         }
-    }
-    for (int m = 0; m < NG; m++) { /* in place, as source[m] >= m */
-        ROW_MULTIPLIER(s, m) = ROW_MULTIPLIER(s, source[m]);
+        ROW_MULTIPLIER(s, m) = ROW_MULTIPLIER(s, source[m]); /* not yet shifted, as source[m] >= m */
     }
 #if HAS_QP
     condense_shift_rows(s, source);
