@@ -184,9 +184,9 @@ static status_t qp_factorize_hessian(qp_t *q)
         q->H[i][i] = R(1);
 #endif
     }
+    memcpy(q->work.basis.Q, q->H, sizeof q->H);
     for (int i = 0; i < LDH; ++i) {
         reference[i] = q->H[i][i];
-        copy(q->work.basis.Q[i], q->H[i]);
     }
     valid = qp_factorize_panels(q, reference);
     q->semidefinite = !valid;
