@@ -19,6 +19,7 @@ LOSS_COLOURS = {
     "LETEMPC": "#8a5fb0",
     "tracking": "#b3202c",
 }
+LABELS = {"tuned": "M", "corrected": "M, dual correction"}
 COLOURS = {"exact": "#1f5fa8", "tuned": "#c2571a", "corrected": "#e0a070", "identity": "0.2"}
 
 
@@ -96,7 +97,9 @@ def _curves(stem: Path, curves: Mapping[str, list[float]], label: str) -> list[P
     axis = figure.subplots()
     for name, values in curves.items():
         style = "--" if name == "corrected" else "-"
-        axis.semilogy(np.maximum(values, 1e-16), style, marker=".", color=COLOURS.get(name), label=name)
+        axis.semilogy(
+            np.maximum(values, 1e-16), style, marker=".", color=COLOURS.get(name), label=LABELS.get(name, name)
+        )
     axis.set(xlabel="iteration", ylabel=label)
     axis.grid(alpha=0.25)
     axis.legend(frameon=False)
