@@ -41,7 +41,7 @@ static int factorize_block(auglag_t *a, int k)
     real_t(*A)[LDZ] = a->L[k];
     const real_t *open = a->open[k];
     for (int l = NZ - 1; l >= 0; l--) {
-        const real_t pivot = A[l][l], inverse = R(1) / pivot;
+        const real_t pivot = A[l][l];
         if (open[l] <= R(0)) {
             memset(A[l], 0, sizeof A[l]);
             A[l][l] = R(1);
@@ -50,6 +50,7 @@ static int factorize_block(auglag_t *a, int k)
         if (!(pivot > TOL_UNIT * a->largest * variable_weight[l]) || !(pivot < INF)) {
             return 0;
         }
+        const real_t inverse = R(1) / pivot;
         mask_row(A[l], inverse, A[l], open);
         for (int p = 0; p < l; p++) {
             riccati_add(A[p], -pivot * A[l][p], A[l], p / 4 * 4 + 4);

@@ -80,12 +80,17 @@ static void add_row(solver_t *s, int m)
 }
 #endif
 
-/* B_k, g_k and the lower triangle of S_k' rho S_k of a path node; W_k serves as a copy of -S_k with padding. */
+/* B_k, g_k and the lower triangle of S_k' rho S_k of a path node; W_k serves as a copy of -S_k. The padding is written
+ * anew, so that numbers that are not finite do not stay in it. */
 static void assemble_dynamics(solver_t *s, int k)
 {
     auglag_t *a = &s->auglag;
     const node_t *node = &s->node[k];
     real_t force[NX];
+    memset(a->g[k], 0, sizeof a->g[k]);
+    memset(a->B[k], 0, sizeof a->B[k]);
+    memset(a->W[k], 0, sizeof a->W[k]);
+    memset(a->H[k], 0, sizeof a->H[k]);
     for (int l = 0; l < NX; l++) {
         const real_t weight = gap_weight(s, l);
         for (int j = 0; j < NZ; j++) {
@@ -98,7 +103,6 @@ static void assemble_dynamics(solver_t *s, int k)
         a->g[k][j] = node->g[j] - ((j < NX) ? s->lam[k][j] : R(0));
     }
     add_panels(a->g[k], force, a->W[k][0], NX);
-    memset(a->H[k], 0, sizeof a->H[k]);
     for (int i = 0; i < LDZ; i += 4) {
         riccati_rows(a->H[k][i], LDZ, a->B[k][0] + i, LDZ, a->W[k][0], LDZ, NX, i + 4);
     }
@@ -120,6 +124,8 @@ static void assemble(solver_t *s)
             }
         }
     }
+    memset(a->g[N], 0, sizeof a->g[N]);
+    memset(a->H[N], 0, sizeof a->H[N]);
     for (int i = 0; i < NX; i++) {
         a->g[N][i] = s->terminal.g[i] - s->lam[N][i];
         for (int j = 0; j <= i; j++) {

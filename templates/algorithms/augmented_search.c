@@ -20,6 +20,7 @@ static int project_step(const auglag_t *a, real_t (*d)[LDZ], real_t (*from)[LDZ]
 /* Direction -scale^2 g of steepest descent in p, without components that leave the box. Returns its slope -p'g. */
 static real_t steepest_descent(auglag_t *a)
 {
+    memset(a->p, 0, sizeof a->p);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NZ; i++) {
             const real_t p = -variable_scale[i] * variable_scale[i] * a->g[k][i];
@@ -39,6 +40,7 @@ static real_t cauchy_point(solver_t *s)
     memset(a->w, 0, sizeof a->w);
     memset(a->d, 0, sizeof a->d);
     memset(a->Hd, 0, sizeof a->Hd);
+    memset(a->Hp, 0, sizeof a->Hp);
     if (!(slope > R(0)) || !(slope < INF)) {
         return R(0);
     }
@@ -222,6 +224,7 @@ static real_t refine(solver_t *s, real_t value)
     a->shifts = 0;
     for (int face = 0; face < a->faces && last >= 0; face++) { /* at most FACES_OF_SOLVE passes */
         a->factorized = factorize(s, last);
+        memset(a->residual, 0, sizeof a->residual);
         for (int k = 0; k <= N; k++) {
             for (int i = 0; i < NZ; i++) {
                 a->residual[k][i] = -a->open[k][i] * (a->g[k][i] + a->Hd[k][i]);
