@@ -1,96 +1,78 @@
-/* Contract of this part: the preconditioner, a block Cholesky factorisation of H + (r + shift) scale^-2 over the free
- * variables, from the last node to the first. A_k = L_k' L_k, so that the controls of a node are eliminated before its
- * states, W_k = L_{k+1}^{-T} (coupling of x_{k+1} with node k), and A_k loses W_k' W_k. */
+/* Contract of this part: the preconditioner, a factorisation of H + shift scale^-2 over the free variables, from the
+ * last node to the first. A_k = L_k' D_k L_k with unit lower triangular L_k, so that the controls of a node are
+ * eliminated before its states, W_k = L_{k+1}^{-T} B_k, and A_k loses W_k' D_{k+1}^{-1} W_k. The diagonal of a block
+ * holds D_k^{-1}; what is above it has no meaning. */
 
-/* The block of node k with the shift, before its successor is eliminated: Q_k + rho + S_k' rho S_k. */
-static void fill_block(solver_t *s, int k, real_t shift)
+/* to = factor from, a row of LDZ entries; `open` masks it. */
+static inline void mask_row(real_t *to, real_t factor, const real_t *from, const real_t *open)
 {
-    auglag_t *a = &s->auglag;
-    real_t(*A)[NZ] = a->L[k];
-    memcpy(A, a->Q[k], sizeof a->L[k]);
-    for (int i = 0; i < NZ; i++) {
-        A[i][i] += shift / (variable_scale[i] * variable_scale[i]);
-    }
-    for (int i = 0; i < NX; i++) {
-        A[i][i] += (k > 0) ? gap_weight(s, i) : start_weight(s, i);
-    }
-    for (int l = 0; k < N && l < NX; l++) {
-        const real_t *row = s->node[k].S[l];
-        for (int i = 0; i < NZ; i++) {
-            const real_t factor = gap_weight(s, l) * row[i];
-            for (int j = 0; j < NZ; j++) {
-                A[i][j] += factor * row[j];
-            }
+    for (int j = 0; j < LDZ; j += 4) {
+        real_t t[4];
+        for (int i = 0; i < 4; i++) {
+            t[i] = factor * from[j + i] * open[j + i];
+        }
+        for (int i = 0; i < 4; i++) {
+            to[j + i] = t[i];
         }
     }
 }
 
-/* W_k, and A_k -= W_k' W_k. */
-static void eliminate_successor(solver_t *s, int k)
+/* W_k, and A_k -= W_k' D_{k+1}^{-1} W_k. */
+static void eliminate_successor(auglag_t *a, int k)
 {
-    auglag_t *a = &s->auglag;
-    real_t(*L)[NZ] = a->L[k + 1], (*W)[NZ] = a->W[k];
+    real_t(*L)[LDZ] = a->L[k + 1], (*W)[LDZ] = a->W[k], scaled[NX][LDZ];
     for (int l = 0; l < NX; l++) {
-        const real_t weight = -gap_weight(s, l) * a->open[k + 1][l];
-        for (int i = 0; i < NZ; i++) {
-            W[l][i] = weight * a->open[k][i] * s->node[k].S[l][i];
-        }
+        mask_row(W[l], a->open[k + 1][l], a->B[k][l], a->open[k]);
     }
     for (int l = NX - 1; l >= 0; l--) {
-        for (int i = 0; i < NZ; i++) {
-            W[l][i] *= L[l][l];
-        }
+        mask_row(scaled[l], -L[l][l], W[l], a->open[k]);
         for (int p = 0; p < l; p++) {
-            for (int i = 0; i < NZ; i++) {
-                W[p][i] -= L[l][p] * W[l][i];
-            }
+            riccati_add(W[p], -L[l][p], W[l], LDZ);
         }
-        for (int i = 0; i < NZ; i++) {
-            for (int j = 0; j < NZ; j++) {
-                a->L[k][i][j] -= W[l][i] * W[l][j];
-            }
-        }
+    }
+    for (int i = 0; i < LDZ; i += 4) {
+        riccati_rows(a->L[k][i], LDZ, scaled[0] + i, LDZ, W[0], LDZ, NX, i + 4);
     }
 }
 
-/* A_k = L' L in place, the inverse of the diagonal on the diagonal; rows of fixed variables are those of the identity.
- * Returns 0 if a pivot is not positive. */
-static int factorize_block(solver_t *s, int k)
+/* A_k = L_k' D_k L_k in place; rows of fixed variables are those of the identity. Returns 0 if a pivot is not positive. */
+static int factorize_block(auglag_t *a, int k)
 {
-    auglag_t *a = &s->auglag;
-    real_t(*A)[NZ] = a->L[k];
+    real_t(*A)[LDZ] = a->L[k];
+    const real_t *open = a->open[k];
     for (int l = NZ - 1; l >= 0; l--) {
         const real_t pivot = A[l][l];
-        if (a->open[k][l] <= R(0)) {
+        if (open[l] <= R(0)) {
             memset(A[l], 0, sizeof A[l]);
             A[l][l] = R(1);
             continue;
         }
-        if (!(pivot > TOL_UNIT * a->largest / (variable_scale[l] * variable_scale[l])) || !(pivot < INF)) {
+        if (!(pivot > TOL_UNIT * a->largest * variable_weight[l]) || !(pivot < INF)) {
             return 0;
         }
-        A[l][l] = R(1) / SQRT(pivot);
-        for (int i = 0; i < l; i++) {
-            A[l][i] *= a->open[k][i] * A[l][l];
-        }
+        const real_t inverse = R(1) / pivot;
+        mask_row(A[l], inverse, A[l], open);
         for (int p = 0; p < l; p++) {
-            for (int i = 0; i <= p; i++) {
-                A[p][i] -= A[l][p] * A[l][i];
-            }
+            riccati_add(A[p], -pivot * A[l][p], A[l], p / 4 * 4 + 4);
         }
+        A[l][l] = inverse;
     }
     return 1;
 }
 
-/* All blocks. Returns 0 if a pivot is not positive. */
-static int factorize_with(solver_t *s, real_t shift)
+/* Blocks `from` to 0, where those after `from` are still valid. Returns 0 if a pivot is not positive. */
+static int factorize_with(solver_t *s, real_t shift, int from)
 {
-    for (int k = N; k >= 0; k--) {
-        fill_block(s, k, shift);
-        if (k < N) {
-            eliminate_successor(s, k);
+    auglag_t *a = &s->auglag;
+    for (int k = from; k >= 0; k--) {
+        memcpy(a->L[k], a->H[k], sizeof a->L[k]);
+        for (int i = 0; i < NZ; i++) {
+            a->L[k][i][i] += shift * variable_weight[i];
         }
-        if (!factorize_block(s, k)) {
+        if (k < N) {
+            eliminate_successor(a, k);
+        }
+        if (!factorize_block(a, k)) {
             return 0;
         }
     }
@@ -98,61 +80,58 @@ static int factorize_with(solver_t *s, real_t shift)
 }
 
 /* Largest diagonal entry of the Hessian in scaled variables. */
-static real_t largest_curvature(const solver_t *s)
+static real_t largest_curvature(const auglag_t *a)
 {
-    const auglag_t *a = &s->auglag;
     real_t largest = R(0);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NZ; i++) {
-            const real_t gap = (i < NX) ? gap_weight(s, i) : R(0);
-            const real_t scaled = (FABS(a->Q[k][i][i]) + gap) * variable_scale[i] * variable_scale[i];
+            const real_t scaled = FABS(a->H[k][i][i]) * variable_scale[i] * variable_scale[i];
             largest = (scaled > largest) ? scaled : largest;
         }
     }
     return largest;
 }
 
-/* Factorises with the smallest of MAX_SHIFTS + 1 shifts that succeeds. Returns 0 if none does. */
-static int factorize(solver_t *s)
+/* Factorises after a change of the face at the nodes up to `from`, with the shift of the last factorisation or, if that
+ * fails, with larger ones: at most MAX_SHIFTS in an iteration. Returns 0 if none succeeds. */
+static int factorize(solver_t *s, int from)
 {
     auglag_t *a = &s->auglag;
-    real_t shift = R(0);
-    for (int trial = 0; trial <= MAX_SHIFTS; trial++) {
-        if (factorize_with(s, a->proximal + shift)) {
+    for (int last = from; a->shifts <= MAX_SHIFTS; last = N) {
+        if (factorize_with(s, a->proximal + a->shift, last)) {
             return 1;
         }
         s->stats.shifts++;
-        shift = (trial == 0) ? R(0.01) * a->bend : R(10) * shift;
+        a->shifts++;
+        a->shift = (a->shifts == 1) ? FACTOR_FIRST_SHIFT * a->bend : FACTOR_NEXT_SHIFT * a->shift;
     }
     return 0;
 }
 
-/* Forward pass: b_k := L_k^{-T} b_k and its effect on the node before. */
+/* Forward pass: y := L_k^{-T} y. */
 static void eliminate_node(const auglag_t *a, int k, real_t *y)
 {
-    for (int l = NZ - 1; l >= 0; l--) {
-        const real_t value = y[l] * a->L[k][l][l];
-        y[l] = value;
+    for (int l = NZ - 1; l > 0; l--) {
         for (int i = 0; i < l; i++) {
-            y[i] -= a->L[k][l][i] * value;
+            y[i] -= a->L[k][l][i] * y[l];
         }
     }
 }
 
-/* Backward pass: solves L_k y = b. */
+/* Backward pass: y := L_k^{-1} D_k^{-1} y; 0 for fixed variables. */
 static void substitute_node(const auglag_t *a, int k, real_t *y)
 {
     for (int l = 0; l < NZ; l++) {
-        real_t sum = y[l];
+        real_t sum = y[l] * a->L[k][l][l];
         for (int i = 0; i < l; i++) {
             sum -= a->L[k][l][i] * y[i];
         }
-        y[l] = a->open[k][l] * sum * a->L[k][l][l];
+        y[l] = a->open[k][l] * sum;
     }
 }
 
 /* y = (preconditioner) y over the free variables: the factors or, where there are none, scale^2 / largest. */
-static void precondition(const auglag_t *a, real_t (*y)[NZ])
+static void precondition(const auglag_t *a, real_t (*y)[LDZ])
 {
     if (!a->factorized) {
         for (int k = 0; k <= N; k++) {
@@ -164,22 +143,17 @@ static void precondition(const auglag_t *a, real_t (*y)[NZ])
     }
     eliminate_node(a, N, y[N]);
     for (int k = N - 1; k >= 0; k--) {
+        real_t force[NX];
         for (int l = 0; l < NX; l++) {
-            const real_t value = y[k + 1][l];
-            for (int i = 0; i < NZ; i++) {
-                y[k][i] -= a->W[k][l][i] * value;
-            }
+            force[l] = -y[k + 1][l] * a->L[k + 1][l][l];
         }
+        add_panels(y[k], force, a->W[k][0], NX);
         eliminate_node(a, k, y[k]);
     }
     substitute_node(a, 0, y[0]);
     for (int k = 0; k < N; k++) {
         for (int l = 0; l < NX; l++) {
-            real_t sum = R(0);
-            for (int i = 0; i < NZ; i++) {
-                sum += a->W[k][l][i] * y[k][i];
-            }
-            y[k + 1][l] -= sum;
+            y[k + 1][l] -= riccati_dot(a->W[k][l], y[k], LDZ);
         }
         substitute_node(a, k + 1, y[k + 1]);
     }

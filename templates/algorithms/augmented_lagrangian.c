@@ -137,7 +137,7 @@ static real_t violation_of(const solver_t *s)
     real_t most = R(0);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            enlarge(&most, a->gap[k][i] * SQRT(state_weight[i]));
+            enlarge(&most, a->gap[k][i] * SQRT(variable_weight[i]));
         }
     }
 #if NG
@@ -153,11 +153,11 @@ static real_t violation_of(const solver_t *s)
 /* Feedback phase for the measured state s->xhat. The plan changes only if it stays finite. */
 static status_t feedback_here(solver_t *s)
 {
-    int linear = 1;
+    int moved = 0;
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
     s->auglag.proximal = proximal_weight[0];
-    s->auglag.precision = R(1e-4);
+    s->auglag.precision = FACTOR_PRECISION;
     s->auglag.faces = MAX_FACES;
     evaluate_ends(s);
     estimate_multipliers(s);
@@ -179,12 +179,14 @@ static status_t feedback_here(solver_t *s)
     if (!isfinite(merit(s))) {
         return NUMERICAL_FAILURE;
     }
+    assemble(s);
     for (int n = 0; n < ITERATIONS; n++) {
-        if (!linear) {
+        if (moved) {
             linearize_plan(s);
+            assemble(s);
         }
         s->stats.newton_iterations++;
-        linear = !descend(s);
+        moved = descend(s);
     }
     s->stats.violation = violation_of(s);
     finish_multipliers(s);

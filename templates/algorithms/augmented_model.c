@@ -1,29 +1,56 @@
 /* Contract of this part: the quadratic model of the augmented Lagrangian at the plan, over steps d = (dx_k, du_k) of
- * N + 1 nodes with NZ entries; those of the controls at node N are 0. Its Hessian is block tridiagonal,
+ * N + 1 nodes with LDZ entries; those of the controls at node N and those after NZ are 0. Its Hessian is
  *
- *     diag(Q_k) + sum_k (S_k d_k - dx_{k+1})' rho (S_k d_k - dx_{k+1}) + dx_0' rho dx_0,
+ *     sum_k d_k'Q_k d_k + (S_k d_k - dx_{k+1})' rho (S_k d_k - dx_{k+1}) + dx_0' rho dx_0,
+ *     Q_k = Hessian of the stage + sum of psi_m'' J_m' J_m over the relaxed rows of node k,
  *
- * Q_k = Hessian of the stage + sum of psi_m'' J_m' J_m over the relaxed rows of node k. */
+ * a block tridiagonal matrix with H_k = Q_k + S_k' rho S_k + rho on the diagonal and B_k = -rho S_k between x_{k+1} and
+ * node k. LDZ is NZ rounded up to a multiple of 4, as products are computed in blocks of four rows and columns. */
+
+#include "riccati/blocks.c"
+
+#include "riccati/dot.c"
+
+/* y += sum_{l<n} c[l] A[l], rows of LDZ entries, four at a time. */
+static void add_panels(real_t *y, const real_t *c, const real_t *A, int n)
+{
+    int l;
+    for (l = 0; l + 4 <= n; l += 4) {
+        const real_t c0 = c[l], c1 = c[l + 1], c2 = c[l + 2], c3 = c[l + 3];
+        for (int j = 0; j < LDZ; j += 4) {
+            real_t t[4];
+            for (int i = 0; i < 4; i++) {
+                t[i] = y[j + i] +
+                    ((c0 * A[j + i] + c1 * A[LDZ + j + i]) + (c2 * A[2 * LDZ + j + i] + c3 * A[3 * LDZ + j + i]));
+            }
+            for (int i = 0; i < 4; i++) {
+                y[j + i] = t[i];
+            }
+        }
+        A += 4 * LDZ;
+    }
+    for (; l < n; l++) {
+        riccati_add(y, c[l], A, LDZ);
+        A += LDZ;
+    }
+}
 
 /* sum_i a_i b_i over all variables. */
-static real_t inner(real_t (*a)[NZ], real_t (*b)[NZ])
+static real_t inner(real_t (*a)[LDZ], real_t (*b)[LDZ])
 {
-    const real_t *p = a[0], *q = b[0];
-    real_t sum = R(0);
-    for (int i = 0; i < VARIABLES; i++) {
-        sum += p[i] * q[i];
-    }
-    return sum;
+    return riccati_dot(a[0], b[0], VARIABLES);
 }
 
 /* y += factor x */
-static void add_multiple(real_t (*y)[NZ], real_t factor, real_t (*x)[NZ])
+static void add_multiple(real_t (*y)[LDZ], real_t factor, real_t (*x)[LDZ])
 {
-    real_t *p = y[0];
-    const real_t *q = x[0];
-    for (int i = 0; i < VARIABLES; i++) {
-        p[i] += factor * q[i];
-    }
+    riccati_add(y[0], factor, x[0], VARIABLES);
+}
+
+/* rho_i at node 0: free components of x_0 have no gap. */
+static inline real_t start_weight(const solver_t *s, int i)
+{
+    return s->auglag.penalty * initial_weight[i];
 }
 
 #if NG
@@ -36,7 +63,7 @@ static void add_row(solver_t *s, int m)
 #if STATE_ROWS
     if (row_bounds_state[m]) {
         a->g[k][row_index[m]] += mu;
-        a->Q[k][row_index[m]][row_index[m]] += curvature;
+        a->H[k][row_index[m]][row_index[m]] += curvature;
         return;
     }
 #endif
@@ -46,31 +73,38 @@ static void add_row(solver_t *s, int m)
     for (int i = 0; i < n; i++) {
         a->g[k][i] += mu * J[i];
         for (int j = 0; j < n; j++) {
-            a->Q[k][i][j] += curvature * J[i] * J[j];
+            a->H[k][i][j] += curvature * J[i] * J[j];
         }
     }
 #endif
 }
 #endif
 
-/* Q_k and g_k of a path node, without the rows. */
-static void assemble_node(solver_t *s, int k)
+/* B_k, g_k and the lower triangle of S_k' rho S_k of a path node; W_k serves as a copy of -S_k. The padding is written
+ * anew, so that numbers that are not finite do not stay in it. */
+static void assemble_dynamics(solver_t *s, int k)
 {
     auglag_t *a = &s->auglag;
     const node_t *node = &s->node[k];
-    memcpy(a->g[k], node->g, sizeof a->g[k]);
-    for (int j = 0; j < NX; j++) {
-        a->g[k][j] -= s->lam[k][j];
-        for (int i = 0; i < NZ; i++) {
-            a->g[k][i] += node->S[j][i] * s->lam[k + 1][j];
+    real_t force[NX];
+    memset(a->g[k], 0, sizeof a->g[k]);
+    memset(a->B[k], 0, sizeof a->B[k]);
+    memset(a->W[k], 0, sizeof a->W[k]);
+    memset(a->H[k], 0, sizeof a->H[k]);
+    for (int l = 0; l < NX; l++) {
+        const real_t weight = gap_weight(s, l);
+        for (int j = 0; j < NZ; j++) {
+            a->W[k][l][j] = -node->S[l][j];
+            a->B[k][l][j] = -weight * node->S[l][j];
         }
+        force[l] = -s->lam[k + 1][l];
     }
-    for (int i = 0; i < NZ; i++) {
-        const real_t bend = FABS(HESSIAN(s, k)[i][i]) * variable_scale[i] * variable_scale[i];
-        a->bend = (bend > a->bend) ? bend : a->bend;
-        for (int j = 0; j <= i; j++) {
-            a->Q[k][i][j] = a->Q[k][j][i] = HESSIAN(s, k)[i][j];
-        }
+    for (int j = 0; j < NZ; j++) {
+        a->g[k][j] = node->g[j] - ((j < NX) ? s->lam[k][j] : R(0));
+    }
+    add_panels(a->g[k], force, a->W[k][0], NX);
+    for (int i = 0; i < LDZ; i += 4) {
+        riccati_rows(a->H[k][i], LDZ, a->B[k][0] + i, LDZ, a->W[k][0], LDZ, NX, i + 4);
     }
 }
 
@@ -80,12 +114,27 @@ static void assemble(solver_t *s)
     auglag_t *a = &s->auglag;
     a->bend = R(0);
     for (int k = 0; k < N; k++) {
-        assemble_node(s, k);
+        assemble_dynamics(s, k);
+        for (int i = 0; i < NZ; i++) {
+            const real_t bend = FABS(HESSIAN(s, k)[i][i]) * variable_scale[i] * variable_scale[i];
+            a->bend = (bend > a->bend) ? bend : a->bend;
+            for (int j = 0; j <= i; j++) {
+                a->H[k][i][j] += HESSIAN(s, k)[i][j];
+                a->H[k][j][i] = a->H[k][i][j];
+            }
+        }
     }
+    memset(a->g[N], 0, sizeof a->g[N]);
+    memset(a->H[N], 0, sizeof a->H[N]);
     for (int i = 0; i < NX; i++) {
         a->g[N][i] = s->terminal.g[i] - s->lam[N][i];
         for (int j = 0; j <= i; j++) {
-            a->Q[N][i][j] = a->Q[N][j][i] = s->hessian.Q_N[i][j];
+            a->H[N][i][j] = a->H[N][j][i] = s->hessian.Q_N[i][j];
+        }
+    }
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            a->H[k][i][i] += (k > 0) ? gap_weight(s, i) : start_weight(s, i);
         }
     }
 #if NG
@@ -97,42 +146,19 @@ static void assemble(solver_t *s)
 #endif
 }
 
-/* rho_i at node 0: free components of x_0 have no gap. */
-static inline real_t start_weight(const solver_t *s, int i)
-{
-    return s->auglag.penalty * initial_weight[i];
-}
-
-/* y = H v */
-static void multiply(const solver_t *s, real_t (*v)[NZ], real_t (*y)[NZ])
+/* y = H v. The products with B_k are stored one node ahead of their sum. */
+static void multiply(const solver_t *s, real_t (*v)[LDZ], real_t (*y)[LDZ])
 {
     const auglag_t *a = &s->auglag;
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NZ; i++) {
-            real_t sum = R(0);
-            for (int j = 0; j < NZ; j++) {
-                sum += a->Q[k][i][j] * v[k][j];
-            }
-            y[k][i] = sum;
-        }
-    }
-    for (int i = 0; i < NX; i++) {
-        y[0][i] += start_weight(s, i) * v[0][i];
-    }
+    memset(y, 0, sizeof a->d);
     for (int k = 0; k < N; k++) {
-        for (int i = 0; i < NX; i++) {
-            const real_t *row = s->node[k].S[i];
-            real_t gap = -v[k + 1][i];
-            for (int j = 0; j < NZ; j++) {
-                gap += row[j] * v[k][j];
-            }
-            gap *= gap_weight(s, i);
-            y[k + 1][i] -= gap;
-            for (int j = 0; j < NZ; j++) {
-                y[k][j] += row[j] * gap;
-            }
+        for (int l = 0; l < NX; l++) {
+            y[k + 1][l] = riccati_dot(a->B[k][l], v[k], LDZ);
         }
+        add_panels(y[k], v[k], a->H[k][0], LDZ);
+        add_panels(y[k], v[k + 1], a->B[k][0], NX);
     }
+    add_panels(y[N], v[N], a->H[N][0], NX);
 }
 
 /* The box of the steps: bounds of controls and hard bounds of states, and the trust region |d_i| <= radius scale_i. */
@@ -140,7 +166,7 @@ static void set_box(solver_t *s)
 {
     auglag_t *a = &s->auglag;
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NZ; i++) {
+        for (int i = 0; i < LDZ; i++) {
             const real_t reach = (k < N || i < NX) ? a->radius * variable_scale[i] : R(0);
             a->lower[k][i] = -reach;
             a->upper[k][i] = reach;

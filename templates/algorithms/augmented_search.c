@@ -3,29 +3,32 @@
  * variables by conjugate gradients with projected searches, and accepts the step by the ratio of actual and predicted
  * reduction. All lengths are those of the scaled variables. */
 
-/* d = the point of the box next to from + t direction. */
-static void project_step(auglag_t *a, real_t (*d)[NZ], real_t (*from)[NZ], real_t t, real_t (*direction)[NZ])
+/* d = the point of the box next to from + t direction. Returns 1 if that is from + t direction itself. */
+static int project_step(const auglag_t *a, real_t (*d)[LDZ], real_t (*from)[LDZ], real_t t, real_t (*direction)[LDZ])
 {
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NZ; i++) {
-            d[k][i] = clip(from[k][i] + t * direction[k][i], a->lower[k][i], a->upper[k][i]);
-        }
+    const real_t *start = from[0], *p = direction[0], *lower = a->lower[0], *upper = a->upper[0];
+    real_t *end = d[0];
+    int inside = 1;
+    for (int i = 0; i < VARIABLES; i++) {
+        const real_t moved = start[i] + t * p[i];
+        inside &= moved >= lower[i] && moved <= upper[i];
+        end[i] = clip(moved, lower[i], upper[i]);
     }
+    return inside;
 }
 
 /* Direction -scale^2 g of steepest descent in p, without components that leave the box. Returns its slope -p'g. */
 static real_t steepest_descent(auglag_t *a)
 {
-    real_t slope = R(0);
+    memset(a->p, 0, sizeof a->p);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NZ; i++) {
             const real_t p = -variable_scale[i] * variable_scale[i] * a->g[k][i];
             const int leaves = (p > R(0)) ? !(a->upper[k][i] > R(0)) : !(a->lower[k][i] < R(0));
             a->p[k][i] = leaves ? R(0) : p;
-            slope -= a->p[k][i] * a->g[k][i];
         }
     }
-    return slope;
+    return -inner(a->p, a->g);
 }
 
 /* d: the Cauchy point, Hd: H d. Returns the value of the model there, 0 if there is no descent. */
@@ -34,8 +37,10 @@ static real_t cauchy_point(solver_t *s)
     auglag_t *a = &s->auglag;
     const real_t slope = steepest_descent(a);
     real_t t, curvature;
+    memset(a->w, 0, sizeof a->w);
     memset(a->d, 0, sizeof a->d);
     memset(a->Hd, 0, sizeof a->Hd);
+    memset(a->Hp, 0, sizeof a->Hp);
     if (!(slope > R(0)) || !(slope < INF)) {
         return R(0);
     }
@@ -45,56 +50,81 @@ static real_t cauchy_point(solver_t *s)
     t = (t * SQRT(slope) < R(2) * a->radius) ? t : R(2) * a->radius * SQRT(R(VARIABLES) / slope);
     for (int trial = 0; trial < MAX_BACKTRACKS; trial++) {
         real_t linear, value;
-        memset(a->w, 0, sizeof a->w);
-        project_step(a, a->d, a->w, t, a->p);
-        multiply(s, a->d, a->Hd);
+        memset(a->Hd, 0, sizeof a->Hd);
+        if (project_step(a, a->d, a->w, t, a->p)) {
+            add_multiple(a->Hd, t, a->Hp);
+        } else {
+            multiply(s, a->d, a->Hd);
+        }
         linear = inner(a->g, a->d);
         value = linear + R(0.5) * inner(a->d, a->Hd);
-        if (value <= R(0.01) * linear) {
+        if (value <= FACTOR_SUFFICIENT * linear) {
             return value;
         }
-        t *= R(0.25);
+        t *= FACTOR_SHRINK;
     }
     memset(a->d, 0, sizeof a->d);
     memset(a->Hd, 0, sizeof a->Hd);
     return R(0);
 }
 
-/* Fixes the variables that are at a bound of the box; fixed ones remain fixed. Returns the number of newly fixed ones. */
+/* Fixes the variables that are at a bound of the box; fixed ones remain fixed. Returns the last node with a newly fixed
+ * one, -1 if there is none. */
 static int find_face(auglag_t *a)
 {
-    int changes = 0;
+    int last = -1;
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NZ; i++) {
-            const real_t rounding = R(64) * TOL_UNIT * (a->upper[k][i] - a->lower[k][i]);
+        for (int i = 0; i < LDZ; i++) {
+            const real_t rounding = TOL_FACE * (a->upper[k][i] - a->lower[k][i]);
             const int inside = a->d[k][i] > a->lower[k][i] + rounding && a->d[k][i] < a->upper[k][i] - rounding;
-            changes += !inside && a->open[k][i] > R(0);
+            last = (!inside && a->open[k][i] > R(0)) ? k : last;
             a->open[k][i] = inside ? a->open[k][i] : R(0);
         }
     }
-    return changes;
+    return last;
 }
 
-/* y = (H + r scale^-2) v over the free variables, v'y. */
-static real_t multiply_free(solver_t *s, real_t (*v)[NZ], real_t (*y)[NZ])
+/* residual += factor (H + r scale^-2) p over the free variables, where Hp = H p. Returns its squared scaled norm. */
+static real_t update_residual(auglag_t *a, real_t factor)
 {
-    const auglag_t *a = &s->auglag;
-    multiply(s, v, y);
+    real_t sum[4] = {R(0)};
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NZ; i++) {
-            y[k][i] += a->proximal / (variable_scale[i] * variable_scale[i]) * v[k][i];
-            y[k][i] *= a->open[k][i];
+        for (int j = 0; j < LDZ; j += 4) {
+            real_t rest[4];
+            for (int i = 0; i < 4; i++) {
+                const real_t change = a->Hp[k][j + i] + a->proximal * variable_weight[j + i] * a->p[k][j + i];
+                rest[i] = a->open[k][j + i] * (a->residual[k][j + i] + factor * change);
+                sum[i] += rest[i] * rest[i] * (variable_scale[j + i] * variable_scale[j + i]);
+            }
+            for (int i = 0; i < 4; i++) {
+                a->residual[k][j + i] = rest[i];
+            }
         }
     }
-    return inner(v, y);
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-/* Largest t <= most for which d + w + t p is in the box; 0 if d + w is not. */
-static real_t longest_move(const auglag_t *a, real_t (*w)[NZ], real_t (*p)[NZ], real_t most)
+/* p'(H + r scale^-2) p, where Hp = H p. */
+static real_t curvature_along(const auglag_t *a)
+{
+    real_t sum[4] = {R(0)};
+    for (int k = 0; k <= N; k++) {
+        for (int j = 0; j < LDZ; j += 4) {
+            for (int i = 0; i < 4; i++) {
+                const real_t p = a->p[k][j + i];
+                sum[i] += p * (a->Hp[k][j + i] + a->proximal * variable_weight[j + i] * p);
+            }
+        }
+    }
+    return (sum[0] + sum[2]) + (sum[1] + sum[3]);
+}
+
+/* Largest t <= most for which from + t p is in the box; 0 if `from` is not. */
+static real_t longest_move(const auglag_t *a, real_t (*from)[LDZ], real_t (*p)[LDZ], real_t most)
 {
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NZ; i++) {
-            const real_t room = ((p[k][i] > R(0)) ? a->upper[k][i] : a->lower[k][i]) - a->d[k][i] - w[k][i];
+            const real_t room = ((p[k][i] > R(0)) ? a->upper[k][i] : a->lower[k][i]) - from[k][i];
             if (FABS(p[k][i]) * most > FABS(room) || room * p[k][i] < R(0)) {
                 most = (room * p[k][i] > R(0)) ? room / p[k][i] : R(0);
             }
@@ -103,34 +133,49 @@ static real_t longest_move(const auglag_t *a, real_t (*w)[NZ], real_t (*p)[NZ], 
     return most;
 }
 
-/* w: approximate minimiser of the model plus proximal term along the free variables, from d; stops at directions of
- * negative curvature, which it follows. `residual` holds minus the gradient there. */
+/* Adds to w the direction p of negative curvature as far as the box reaches. */
+static void follow(auglag_t *a)
+{
+    real_t move;
+    memcpy(a->residual, a->d, sizeof a->residual);
+    add_multiple(a->residual, R(1), a->w);
+    move = longest_move(a, a->residual, a->p, FACTOR_LONGEST);
+    add_multiple(a->w, move, a->p);
+    add_multiple(a->Hw, move, a->Hp);
+}
+
+/* w: approximate minimiser of the model plus proximal term along the free variables, from d, and Hw = H w; stops at
+ * directions of negative curvature, which it follows. `residual` holds minus the gradient. Where the factors are those
+ * of the matrix itself, one iteration leaves a residual of rounding errors, seen without another substitution. */
 static void conjugate_gradients(solver_t *s)
 {
     auglag_t *a = &s->auglag;
+    const real_t start = update_residual(a, R(0));
     real_t size, first;
     memset(a->w, 0, sizeof a->w);
+    memset(a->Hw, 0, sizeof a->Hw);
     memcpy(a->p, a->residual, sizeof a->p);
     precondition(a, a->p);
     size = first = inner(a->residual, a->p);
     for (int n = 0; n < MAX_CG && size > a->precision * first && size < INF; n++) {
-        const real_t curvature = multiply_free(s, a->p, a->Hp);
+        multiply(s, a->p, a->Hp);
+        const real_t curvature = curvature_along(a);
         s->stats.cg_iterations++;
         if (!(curvature > R(0))) {
             s->stats.negative_curvature++;
-            add_multiple(a->w, longest_move(a, a->w, a->p, R(1e30)), a->p);
+            follow(a);
             return;
         }
         add_multiple(a->w, size / curvature, a->p);
-        add_multiple(a->residual, -size / curvature, a->Hp);
+        add_multiple(a->Hw, size / curvature, a->Hp);
+        if (update_residual(a, -size / curvature) <= a->precision * a->precision * start) {
+            return;
+        }
         memcpy(a->Hp, a->residual, sizeof a->Hp);
         precondition(a, a->Hp);
-        const real_t next = inner(a->residual, a->Hp), ratio = next / size;
-        for (int k = 0; k <= N; k++) {
-            for (int i = 0; i < NZ; i++) {
-                a->p[k][i] = a->Hp[k][i] + ratio * a->p[k][i];
-            }
-        }
+        const real_t next = inner(a->residual, a->Hp);
+        add_multiple(a->Hp, next / size, a->p);
+        memcpy(a->p, a->Hp, sizeof a->p);
         size = next;
     }
 }
@@ -140,24 +185,25 @@ static int projected_search(solver_t *s, real_t *value)
 {
     auglag_t *a = &s->auglag;
     real_t t = R(1);
-    memset(a->residual, 0, sizeof a->residual);
     for (int trial = 0; trial < MAX_BACKTRACKS; trial++) {
-        real_t linear = R(0), found;
-        project_step(a, a->p, a->d, t, a->w);
-        multiply(s, a->p, a->Hp);
-        found = inner(a->g, a->p) + R(0.5) * inner(a->p, a->Hp);
-        for (int k = 0; k <= N; k++) {
-            for (int i = 0; i < NZ; i++) {
-                linear += (a->g[k][i] + a->Hd[k][i]) * (a->p[k][i] - a->d[k][i]);
-            }
+        real_t linear, found;
+        if (project_step(a, a->p, a->d, t, a->w)) {
+            memcpy(a->Hp, a->Hd, sizeof a->Hp);
+            add_multiple(a->Hp, t, a->Hw);
+        } else {
+            multiply(s, a->p, a->Hp);
         }
-        if (linear < R(0) && found <= *value + R(0.01) * linear) {
+        found = inner(a->g, a->p) + R(0.5) * inner(a->p, a->Hp);
+        memcpy(a->residual, a->p, sizeof a->residual);
+        add_multiple(a->residual, -R(1), a->d);
+        linear = inner(a->g, a->residual) + inner(a->Hd, a->residual);
+        if (linear < R(0) && found <= *value + FACTOR_SUFFICIENT * linear) {
             memcpy(a->d, a->p, sizeof a->d);
             memcpy(a->Hd, a->Hp, sizeof a->Hd);
             *value = found;
             return 1;
         }
-        t = (trial == 1) ? longest_move(a, a->residual, a->w, t) : R(0.25) * t;
+        t = (trial == 1) ? longest_move(a, a->d, a->w, t) : FACTOR_SHRINK * t;
     }
     return 0;
 }
@@ -166,15 +212,19 @@ static int projected_search(solver_t *s, real_t *value)
 static real_t refine(solver_t *s, real_t value)
 {
     auglag_t *a = &s->auglag;
+    int last = N;
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NZ; i++) {
+        for (int i = 0; i < LDZ; i++) {
             a->open[k][i] = R(1);
         }
     }
     (void)find_face(a);
-    a->largest = largest_curvature(s);
-    for (int face = 0; face < a->faces; face++) { /* at most FACES_OF_SOLVE passes */
-        a->factorized = factorize(s);
+    a->largest = largest_curvature(a);
+    a->shift = R(0);
+    a->shifts = 0;
+    for (int face = 0; face < a->faces && last >= 0; face++) { /* at most FACES_OF_SOLVE passes */
+        a->factorized = factorize(s, last);
+        memset(a->residual, 0, sizeof a->residual);
         for (int k = 0; k <= N; k++) {
             for (int i = 0; i < NZ; i++) {
                 a->residual[k][i] = -a->open[k][i] * (a->g[k][i] + a->Hd[k][i]);
@@ -182,19 +232,22 @@ static real_t refine(solver_t *s, real_t value)
         }
         conjugate_gradients(s);
         s->stats.faces++;
-        if (!projected_search(s, &value) || find_face(a) == 0) {
-            break;
-        }
+        last = projected_search(s, &value) ? find_face(a) : -1;
     }
     return value;
 }
 
-/* Moves the plan by d, into its bounds exactly; the old plan is kept aside. */
+/* Keeps the plan with its gaps, rows and cost aside, and moves it by d, into its bounds exactly. */
 static void move_plan(solver_t *s)
 {
     auglag_t *a = &s->auglag;
-    memcpy(a->x, s->x, sizeof a->x);
-    memcpy(a->u, s->u, sizeof a->u);
+    memcpy(a->kept_x, s->x, sizeof a->kept_x);
+    memcpy(a->kept_u, s->u, sizeof a->kept_u);
+    memcpy(a->kept_gap, a->gap, sizeof a->kept_gap);
+#if NG
+    memcpy(a->kept_value, a->value, sizeof a->kept_value);
+#endif
+    a->kept_cost = a->cost;
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
             s->x[k][i] += a->d[k][i];
@@ -204,6 +257,19 @@ static void move_plan(solver_t *s)
         }
     }
     project_plan(s);
+}
+
+/* Takes the move back. */
+static void return_plan(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    memcpy(s->x, a->kept_x, sizeof s->x);
+    memcpy(s->u, a->kept_u, sizeof s->u);
+    memcpy(a->gap, a->kept_gap, sizeof a->gap);
+#if NG
+    memcpy(a->value, a->kept_value, sizeof a->value);
+#endif
+    a->cost = a->kept_cost;
 }
 
 /* Largest |d_i| / scale_i */
@@ -219,32 +285,27 @@ static real_t step_length_of(const auglag_t *a)
     return most;
 }
 
-/* One iteration from the linearised plan. Returns 1 if the plan has moved, and then gaps, rows, cost and the estimates
- * of the multipliers belong to the new one. */
+/* One iteration from the model of the plan, assembled. Returns 1 if the plan has moved, and then gaps, rows, cost and
+ * the estimates of the multipliers belong to the new one; else only the radius is smaller. */
 static int descend(solver_t *s)
 {
     auglag_t *a = &s->auglag;
     const real_t before = merit(s), noise = TOL_MERIT_ROUNDING * (R(1) + FABS(before));
-    real_t predicted, ratio, length;
-    assemble(s);
+    real_t ratio, length;
     set_box(s);
-    predicted = -refine(s, cauchy_point(s));
-    a->predicted = predicted;
+    a->predicted = -refine(s, cauchy_point(s));
     length = step_length_of(a);
     move_plan(s);
     evaluate_path(s);
     evaluate_ends(s);
-    ratio = (before - merit(s) + noise) / (predicted + noise);
-    if (ratio > R(0.75) && length > R(0.5) * a->radius) {
-        a->radius *= R(4);
-    } else if (!(ratio > R(0.25))) {
-        a->radius = R(0.25) * ((length < a->radius) ? length : a->radius);
+    ratio = (before - merit(s) + noise) / (a->predicted + noise);
+    if (ratio > FACTOR_GOOD && length > R(0.5) * a->radius) {
+        a->radius *= FACTOR_GROW;
+    } else if (!(ratio > FACTOR_POOR)) {
+        a->radius = FACTOR_SHRINK * ((length < a->radius) ? length : a->radius);
     }
-    if (!(ratio > R(0.01)) || !(ratio < INF)) {
-        memcpy(s->x, a->x, sizeof a->x);
-        memcpy(s->u, a->u, sizeof a->u);
-        evaluate_path(s);
-        evaluate_ends(s);
+    if (!(ratio > FACTOR_SUFFICIENT) || !(ratio < INF)) {
+        return_plan(s);
         return 0;
     }
     s->stats.accepted++;

@@ -33,8 +33,8 @@ static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
     auglag_t *a = &s->auglag;
     const real_t now = violation_of(s);
     update_multipliers(s);
-    if (!(now < R(0.1) * *violation) && now > tol && a->penalty < R(0.1) * MOST_PENALTY) {
-        a->penalty *= R(10);
+    if (!(now < FACTOR_PROGRESS * *violation) && now > tol && a->penalty * FACTOR_STIFFER < R(MOST_PENALTY)) {
+        a->penalty *= FACTOR_STIFFER;
     }
     *violation = now;
     estimate_multipliers(s);
@@ -57,8 +57,8 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
         if (gradient <= accuracy || a->predicted < TOL_UNIT * (R(1) + FABS(a->cost)) || ++since > MAX_INNER) {
             advance_multipliers(s, tol, &violation);
             since = 0;
-            accuracy = R(0.1) * ((accuracy < violation) ? accuracy : violation);
-            accuracy = (accuracy > R(0.1) * tol) ? accuracy : R(0.1) * tol;
+            accuracy = FACTOR_PROGRESS * ((accuracy < violation) ? accuracy : violation);
+            accuracy = (accuracy > FACTOR_PROGRESS * tol) ? accuracy : FACTOR_PROGRESS * tol;
             linearize_plan(s);
             assemble(s);
         }
@@ -91,7 +91,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     }
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
-    s->auglag.precision = R(1e-8);
+    s->auglag.precision = FACTOR_PRECISION_OF_SOLVE;
     s->auglag.faces = FACES_OF_SOLVE;
     s->auglag.predicted = INF;
     status = prepare_here(s);

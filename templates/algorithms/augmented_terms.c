@@ -39,7 +39,7 @@ static void evaluate_ends(solver_t *s)
 /* rho_i of component i of the gap at a node. */
 static inline real_t gap_weight(const solver_t *s, int i)
 {
-    return s->auglag.penalty * state_weight[i];
+    return s->auglag.penalty * variable_weight[i];
 }
 
 #if NG

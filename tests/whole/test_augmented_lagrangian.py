@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -236,6 +237,40 @@ def test_the_control_is_finite_and_inside_its_bounds(precision: Any, data: st.Da
     for _ in range(12):
         controller.step(problem.x_initial)
     assert controller.status is Status.OK
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_nothing_stays_in_the_work_arrays(number: float) -> None:
+    """Numbers of an earlier sample that are not finite, also those in the padding of rows, change nothing later."""
+    first = build(cstr.build_ocp(), options())
+    assert first.view("auglag.g").shape[1] > first.x.shape[1] + first.u.shape[1]  # rows have padding
+    x0 = np.array(classify(cstr.build_ocp()).x_initial)
+    first.step(x0)
+    second = first.copy()
+    scratch = ("H", "B", "L", "W", "g", "lower", "upper", "open", "d", "Hd", "w", "Hw", "residual", "p", "Hp")
+    for name in (*scratch, "kept_x", "kept_u", "kept_gap"):
+        second.view(f"auglag.{name}")[...] = number
+    for _ in range(2):
+        np.testing.assert_array_equal(second.step(x0), first.step(x0))
+        assert second.status is Status.OK
+
+
+def test_a_goal_out_of_reach() -> None:
+    """Hard rows that no control satisfies: controls inside their bounds, the violation in the statistics."""
+    ocp = OCP("far", T=1.0, N=4)
+    x, u = ocp.state("x", initial=0.0), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(5, x + 0.1 * x**2, 6, at="end", name="goal")
+    controller = build(ocp, options())
+    for _ in range(30):
+        u0 = controller.step([0.0])
+        assert np.all(np.abs(u0) <= 1)
+        assert controller.stats.violation > 0.1
+    np.testing.assert_allclose(controller.u, 1.0, atol=1e-6)  # as near to the goal as possible
+    assert controller.solve([0.0], max_iterations=100).status is Status.ITERATION_LIMIT
+    assert np.all(np.abs(controller.step([0.0])) <= 1)
 
 
 def test_feedback_without_prepare_and_nan() -> None:

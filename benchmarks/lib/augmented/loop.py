@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.lib.augmented import instructions
 from benchmarks.lib.report import Report
 from examples import bioreactor
 from nmpc_codegen import (
@@ -46,22 +47,20 @@ class Loop:
     failed: int
 
 
-def controller(**algorithm: object) -> Controller:
-    """The controller of the paper, with other options of the algorithm."""
-    chosen = AugmentedLagrangian(shift="periodic", **algorithm)  # type: ignore[arg-type]
-    return build(
-        bioreactor.build_ocp(soft=True), Options(integrator=ExplicitRungeKutta(RK4, steps=3), algorithm=chosen)
-    )
+#: The controller of the paper, and the real-time iteration with the exact Hessian, mirrored where it is indefinite.
+AUGMENTED = Options(
+    integrator=ExplicitRungeKutta(RK4, steps=3), algorithm=AugmentedLagrangian(iterations=3, shift="periodic")
+)
+EXACT = Options(
+    integrator=ExplicitRungeKutta(RK4, steps=3),
+    hessian=ExactHessian(Mirror(level="reduced")),
+    algorithm=RealTimeIteration(shift="periodic"),
+)
 
 
-def exact_real_time() -> Controller:
-    """The real-time iteration with the exact Hessian, reduced and mirrored where it is indefinite."""
-    chosen = Options(
-        integrator=ExplicitRungeKutta(RK4, steps=3),
-        hessian=ExactHessian(Mirror(level="reduced")),
-        algorithm=RealTimeIteration(shift="periodic"),
-    )
-    return build(bioreactor.build_ocp(soft=True), chosen)
+def built(options: Options) -> Controller:
+    """The bioreactor with soft periodicity."""
+    return build(bioreactor.build_ocp(soft=True), options)
 
 
 @cache
@@ -106,7 +105,7 @@ def measure(report: Report, scale: float) -> None:
     found: dict[str, tuple[Loop, np.ndarray]] = {}
     repeats = max(1, round(5 * scale))
     for name, jump in JUMPS.items():
-        loop, us = found[name] = fastest(controller(), jump, repeats)
+        loop, us = found[name] = fastest(built(AUGMENTED), jump, repeats)
         produced = bioreactor.productivity(loop, SAMPLES - bioreactor.N, SAMPLES)  # type: ignore[arg-type]
         report.add("closed_loop_productivity", produced, "g/(L h)", case=name, limit=0.99 * OPTIMUM, at_least=True)
         report.add("productivity_error", abs(produced / OPTIMUM - 1), case=name, limit=0.01)
@@ -117,9 +116,13 @@ def measure(report: Report, scale: float) -> None:
         report.add("worst_over_median", float(us.max() / np.median(us)), case=name, n=repeats, limit=3.0)
         report.add("cg_iterations", float(np.mean([s.cg_iterations for s in loop.stats])), "per sample", case=name)
         report.add("failed", loop.failed, case=name, limit=0)
-        _, exact = fastest(exact_real_time(), jump, repeats)
+        _, exact = fastest(built(EXACT), jump, repeats)
         report.add("exact_real_time_us", float(np.mean(exact)), "us", case=name, n=repeats)
         report.add("exact_worst_over_median", float(exact.max() / np.median(exact)), case=name, n=repeats)
+        if instructions.available():
+            for key, options in (("average_instructions", AUGMENTED), ("exact_instructions", EXACT)):
+                count = instructions.per_sample(bioreactor.build_ocp(soft=True), options, jump)
+                report.add(key, count, "instructions", case=name, profile="fast, AVX2")
     draw(found, Path("out/augmented_lagrangian.png"))
 
 

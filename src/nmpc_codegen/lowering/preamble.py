@@ -14,7 +14,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_framed import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.tolerances import TOLERANCES, tolerance
+from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
 from nmpc_codegen.runtime.package_description import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
@@ -87,11 +87,12 @@ def conditions(module: CModule) -> str:
 
 
 def arithmetic(precision: str) -> list[tuple[str, str]]:
-    """(macro, text): functions of math.h, infinity and tolerances in the working precision."""
+    """(macro, text): functions of math.h, infinity, tolerances and factors in the working precision."""
     style = unit_style(precision)
     functions = [(name.upper(), style.function(name)) for name in FUNCTIONS]
     tolerances = [(f"TOL_{name.upper()}", style.literal(tolerance(name, precision))) for name in TOLERANCES]
-    return [*functions, ("INF", "((real_t)INFINITY)"), *tolerances]
+    factors = [(f"FACTOR_{name.upper()}", style.literal(value)) for name, (value, _) in FACTORS.items()]
+    return [*functions, ("INF", "((real_t)INFINITY)"), *tolerances, *factors]
 
 
 def accessors(module: CModule) -> list[Definition]:

@@ -44,9 +44,25 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),
     "eigen_offdiagonal": (1.0, "element off the diagonal that Jacobi rotations leave, relative to the largest entry"),
     "eigen_tiny": (2.0**-40, "entries below it, relative to the largest, do not count in a decomposition"),
+    "face": (2.0**6, "distance from a bound of the box that is taken as zero, relative to its width"),
     "step_count": (2.0**12, "part of an integration step that is taken as rounding of dt / h"),
 }
 
+#: Thresholds of methods that are the same in every precision.
+FACTORS: dict[str, tuple[float, str]] = {
+    "sufficient": (0.01, "share of the predicted decrease below which a step is refused"),
+    "good": (0.75, "the same above which a long step enlarges the trust region"),
+    "poor": (0.25, "the same below which the trust region shrinks"),
+    "shrink": (0.25, "ratio of successive radii of a trust region and of successive trials of a projected search"),
+    "grow": (4.0, "ratio of radii where the model is good"),
+    "longest": (1e30, "multiple of a direction of negative curvature that is tried"),
+    "first_shift": (0.01, "first shift of an indefinite block, relative to the largest curvature of the stages"),
+    "next_shift": (10.0, "ratio of successive shifts"),
+    "precision": (1e-4, "squared residual of conjugate gradients, preconditioned, relative to the first one"),
+    "precision_of_solve": (1e-8, "the same in solve()"),
+    "progress": (0.1, "decrease of the violation between updates of multipliers that keeps the penalty"),
+    "stiffer": (10.0, "ratio of successive penalties"),
+}
 
 #: Multiples of the square root of the machine epsilon below which a tolerance does not fall.
 ROOTS: dict[str, float] = {"qp_accepted": 0.25, "step": 0.5, "ipm_ray": 2.0**-4, "ipm_contradiction": 2.0**-10}

@@ -36,6 +36,7 @@ from nmpc_codegen.components.base import Core, Defaults, Dims, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.runtime.package_description import EntryPoint
 
 PREPARE = EntryPoint(
@@ -134,8 +135,8 @@ class AugmentedLagrangian(Defaults):
         measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
         declared = variable_scales(problem)
         scale = declared if self.scaling == "declared" else np.ones_like(declared)
-        state = 1.0 / scale[: problem.nx] ** 2
-        initial = [0.0 if i in problem.free_initial else w for i, w in enumerate(state)]
+        weight, padding = 1.0 / scale**2, (0.0,) * (-scale.size % PANEL)
+        initial = [0.0 if i in problem.free_initial else w for i, w in enumerate(weight[: problem.nx])]
         rows = problem.qp_rows
         soft = [problem.rows[row].soft is not None for _, _, _, row in rows]
         relaxed = tuple(2 * int(s) or int(kind != 0) for (_, kind, _, _), s in zip(rows, soft, strict=True))
@@ -150,9 +151,9 @@ class AugmentedLagrangian(Defaults):
             Table("penalty_weight", "real", (float(self.penalty),), "penalty of gaps and rows in their scales"),
             Table("proximal_weight", "real", (float(self.proximal),), "weight of the proximal term"),
             Table("initial_radius", "real", (float(self.radius),), "of the trust region"),
-            Table("variable_scale", "real", tuple(scale), "scales of (x, u)"),
-            Table("state_weight", "real", tuple(state), "1 / scale^2 of the states"),
-            Table("initial_weight", "real", tuple(initial), "the same at node 0, 0 for free components of x_0"),
+            Table("variable_scale", "real", (*scale, *padding), "scales of (x, u), with padding"),
+            Table("variable_weight", "real", (*weight, *padding), "1 / scale^2, with padding"),
+            Table("initial_weight", "real", tuple(initial), "the same of x_0, 0 for free components"),
             Table("row_weight", "real", tuple(1.0 / row_scales(problem, declared) ** 2), "1 / scale^2 of row m"),
             Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
             Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
@@ -164,7 +165,8 @@ class AugmentedLagrangian(Defaults):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
-            ("VARIABLES", (dims.N.value + 1) * dims.nz.value, "(N + 1) NZ"),
+            ("LDZ", _padded(dims).value, "NZ rounded up to a multiple of 4"),
+            ("VARIABLES", (dims.N.value + 1) * _padded(dims).value, "(N + 1) LDZ"),
             ("ITERATIONS", self.iterations, "Newton iterations of a sample"),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
@@ -193,6 +195,10 @@ class AugmentedLagrangian(Defaults):
         return (_stats(), _auglag(dims), Struct("solver", "", (*keep, *results)))
 
 
+def _padded(dims: Dims) -> Size:
+    return Size("LDZ", -(-dims.nz.value // PANEL) * PANEL)
+
+
 def _stats() -> Struct:
     def count(name: str, doc: str) -> Field:
         return Field(name, (), doc, "result", "int32")
@@ -215,7 +221,8 @@ def _stats() -> Struct:
 
 def _auglag(dims: Dims) -> Struct:
     nodes = Size("N + 1", dims.N.value + 1)
-    step = (nodes, dims.nz)
+    padded = _padded(dims)
+    step, states, controls = (nodes, padded), (nodes, dims.nx), (dims.N, dims.nu)
 
     def real(name: str, shape: tuple[Size, ...], doc: str) -> Field:
         return Field(name, shape, doc, "scratch")
@@ -224,9 +231,9 @@ def _auglag(dims: Dims) -> Struct:
         "auglag",
         "augmented Lagrangian",
         (
-            real("lam", (nodes, dims.nx), "multipliers of the gaps after the last update"),
+            real("lam", states, "multipliers of the gaps after the last update"),
             real("row", (dims.ng,), "multipliers of the relaxed rows after the last update"),
-            real("gap", (nodes, dims.nx), "xhat - x_0, Phi_k - x_{k+1}"),
+            real("gap", states, "xhat - x_0, Phi_k - x_{k+1}"),
             real("value", (dims.ng,), "values of the rows"),
             real("curvature", (dims.ng,), "second derivatives of their terms"),
             real("cost", (), "cost of the plan"),
@@ -239,9 +246,12 @@ def _auglag(dims: Dims) -> Struct:
             real("predicted", (), "reduction that the last step promised"),
             Field("faces", (), "faces that an iteration visits at most", "scratch", "int32"),
             Field("factorized", (), "1: the factors exist", "scratch", "int32"),
-            real("Q", (nodes, dims.nz, dims.nz), "Hessian blocks of the nodes"),
-            real("L", (nodes, dims.nz, dims.nz), "their factors"),
-            real("W", (dims.N, dims.nx, dims.nz), "factors of the couplings"),
+            real("shift", (), "of the factorisation"),
+            Field("shifts", (), "shifts of this iteration", "scratch", "int32"),
+            real("H", (nodes, padded, padded), "blocks H_k of the Hessian of the model"),
+            real("B", (dims.N, dims.nx, padded), "blocks B_k between x_{k+1} and node k"),
+            real("L", (nodes, padded, padded), "factors of the blocks"),
+            real("W", (dims.N, dims.nx, padded), "factors of the couplings"),
             real("g", step, "gradient"),
             real("lower", step, "lower bounds of the step"),
             real("upper", step, "upper bounds of the step"),
@@ -249,10 +259,14 @@ def _auglag(dims: Dims) -> Struct:
             real("d", step, "step"),
             real("Hd", step, "H d"),
             real("w", step, "direction on a face"),
+            real("Hw", step, "H w"),
             real("residual", step, "residual of conjugate gradients"),
             real("p", step, "their direction"),
             real("Hp", step, "H p"),
-            real("x", (nodes, dims.nx), "states before the step"),
-            real("u", (dims.N, dims.nu), "controls before the step"),
+            real("kept_x", states, "states before the step"),
+            real("kept_u", controls, "controls before the step"),
+            real("kept_gap", states, "gaps before the step"),
+            real("kept_value", (dims.ng,), "values of the rows before the step"),
+            real("kept_cost", (), "cost before the step"),
         ),
     )

@@ -1,0 +1,95 @@
+/* Four rows of a matrix product: c[r][j] += sum_{l<n} a[l][r] b[l][j], r < 4, j < 8. */
+static inline void riccati_block_8(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n)
+{
+    real_t s0[8] = {0}, s1[8] = {0}, s2[8] = {0}, s3[8] = {0};
+    for (int l = 0; l < n; l++) {
+        const real_t a0 = a[0], a1 = a[1], a2 = a[2], a3 = a[3];
+        for (int i = 0; i < 8; i++) {
+            s0[i] += a0 * b[i];
+        }
+        for (int i = 0; i < 8; i++) {
+            s1[i] += a1 * b[i];
+        }
+        for (int i = 0; i < 8; i++) {
+            s2[i] += a2 * b[i];
+        }
+        for (int i = 0; i < 8; i++) {
+            s3[i] += a3 * b[i];
+        }
+        a += lda;
+        b += ldb;
+    }
+    for (int i = 0; i < 8; i++) {
+        c[i] += s0[i];
+    }
+    for (int i = 0; i < 8; i++) {
+        c[ldc + i] += s1[i];
+    }
+    for (int i = 0; i < 8; i++) {
+        c[2 * ldc + i] += s2[i];
+    }
+    for (int i = 0; i < 8; i++) {
+        c[3 * ldc + i] += s3[i];
+    }
+}
+
+/* The same for j < 4. */
+static inline void riccati_block_4(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n)
+{
+    real_t s0[4] = {0}, s1[4] = {0}, s2[4] = {0}, s3[4] = {0};
+    for (int l = 0; l < n; l++) {
+        const real_t a0 = a[0], a1 = a[1], a2 = a[2], a3 = a[3];
+        for (int i = 0; i < 4; i++) {
+            s0[i] += a0 * b[i];
+        }
+        for (int i = 0; i < 4; i++) {
+            s1[i] += a1 * b[i];
+        }
+        for (int i = 0; i < 4; i++) {
+            s2[i] += a2 * b[i];
+        }
+        for (int i = 0; i < 4; i++) {
+            s3[i] += a3 * b[i];
+        }
+        a += lda;
+        b += ldb;
+    }
+    for (int i = 0; i < 4; i++) {
+        c[i] += s0[i];
+    }
+    for (int i = 0; i < 4; i++) {
+        c[ldc + i] += s1[i];
+    }
+    for (int i = 0; i < 4; i++) {
+        c[2 * ldc + i] += s2[i];
+    }
+    for (int i = 0; i < 4; i++) {
+        c[3 * ldc + i] += s3[i];
+    }
+}
+
+/* c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < width; width is a multiple of 4. */
+static void riccati_rows(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n, int width)
+{
+    int j;
+    for (j = 0; j + 8 <= width; j += 8) {
+        riccati_block_8(c + j, ldc, a, lda, b + j, ldb, n);
+    }
+    if (j < width) {
+        riccati_block_4(c + j, ldc, a, lda, b + j, ldb, n);
+    }
+}
+
+/* y[j] += a x[j],  j < n; n is a multiple of 4. */
+static inline void riccati_add(real_t *y, real_t a, const real_t *x, int n)
+{
+    for (int j = 0; j < n; j += 4) {
+        real_t s[4];
+        for (int i = 0; i < 4; i++) {
+            s[i] = y[j + i] + a * x[j + i];
+        }
+        for (int i = 0; i < 4; i++) {
+            y[j + i] = s[i];
+        }
+    }
+}
