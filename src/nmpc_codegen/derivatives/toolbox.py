@@ -32,11 +32,11 @@ BY_ROWS = ("adjoint", "adjoint_matrices")
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """x (N + 1, nx), z (N, nout) and J of a simulation."""
+    """x (N + 1, nx), z (N, nout) and the cost J of a simulation."""
 
     x: Array
     z: Array
-    J: float
+    cost: float
 
 
 class Derivatives:
