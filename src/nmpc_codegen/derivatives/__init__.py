@@ -7,7 +7,17 @@ of J, the impulse response matrix dz/du and the sensitivities of the states, eac
 algorithms are those of the NTNU thesis of 2009 on adjoint derivatives in NMPC, called [T09].
 """
 
-from nmpc_codegen.derivatives.package import Folder, build, export, generate
+from nmpc_codegen.derivatives.package import Folder, build, export, generate, operations
 from nmpc_codegen.derivatives.toolbox import GRADIENTS, IMPULSE_RESPONSES, Derivatives, Trajectory
 
-__all__ = ["GRADIENTS", "IMPULSE_RESPONSES", "Derivatives", "Folder", "Trajectory", "build", "export", "generate"]
+__all__ = [
+    "GRADIENTS",
+    "IMPULSE_RESPONSES",
+    "Derivatives",
+    "Folder",
+    "Trajectory",
+    "build",
+    "export",
+    "generate",
+    "operations",
+]

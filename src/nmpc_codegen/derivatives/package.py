@@ -93,6 +93,15 @@ def export(
     return Folder(folder, prefix, tuple(folder / path for path in sources), Counts(model).all, sizes)
 
 
+def operations(ocp: OCP, outputs: Any = None, options: Options | None = None) -> dict[str, OpCount]:
+    """Exact operations of every function of the package, without writing or compiling it; see generate().
+
+    Raises:
+        ProblemError, OptionError: see generate().
+    """
+    return Counts(derivative_model(ocp, outputs, None, options)).all
+
+
 def build(
     ocp: OCP,
     outputs: Any = None,
