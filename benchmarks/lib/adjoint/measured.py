@@ -36,7 +36,7 @@ class Timed:
     rows: Any
 
     def seconds(self, function: str) -> float:
-        """Seconds of one call of a C function: the least mean of several runs."""
+        """CPU seconds of one call of a C function: the least mean of several runs."""
         call, arguments = self._call(function)
         n, spent = 1, _run(call, arguments, 1)
         while spent < SECONDS:
@@ -62,10 +62,10 @@ class Timed:
 
 
 def _run(call: Callable[..., Any], arguments: tuple[Any, ...], n: int) -> float:
-    begin = time.perf_counter()
+    begin = time.process_time()
     for _ in range(n):
         call(*arguments)
-    return time.perf_counter() - begin
+    return time.process_time() - begin
 
 
 def compiled(case: Case, profile: str = "fast") -> Timed:
