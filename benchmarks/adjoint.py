@@ -12,12 +12,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.lib import command
-from benchmarks.lib.adjoint import accuracy, horizon, integration, penalties, reactor
+from benchmarks.lib.adjoint import accuracy, choice, horizon, integration, penalties, reactor
 from benchmarks.lib.report import Report
 
 #: Part -> its function, which adds records and writes its pictures to the folder.
 PARTS: dict[str, Callable[[Report, Path], None]] = {
     "accuracy": accuracy.measure,
+    "choice": choice.measure,
     "gradient": horizon.measure_gradient,
     "impulse_response": horizon.measure_impulse_response,
     "reactor": reactor.measure,

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
+from benchmarks.lib.adjoint import choice
+from benchmarks.lib.doors.snippets import ROOT, blocks
 from benchmarks.lib.house.coverage import DERIVATIVES, conditions
 from nmpc_codegen import OCP, Discrete, ExplicitRungeKutta, GaussNewton, Online, Options, RealTimeIteration, derivatives
 from nmpc_codegen.derivatives.render import PARTS
@@ -247,3 +249,19 @@ def test_missing_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(BuildError, match="no-such-compiler"):
         derivatives.build(discrete_map(), profile="test", name="never_built")
+
+
+def test_page_of_the_docs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its program runs; its tables hold the operations that the compiler states."""
+    monkeypatch.chdir(tmp_path)
+    (block,) = blocks("docs/derivatives.md")
+    names: dict[str, Any] = {}
+    exec(block.text, names)
+    np.testing.assert_allclose(names["last"], names["Xi"][-1:], rtol=0, atol=1e-12)
+    assert float(capsys.readouterr().out.split()[0]) == names["run"].cost
+    assert (tmp_path / "out" / "crane_derivatives" / "crane_derivatives.c").exists()
+    page = (ROOT / "docs" / "derivatives.md").read_text(encoding="utf-8")
+    for title, rows in choice.tables().items():
+        assert f"| {title} | {' | '.join(choice.CASES)} |" in page
+        for row, values in rows.items():
+            assert f"| {row} | {' | '.join(f'{v:,}' for v in values)} |" in page

@@ -191,8 +191,12 @@ def measure_rod(report: Report, folder: Path) -> None:
     forced = tools.simulate(np.zeros(nx), np.sin(2 * np.pi * np.arange(N) / 120)[:, None]).x
     figure, axes = drawing.axes(1, 2, height=3.6)
     place, t = np.arange(1, nx + 1) / (nx + 1), np.arange(N + 1) * 1.0
-    for axis, values, title in ((axes[0, 0], free, "zero-input response"), (axes[0, 1], forced, "zero-state response")):
-        picture = axis.pcolormesh(place, t, values, cmap="inferno", shading="nearest")
+    for axis, values, title, low in (
+        (axes[0, 0], free, "zero-input response", 0.0),
+        (axes[0, 1], forced, "zero-state response", -1.0),
+    ):
+        cmap = "coolwarm" if low else "inferno"
+        picture = axis.pcolormesh(place, t, values, cmap=cmap, shading="nearest", vmin=low, vmax=1.0)
         axis.set(xlabel="place along the rod", ylabel="t [s]", title=title)
         figure.colorbar(picture, ax=axis)
     drawing.save(figure, folder, "figure_6_14")
