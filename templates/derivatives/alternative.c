@@ -33,7 +33,7 @@ status_t API(sensitivities_alternative)(const data_t *d, int k, response_t *s)
 }
 
 /* Algorithms 6.8 and 6.9: g_k = r_k + sum_{k<n<N} q_n' S_n + q_N' S_N. The first pass, k = 0, yields all states. */
-status_t API(gradient_alternative)(const data_t *d, response_t *s, real_t *g)
+status_t API(gradient_alternative)(const data_t *d, response_t *s, real_t (*g)[NU])
 {
     if (!data_finite(d)) {
         return NOT_FINITE;
@@ -44,11 +44,11 @@ status_t API(gradient_alternative)(const data_t *d, response_t *s, real_t *g)
         if (k == 0) {
             cost_gradients(d, &s->nodes);
         }
-        start_gradient(&s->nodes, k, &g[k * NU]);
+        start_gradient(&s->nodes, k, g[k]);
         for (int n = k + 1; n < N; n++) {
-            add_columns(s->nodes.g[n], &s->S[n][0][0], &g[k * NU]);
+            add_columns(s->nodes.g[n], &s->S[n][0][0], g[k]);
         }
-        add_columns(s->nodes.g_N, &s->S[N][0][0], &g[k * NU]);
+        add_columns(s->nodes.g_N, &s->S[N][0][0], g[k]);
     }
-    return finite_or(g, N * NU);
+    return finite_or(&g[0][0], N * NU);
 }

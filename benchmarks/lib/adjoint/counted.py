@@ -18,11 +18,11 @@ ARGUMENTS = {
     "gradient_adjoint": "&n, out",
     "gradient_adjoint_matrices": "&m, out",
     "gradient_alternative": "&s, out",
-    "impulse_response_finite_differences": "&t, 1e-3, out",
-    "impulse_response_forward": "&m, out",
-    "impulse_response_adjoint": "&n, rows, PREFIX_N * PREFIX_NOUT, out",
-    "impulse_response_adjoint_matrices": "&m, rows, PREFIX_N * PREFIX_NOUT, out",
-    "impulse_response_alternative": "&s, out",
+    "impulse_response_finite_differences": "&t, 1e-3, Xi",
+    "impulse_response_forward": "&m, Xi",
+    "impulse_response_adjoint": "&n, rows, PREFIX_N * PREFIX_NOUT, Xi",
+    "impulse_response_adjoint_matrices": "&m, rows, PREFIX_N * PREFIX_NOUT, Xi",
+    "impulse_response_alternative": "&s, Xi",
 }
 
 #: The product of all matrices of every block, one by one: what forward and adjoint methods avoid.
@@ -37,18 +37,19 @@ def counted(sources: Sources, name: str, functions: list[str], more: str = "") -
         more,
     ]
     start = [f"    {name}_init(&d);", f"    {name}_sensitivities(&d, &m);"]
-    calls = {f: f"{name}_{f}(&d, {ARGUMENTS.get(f, '&m, out')})" for f in functions}
+    calls = {f: f"{name}_{f}(&d, {ARGUMENTS.get(f, '&m, Xi')})" for f in functions}
     found = run_program(sources, name, declarations, start, {}, calls)
     return {f: OpCount(**dict(zip(CLASSES, found[f].values(), strict=True))) for f in functions}
 
 
 STRUCTS = ("data", "trajectory", "nodes", "linearization", "response")
 OUTPUTS = {
-    False: ["static real_t out[PREFIX_N * PREFIX_NU];"],
+    False: ["static real_t out[PREFIX_N][PREFIX_NU];"],
     True: [
         "static int rows[PREFIX_N * PREFIX_NOUT];",
         "static int numbered() { for (int i = 0; i < PREFIX_N * PREFIX_NOUT; i++) { rows[i] = i; } return 0; }",
         "static int ready = numbered();",
-        "static real_t out[PREFIX_N * PREFIX_NOUT * PREFIX_N * PREFIX_NU];",
+        "static real_t out[PREFIX_N][PREFIX_NU];",
+        "static real_t Xi[PREFIX_N * PREFIX_NOUT][PREFIX_N][PREFIX_NU];",
     ],
 }

@@ -25,6 +25,7 @@ SECONDS = 0.02  # of one measurement, at least
 REPEATS = 7
 
 NAME = "tools"
+UPPER = NAME.upper()
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +74,7 @@ def compiled(case: Case, profile: str = "fast") -> Timed:
     model = derivative_model(case.ocp, case.outputs, None, case.options)
     sources = dict(derivatives.generate(case.ocp, case.outputs, case.options, NAME))
     declared = f"{NAME}_status_t {NAME}_impulse_response_structure_ignored(\n"
-    declared += f"    const {NAME}_data_t *d, {NAME}_linearization_t *m, {NAME}_real *Xi);\n"
+    declared += f"    const {NAME}_data_t *d, {NAME}_linearization_t *m, {NAME}_real Xi[][{UPPER}_N][{UPPER}_NU]);\n"
     end = "/* end declarations */"
     sources[f"{NAME}.h"] = sources[f"{NAME}.h"].replace(end, declared + end)
     sources[f"{NAME}.c"] += IGNORING_STRUCTURE.read_text(encoding="utf-8")

@@ -1,6 +1,6 @@
 
 /* Xi with every block multiplied out from its own factors, C_n A_{n-1} ... A_{k+1} B_k: O(N^3), for comparison only. */
-status_t API(impulse_response_structure_ignored)(const data_t *d, linearization_t *m, real_t *Xi)
+status_t API(impulse_response_structure_ignored)(const data_t *d, linearization_t *m, real_t (*Xi)[N][NU])
 {
     real_t phi[NX][NU];
     if (!data_finite(d)) {
@@ -18,5 +18,5 @@ status_t API(impulse_response_structure_ignored)(const data_t *d, linearization_
             add_block(&m->nodes, n, k, &phi[0][0], Xi);
         }
     }
-    return finite_or(Xi, N * NOUT * N * NU);
+    return finite_or(&Xi[0][0][0], N * NOUT * N * NU);
 }

@@ -32,16 +32,19 @@ class Member:
         return " * ".join(f"({m})" if "+" in m else m for m in self.macros)
 
     @property
+    def outer(self) -> tuple[str, ...]:
+        """The first size of an array of two dimensions."""
+        return self.macros[:-1]
+
+    @property
     def element(self) -> str:
-        """C text of the index of number i of such an array."""
-        return "[i]" if len(self.macros) == 1 else f"[i / {self.macros[1]}][i % {self.macros[1]}]"
+        """C text of the index of entry i, of node k in an array of two dimensions."""
+        return "[k]" * len(self.outer) + "[i]"
 
     @property
     def value(self) -> str:
-        """C text of the declared value of number i of a member of the data: controls are zero."""
-        if self.name == "u":
-            return "R(0)"
-        return f"default_{self.name}[i{'' if len(self.macros) == 1 else f' % {self.macros[1]}'}]"
+        """C text of the declared value of entry i of a member of the data: controls are zero."""
+        return "R(0)" if self.name == "u" else f"default_{self.name}[i]"
 
     def first(self, prefix: str) -> str:
         """C text of the address of its first number."""
@@ -160,8 +163,8 @@ def size_of(struct: Struct, every: tuple[Struct, ...], precision: str) -> int:
     )
 
 
-_DATA, _OUT = "const data_t *d", "real_t *g"
-_XI, _STEP, _ROWS = "real_t *Xi", "real_t step", ("const int *rows", "int n_rows")
+_DATA, _OUT = "const data_t *d", "real_t g[N][NU]"
+_XI, _STEP, _ROWS = "real_t Xi[][N][NU]", "real_t step", ("const int *rows", "int n_rows")
 
 _GRADIENT = (
     Function(
@@ -182,7 +185,7 @@ _GRADIENT = (
     Function(
         "gradient_finite_differences",
         (_DATA, "trajectory_t *t", _STEP, _OUT),
-        "g[k * NU + j] = dJ / du_k[j] by simulations with u_k[j] + step max(1, |u_k[j]|), Algorithm 6.1; t gets the "
+        "g[k][j] = dJ / du_k[j] by simulations with u_k[j] + step max(1, |u_k[j]|), Algorithm 6.1; t gets the "
         "simulation of the controls themselves. BAD_ARGUMENT for a step below the machine epsilon.",
     ),
     Function(
@@ -210,8 +213,7 @@ _IMPULSE_RESPONSE = (
     Function(
         "impulse_response_finite_differences",
         (_DATA, "trajectory_t *t", _STEP, _XI),
-        "Xi[(n * NOUT + i) * N * NU + k * NU + j] = dz_n[i] / du_k[j] by simulations, Algorithm 6.4; see "
-        "gradient_finite_differences.",
+        "Xi[n * NOUT + i][k][j] = dz_n[i] / du_k[j] by simulations, Algorithm 6.4; see gradient_finite_differences.",
     ),
     Function(
         "impulse_response_forward",

@@ -132,10 +132,15 @@ def _prefixed(text: str, name: str) -> str:
 def _prototype(function: Function, name: str) -> str:
     """Declaration of an entry point in the header."""
     public = (argument.replace("real_t", "real") for argument in function.arguments)
-    arguments = ", ".join(re.sub(r"\b(\w+_t|real)\b", rf"{name}_\1", argument) for argument in public)
+    typed = (re.sub(r"\b(\w+_t|real)\b", rf"{name}_\1", argument) for argument in public)
+    arguments = ", ".join(_prefixed(argument, name) if "[" in argument else argument for argument in typed)
     head = f"{name}_status_t {name}_{function.name}("
     one_line = f"{head}{arguments});"
-    return one_line if len(one_line) <= WIDTH else f"{head}\n    {arguments});"
+    if len(one_line) <= WIDTH:
+        return one_line
+    glued = re.sub(r"(?<!,) ", "\0", arguments)
+    lines = wrap(f"{glued});", WIDTH, initial_indent="    ", subsequent_indent="    ", break_long_words=False)
+    return "\n".join([head, *lines]).replace("\0", " ")
 
 
 def _preamble(name: str, found: list[Definition], used: set[str]) -> str:
@@ -150,7 +155,8 @@ def _preamble(name: str, found: list[Definition], used: set[str]) -> str:
 
 def _definitions(model: DerivativeModel, name: str) -> list[Definition]:
     """Every macro that the unit may use."""
-    constants = [(macro, f"{name.upper()}_{macro}") for macro, _, _ in macros(model)]
+    constants = [(macro, f"{name.upper()}_{macro}") for macro, _, _ in macros(model)[1:]]
+    constants.insert(0, ("N", "NMPC_CODEGEN_UNIT"))
     constants += [(status.name, f"{name.upper()}_{status.name}") for status in STATUSES]
     constants += arithmetic(model.precision)
     parametric: list[Definition] = [("API", "name", f"{name}_##name"), REAL_CONSTANT]

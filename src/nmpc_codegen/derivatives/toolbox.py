@@ -257,4 +257,4 @@ class Derivatives:
         return flat.reshape(shape)
 
     def _pointer(self, array: Array) -> Any:
-        return self._ffi.cast(f"{self.name}_real *", array.ctypes.data)
+        return self._ffi.cast("void *", array.ctypes.data)
