@@ -24,6 +24,9 @@ from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.package_description import Precision
 
+#: Entries of a matrix that C can count by its type int.
+MOST_ENTRIES = 2**31 - 1
+
 
 @dataclass(frozen=True, eq=False)
 class DerivativeModel:
@@ -65,7 +68,8 @@ def derivative_model(ocp: OCP, outputs: Any, names: Sequence[str] | None, option
 
     Raises:
         ProblemError: the problem or the outputs are stated wrongly.
-        OptionError: the integrator does not support the problem, or the problem has a start cost or a free x_0.
+        OptionError: the integrator does not support the problem, or the problem has a start cost or a free x_0, or
+            the impulse response matrix is too large for C.
     """
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
@@ -75,6 +79,11 @@ def derivative_model(ocp: OCP, outputs: Any, names: Sequence[str] | None, option
     integrator = _integrator(problem, chosen)
     _refuse(problem)
     names, z = outputs_of(ocp, problem, outputs, names)
+    entries = problem.N**2 * problem.nu * len(names)
+    if entries > MOST_ENTRIES:
+        raise OptionError(
+            f"{problem.name}: the impulse response matrix has {entries:,} entries; at most {MOST_ENTRIES:,}"
+        )
     costs = stage_costs(problem)
     output, jacobian = _output(problem, z) if names else (None, None)
     return DerivativeModel(
