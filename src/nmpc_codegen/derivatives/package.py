@@ -12,9 +12,9 @@ from nmpc_codegen.derivatives.layout import size_of, structs
 from nmpc_codegen.derivatives.model import DerivativeModel, derivative_model
 from nmpc_codegen.derivatives.render import render
 from nmpc_codegen.derivatives.toolbox import Derivatives
-from nmpc_codegen.frontend.checks import identifier
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.build import load_library
@@ -61,7 +61,9 @@ def generate(
 
 
 def _prefix(model: DerivativeModel, name: str | None) -> str:
-    return f"{model.problem.name}_derivatives" if name is None else identifier(name, "name")
+    prefix = f"{model.problem.name}_derivatives" if name is None else name
+    check_package_name(prefix, "name")
+    return prefix
 
 
 def _sources(model: DerivativeModel, name: str) -> Sources:
