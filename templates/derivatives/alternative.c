@@ -33,7 +33,7 @@ status_t API(sensitivities_alternative)(const data_t *d, int k, response_t *s)
 }
 
 /* Algorithms 6.8 and 6.9: g_k = r_k + sum_{k<n<N} q_n' S_n + q_N' S_N. The first pass, k = 0, yields all states. */
-status_t API(gradient_alternative)(const data_t *d, response_t *s, real_t (*g)[NU])
+status_t API(gradient_alternative)(const data_t *d, response_t *s, real_t g[N][NU])
 {
     if (!data_finite(d)) {
         return NOT_FINITE;

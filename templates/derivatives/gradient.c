@@ -11,7 +11,7 @@ static real_t perturbed(const data_t *d, int k, int j, real_t step, real_t *u)
 }
 
 /* Algorithm 6.1: J with one control changed, by simulation from its node on; N NU + 1 simulations. */
-status_t API(gradient_finite_differences)(const data_t *d, trajectory_t *t, real_t step, real_t (*g)[NU])
+status_t API(gradient_finite_differences)(const data_t *d, trajectory_t *t, real_t step, real_t g[N][NU])
 {
     real_t u[NU], x[NX];
     if (!(step >= TOL_UNIT) || !isfinite(step)) {
@@ -63,7 +63,7 @@ static void add_state_gradient(const nodes_t *nodes, int k, real_t *lam)
 }
 
 /* Algorithm 6.2: r_k + sum_{n>k} q_n' A_{n-1} ... A_{k+1} B_k; m holds the result of sensitivities. */
-status_t API(gradient_forward)(const data_t *d, linearization_t *m, real_t (*g)[NU])
+status_t API(gradient_forward)(const data_t *d, linearization_t *m, real_t g[N][NU])
 {
     real_t phi[NX][NU];
     if (!data_finite(d)) {
@@ -84,7 +84,7 @@ status_t API(gradient_forward)(const data_t *d, linearization_t *m, real_t (*g)[
 
 /* Algorithm 6.3: lam_N = q_N; g_k = r_k + B_k' lam_{k+1}, lam_k = q_k + A_k' lam_{k+1}; m holds the result of
  * sensitivities. */
-status_t API(gradient_adjoint_matrices)(const data_t *d, linearization_t *m, real_t (*g)[NU])
+status_t API(gradient_adjoint_matrices)(const data_t *d, linearization_t *m, real_t g[N][NU])
 {
     real_t lam[NX], lam_u[NU];
     if (!data_finite(d)) {
@@ -103,7 +103,7 @@ status_t API(gradient_adjoint_matrices)(const data_t *d, linearization_t *m, rea
 }
 
 /* Algorithm 6.3 with products A_k' lam and B_k' lam in place of the matrices: the exact adjoint of the integrator. */
-status_t API(gradient_adjoint)(const data_t *d, nodes_t *nodes, real_t (*g)[NU])
+status_t API(gradient_adjoint)(const data_t *d, nodes_t *nodes, real_t g[N][NU])
 {
     real_t lam[NX], lam_x[NX], lam_u[NU];
     if (!data_finite(d)) {

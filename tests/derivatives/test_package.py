@@ -239,7 +239,7 @@ def test_statements_are_refused() -> None:
     ocp.free_initial("p")
     with pytest.raises(OptionError, match="p is free_initial"):
         derivatives.generate(ocp)
-    long = OCP("long", N=50_000)
+    long = OCP("lengthy", N=50_000)
     x, u = long.state("x"), long.control("u")
     long.dynamics({x: 0.5 * x + u}, discrete=True)
     long.least_squares(u, weight=1.0)
