@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from nmpc_codegen import OCP, Options
@@ -108,12 +108,38 @@ def run_counting(sources: Sources, name: str, calls: Mapping[str, str], size: in
 
     A call may use the prepared solver struct s and a vector w of the given size.
     """
+    before = [
+        f"static {name}_solver_t s;",
+        f"static {name}_real w[{size}];",
+    ]
+    start = [f"    {name}_init(&s);", f"    {name}_prepare(&s);"]
+    each = {
+        function: [
+            *([f"    {BEFORE[function]}"] if function in BEFORE else []),
+            f"    for (int i = 0; i < {size}; i++) {{ w[i] = 0.5; }}",
+        ]
+        for function in calls
+    }
+    return run_program(sources, name, before, start, each, calls)
+
+
+def run_program(
+    sources: Sources,
+    name: str,
+    declarations: Sequence[str],
+    start: Sequence[str],
+    each: Mapping[str, Sequence[str]],
+    calls: Mapping[str, str],
+) -> dict[str, dict[str, int]]:
+    """Counts of the calls in a program with these declarations, that runs ``start`` once and ``each`` before a call.
+
+    PREFIX_ in a statement stands for the upper-case prefix of the package ``name``.
+    """
     lines = [
         f'#include "{HEADER.name}"',
         f'#include "{name}.c"',
         "#include <stdio.h>",
-        f"static {name}_solver_t s;",
-        f"static {name}_real w[{size}];",
+        *declarations,
         "static void report(const char *function)",
         "{",
         '    printf("%s %ld %ld %ld %ld %ld\\n", function, counted::add, counted::mul, counted::div, counted::sqrt,',
@@ -121,12 +147,10 @@ def run_counting(sources: Sources, name: str, calls: Mapping[str, str], size: in
         "}",
         "int main()",
         "{",
-        f"    {name}_init(&s);",
-        f"    {name}_prepare(&s);",
+        *start,
     ]
     for function, call in calls.items():
-        lines += [f"    {BEFORE[function]}"] if function in BEFORE else []
-        lines += [f"    for (int i = 0; i < {size}; i++) {{ w[i] = 0.5; }}", "    counted::reset();"]
+        lines += [*each.get(function, ()), "    counted::reset();"]
         lines += [f"    {call};", f'    report("{function}");']
     lines += ["    return 0;", "}"]
     lines = [line.replace("PREFIX_", f"{name.upper()}_") for line in lines]

@@ -1,6 +1,15 @@
 """All errors and warnings that the package raises on purpose."""
 
-__all__ = ["BuildError", "ControllerError", "ExportError", "NmpcError", "OptionError", "ProblemError", "ProblemWarning"]
+__all__ = [
+    "BuildError",
+    "ControllerError",
+    "DerivativeError",
+    "ExportError",
+    "NmpcError",
+    "OptionError",
+    "ProblemError",
+    "ProblemWarning",
+]
 
 
 class NmpcError(Exception):
@@ -25,6 +34,10 @@ class ExportError(NmpcError, OSError):
 
 class ControllerError(NmpcError, RuntimeError):
     """A controller was called wrongly, or it failed with on_failure="raise"."""
+
+
+class DerivativeError(NmpcError, ValueError):
+    """A derivative function was called wrongly, or its result is not finite."""
 
 
 class ProblemWarning(UserWarning):

@@ -15,7 +15,7 @@ import pytest
 from nmpc_codegen import Options, generate
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.preamble import arithmetic
-from nmpc_codegen.lowering.render import Sources, _tidy, context, environment
+from nmpc_codegen.lowering.render import Sources, context, environment, tidy
 from tests import problems
 
 ROOT = Path(__file__).parents[2]
@@ -56,7 +56,7 @@ def test_hash_seeds_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_texts_are_tidy_and_tell_neither_time_nor_place(case: str) -> None:
+def test_texts_aretidy_and_tell_neither_time_nor_place(case: str) -> None:
     sources = problems.sources(case)
     name = problems.problem(case).name
     assert set(sources) == {f"{name}.h", f"{name}.c", "main.c", "CMakeLists.txt", "README.md", f"{name}.json"}
@@ -100,7 +100,7 @@ def test_templates_hold_no_decision() -> None:
 
 
 def test_tidy() -> None:
-    assert _tidy("\n\na  \n\n\n\nb\t\n\n") == "a\n\nb\n"
+    assert tidy("\n\na  \n\n\n\nb\t\n\n") == "a\n\nb\n"
 
 
 def test_context() -> None:

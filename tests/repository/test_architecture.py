@@ -60,6 +60,7 @@ ONLY_IN = {
         "ir",
         "economic",
         "oracle",
+        "derivatives/model",
         "components/integrators",
         "components/hessians",
         "components/algorithms/scales",

@@ -17,9 +17,14 @@ _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')
 Values = dict[tuple[str, int], set[bool]]
 
 
+#: Folder of the parts of packages of derivatives, which are no controllers; their tests cover them.
+DERIVATIVES = "derivatives"
+
+
 def all_parts() -> set[str]:
-    """Every C part, relative to the templates."""
-    return {str(path.relative_to(template_directory())) for path in template_directory().rglob("*.c")}
+    """Every C part of controllers, relative to the templates."""
+    found = (path.relative_to(template_directory()) for path in template_directory().rglob("*.c"))
+    return {str(path) for path in found if path.parts[0] != DERIVATIVES}
 
 
 def conditions(part: str) -> list[tuple[int, str]]:

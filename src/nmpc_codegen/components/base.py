@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.frontend.problem import Problem, Row
     from nmpc_codegen.ir.cmodule import Size, Struct, Table
     from nmpc_codegen.ir.kernel import Port
-    from nmpc_codegen.ir.model import HessianModel, Interval, ModelFunctions
+    from nmpc_codegen.ir.model import HessianModel, Interval, IntervalProducts, ModelFunctions
     from nmpc_codegen.ir.sweep import Call, Routine
     from nmpc_codegen.runtime.package_description import EntryPoint, Precision
 
@@ -157,6 +157,10 @@ class Integrator(Component, Protocol):
 
     def interval(self, problem: Problem) -> Interval:
         """integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next)."""
+        ...
+
+    def products(self, problem: Problem) -> IntervalProducts:
+        """integrator_value, integrator_adjoint, integrator_forced and integrator_free."""
         ...
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:

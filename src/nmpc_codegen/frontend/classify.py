@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.checks import element_names
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, c_identifier, symbols
 from nmpc_codegen.frontend.statement import At, Element, Soft, StageName
@@ -50,6 +51,24 @@ def classify(ocp: OCP) -> Problem:
         cyclic=tuple(sorted(ocp.cyclic_states)),
         terminal_lqr=ocp.terminal_lqr,
     )
+
+
+def outputs_of(ocp: OCP, problem: Problem, outputs: Any, names: Any) -> tuple[tuple[str, ...], Any]:
+    """(names, z): the outputs z = g(x, u, p) of a node in the symbols of the path stage; without any, z is empty.
+
+    Raises:
+        ProblemError: the outputs contain other symbols than states, controls and parameters, or the names do not fit.
+    """
+    if outputs is None:
+        if names is not None:
+            raise ProblemError("output names are given without outputs; expected outputs=expression")
+        return (), ca.SX(0, 1)
+    z = ocp._expression(outputs, "outputs", ("state", "control", "parameter"))
+    if not z.numel():
+        raise ProblemError("outputs are empty; expected an expression with at least one element, or None")
+    stage = problem.path
+    found = [f"z[{i}]" for i in range(z.numel())] if names is None else element_names(names, z.numel(), "outputs")
+    return tuple(found), _moved(ocp, [z], stage.x, stage.u, stage.p)[0]
 
 
 def _require(ocp: OCP) -> None:

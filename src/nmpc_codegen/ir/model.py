@@ -25,6 +25,21 @@ class Interval:
 
 
 @dataclass(frozen=True, eq=False)
+class IntervalProducts:
+    """The dynamics between two nodes and products with their Jacobians A = d Phi / dx and B = d Phi / du.
+
+    value: (x, u, p, dt) -> x_next; adjoint: (x, u, p, dt, lam) -> lam_x = A' lam, lam_u = B' lam;
+    forced: (x, u, p, dt) -> x_next, S_next = B; free: (x, u, p, dt, S) -> x_next, S_next = A S. S and S_next are
+    [nx][nu], stored row by row; every entry is written.
+    """
+
+    value: Routine
+    adjoint: Routine
+    forced: Routine
+    free: Routine
+
+
+@dataclass(frozen=True, eq=False)
 class Block:
     """The Hessian block Q of a stage: its nonzeros (lower triangle), and the routine that fills it.
 

@@ -76,7 +76,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
         "CMakeLists.txt": "CMakeLists.txt.jinja",
         "README.md": "README.md.jinja",
     }
-    sources = {path: _tidy(environment().get_template(t).render(names)) for path, t in files.items()}
+    sources = {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return {**sources, **module.foreign}
 
@@ -94,10 +94,10 @@ def _names(module: CModule) -> dict[str, Any]:
         "gcc12": GCC_12,
         "member": lambda field: _member(field, module),
         "by_purpose": _by_purpose,
-        "comment": lambda text: _comment(text),
+        "comment": lambda text: block_comment(text),
         "prototype": lambda entry: _prototype(entry, module),
         "dim": lambda macro: f"{module.macro}_{macro}",
-        "values": lambda table: _values(table, style),
+        "values": lambda table: table_values(table, style),
         "print_routine": lambda routine: print_routine(routine, style),
         "resolved": lambda template: resolve(environment().get_template(template).render(names), module.sizes).rstrip(),
         "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
@@ -152,7 +152,7 @@ def _by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:
     return [(f"    /* {heading} */\n", tuple(fields)) for heading, fields in groups]
 
 
-def _comment(text: str) -> str:
+def block_comment(text: str) -> str:
     """The text as a block comment in filled lines."""
     lines = wrap(text, WIDTH, break_long_words=False)
     return "/* " + "\n * ".join(lines) + " */"
@@ -171,7 +171,7 @@ def _prototype(entry: EntryPoint, module: CModule) -> str:
     return f"{p}_status_t {p}_{entry.name}({', '.join([f'{p}_solver_t *s', *arguments])});"
 
 
-def _values(table: Table, style: CStyle) -> str:
+def table_values(table: Table, style: CStyle) -> str:
     return ", ".join(_value(v, style) if table.ctype == "real" else str(v) for v in table.values)
 
 
@@ -181,7 +181,7 @@ def _value(value: float, style: CStyle) -> str:
     return style.literal(value)
 
 
-def _tidy(text: str) -> str:
+def tidy(text: str) -> str:
     """No trailing blanks, no runs of empty lines, one newline at the end."""
     lines: list[str] = []
     for line in (raw.rstrip() for raw in text.splitlines()):

@@ -138,6 +138,23 @@ def load(
     return Controller(CompiledPackage(name, sources, description, chosen, ffi, lib, load))
 
 
+def load_library(
+    files: Mapping[str, str], name: str, profile: str | Profile = "fast", *, warnings_as_errors: bool = False
+) -> tuple[Any, Any]:
+    """Compile <name>.c and <name>.h (or take them from the cache); return cffi's ffi and lib.
+
+    Raises:
+        OptionError: there is no such profile.
+        BuildError: there is no compiler or no Python.h, or the compiler rejects the code.
+    """
+    chosen = get_profile(profile)
+    _check_names(name, files)
+    sources = {path: files[path] for path in (f"{name}.h", f"{name}.c")}
+    extra = WARNINGS if warnings_as_errors else ()
+    path = compile_module(sources, name, (*chosen.flags, *extra), chosen.wrapper)
+    return _import(name, path) if chosen.wrapper else _open(declarations(sources[f"{name}.h"], name), name, path)
+
+
 def _check_names(name: str, files: Mapping[str, str]) -> None:
     """Refuse names that the compiler could take for an option, and paths that lead out of the folder."""
     if not (name.isascii() and name.isidentifier()):

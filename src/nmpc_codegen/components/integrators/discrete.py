@@ -10,8 +10,9 @@ import casadi as ca
 from nmpc_codegen.components.base import Defaults, Dims, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.kernel import Port, lift
-from nmpc_codegen.ir.model import Interval
+from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.ir.kernel import Kernel, Port, lift
+from nmpc_codegen.ir.model import Interval, IntervalProducts
 from nmpc_codegen.ir.sweep import Call, Routine
 
 
@@ -58,6 +59,32 @@ class Discrete(Defaults):
                 (out, Port("S", problem.nx, problem.nx + problem.nu)),
             ),
             lift(step, "integrator_step", "x_next = Phi(x, u, p)", (*ports, Port("h", 1)), (out,)),
+        )
+
+    def products(self, problem: Problem) -> IntervalProducts:
+        """The map, and products with its Jacobians, each one straight-line kernel."""
+        x, u, p, nx, nu = problem.path.x, problem.path.u, problem.path.p, problem.nx, problem.nu
+        dt, lam, S = ca.SX.sym("dt"), ca.SX.sym("lam", nx), ca.SX.sym("S", nx * nu)
+        phi = ca.densify(problem.dynamics(x, u, p))
+        adjoint = [ca.densify(ca.gradient(ca.dot(lam, phi), v)) for v in (x, u)]
+        A, B = (ca.sparsify(ca.jacobian(phi, v)) for v in (x, u))
+        free = A @ ca.reshape(S, nu, nx).T
+        ports = (Port("x", nx), Port("u", nu), Port("p", problem.np), Port("dt", 1))
+        out, columns = Port("x_next", nx), Port("S_next", nx * nu)
+
+        def kernel(name: str, doc: str, more: list[Expression], results: list[Expression], *outs: Port) -> Kernel:
+            function = ca.Function(name, [x, u, p, dt, *more], results)
+            named = {"adjoint": (Port("lam", nx),), "free": (Port("S", nx * nu),)}
+            return lift(function, f"integrator_{name}", doc, (*ports, *named.get(name, ())), outs)
+
+        def rows(matrix: Expression) -> Expression:
+            return ca.densify(ca.vec(matrix.T))
+
+        return IntervalProducts(
+            kernel("value", "x_next = Phi(x, u, p)", [], [phi], out),
+            kernel("adjoint", "lam_x = A' lam, lam_u = B' lam", [lam], adjoint, Port("lam_x", nx), Port("lam_u", nu)),
+            kernel("forced", "x_next = Phi(x, u, p); S_next = d x_next / du", [], [phi, rows(B)], out, columns),
+            kernel("free", "x_next = Phi(x, u, p); S_next = (d x_next / dx) S", [S], [phi, rows(free)], out, columns),
         )
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:

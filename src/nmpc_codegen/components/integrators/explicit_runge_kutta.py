@@ -17,13 +17,14 @@ from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, 
 from nmpc_codegen.components.base import Defaults, Dims, Seam
 from nmpc_codegen.components.integrators.first_order import Sensitivities, step_sweep
 from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
+from nmpc_codegen.components.integrators.products import IntervalSweeps
 from nmpc_codegen.components.integrators.quadrature import Quadrature
 from nmpc_codegen.components.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.components.integrators.tableau import RK4, TABLEAUS, ButcherTableau
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Port
-from nmpc_codegen.ir.model import Interval
+from nmpc_codegen.ir.model import Interval, IntervalProducts
 from nmpc_codegen.ir.passes import expand_steps, fuse_steps
 from nmpc_codegen.ir.sweep import (
     Call,
@@ -92,6 +93,16 @@ class ExplicitRungeKutta(Defaults):
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         interval = Sensitivities(problem, self.tableau, self.steps).sweep()
         return Interval(self._spelled(interval), straight(step_sweep(problem, self.tableau)))
+
+    def products(self, problem: Problem) -> IntervalProducts:
+        """The value of an interval, and products with its Jacobians that do not form them."""
+        sweeps = IntervalSweeps(problem, self.tableau, self.steps)
+        return IntervalProducts(
+            self._spelled(sweeps.value()),
+            self._backward(sweeps.adjoint()),
+            self._spelled(sweeps.columns(forced=True)),
+            self._spelled(sweeps.columns(forced=False)),
+        )
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the

@@ -1,0 +1,42 @@
+"""Derivatives of single shooting: errors, growth with the horizon and with the states, the figures of the thesis.
+
+    python -m benchmarks.adjoint [--json FILE] [--only PART,...] [--draw FOLDER]
+
+The figures are those of chapters 6 and 7 of the NTNU thesis of 2009 on adjoint derivatives in NMPC, as pictures in the
+folder. Exponents are fitted to exact operation counts over N >= 100; times stand beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks.lib import command
+from benchmarks.lib.adjoint import accuracy, choice, horizon, integration, penalties, reactor
+from benchmarks.lib.report import Report
+
+#: Part -> its function, which adds records and writes its pictures to the folder.
+PARTS: dict[str, Callable[[Report, Path], None]] = {
+    "accuracy": accuracy.measure,
+    "choice": choice.measure,
+    "gradient": horizon.measure_gradient,
+    "impulse_response": horizon.measure_impulse_response,
+    "reactor": reactor.measure,
+    "scenarios": integration.measure_scenarios,
+    "rod": integration.measure_rod,
+    "states": integration.measure_states,
+    "penalties": penalties.measure,
+}
+
+
+def main() -> None:
+    """All parts, or some."""
+    parser = command.parser(__doc__, PARTS)
+    parser.add_argument("--draw", metavar="FOLDER", default="out/adjoint", help="folder of the pictures")
+    options = parser.parse_args()
+    names, report, folder = command.chosen(parser, options, PARTS), Report("adjoint"), Path(options.draw)
+    command.measure(report, names, lambda name: PARTS[name](report, folder), options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Parts of benchmarks.adjoint: derivatives of single-shooting problems."""

@@ -1,0 +1,152 @@
+"""Problem + outputs -> the functions that the derivative toolbox evaluates, lifted from CasADi."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from nmpc_codegen.compiler import stated
+from nmpc_codegen.components.base import Integrator
+from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
+from nmpc_codegen.components.stage_cost import StageCost, stage_costs, stage_model
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.classify import outputs_of
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.ir.kernel import Port, lift
+from nmpc_codegen.ir.model import IntervalProducts, StageModel
+from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.options import Options
+from nmpc_codegen.runtime.package_description import Precision
+
+#: Entries of a matrix that C can count by its type int.
+MOST_ENTRIES = 2**31 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class DerivativeModel:
+    """The functions of one problem.
+
+    linearize: (x, u, p, dt) -> x_next, S = [A B]; products: see IntervalProducts; path, terminal: cost and gradient.
+    output: (x, u, p) -> z, and its Jacobian G = [C D], row by row; both None without outputs.
+    """
+
+    problem: Problem
+    precision: Precision
+    linearize: Routine
+    products: IntervalProducts
+    path: StageModel
+    terminal: StageModel
+    output_names: tuple[str, ...]
+    output: Routine | None
+    output_jacobian: Routine | None
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.output_names)
+
+    @property
+    def routines(self) -> tuple[Routine, ...]:
+        """All functions in the order of the C text."""
+        products = self.products
+        found = (
+            *(products.value, self.linearize, products.adjoint, products.forced, products.free),
+            *(self.path.cost, self.path.gradient, self.terminal.cost, self.terminal.gradient),
+            *(self.output, self.output_jacobian),
+        )
+        return tuple(routine for routine in found if routine is not None)
+
+
+def derivative_model(ocp: OCP, outputs: Any, names: Sequence[str] | None, options: Options | None) -> DerivativeModel:
+    """Run the pipeline up to the lifted functions.
+
+    Raises:
+        ProblemError: the problem or the outputs are stated wrongly.
+        OptionError: the integrator does not support the problem, or the problem has a start cost or a free x_0, or
+            the impulse response matrix is too large for C.
+    """
+    if options is not None and not isinstance(options, Options):
+        raise OptionError(f"options: {options!r}; expected Options(...) or None")
+    chosen = options or Options()
+    _refuse_options(chosen)
+    problem = stated(ocp, chosen)
+    integrator = _integrator(problem, chosen)
+    _refuse(problem)
+    names, z = outputs_of(ocp, problem, outputs, names)
+    entries = problem.N**2 * problem.nu * len(names)
+    if entries > MOST_ENTRIES:
+        raise OptionError(
+            f"{problem.name}: the impulse response matrix has {entries:,} entries; at most {MOST_ENTRIES:,}"
+        )
+    costs = stage_costs(problem)
+    output, jacobian = _output(problem, z) if names else (None, None)
+    return DerivativeModel(
+        problem=problem,
+        precision=chosen.precision,
+        linearize=integrator.interval(problem).linearize,
+        products=integrator.products(problem),
+        path=_cost(problem, integrator, costs.path),
+        terminal=_cost(problem, integrator, costs.terminal),
+        output_names=tuple(names),
+        output=output,
+        output_jacobian=jacobian,
+    )
+
+
+def _integrator(problem: Problem, options: Options) -> Integrator:
+    """The integrator of the options; by default the map itself, or one RK4 step per interval."""
+    default: Integrator = Discrete() if problem.discrete else ExplicitRungeKutta(steps=1)
+    integrator = options.integrator or default
+    integrator.check(problem)
+    return integrator
+
+
+def _refuse_options(options: Options) -> None:
+    """Raise OptionError if an option is set that derivatives do not have: those of the optimiser and of storage."""
+    default = Options()
+    for field in dataclasses.fields(Options):
+        if field.name not in ("integrator", "precision") and getattr(options, field.name) != getattr(
+            default, field.name
+        ):
+            raise OptionError(
+                f"options.{field.name} does not apply to derivatives; expected integrator and precision only"
+            )
+
+
+def _refuse(problem: Problem) -> None:
+    """Raise OptionError if J would not be a function of the controls alone."""
+    if problem.free_initial:
+        free = ", ".join(problem.state_names[i] for i in problem.free_initial)
+        raise OptionError(f"{problem.name}: {free} is free_initial; derivatives are taken for a given x_0")
+    if problem.start.ny or problem.start.cost is not None:
+        raise OptionError(f"{problem.name} has a start cost, which no control changes; expected costs of path and end")
+
+
+def _cost(problem: Problem, integrator: Integrator, cost: StageCost) -> StageModel:
+    """Cost and gradient of a stage; every entry of the gradient is written, structural zeros too."""
+    if cost.name == "path" and problem.path.cost_rate is not None:
+        return stage_model(problem, integrator, cost)
+    return StageModel(
+        cost.kernel("cost", "l = cost of the node", ca.densify(cost.value), Port("l", 1)),
+        cost.kernel("gradient", "g = gradient of the cost of the node", ca.densify(cost.gradient), Port("g", cost.nz)),
+    )
+
+
+def _output(problem: Problem, z: Expression) -> tuple[Routine, Routine]:
+    """z and G = dz / d(x, u)."""
+    x, u, p, n = problem.path.x, problem.path.u, problem.path.p, int(z.numel())
+    nx, nu = problem.nx, problem.nu
+    ports = (Port("x", nx), Port("u", nu), Port("p", problem.np))
+    G = ca.densify(ca.vec(ca.jacobian(z, ca.vertcat(x, u)).T))
+    value, jacobian = ca.Function("output", [x, u, p], [ca.densify(z)]), ca.Function("output", [x, u, p], [G])
+    doc = "outputs z = g(x, u, p)"
+    return (
+        lift(value, "output", doc, ports, (Port("z", n),)),
+        lift(jacobian, "output_jacobian", "G = dz / d(x, u), row by row", ports, (Port("G", n * (nx + nu)),)),
+    )

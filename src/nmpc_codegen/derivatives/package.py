@@ -1,0 +1,125 @@
+"""OCP + outputs -> text, a folder, or Python functions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nmpc_codegen.derivatives.counts import Counts
+from nmpc_codegen.derivatives.layout import size_of, structs
+from nmpc_codegen.derivatives.model import DerivativeModel, derivative_model
+from nmpc_codegen.derivatives.render import render
+from nmpc_codegen.derivatives.toolbox import Derivatives
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.naming import check_package_name
+from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.options import Options
+from nmpc_codegen.runtime.build import load_library
+from nmpc_codegen.runtime.folder import write
+from nmpc_codegen.runtime.seal import sealed
+
+
+@dataclass(frozen=True)
+class Folder:
+    """An exported folder and the absolute paths of its files; operations per function, bytes per struct."""
+
+    directory: Path
+    name: str
+    files: tuple[Path, ...]
+    operations: Mapping[str, OpCount]
+    bytes: Mapping[str, int]
+
+
+def generate(
+    ocp: OCP,
+    outputs: Any = None,
+    options: Options | None = None,
+    name: str | None = None,
+    *,
+    output_names: Sequence[str] | None = None,
+) -> Sources:
+    """Path -> text of every file of the package.
+
+    Args:
+        ocp: its dynamics and costs; its rows are not part of J, and their penalties neither.
+        outputs: z_k = g(x_k, u_k, p_k), an expression of (NOUT,) elements in symbols of the OCP; None: no impulse
+            response functions.
+        options: integrator (default: Discrete(), or RK4 with one step per interval) and precision; nothing else of
+            them applies.
+        name: C prefix, by default the name of the OCP and "_derivatives".
+        output_names: one name per output, by default z[0], z[1], ...
+
+    Raises:
+        ProblemError: the problem, an output or a name is stated wrongly.
+        OptionError: an option does not apply to derivatives, or the integrator does not support the problem.
+    """
+    model = derivative_model(ocp, outputs, output_names, options)
+    return _sources(model, _prefix(model, name))
+
+
+def _prefix(model: DerivativeModel, name: str | None) -> str:
+    prefix = f"{model.problem.name}_derivatives" if name is None else name
+    check_package_name(prefix, "name")
+    return prefix
+
+
+def _sources(model: DerivativeModel, name: str) -> Sources:
+    return sealed(render(model, name), name)
+
+
+def export(
+    ocp: OCP,
+    outputs: Any = None,
+    options: Options | None = None,
+    directory: str | Path = ".",
+    name: str | None = None,
+    *,
+    output_names: Sequence[str] | None = None,
+    force: bool = False,
+) -> Folder:
+    """Write the C files into a folder, under the rules of nmpc_codegen.export(); see generate() for the arguments.
+
+    Raises:
+        ProblemError, OptionError: see generate().
+        ExportError: a file must not be replaced, or it cannot be written; the folder is left unchanged.
+    """
+    model = derivative_model(ocp, outputs, output_names, options)
+    prefix = _prefix(model, name)
+    sources = _sources(model, prefix)
+    folder = write(directory, sources, force=force)
+    every = structs(model)
+    sizes = {s.name: size_of(s, every, model.precision) for s in every}
+    return Folder(folder, prefix, tuple(folder / path for path in sources), Counts(model).all, sizes)
+
+
+def operations(ocp: OCP, outputs: Any = None, options: Options | None = None) -> dict[str, OpCount]:
+    """Exact operations of every function of the package, without writing or compiling it; see generate().
+
+    Raises:
+        ProblemError, OptionError: see generate().
+    """
+    return Counts(derivative_model(ocp, outputs, None, options)).all
+
+
+def build(
+    ocp: OCP,
+    outputs: Any = None,
+    options: Options | None = None,
+    profile: str = "fast",
+    name: str | None = None,
+    *,
+    output_names: Sequence[str] | None = None,
+) -> Derivatives:
+    """Generate, compile and load the functions; see generate() for the arguments. Builds are cached by content.
+
+    Raises:
+        ProblemError, OptionError: see generate().
+        BuildError: there is no compiler, or it rejected the code.
+    """
+    model = derivative_model(ocp, outputs, output_names, options)
+    prefix = _prefix(model, name)
+    ffi, lib = load_library(_sources(model, prefix), prefix, profile)
+    return Derivatives(model, prefix, ffi, lib)
