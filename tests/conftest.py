@@ -57,6 +57,7 @@ TOOLS = {
     "cmake": ("cmake",),
     "unifdef": ("unifdef",),
     "arm": ("arm-none-eabi-gcc",),
+    "qemu": ("qemu-system-arm",),
     "valgrind": ("valgrind",),
 }
 

@@ -18,8 +18,9 @@ Values = dict[tuple[str, int], set[bool]]
 
 
 def all_parts() -> set[str]:
-    """Every C part, relative to the templates."""
-    return {str(path.relative_to(template_directory())) for path in template_directory().rglob("*.c")}
+    """Every C part of a package, relative to the templates; programs for a target are no parts."""
+    found = {str(path.relative_to(template_directory())) for path in template_directory().rglob("*.c")}
+    return {part for part in found if not part.startswith("firmware/")}
 
 
 def conditions(part: str) -> list[tuple[int, str]]:
