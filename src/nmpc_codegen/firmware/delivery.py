@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import Budgets, check
 from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, certify
+from nmpc_codegen.firmware.deviations import DEVIATIONS
 from nmpc_codegen.firmware.image import sources
+from nmpc_codegen.firmware.layouts import layouts
 from nmpc_codegen.firmware.recording import Recording, record, started_again
 from nmpc_codegen.firmware.targets import ICOUNT_SHIFT, Level, Target
 from nmpc_codegen.firmware.verify import Verdict, verify
@@ -45,6 +47,8 @@ def deliver(
         BuildError: a tool is missing or refuses the code.
     """
     description = PackageDescription.from_json(package[f"{name}.json"])
+    if target is not None and description.dims.nu == 0:
+        raise OptionError(f"--target: {name} has no controls, so there is nothing to verify")
     if target is not None and any("/" in path for path in package):
         raise OptionError("--target: the package contains foreign code, which is not certified; choose another qp")
     certificate = None if target is None else certify(package, name, target, level)
@@ -56,6 +60,7 @@ def deliver(
     files = {
         f"{FOLDER}/{path}": text for path, text in sources(target, recording.header, certificate.stack_worst).items()
     }
+    files |= layouts(package, recording, target, certificate, budgets.ram)
     files["certificate.json"] = certificate_json(certificate, verdict)
     files["certificate.md"] = page(certificate, verdict)
     return Delivery(files, certificate, verdict)
@@ -84,6 +89,7 @@ def page(certificate: Certificate, verdict: Verdict | None) -> str:
         "math": ", ".join(certificate.math_functions) or "none",
         "compiler": ", ".join(certificate.compiler_functions) or "none",
         "double": ", ".join(certificate.double_functions) or "none",
+        "deviations": DEVIATIONS,
         "verdict": NOT_RUN if verdict is None else sentences(verdict),
     }
     return environment().get_template("firmware/certificate.md.jinja").render(names)

@@ -19,7 +19,7 @@ _LINE = "nmpc_codegen package {}, sha256 {}"
 _SEAL = re.compile(rb"nmpc_codegen package ([0-9a-f]{16}), sha256 ([0-9a-f]{64})")
 _BLANK = "0" * 64
 _COMMENTS = {
-    **dict.fromkeys((".c", ".h", ".ld"), "/* {} */"),
+    **dict.fromkeys((".c", ".h", ".ld", ".ino"), "/* {} */"),
     **dict.fromkeys((".txt", ".yml", ".properties", ".cmake", ""), "# {}"),
     ".md": "<!-- {} -->",
 }
