@@ -17,13 +17,24 @@
 extern uint32_t image_data_load[], image_data_begin[], image_data_end[], image_bss_begin[], image_bss_end[];
 void image_start(void);
 static void image_fault(void);
+void image_tick(void) __attribute__((weak));
 
 typedef void (*handler_t)(void);
 
-/* Initial stack pointer, reset, and the exceptions that a program without interrupts can meet. */
+/* SysTick: image_tick(), if the program defines it. */
+static void image_systick(void)
+{
+    if (image_tick != 0) {
+        image_tick();
+    } else {
+        image_fault();
+    }
+}
+
+/* Initial stack pointer, reset, the exceptions that a program can meet, and SysTick. */
 __attribute__((section(".vectors"), used)) static const handler_t vectors[16] = {(handler_t)image_stack_top,
     image_start, image_fault, image_fault, image_fault, image_fault, image_fault, 0, 0, 0, 0, image_fault, image_fault,
-    0, image_fault, image_fault};
+    0, image_fault, image_systick};
 
 void image_put(char c)
 {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nmpc_codegen.errors import BuildError
-from nmpc_codegen.firmware.stack import Function, decrement, depths, of_package, of_program, with_aliases
+from nmpc_codegen.firmware.stack import Function, decrement, depths, of_package, of_program, with_aliases, with_folded
 
 GRAPH = """graph: { title: "a.c"
 node: { title: "a.c:inner" label: "inner\\na.c:1:1\\n24 bytes (static)" }
@@ -66,6 +66,16 @@ def test_deepest_chain() -> None:
 def test_other_names_of_a_function() -> None:
     found = with_aliases(of_program(PROGRAM), "00008101 T reduce\n00008101 T __reduce\n         U nowhere\n")
     assert found["__reduce"] is found["reduce"]
+
+
+def test_a_folded_function() -> None:
+    graph = GRAPH + 'edge: { sourcename: "outer" targetname: "a.c:twin" }'
+    symbols = "00009001 t inner\n00009001 t twin\n00008001 T sinf\n"
+    with pytest.raises(BuildError, match=r"a\.c:twin is unknown"):
+        depths(of_program(PROGRAM) | of_package(graph), {"start": "outer"})
+    functions = with_folded(of_package(graph), symbols, "a.c")
+    assert functions["a.c:twin"].frame == 24
+    assert depths(of_program(PROGRAM) | functions, {"start": "outer"})["start"].bytes == 16 + 24 + 48 + 404 + 20
 
 
 @pytest.mark.parametrize(

@@ -20,10 +20,10 @@ GIVES_UP = ("quadrotor",)
 
 
 def forms(loop: Loop) -> dict[str, Options]:
-    """Name of a form -> its options: the default, the real-time controller alone, and the small one."""
+    """Name of a form -> its options: the default, and the small real-time controller."""
     defaults = replace(loop.options, precision="single")
     chosen = without_fallback(loop.options) if loop.name in GIVES_UP else small(loop.options)
-    return {"default": defaults, "real_time": replace(defaults, solve=False), "small": chosen}
+    return {"default": defaults, "small": chosen}
 
 
 def sizes(report: Report, scale: float) -> None:

@@ -93,9 +93,10 @@ def _certified(
     functions = defined(folder, name)
     undefined = tuple(line.split()[-1] for line in _tool("nm", folder, "-u", "package.o").splitlines())
     _link(target, functions, "all.elf", folder)
-    frames = stack.of_package((folder / "package.ci").read_text(encoding="utf-8"))
+    graph, symbols = (folder / "package.ci").read_text(encoding="utf-8"), _tool("nm", folder, "all.elf")
+    frames = stack.with_folded(stack.of_package(graph), symbols, f"{name}.c")
     roots = {f.removeprefix(f"{name}_"): f for f in functions}
-    depths = stack.depths(_library(folder, undefined) | frames, roots)
+    depths = stack.depths(_library(folder, symbols) | frames, roots)
     alone = stack.depths({f: stack.Function() for f in undefined} | frames, roots)
     deepest = max(depths.values(), key=lambda d: d.bytes)
     flash, library = flash_bytes(folder, functions), _sizes(_tool("size", folder, "all.elf"))
@@ -163,10 +164,10 @@ def _link(target: Target, functions: Iterable[str], output: str, folder: Path) -
     gcc([*target.flags, *options, *roots, "package.o", "-lm", "-o", output], folder)
 
 
-def _library(folder: Path, undefined: Iterable[str]) -> dict[str, stack.Function]:
+def _library(folder: Path, symbols: str) -> dict[str, stack.Function]:
     """Functions of the libraries with their frames, from the linked program."""
     listing = _tool("objdump", folder, "-d", "--no-show-raw-insn", "all.elf")
-    return stack.with_aliases(stack.of_program(listing), _tool("nm", folder, "all.elf"))
+    return stack.with_aliases(stack.of_program(listing), symbols)
 
 
 def _struct_bytes(name: str, target: Target, folder: Path) -> int:

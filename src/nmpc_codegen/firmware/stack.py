@@ -90,16 +90,34 @@ def of_program(disassembly: str) -> dict[str, Function]:
 
 def with_aliases(functions: Mapping[str, Function], symbols: str) -> dict[str, Function]:
     """The functions also under their other names, from ``nm``: the disassembly shows one name per address."""
+    found = dict(functions)
+    for group in _names_of_addresses(symbols):
+        shown = next((name for name in group if name in functions), None)
+        found |= {name: functions[shown] for name in group if shown is not None and name not in functions}
+    return found
+
+
+def with_folded(functions: Mapping[str, Function], symbols: str, unit: str) -> dict[str, Function]:
+    """The functions of a package also under the names of those that the compiler found equal to them and folded.
+
+    gcc's graph has calls of such a function, but no node; in the linked program both names have one address.
+    """
+    found = dict(functions)
+    for group in _names_of_addresses(symbols):
+        titles = [title for name in group for title in (name, f"{unit}:{name}")]
+        shown = next((title for title in titles if title in functions), None)
+        found |= {title: functions[shown] for title in titles if shown is not None and title not in functions}
+    return found
+
+
+def _names_of_addresses(symbols: str) -> list[list[str]]:
+    """Names of functions that have the same address, from ``nm``."""
     names: dict[int, list[str]] = {}
     for line in symbols.splitlines():
         address, kind, name = line.split()[-3:] if len(line.split()) == 3 else ("", "", "")
         if kind in ("T", "t", "W", "w"):
             names.setdefault(int(address, 16) & ~1, []).append(name)
-    found = dict(functions)
-    for group in names.values():
-        shown = next((name for name in group if name in functions), None)
-        found |= {name: functions[shown] for name in group if shown is not None and name not in functions}
-    return found
+    return list(names.values())
 
 
 def _ends(instruction: str) -> bool:
