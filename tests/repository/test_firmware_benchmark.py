@@ -34,7 +34,7 @@ def test_a_loop_on_a_board() -> None:
 def test_sizes_of_a_small_package() -> None:
     require_tool("arm")
     loop, report = crane(), Report("test")
-    name, sources = loops.package(loop, loops.small(loop.options))
+    name, sources = loops.package(loop, loops.small(loop))
     sizes.add(report, "crane", "small", [certify(sources, name, TARGETS["cortex-m4f"], "Os")])
     found = {record.key: record for record in report.records}
     assert found["crane_flash_bytes"].value <= 20_000

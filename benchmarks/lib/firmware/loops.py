@@ -18,6 +18,11 @@ from nmpc_codegen.options import Precision
 ON_BOARDS = ("crane", "cstr", "bioreactor", "quadrotor", "cart_pole", "chain3")
 SAMPLES = 200
 
+#: Loops whose small package has smaller frames with a function per integration step.
+STEPPED = ("chain3", "bioreactor")
+#: Loops whose small package gives up the interior point, which takes over where the active set gives up a QP.
+ALONE = ("quadrotor",)
+
 
 def loops() -> list[Loop]:
     """The loops of ON_BOARDS, with default options but for what their problem needs."""
@@ -25,17 +30,15 @@ def loops() -> list[Loop]:
     return [known[name] for name in ON_BOARDS]
 
 
-def small(options: Options) -> Options:
-    """A real-time controller alone: no solve(), no interior point behind the active set, one step of code."""
-    integrator = options.integrator or ExplicitRungeKutta()
-    if isinstance(integrator, ExplicitRungeKutta):
-        integrator = replace(integrator, unroll="step")
-    return replace(options, integrator=integrator, solve=False, precision="single")
-
-
-def without_fallback(options: Options) -> Options:
-    """The same on stages, without the interior point that takes over where the active set gives up."""
-    return replace(small(options), qp=RiccatiActiveSet(fallback=None))
+def small(loop: Loop) -> Options:
+    """Options of a small real-time controller in single precision: without solve() and, where it is named, in STEPPED
+    with a function per integration step, in ALONE without the interior point behind the active set."""
+    options = replace(loop.options, solve=False, precision="single")
+    if loop.name in STEPPED:
+        integrator = options.integrator or ExplicitRungeKutta()
+        assert isinstance(integrator, ExplicitRungeKutta)
+        options = replace(options, integrator=replace(integrator, unroll="step"))
+    return replace(options, qp=RiccatiActiveSet(fallback=None)) if loop.name in ALONE else options
 
 
 @cache
