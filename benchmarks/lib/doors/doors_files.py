@@ -291,6 +291,7 @@ NAMES = (
     *("main", "Main", "MAIN", "readme", "README", "cmakelists", "CMakeLists", "osqp", "OSQP", "wrapper", "makefile"),
     *("math", "Math", "string", "stdint", "stdio", "stdlib", "errno", "assert", "complex", "float", "limits", "time"),
     *("con", "CON", "nul", "aux", "prn", "com1", "LPT9", "int", "INT", "double", "class", "template", "restrict"),
+    *("x", "X", "r", "statx"),
 )
 
 
