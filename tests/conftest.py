@@ -57,6 +57,8 @@ TOOLS = {
     "cmake": ("cmake",),
     "unifdef": ("unifdef",),
     "arm": ("arm-none-eabi-gcc",),
+    "make": ("make",),
+    "qemu": ("qemu-system-arm",),
     "valgrind": ("valgrind",),
 }
 

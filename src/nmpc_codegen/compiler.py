@@ -12,7 +12,7 @@ CasADi is used up to linearize, jinja2 only in render, and cffi only in build.
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.folder import write
-from nmpc_codegen.runtime.seal import sealed
+from nmpc_codegen.runtime.seal import sealed, sealed_beside
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,7 @@ def export(
     *,
     allow_foreign: bool = False,
     force: bool = False,
+    more: Callable[[Sources], Sources] | None = None,
 ) -> Package:
     """Write the C package of the problem into a folder, which is created if needed; all files are written, or none.
 
@@ -101,6 +102,8 @@ def export(
     those of the last export. A file of other origin, an edited file or a read-only file is replaced only with
     ``force=True``. Links, folders and devices in the place of a file are never replaced or followed; ``directory``
     itself may be a link to a folder.
+
+    ``more``: called with the files before any is written; it returns further ones, or raises an error to refuse all.
 
     ``allow_foreign``: code of another generator (OSQP) may be written, to a folder of its own beside the files.
 
@@ -116,6 +119,8 @@ def export(
             "choose another solver, or export(..., allow_foreign=True) (--allow-foreign)"
         )
     sources = sealed(render(module), module.name)
+    if more is not None:
+        sources |= sealed_beside(more(sources), sources[f"{module.name}.c"])
     folder = write(directory, sources, force=force)
     files = tuple(folder / path for path in sources)
     return Package(folder, module.name, files, module.description.report.as_dict())

@@ -22,9 +22,15 @@ DERIVATIVES = "derivatives"
 
 
 def all_parts() -> set[str]:
+<<<<<<< HEAD
     """Every C part of controllers, relative to the templates."""
     found = (path.relative_to(template_directory()) for path in template_directory().rglob("*.c"))
     return {str(path) for path in found if path.parts[0] != DERIVATIVES}
+=======
+    """Every C part of a package, relative to the templates; programs for a target are no parts."""
+    found = {str(path.relative_to(template_directory())) for path in template_directory().rglob("*.c")}
+    return {part for part in found if not part.startswith("firmware/")}
+>>>>>>> firmware
 
 
 def conditions(part: str) -> list[tuple[int, str]]:

@@ -9,10 +9,19 @@ from pathlib import Path
 from typing import NoReturn
 
 from nmpc_codegen.cli.messages import one_line
+from nmpc_codegen.firmware.targets import LEVELS, TARGETS
 from nmpc_codegen.options import PRECISIONS
 
 #: Maximum number of samples of --simulate: a longer log may not fit into memory.
 MAX_SAMPLES = 1_000_000
+
+#: Names of the flags --max-NAME, and what they limit.
+BUDGETS = {
+    "ram": "bytes of solver struct",
+    "flash": "bytes of code and constants on the target",
+    "stack": "bytes of stack on the target",
+    "operations": "operations per sample in the worst case",
+}
 
 EPILOG = (
     "The file defines an OCP called `ocp`, or a function problem() or build_ocp() that returns one. It may also define "
@@ -56,6 +65,11 @@ def parser() -> Parser:
     add("--check", action="store_true", help="compile with warnings as errors, solve the problem, compare with IPOPT")
     add("--simulate", type=int, metavar="STEPS", help="simulate the closed loop from the declared initial state")
     add("--plot", metavar="FILE", help="write a picture of the simulation (.png, .pdf, .svg)")
+    add("--target", choices=list(TARGETS), help="microcontroller: add a certificate and a bare-metal replay")
+    add("--level", choices=LEVELS, default=LEVELS[0], help="optimisation level of the code for the target")
+    add("--verify", action="store_true", help="with --target: replay a closed loop on the emulated board, compare")
+    for name, what in BUDGETS.items():
+        add(f"--max-{name}", metavar="NUMBER", help=f"export nothing if the package takes more {what}, e.g. 64k or 2e6")
     add("--list-options", action="store_true", help="print every component, its options and their values, and exit")
     add("-v", "--verbose", action="store_true", help="print the whole report, and tracebacks of errors")
     return made
@@ -79,6 +93,10 @@ def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
     for setting in arguments.settings:
         if "=" not in setting or not setting.partition("=")[0].strip():
             yield f"--set {setting}: expected KEY=VALUE, e.g. integrator.steps=3"
+    if arguments.target is None:
+        for flag in ("verify", "max_flash", "max_stack"):
+            if getattr(arguments, flag):
+                yield f"--{flag.replace('_', '-')} needs --target NAME"
     if arguments.plot is not None and arguments.simulate is None:
         yield "--plot needs --simulate STEPS"
     for flag, look in (("output", _folder), ("plot", _picture)):

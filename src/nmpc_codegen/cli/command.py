@@ -56,14 +56,19 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         list_options(printer)
         return 0
     from nmpc_codegen.cli.check import check
+    from nmpc_codegen.cli.firmware import Firmware
     from nmpc_codegen.compiler import export
 
     ocp, options = _problem(arguments, printer)
     name = ocp.name if arguments.name is None else arguments.name
     folder = Path(arguments.output or Path("out") / name)
-    package = export(ocp, options, str(folder), name=name, allow_foreign=arguments.allow_foreign, force=arguments.force)
+    firmware = Firmware(arguments, name)
+    given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": firmware.more}
+    package = export(ocp, options, str(folder), name=name, **given)
     _print_package(printer, package, folder, arguments.verbose)
-    passed = check(ocp, options, folder, name, printer) if arguments.check else True
+    passed = firmware.report(printer)
+    if arguments.check:
+        passed = check(ocp, options, folder, name, printer) and passed
     if arguments.simulate is not None:
         _simulate(folder, name, arguments.simulate, arguments.plot, printer)
     return 0 if passed else 1

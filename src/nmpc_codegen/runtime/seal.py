@@ -18,7 +18,11 @@ from pathlib import PurePosixPath
 _LINE = "nmpc_codegen package {}, sha256 {}"
 _SEAL = re.compile(rb"nmpc_codegen package ([0-9a-f]{16}), sha256 ([0-9a-f]{64})")
 _BLANK = "0" * 64
-_COMMENTS = {".c": "/* {} */", ".h": "/* {} */", ".txt": "# {}", ".md": "<!-- {} -->"}
+_COMMENTS = {
+    **dict.fromkeys((".c", ".h", ".ld", ".ino"), "/* {} */"),
+    **dict.fromkeys((".txt", ".yml", ".properties", ".cmake", ""), "# {}"),
+    ".md": "<!-- {} -->",
+}
 
 
 def sealed(sources: Mapping[str, str], name: str) -> dict[str, str]:
@@ -26,6 +30,14 @@ def sealed(sources: Mapping[str, str], name: str) -> dict[str, str]:
     code = "\0".join(sources[f"{name}.{ext}"] for ext in ("h", "c"))
     package = hashlib.sha256(code.encode()).hexdigest()[:16]
     return {path: _sealed(path, text, package) for path, text in sources.items()}
+
+
+def sealed_beside(files: Mapping[str, str], source: str) -> dict[str, str]:
+    """More files of a package, each with its seal; ``source`` is a file of the package with its own."""
+    package = package_of(source)
+    if package is None:
+        raise ValueError("the package has no seal")
+    return {path: _sealed(path, text, package) for path, text in files.items()}
 
 
 def _sealed(path: str, text: str, package: str) -> str:

@@ -1,0 +1,53 @@
+"""Packages on emulated Cortex-M boards: agreement with the host, certificates, sizes, single precision, MISRA rules.
+
+    python -m benchmarks.firmware [--json FILE] [--only boards,...] [--scale S]
+
+It needs arm-none-eabi-gcc with newlib and qemu-system-arm; keys of tools that are missing are absent. At scale 1 every
+loop has 200 samples. Instructions are emulated (QEMU, -icount shift=6), not cycles.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+
+from benchmarks.lib import command
+from benchmarks.lib.firmware import emulated, misra, single, sizes
+from benchmarks.lib.report import Report
+
+PARTS: Mapping[str, Callable[[Report, float], None]] = {
+    "boards": emulated.boards,
+    "sizes": sizes.sizes,
+    "counts": emulated.counts,
+    "single": single.single,
+    "misra": misra.rules,
+}
+
+#: Part -> programs without which it is left out.
+NEEDS = {
+    "boards": ("arm-none-eabi-gcc", "qemu-system-arm"),
+    "sizes": ("arm-none-eabi-gcc",),
+    "misra": ("cppcheck",),
+}
+
+
+def missing(part: str) -> list[str]:
+    """Programs that a part needs and that are not on the path."""
+    return [program for program in NEEDS.get(part, ()) if shutil.which(program) is None]
+
+
+def main() -> None:
+    """All parts, or some."""
+    parser = command.parser(__doc__, PARTS)
+    command.add_scale(parser)
+    options = parser.parse_args()
+    names = command.chosen(parser, options, PARTS)
+    for name in names:
+        if absent := missing(name):
+            print(f"{name} is left out: there is no {' and no '.join(absent)}")
+    report, there = Report("firmware"), [name for name in names if not missing(name)]
+    command.measure(report, there, lambda name: PARTS[name](report, options.scale), options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Packages on emulated Cortex-M boards: agreement with the host, memory, stack, instructions, single precision."""

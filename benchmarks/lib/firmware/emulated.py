@@ -1,0 +1,89 @@
+"""Replays on the boards: agreement with the host, stack against the certificate, instructions; certificates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.lib.counting import count_mismatches
+from benchmarks.lib.firmware.loops import SAMPLES, loops, package, recorded, with_precision
+from benchmarks.lib.report import Report
+from benchmarks.lib.robustness.work import Loop, count, record
+from nmpc_codegen.firmware.certificate import Certificate, certify
+from nmpc_codegen.firmware.targets import TARGETS
+from nmpc_codegen.firmware.verify import Verdict, verify
+from nmpc_codegen.options import Precision
+from nmpc_codegen.runtime.package_description import PackageDescription
+
+BOARDS: tuple[tuple[str, Precision], ...] = (("cortex-m4f", "single"), ("cortex-m7", "double"))
+
+#: Loop -> limit on its median instructions in single precision.
+INSTRUCTIONS = {"crane": 30_000, "quadrotor": 900_000}
+
+
+def boards(report: Report, scale: float) -> None:
+    """Every loop on both boards."""
+    samples = max(20, round(scale * SAMPLES))
+    for loop in loops():
+        for board, precision in BOARDS:
+            one(report, with_precision(loop, precision), board, samples)
+
+
+def one(report: Report, loop: Loop, board: str, samples: int) -> None:
+    """A loop on a board."""
+    target = TARGETS[board]
+    inputs, (name, sources) = recorded(loop, samples), package(loop, loop.options)
+    certificate = certify(sources, name, target)
+    verdict = verify(sources, name, inputs, target, "O2", certificate.stack_worst)
+    case = f"{loop.name} on {board}"
+    error = f"{case}: largest difference {verdict.error:.1e} of the range, {verdict.statuses} statuses"
+    report.add("emulator_mismatches", len(verdict.mismatches), case=error, n=samples, limit=0, profile="verify")
+    report.add("libm_bit_mismatches", verdict.bits, case=case, n=samples, profile="verify")
+    failed = int(np.sum(inputs.status != 0))
+    report.add("recorded_not_ok", failed, case=case, n=samples, profile="verify")
+    stack(report, certificate, verdict, case)
+    mismatches(report, certificate, sources[f"{name}.json"], case)
+    instructions(report, loop, verdict, board)
+
+
+def stack(report: Report, certificate: Certificate, verdict: Verdict, case: str) -> None:
+    """Painted stack of all entry points against the certificate."""
+    used = verdict.run.stack
+    over = [entry for entry, size in used.items() if size > certificate.stack_bytes[entry]]
+    note = f"{case}: {', '.join(over)}" if over else case
+    report.add("stack_violations", len(over), case=note, n=len(used), limit=0, profile="verify")
+    tightest = max(used, key=lambda entry: used[entry])
+    ratio = certificate.stack_bytes[tightest] / used[tightest]
+    report.add("stack_certified_over_painted", ratio, case=f"{case}: {tightest}", profile="verify")
+
+
+def mismatches(report: Report, certificate: Certificate, description: str, case: str) -> None:
+    """Struct and operations of the certificate against the description."""
+    stated = PackageDescription.from_json(description)
+    wrong = certificate.struct_bytes != stated.dtype().itemsize
+    wrong += certificate.struct_bytes != stated.report.ram_bytes
+    wrong += dict(certificate.worst_operations) != dict(stated.report.worst_operations)
+    wrong += bool(certificate.double_functions) and certificate.precision == "single"
+    report.add("certificate_mismatches", int(wrong), case=case, n=4, limit=0, profile="verify")
+
+
+def instructions(report: Report, loop: Loop, verdict: Verdict, board: str) -> None:
+    """Median and worst of a sample, with the default options."""
+    precision = "" if board == "cortex-m4f" else "_double"
+    run, limit = verdict.run, INSTRUCTIONS.get(loop.name) if not precision else None
+    key, note = f"{loop.name}_instructions{precision}", f"{board} -O2, emulated, default options"
+    report.add(key, run.median, "instructions", case=note, n=verdict.samples, limit=limit, profile="verify")
+    report.add(f"{key}_worst", run.worst, "instructions", case=note, n=verdict.samples, profile="verify")
+
+
+def counts(report: Report, scale: float) -> None:
+    """Operations of the certificates: every function's against a count, every sample's against the worst case."""
+    samples = max(20, round(scale * SAMPLES))
+    for loop in loops():
+        wrong = count_mismatches(loop.make(), loop.options)
+        report.add("certificate_mismatches", len(wrong), case=f"{loop.name}: operations", limit=0, profile="counted")
+        name, sources = package(loop, loop.options)
+        stated = PackageDescription.from_json(sources[f"{name}.json"]).report.worst_operations["sample"]
+        (found,) = count(loop, record(loop, samples, []))
+        case = f"{loop.name}: stated {stated:,}, worst seen {found.every.max():,.0f}"
+        over = int(np.sum(found.every > stated))
+        report.add("worst_case_exceeded", over, case=case, n=samples, limit=0, profile="counted")

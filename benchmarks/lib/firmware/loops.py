@@ -1,0 +1,80 @@
+"""The closed loops that are replayed on targets, as inputs recorded on the host."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from benchmarks.lib.closed_loop import Scenario, disturbed
+from benchmarks.lib.robustness.work import Loop, closed_loops
+from nmpc_codegen import Controller, ExplicitRungeKutta, Options, RiccatiActiveSet, build, generate
+from nmpc_codegen.firmware.recording import Array, Disturbed, Event, Recording, record
+from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.options import Precision
+
+#: Loops that run on the boards; the others only have their single precision judged.
+ON_BOARDS = ("crane", "cstr", "bioreactor", "quadrotor", "cart_pole", "chain3")
+SAMPLES = 200
+
+#: Loops whose small package has smaller frames with a function per integration step.
+STEPPED = ("chain3", "bioreactor")
+#: Loops whose small package gives up the interior point, which takes over where the active set gives up a QP.
+ALONE = ("quadrotor",)
+
+
+def loops() -> list[Loop]:
+    """The loops of ON_BOARDS, with default options but for what their problem needs."""
+    known = {loop.name: loop for loop in closed_loops()}
+    return [known[name] for name in ON_BOARDS]
+
+
+def small(loop: Loop) -> Options:
+    """Options of a small real-time controller in single precision: without solve() and, where it is named, in STEPPED
+    with a function per integration step, in ALONE without the interior point behind the active set."""
+    options = replace(loop.options, solve=False, precision="single")
+    if loop.name in STEPPED:
+        integrator = options.integrator or ExplicitRungeKutta()
+        assert isinstance(integrator, ExplicitRungeKutta)
+        options = replace(options, integrator=replace(integrator, unroll="step"))
+    return replace(options, qp=RiccatiActiveSet(fallback=None)) if loop.name in ALONE else options
+
+
+@cache
+def package(loop: Loop, options: Options) -> tuple[str, Sources]:
+    """Name and files of the package of a loop."""
+    ocp = loop.make()
+    return ocp.name, generate(ocp, options)
+
+
+def with_precision(loop: Loop, precision: Precision) -> Loop:
+    """The loop with the default options of its example in a precision."""
+    return replace(loop, options=replace(loop.options, precision=precision))
+
+
+def events(scenario: Scenario, samples: int) -> list[Event]:
+    """The changes of the set point."""
+    found = []
+    for k in range(0, samples if scenario.set_points else 0, scenario.period):
+        y, y_N = scenario.set_points[k // scenario.period % len(scenario.set_points)]
+        found += [Event(k, "set_reference", np.array(y)), Event(k, "set_terminal_reference", np.array(y_N))]
+    return found
+
+
+def disturbances(scenario: Scenario, controller: Controller) -> Disturbed:
+    """What happens to the plant at the first sample of every period."""
+    random = np.random.default_rng(1)
+
+    def at(k: int, x: Array) -> Array:
+        return disturbed(scenario, x, random, controller.integrate) if k % scenario.period == 0 else x
+
+    return at
+
+
+def recorded(loop: Loop, samples: int) -> Recording:
+    """The loop on the host, in the profile without contraction."""
+    controller = build(loop.make(), loop.options, profile="verify")
+    scenario = loop.scenario
+    changes, plant = events(scenario, samples), disturbances(scenario, controller.copy())
+    return record(controller, np.array(scenario.x0, dtype=float), samples, scenario.dt, changes, plant)

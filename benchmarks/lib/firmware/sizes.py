@@ -1,0 +1,53 @@
+"""Flash memory, RAM and stack in single precision on the Cortex-M4F."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from benchmarks.lib.firmware.loops import loops, package, small
+from benchmarks.lib.report import Report
+from benchmarks.lib.robustness.work import Loop
+from nmpc_codegen import Options
+from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, certify
+from nmpc_codegen.firmware.targets import LEVELS, TARGETS
+
+#: Loop -> limits on bytes of flash memory and of the solver struct.
+LIMITS = {"crane": (20_000, 6_500), "quadrotor": (44_000, 60_000)}
+STACK = 2_500
+
+
+def forms(loop: Loop) -> dict[str, Options]:
+    """Name of a form -> its options: the default, and the small real-time controller."""
+    return {"default": replace(loop.options, precision="single"), "small": small(loop)}
+
+
+def sizes(report: Report, scale: float) -> None:
+    """All loops in all forms, at both levels; the limits are for the small form at the better level."""
+    for loop in loops():
+        for form, options in forms(loop).items():
+            name, sources = package(loop, options)
+            found = [certify(sources, name, TARGETS["cortex-m4f"], level) for level in LEVELS]
+            add(report, loop.name, form, found)
+
+
+def add(report: Report, name: str, form: str, found: list[Certificate]) -> None:
+    """The figures of a form."""
+    flash_limit, ram_limit = LIMITS.get(name, (None, None)) if form == "small" else (None, None)
+    suffix = "" if form == "small" else f"_{form}"
+    least = min(found, key=lambda c: c.flash_bytes)
+    note = f"{name}, {form}, -{least.level}, M4F"
+    report.add(f"{name}_flash_bytes{suffix}", least.flash_bytes, "B", case=note, limit=flash_limit, profile=least.level)
+    report.add(f"{name}_ram_bytes_single_rti{suffix}", least.struct_bytes, "B", case=note, limit=ram_limit)
+    for certificate in found:
+        entry = max(certificate.stack_bytes, key=lambda e: certificate.stack_bytes[e])
+        case = f"{name}, {form}, -{certificate.level}: {entry}, {' > '.join(certificate.stack_chain)}"
+        key = f"stack_all_entry_points_bytes{suffix}"
+        report.add(key, certificate.stack_worst, "B", case=case, profile=certificate.level)
+    shallow = min(found, key=real_time_stack)
+    case, limit = f"{name}, {form}, -{shallow.level}", STACK if form == "small" else None
+    report.add(f"stack_worst_bytes{suffix}", real_time_stack(shallow), "B", case=case, limit=limit)
+
+
+def real_time_stack(certificate: Certificate) -> int:
+    """Stack of the entry points that a real-time controller calls; kkt() and the like are for supervision."""
+    return max(size for entry, size in certificate.stack_bytes.items() if entry in REAL_TIME)

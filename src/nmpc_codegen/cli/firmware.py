@@ -1,0 +1,63 @@
+"""--target, --verify and the budgets: what they add to an export, and what is printed about it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+
+from rich.table import Table
+
+from nmpc_codegen.cli.arguments import BUDGETS
+from nmpc_codegen.cli.printing import Printer
+from nmpc_codegen.firmware.budgets import Budgets, parsed
+from nmpc_codegen.firmware.certificate import Certificate
+from nmpc_codegen.firmware.delivery import Delivery, deliver, sentences
+from nmpc_codegen.firmware.targets import find_target
+
+
+class Firmware:
+    """The flags of an export for a target; ``more`` is the hook of export(), after which there is a delivery."""
+
+    def __init__(self, arguments: argparse.Namespace, name: str) -> None:
+        given = {flag: getattr(arguments, f"max_{flag}") for flag in BUDGETS}
+        limits = {flag: parsed(f"--max-{flag}", text) for flag, text in given.items() if text is not None}
+        self._budgets, self._name = Budgets(**limits), name
+        self._target = None if arguments.target is None else find_target(arguments.target)
+        self._level, self._run = arguments.level, arguments.verify
+        self._delivery = Delivery({}, None, None)
+
+    def more(self, sources: Mapping[str, str]) -> dict[str, str]:
+        """Further files of the package; it raises an error if a budget is exceeded or a tool is missing."""
+        self._delivery = deliver(sources, self._name, self._target, self._level, self._budgets, self._run)
+        return dict(self._delivery.files)
+
+    def report(self, printer: Printer) -> bool:
+        """Print certificate and verdict; return False if host and target disagree."""
+        certificate, verdict = self._delivery.certificate, self._delivery.verdict
+        if certificate is not None:
+            _print(printer, certificate)
+        if verdict is None:
+            return True
+        printer.line(sentences(verdict).replace("\n\n", "\n"))
+        for line in () if verdict.passed else ("target and host DISAGREE",):
+            printer.line(line, style="red")
+        return verdict.passed
+
+
+def _print(printer: Printer, certificate: Certificate) -> None:
+    table = Table(f"{certificate.core}, -{certificate.level}", "bytes")
+    table.columns[1].justify = "right"
+    rows = {
+        "solver struct": certificate.struct_bytes,
+        "code and constants": certificate.flash_bytes,
+        "code and constants without solve()": certificate.flash_bytes_without_solve,
+        "code of libraries": certificate.library_bytes,
+        "worst-case stack": certificate.stack_worst,
+    }
+    for what, size in rows.items():
+        table.add_row(what, f"{size:,}")
+    printer.table(table)
+    if certificate.double_functions and certificate.precision == "single":
+        printer.line(f"double precision in software: {', '.join(certificate.double_functions)}", style="yellow")
+    if certificate.arithmetic == "software":
+        printer.line(f"{certificate.core} computes {certificate.precision} precision in software", style="yellow")

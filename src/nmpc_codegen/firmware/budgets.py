@@ -1,0 +1,131 @@
+"""Limits on memory, stack and operations that a package must keep, or it is not exported."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.firmware.certificate import Certificate
+from nmpc_codegen.runtime.package_description import PackageDescription
+
+_NUMBER = re.compile(r"(\d+(?:\.\d*)?(?:e\d+)?)([km]?)$", re.IGNORECASE)
+_UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20}
+
+
+@dataclass(frozen=True)
+class Budgets:
+    """Largest sizes in bytes, and the largest number of operations of a sample; None: no limit.
+
+    ``ram``: the solver struct; ``flash``: code and constants of the package; ``stack``: of the entry point that needs
+    most, libraries included.
+    """
+
+    ram: int | None = None
+    flash: int | None = None
+    stack: int | None = None
+    operations: int | None = None
+
+    @property
+    def given(self) -> bool:
+        return any(getattr(self, f.name) is not None for f in fields(self))
+
+
+def parsed(flag: str, text: str) -> int:
+    """A positive number, e.g. "64k" (64 * 1024), "1.5M", "2e6".
+
+    Raises:
+        OptionError: the text is none.
+    """
+    found = _NUMBER.match(text.strip())
+    value = round(float(found[1]) * _UNITS[found[2].lower()]) if found else 0
+    if value <= 0:
+        raise OptionError(f"{flag} {text}: expected a positive number, e.g. 6000, 64k (64 * 1024 bytes) or 2e6")
+    return value
+
+
+def check(budgets: Budgets, description: PackageDescription, certificate: Certificate | None) -> None:
+    """Compare the package with the budgets.
+
+    Raises:
+        OptionError: it exceeds one of them; the message says by how much, and what to change. Or flash or stack are
+            limited, but there is no certificate, which needs a target.
+    """
+    exceeded = list(_exceeded(budgets, description, certificate))
+    if exceeded:
+        raise OptionError("; ".join(exceeded))
+
+
+def _exceeded(budgets: Budgets, description: PackageDescription, certificate: Certificate | None) -> Iterator[str]:
+    report = description.report
+    if budgets.ram is not None:
+        ram = report.ram_bytes if certificate is None else certificate.struct_bytes
+        yield from _judged("ram", budgets.ram, ram, "bytes of solver struct", description, _ram_advice)
+    for name, advice in (("flash", _flash_advice), ("stack", _stack_advice)):
+        limit = getattr(budgets, name)
+        if limit is None:
+            continue
+        if certificate is None:
+            raise OptionError(f"--max-{name} needs --target NAME: it depends on compiler and core")
+        used = certificate.flash_bytes if name == "flash" else certificate.stack_worst
+        what = "bytes of code and constants" if name == "flash" else f"bytes ({' > '.join(certificate.stack_chain)})"
+        yield from _judged(name, limit, used, what, description, advice)
+    if budgets.operations is not None:
+        worst = report.worst_operations.get("sample")
+        if worst is None:
+            raise OptionError("--max-operations: the worst case of this package is unknown; choose another qp")
+        yield from _judged(
+            "operations", budgets.operations, worst, "operations of a sample at most", description, _operations_advice
+        )
+
+
+def _judged(
+    name: str,
+    limit: int,
+    used: int,
+    what: str,
+    description: PackageDescription,
+    advice: Callable[[PackageDescription, int], Iterator[str]],
+) -> Iterator[str]:
+    if used > limit:
+        remedies = ", or ".join(advice(description, limit))
+        excess = f"{description.name} takes {used:,} {what}, {used - limit:,} too many"
+        yield f"--max-{name} {limit}: {excess}; try {remedies}"
+
+
+def _common_advice(description: PackageDescription) -> Iterator[str]:
+    if description.offers("solve"):
+        yield "--set solve=False, which leaves out solve()"
+    if description.precision == "double":
+        yield "--precision single"
+
+
+def _ram_advice(description: PackageDescription, limit: int) -> Iterator[str]:
+    yield from _common_advice(description)
+    if any(s.name == "condensed" for s in description.structs):
+        yield "--set condensing=none, which is linear in the horizon"
+    if description.online["parameter"] == "node" and description.dims.np:
+        yield "--set online.parameter=shared"
+    if description.online["reference"] == "node":
+        yield "--set online.reference=shared"
+    yield "fewer intervals"
+
+
+def _flash_advice(description: PackageDescription, limit: int) -> Iterator[str]:
+    yield "--level Os"
+    yield from _common_advice(description)
+    if not description.discrete:
+        yield "--set integrator.unroll=none"
+
+
+def _stack_advice(description: PackageDescription, limit: int) -> Iterator[str]:
+    yield from _common_advice(description)
+    if not description.discrete:
+        yield "another --set integrator.unroll=step|none|all"
+
+
+def _operations_advice(description: PackageDescription, limit: int) -> Iterator[str]:
+    yield f"--set algorithm.budget={limit}, after which a sample returns the plan's control"
+    yield "a smaller --set qp.max_iterations=..."
+    yield "fewer intervals"

@@ -1,0 +1,184 @@
+"""The certificate of a package on a target: memory, stack, operations, what it was compiled with.
+
+It holds what a firmware engineer must know before the code runs: bytes of the solver struct; bytes of flash memory with
+and without solve(); the worst-case stack of every entry point; the worst case of operations; functions of the C library
+that are used; a digest of the C to which all this belongs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from nmpc_codegen.errors import BuildError
+from nmpc_codegen.firmware import stack
+from nmpc_codegen.firmware.targets import Level, Target
+from nmpc_codegen.firmware.toolchain import PREFIX, gcc, run, version
+from nmpc_codegen.runtime.package_description import PackageDescription
+
+#: Entry points that a controller with a real-time iteration calls.
+REAL_TIME = ("init", "prepare", "feedback", "step", "shift", "reset")
+SOLVE = "solve"
+
+#: Functions of libgcc that compute in double precision: a package in single precision must not call them.
+_DOUBLE = re.compile(r"__aeabi_(?:d\w+|f2d|i2d|ui2d|l2d|ul2d|cd\w+)$")
+#: Functions that the compiler itself calls: copying, and arithmetic that the core does not have.
+_COMPILER = re.compile(r"__aeabi_\w+$|mem(?:cpy|set|move|cmp)$|__\w+[sdt][if]\d*$")
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Properties of a package on a target. Sizes in bytes; ``stack``: entry point -> worst case, libraries included."""
+
+    name: str
+    target: str
+    core: str
+    precision: str
+    arithmetic: str  # "hardware" or "software"
+    compiler: str
+    level: str
+    flags: tuple[str, ...]
+    struct_bytes: int
+    flash_bytes: int  # code and constants of the package, every entry point
+    flash_bytes_without_solve: int
+    flash_bytes_real_time: int  # only init, prepare, feedback, step, shift, reset
+    library_bytes: int  # code and constants of libm, libc and libgcc that all entry points need
+    library_ram_bytes: int  # variables of the libraries, e.g. errno
+    stack_bytes: Mapping[str, int]
+    stack_bytes_package: Mapping[str, int]  # without functions of the libraries
+    stack_chain: tuple[str, ...]  # the deepest chain of calls
+    worst_operations: Mapping[str, int]
+    math_functions: tuple[str, ...]
+    compiler_functions: tuple[str, ...]
+    double_functions: tuple[str, ...]
+    sha256: Mapping[str, str]  # of <name>.h and <name>.c
+    object_sha256: str  # of the code and constants that the compiler made of them
+
+    @property
+    def stack_worst(self) -> int:
+        """The largest stack of an entry point."""
+        return max(self.stack_bytes.values())
+
+    def as_dict(self) -> dict[str, object]:
+        """As JSON."""
+        return asdict(self) | {"stack_bytes_worst": self.stack_worst}
+
+    def to_json(self) -> str:
+        return json.dumps(self.as_dict(), indent=1, allow_nan=False) + "\n"
+
+
+def certify(package: Mapping[str, str], name: str, target: Target, level: Level = "O2") -> Certificate:
+    """Compile the package for the target and measure it.
+
+    Raises:
+        BuildError: a tool is missing, the compiler refuses the code, or the stack is not bounded.
+    """
+    description = PackageDescription.from_json(package[f"{name}.json"])
+    with TemporaryDirectory() as folder:
+        return _certified(package, description, target, level, Path(folder))
+
+
+def _certified(
+    package: Mapping[str, str], description: PackageDescription, target: Target, level: Level, folder: Path
+) -> Certificate:
+    name, flags = description.name, target.compile_flags(level)
+    for ext in ("h", "c"):
+        (folder / f"{name}.{ext}").write_text(package[f"{name}.{ext}"], encoding="utf-8")
+    gcc([*flags, "-fcallgraph-info=su", "-c", f"{name}.c", "-o", "package.o"], folder)
+    functions = defined(folder, name)
+    undefined = tuple(line.split()[-1] for line in _tool("nm", folder, "-u", "package.o").splitlines())
+    _link(target, functions, "all.elf", folder)
+    graph, symbols = (folder / "package.ci").read_text(encoding="utf-8"), _tool("nm", folder, "all.elf")
+    frames = stack.with_folded(stack.of_package(graph), symbols, f"{name}.c")
+    roots = {f.removeprefix(f"{name}_"): f for f in functions}
+    depths = stack.depths(_library(folder, symbols) | frames, roots)
+    alone = stack.depths({f: stack.Function() for f in undefined} | frames, roots)
+    deepest = max(depths.values(), key=lambda d: d.bytes)
+    flash, library = flash_bytes(folder, functions), _sizes(_tool("size", folder, "all.elf"))
+    return Certificate(
+        name=name,
+        target=target.name,
+        core=target.core,
+        precision=description.precision,
+        arithmetic="hardware" if target.in_hardware(description.precision) else "software",
+        compiler=version(f"{PREFIX}gcc"),
+        level=level,
+        flags=flags,
+        struct_bytes=_struct_bytes(name, target, folder),
+        flash_bytes=flash,
+        flash_bytes_without_solve=flash_bytes(folder, [f for f in functions if f != f"{name}_{SOLVE}"]),
+        flash_bytes_real_time=flash_bytes(folder, [f for f in functions if f.removeprefix(f"{name}_") in REAL_TIME]),
+        library_bytes=library[0] - flash,
+        library_ram_bytes=library[1],
+        stack_bytes={label: d.bytes for label, d in depths.items()},
+        stack_bytes_package={label: d.bytes for label, d in alone.items()},
+        stack_chain=tuple(f.removeprefix(f"{name}.c:") for f in deepest.chain),
+        worst_operations=dict(description.report.worst_operations),
+        math_functions=tuple(f for f in undefined if not _COMPILER.match(f)),
+        compiler_functions=tuple(f for f in undefined if _COMPILER.match(f)),
+        double_functions=tuple(f for f in undefined if _DOUBLE.match(f)),
+        sha256={path: _digest(package[path]) for path in (f"{name}.h", f"{name}.c")},
+        object_sha256=_object_digest(folder),
+    )
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def defined(folder: Path, name: str) -> list[str]:
+    """The external functions of package.o."""
+    lines = (line.split() for line in _tool("nm", folder, "--defined-only", "-g", "package.o").splitlines())
+    return sorted(symbol for _, kind, symbol in lines if kind == "T" and symbol.startswith(f"{name}_"))
+
+
+def flash_bytes(folder: Path, functions: Iterable[str]) -> int:
+    """Bytes of code and constants of package.o that these functions reach, without libraries."""
+    roots = [f"--undefined={f}" for f in functions]
+    _tool("ld", folder, "-r", "--gc-sections", *roots, "package.o", "-o", "part.o")
+    flash, ram = _sizes(_tool("size", folder, "part.o"))
+    if ram:
+        raise BuildError(f"the package has {ram} bytes of variables outside its struct")
+    return flash
+
+
+def _sizes(listing: str) -> tuple[int, int]:
+    """Bytes of flash memory (code, constants, initial values) and of variables, from the table that ``size`` prints."""
+    text, data, bss = map(int, listing.splitlines()[1].split()[:3])
+    return text + data, data + bss
+
+
+def _tool(program: str, folder: Path, *arguments: str) -> str:
+    return run([f"{PREFIX}{program}", *arguments], folder)
+
+
+def _link(target: Target, functions: Iterable[str], output: str, folder: Path) -> None:
+    """A program that consists of these functions and what they need from the libraries."""
+    roots = [f"-Wl,--undefined={f}" for f in functions]
+    options = ("-nostartfiles", "-Wl,--gc-sections", "-Wl,--entry=0", "--specs=nosys.specs")
+    gcc([*target.flags, *options, *roots, "package.o", "-lm", "-o", output], folder)
+
+
+def _library(folder: Path, symbols: str) -> dict[str, stack.Function]:
+    """Functions of the libraries with their frames, from the linked program."""
+    listing = _tool("objdump", folder, "-d", "--no-show-raw-insn", "all.elf")
+    return stack.with_aliases(stack.of_program(listing), symbols)
+
+
+def _struct_bytes(name: str, target: Target, folder: Path) -> int:
+    """sizeof(<name>_solver_t) on the target: the size of an array of so many characters."""
+    text = f'#include "{name}.h"\nchar struct_bytes[sizeof({name}_solver_t)] = {{1}};\n'
+    (folder / "size.c").write_text(text, encoding="utf-8")
+    gcc([*target.flags, "-c", "size.c", "-o", "size.o"], folder)
+    (line,) = (part.split() for part in _tool("nm", folder, "-S", "size.o").splitlines() if "struct_bytes" in part)
+    return int(line[1], 16)
+
+
+def _object_digest(folder: Path) -> str:
+    """SHA-256 of the contents of all sections of package.o that are loaded."""
+    return _digest(_tool("objdump", folder, "-s", "package.o"))

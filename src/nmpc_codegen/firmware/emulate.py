@@ -1,0 +1,106 @@
+"""Run an image on an emulated board, and read what it reports.
+
+With -icount every instruction takes the same emulated time, so that the board's timer counts instructions: not the
+cycles of a chip, but exact and repeatable.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.errors import BuildError
+from nmpc_codegen.firmware.image import ELF, Image
+from nmpc_codegen.firmware.targets import ICOUNT_SHIFT, INSTRUCTIONS_PER_TICK
+from nmpc_codegen.firmware.toolchain import EMULATOR, run
+from nmpc_codegen.runtime.package_description import PackageDescription
+
+OUTPUT = "uart.txt"
+SECONDS = 600.0  # that an emulation may take
+
+#: Entry points that replay.c calls once at the end, by the number on their line.
+OTHERS = ("step", "cost", "integrate", "shift", "kkt", "reset", "solve")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What the target did: controls, statuses, instructions per call, and the stack of every entry point, bytes."""
+
+    u: NDArray[np.floating[Any]]  # (samples, nu), in the package's precision
+    status: NDArray[np.int64]  # (samples,)
+    prepare: NDArray[np.int64]  # instructions, (samples,)
+    feedback: NDArray[np.int64]
+    instructions: dict[str, int]  # of other entry points, called once
+    stack: dict[str, int]
+
+    @property
+    def sample(self) -> NDArray[np.int64]:
+        """Instructions of prepare() and feedback() together."""
+        return self.prepare + self.feedback
+
+    @property
+    def median(self) -> int:
+        """Median instructions of a sample."""
+        return int(np.median(self.sample))
+
+    @property
+    def worst(self) -> int:
+        """Instructions of the sample that took most."""
+        return int(self.sample.max())
+
+
+def emulate(image: Image, description: PackageDescription, samples: int) -> Run:
+    """Run the image.
+
+    Raises:
+        BuildError: there is no emulator, the program does not end, or its output is not complete.
+    """
+    command = [EMULATOR, "-M", image.target.machine, "-kernel", ELF, "-display", "none", "-monitor", "none"]
+    command += ["-serial", f"file:{OUTPUT}", "-icount", f"shift={ICOUNT_SHIFT}"]
+    command += ["-semihosting-config", "enable=on,target=native"]
+    (image.folder / OUTPUT).write_text("", encoding="utf-8")
+    try:
+        run(command, image.folder, SECONDS)
+    except BuildError as error:
+        raise BuildError(f"{error}\nthe board's last words: {_tail(image)}") from None
+    text = (image.folder / OUTPUT).read_text(encoding="ascii", errors="replace")
+    return _parsed(text.splitlines(), description, samples)
+
+
+def _tail(image: Image) -> str:
+    lines = (image.folder / OUTPUT).read_text(encoding="ascii", errors="replace").splitlines()
+    return lines[-1] if lines else "none"
+
+
+def _parsed(lines: Sequence[str], description: PackageDescription, samples: int) -> Run:
+    """The lines of replay.c, whose formats it states."""
+    words: dict[str, list[list[int]]] = {letter: [] for letter in "EISO"}
+    for line in lines:
+        letter, *numbers = line.split() or [""]
+        if letter in words:
+            words[letter].append([int(number, 16) for number in numbers])
+    if len(words["E"]) != 1 or len(words["I"]) != 1 or len(words["S"]) != samples:
+        raise BuildError(f"the emulated board reported {len(words['S'])} of {samples} samples")
+    empty: int = words["E"][0][0]
+
+    def instructions(ticks: int) -> int:
+        counted: int = round((ticks - empty) * INSTRUCTIONS_PER_TICK)
+        return counted
+
+    table = np.array([sample[:6] for sample in words["S"]], dtype=np.int64).reshape(samples, 6)
+    bits = np.array([sample[6:] for sample in words["S"]], dtype=np.uint32)
+    u = np.ascontiguousarray(bits).view(description.real).reshape(samples, description.dims.nu)
+    stack = {"init": words["I"][0][1], "prepare": int(table[:, 1].max()), "feedback": int(table[:, 4].max())}
+    others = {OTHERS[number]: (ticks, used) for number, ticks, used in words["O"]}
+    return Run(
+        u=u,
+        status=np.where(table[:, 2] != 0, table[:, 2], table[:, 5]),
+        prepare=np.array([instructions(t) for t in table[:, 0]]),
+        feedback=np.array([instructions(t) for t in table[:, 3]]),
+        instructions={"init": instructions(words["I"][0][0])} | {n: instructions(t) for n, (t, _) in others.items()},
+        stack=stack | {name: used for name, (_, used) in others.items()},
+    )

@@ -1,0 +1,80 @@
+"""Builds of a package for a target: Makefile and CMake for the cross compiler, Zephyr, PlatformIO, Arduino; self-test.
+
+All of them compile <name>.c with the flags of the certificate, or its flags of arithmetic where the framework chooses
+the core. Only the Arduino library needs a copy of the C, since its tools look into no other folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from nmpc_codegen.firmware.certificate import Certificate
+from nmpc_codegen.firmware.recording import Recording, literals
+from nmpc_codegen.firmware.targets import ARITHMETIC, ICOUNT_SHIFT, SECTIONS, Target
+from nmpc_codegen.firmware.verify import TOLERANCE
+from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.runtime.seal import has_seal
+
+#: File -> template below templates/firmware.
+CROSS = {
+    "firmware/Makefile": "Makefile",
+    "firmware/CMakeLists.txt": "CMakeLists.txt",
+    "firmware/toolchain.cmake": "toolchain.cmake",
+    "firmware/budget.c": "budget.c",
+    "firmware/selftest.h": "selftest.h",
+    "firmware/selftest.c": "selftest.c",
+    "firmware/selftest_main.c": "selftest_main.c",
+    "zephyr/module.yml": "zephyr_module.yml",
+    "zephyr/CMakeLists.txt": "zephyr_CMakeLists.txt",
+    "zephyr/Kconfig": "zephyr_Kconfig",
+    "library.json": "library.json",
+}
+
+
+def layouts(
+    package: Mapping[str, str], recording: Recording, target: Target, certificate: Certificate, ram: int | None
+) -> dict[str, str]:
+    """Files of all builds; ``ram``: the budget that budget.c checks, else the size of the struct."""
+    name = certificate.name
+    names = _names(recording, target, certificate, ram)
+
+    def rendered(template: str) -> str:
+        return environment().get_template(f"firmware/{template}.jinja").render(names)
+
+    files = {path: rendered(template) for path, template in CROSS.items()}
+    arduino = f"arduino/{name}"
+    files[f"{arduino}/library.properties"] = rendered("library.properties")
+    files[f"{arduino}/examples/{name}_loop/{name}_loop.ino"] = rendered("sketch.ino")
+    return files | {f"{arduino}/src/{name}.{ext}": without_seal(package[f"{name}.{ext}"]) for ext in ("h", "c")}
+
+
+def _names(recording: Recording, target: Target, certificate: Certificate, ram: int | None) -> dict[str, Any]:
+    """What the templates may use."""
+    d, portable = recording.description, (*ARITHMETIC[1:], *SECTIONS)
+    tolerance = TOLERANCE[d.precision]
+    return {
+        "p": d.name,
+        "P": d.name.upper(),
+        "target": target,
+        "icount": ICOUNT_SHIFT,
+        "flags": " ".join(certificate.flags),
+        "arithmetic": " ".join((f"-{certificate.level}", *portable)),
+        "quoted": ", ".join(f'"{flag}"' for flag in portable),
+        "ram": certificate.struct_bytes if ram is None else ram,
+        "origin": "the size for which the package was certified" if ram is None else "--max-ram",
+        "stack": certificate.stack_bytes["step"],
+        "flash": certificate.flash_bytes,
+        "samples": len(recording.x),
+        "tolerance": f"{tolerance:g}",
+        "u": [literals(row, d.precision) for row in recording.u],
+        "status": ", ".join(str(int(s)) for s in recording.status),
+        "accepted": literals(tolerance * recording.u_range, d.precision),
+        "milliseconds": max(1, round(1000 * d.dt[0])),
+    }
+
+
+def without_seal(text: str) -> str:
+    """The text of a file without the line of its seal, which the copy gets anew."""
+    lines = text.splitlines(keepends=True)
+    return "".join(lines[:-1]) if lines and has_seal(lines[-1].encode()) else text

@@ -1,0 +1,181 @@
+"""Inputs of a closed loop and the controls that the host computes for them, for the same samples on a target.
+
+    u_k, status_k = feedback(x_k) after prepare(),   x_{k+1} = plant(x_k, u_k)
+
+The host runs the package in its profile "verify", without contraction; all inputs are numbers of the package's own
+precision, written to C as hexadecimal literals, which are exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.package_description import PackageDescription, Precision
+
+Array = NDArray[np.float64]
+Disturbed = Callable[[int, Array], Array]
+
+STEP_SLACK = 1e-9  # relative tolerance of the number of intervals in a sampling time
+PERIOD = 50  # samples after which the loop of started_again() starts anew
+SPREAD = 0.05  # of the declared initial state
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """A change of data before sample ``sample``: the reference of all nodes, that of the end, or the plan (x, u)."""
+
+    sample: int
+    call: Literal["set_reference", "set_terminal_reference", "plan"]
+    values: Array
+
+    def apply(self, controller: Controller) -> None:
+        """Do it on the host."""
+        if self.call == "plan":
+            states = controller.x.size
+            controller.x[:] = self.values[:states].reshape(controller.x.shape)
+            controller.u[:] = self.values[states:].reshape(controller.u.shape)
+        else:
+            getattr(controller, self.call)(self.values)
+
+    def c(self, prefix: str, nodes: str) -> list[str]:
+        """C statements that do it on the target, with the numbers in ``values``."""
+        if self.call == "plan":
+            return [
+                "memcpy(s->x, values, sizeof s->x);",
+                "memcpy(s->u, values + sizeof s->x / sizeof(real_t), sizeof s->u);",
+            ]
+        node = f"{prefix.upper()}_ALL, " if self.call == "set_reference" else ""
+        return [f"(void){prefix}_{self.call}(s, {node}values);"]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Samples of a closed loop: inputs, and the host's outputs. ``u_range`` (nu,): the range of every control."""
+
+    description: PackageDescription
+    x: Array  # (samples, nx)
+    events: tuple[Event, ...]
+    u: Array  # (samples, nu)
+    status: NDArray[np.int64]  # (samples,), of feedback, or of prepare if that failed
+    plant: Array  # (samples + 1, nx), states of the plant
+    u_range: Array
+
+    @property
+    def header(self) -> str:
+        """The text of recording.h."""
+        d = self.description
+        events = [
+            {
+                "sample": event.sample,
+                "size": event.values.size,
+                "numbers": literals(event.values, d.precision),
+                "lines": event.c(d.name, "ALL"),
+            }
+            for event in self.events
+        ]
+        return (
+            environment()
+            .get_template("firmware/recording.h.jinja")
+            .render(
+                p=d.name,
+                P=d.name.upper(),
+                has_solve=int(d.offers("solve")),
+                samples=len(self.x),
+                x=[literals(row, d.precision) for row in self.x],
+                events=events,
+            )
+        )
+
+
+def literals(values: ArrayLike, precision: Precision) -> str:
+    """The numbers as exact C literals, separated by commas."""
+    suffix = "F" if precision == "single" else ""
+    return ", ".join(f"{float(v).hex()}{suffix}" for v in np.asarray(values).ravel())
+
+
+def record(
+    controller: Controller,
+    x0: ArrayLike,
+    samples: int,
+    dt: float | None = None,
+    events: Sequence[Event] = (),
+    disturbed: Disturbed | None = None,
+) -> Recording:
+    """Run the controller, in its initial state, with its own model as plant, and record the loop.
+
+    Args:
+        controller: a controller that was just built, in the profile "verify".
+        x0: initial state of the plant, shape (nx,).
+        samples: number of samples.
+        dt: sampling time; None: the first interval.
+        events: changes of data.
+        disturbed: disturbed(k, x) -> state that is measured at sample k, from where the plant goes on.
+
+    Raises:
+        ControllerError: the package has no prepare() and feedback(), or the state of the plant is not finite.
+    """
+    description = controller.description
+    if not (description.offers("prepare") and description.offers("feedback")):
+        raise ControllerError(f"{description.name} has no prepare() and feedback(), which a recorded loop calls")
+    real, x = description.real, np.array(x0, dtype=np.float64)
+    states, measured, controls, statuses = [x], [], [], []
+    for k in range(samples):
+        for event in (e for e in events if e.sample == k):
+            event.apply(controller)
+        x = x if disturbed is None else np.asarray(disturbed(k, x))
+        x = x.astype(real).astype(np.float64)
+        if not np.all(np.isfinite(x)):
+            raise ControllerError(f"{description.name}: the state of the plant is not finite at sample {k}: {x}")
+        measured.append(x)
+        prepared = controller.prepare()
+        u = controller.feedback(x).astype(np.float64)
+        controls.append(u)
+        statuses.append(int(prepared) or int(controller.status))
+        x = _next(controller, x, u, dt)
+        states.append(x)
+    exact = tuple(Event(e.sample, e.call, np.asarray(e.values).astype(real).astype(np.float64)) for e in events)
+    u = np.array(controls).reshape(samples, description.dims.nu)
+    return Recording(
+        description, np.array(measured), exact, u, np.array(statuses), np.array(states), ranges(description, u)
+    )
+
+
+def _next(controller: Controller, x: Array, u: Array, dt: float | None) -> Array:
+    """The state after ``dt``, in equal steps no longer than the first interval."""
+    longest = controller.description.dt[0]
+    interval = longest if dt is None else dt
+    count = max(1, math.ceil(interval / longest * (1.0 - STEP_SLACK)))
+    for _ in range(count):
+        x = np.asarray(controller.integrate(x, u, interval / count), dtype=np.float64)
+    return x
+
+
+def ranges(description: PackageDescription, u: Array) -> Array:
+    """Range of every control: between its declared bounds, else between the largest and smallest recorded value."""
+    spread = np.ptp(u, axis=0) if len(u) else np.zeros(description.dims.nu)
+    found = np.where(spread > 0.0, spread, 1.0)
+    for row in description.rows:
+        if row.kind == "control" and math.isfinite(row.upper - row.lower) and row.upper > row.lower:
+            found[row.index] = row.upper - row.lower
+    return np.asarray(found)
+
+
+def started_again(x0: Array, seed: int = 1) -> Disturbed:
+    """A loop that starts anew every PERIOD samples, near the declared initial state."""
+    random: Any = np.random.default_rng(seed)
+
+    def disturbed(k: int, x: Array) -> Array:
+        if k % PERIOD != 0 or k == 0:
+            return x
+        return np.asarray(x0 * (1.0 + SPREAD * random.uniform(-1.0, 1.0, x0.size)))
+
+    return disturbed

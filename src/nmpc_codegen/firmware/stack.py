@@ -1,0 +1,197 @@
+"""Worst-case stack of every entry point: the deepest chain of calls.
+
+    depth(f) = frame(f) + max over callees g of depth(g)
+
+Frames and calls of the package are those that gcc states (-fcallgraph-info=su). Functions of the C library and of
+libgcc come without; their frames are read from the linked program: all decrements of the stack pointer in a function
+together, an upper bound, since none of them is inside a loop. A frame of variable size, a call through a pointer, and
+recursion are errors.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from nmpc_codegen.errors import BuildError
+
+_NODE = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?(?:(\d+) bytes \(([a-z, ]+)\))?" ?(?:shape : \w+ )?\}')
+_EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
+
+_FUNCTION = re.compile(r"^([0-9a-f]+) <([^>]+)>:$")
+_INSTRUCTION = re.compile(r"^\s+([0-9a-f]+):\t([\w.]+)(?:\t(.*))?$")
+_TARGET = re.compile(r"\b([0-9a-f]+) <([^>+]+)")
+_PUSHES = re.compile(r"\{([^}]*)\}")
+_IMMEDIATE = re.compile(r"#(\d+)")
+_PREDECREMENT = re.compile(r"\[sp, #-(\d+)\]!")
+_CONDITION = r"(?:eq|ne|cs|hs|cc|lo|mi|pl|vs|vc|hi|ls|ge|lt|gt|le)?"
+_BRANCH = re.compile(rf"^(bl|b|blx|bx)({_CONDITION})(?:\.[nw])?$")
+_BYTES = {"r": 4, "s": 4, "d": 8}
+
+
+@dataclass
+class Function:
+    """A function: its frame in bytes, and the names of what it calls."""
+
+    frame: int = 0
+    calls: set[str] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class Depth:
+    """Stack of an entry point, bytes, and the chain of calls that needs it."""
+
+    bytes: int
+    chain: tuple[str, ...]
+
+
+def of_package(graph: str) -> dict[str, Function]:
+    """Functions of gcc's call graph; those of other units have no frame and are not among them.
+
+    Raises:
+        BuildError: a frame has a variable size, or a function is called through a pointer.
+    """
+    functions: dict[str, Function] = {}
+    for title, size, kind in _NODE.findall(graph):
+        if title == "__indirect_call":
+            raise BuildError("a function is called through a pointer: its stack is unknown")
+        if not size:
+            continue
+        if kind not in ("static", "dynamic,bounded"):
+            raise BuildError(f"the frame of {title} has a variable size: its stack is unknown")
+        functions[title] = Function(int(size))
+    for source, callee in _EDGE.findall(graph):
+        functions[source].calls.add(callee)
+    return functions
+
+
+def of_program(disassembly: str) -> dict[str, Function]:
+    """Functions of a linked program, from ``objdump -d --no-show-raw-insn``."""
+    functions: dict[str, Function] = {}
+    name, last = "", ""
+    for line in disassembly.splitlines():
+        if begin := _FUNCTION.match(line):
+            if last and name and not _ends(last):
+                functions[name].calls.add(begin[2])
+            name, last = begin[2], ""
+            functions[name] = Function()
+        elif name and (found := _INSTRUCTION.match(line)):
+            operation, operands = found[2], (found[3] or "").partition("@")[0].strip()
+            if operation.startswith((".", "nop")):  # constants, and what fills the space before them
+                continue
+            last = f"{operation} {operands}"
+            functions[name].frame += decrement(operation, operands, name)
+            callee = _callee(operation, operands, name)
+            if callee not in (None, name):
+                functions[name].calls.add(str(callee))
+    return functions
+
+
+def with_aliases(functions: Mapping[str, Function], symbols: str) -> dict[str, Function]:
+    """The functions also under their other names, from ``nm``: the disassembly shows one name per address."""
+    found = dict(functions)
+    for group in _names_of_addresses(symbols):
+        shown = next((name for name in group if name in functions), None)
+        found |= {name: functions[shown] for name in group if shown is not None and name not in functions}
+    return found
+
+
+def with_folded(functions: Mapping[str, Function], symbols: str, unit: str) -> dict[str, Function]:
+    """The functions of a package also under the names of those that the compiler found equal to them and folded.
+
+    gcc's graph has calls of such a function, but no node; in the linked program both names have one address.
+    """
+    found = dict(functions)
+    for group in _names_of_addresses(symbols):
+        titles = [title for name in group for title in (name, f"{unit}:{name}")]
+        shown = next((title for title in titles if title in functions), None)
+        found |= {title: functions[shown] for title in titles if shown is not None and title not in functions}
+    return found
+
+
+def _names_of_addresses(symbols: str) -> list[list[str]]:
+    """Names of functions that have the same address, from ``nm``."""
+    names: dict[int, list[str]] = {}
+    for line in symbols.splitlines():
+        address, kind, name = line.split()[-3:] if len(line.split()) == 3 else ("", "", "")
+        if kind in ("T", "t", "W", "w"):
+            names.setdefault(int(address, 16) & ~1, []).append(name)
+    return list(names.values())
+
+
+def _ends(instruction: str) -> bool:
+    """True if a function does not continue after this instruction."""
+    operation, _, operands = instruction.partition(" ")
+    branch = _BRANCH.match(operation)
+    if branch and branch[1] in ("b", "bx") and not branch[2]:
+        return True
+    leaves = operation.startswith(("pop", "ldr", "ldm")) and re.search(r"\bpc\b", operands)
+    return bool(leaves) or operation in ("udf", "bkpt")
+
+
+def decrement(operation: str, operands: str, name: str) -> int:
+    """Bytes by which an instruction lowers the stack pointer.
+
+    Raises:
+        BuildError: it subtracts a register.
+    """
+    stem = operation.partition(".")[0]
+    if stem.startswith(("push", "vpush")) or (re.match(r"v?stmdb", stem) and operands.startswith("sp!")):
+        return sum(_registers(part) for part in _PUSHES.findall(operands)[0].split(","))
+    if before := _PREDECREMENT.search(operands):
+        return int(before[1])
+    if re.match(r"subs?w?", stem) and operands.startswith("sp,"):
+        amount = _IMMEDIATE.search(operands)
+        if amount is None:
+            raise BuildError(f"{name} lowers the stack pointer by a register: its stack is unknown")
+        return int(amount[1])
+    return 0
+
+
+def _registers(part: str) -> int:
+    """Bytes of a register, or of a range such as d8-d15."""
+    first, _, last = part.strip().partition("-")
+    size = _BYTES.get(first[0], 4)
+    return size * (int(last[1:]) - int(first[1:]) + 1 if last else 1)
+
+
+def _callee(operation: str, operands: str, name: str) -> str | None:
+    """Function to which an instruction may go.
+
+    Raises:
+        BuildError: it is called through a register.
+    """
+    if operation.startswith(("cbz", "cbnz")):
+        return None
+    branch = _BRANCH.match(operation)
+    if branch is None:
+        return None
+    if branch[1] in ("bx", "blx") and not _TARGET.search(operands):
+        if branch[1] == "bx" and operands in ("lr", "ip", "r3"):
+            return None
+        raise BuildError(f"{name} calls a function through {operands}: its stack is unknown")
+    found = _TARGET.search(operands)
+    return found[2] if found else None
+
+
+def depths(functions: Mapping[str, Function], roots: Mapping[str, str]) -> dict[str, Depth]:
+    """Depth of every root: label -> name of a function.
+
+    Raises:
+        BuildError: a function calls itself, or its frame is not known.
+    """
+    known: dict[str, Depth] = {}
+
+    def depth(name: str, path: tuple[str, ...]) -> Depth:
+        if name in path:
+            raise BuildError(f"recursion: {' -> '.join((*path[path.index(name) :], name))}")
+        if name not in known:
+            if name not in functions:
+                raise BuildError(f"the stack of {name} is unknown: it is not in the linked program")
+            below = [depth(callee, (*path, name)) for callee in sorted(functions[name].calls)]
+            deepest = max(below, key=lambda d: d.bytes, default=Depth(0, ()))
+            known[name] = Depth(functions[name].frame + deepest.bytes, (name, *deepest.chain))
+        return known[name]
+
+    return {label: depth(name, ()) for label, name in roots.items()}

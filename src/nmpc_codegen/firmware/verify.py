@@ -1,0 +1,90 @@
+"""Compare the controls of a target with those of the host.
+
+A sample agrees if the statuses are equal and |u - u_host| <= tolerance * range for every control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from nmpc_codegen.firmware.emulate import Run, emulate
+from nmpc_codegen.firmware.image import MOST_STACK, build
+from nmpc_codegen.firmware.recording import Recording
+from nmpc_codegen.firmware.targets import Level, Target
+
+#: Largest |u - u_host| of a sample that agrees, relative to the range of the control.
+TOLERANCE = {"double": 1e-9, "single": 1e-3}
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Outcome of the comparison. ``mismatches``: samples that do not agree; ``bits``: samples with another bit in u."""
+
+    run: Run
+    samples: int
+    tolerance: float
+    error: float  # the largest |u - u_host| / range
+    mismatches: tuple[int, ...]
+    statuses: int  # samples with another status
+    bits: int
+
+    @property
+    def passed(self) -> bool:
+        return not self.mismatches
+
+    def as_dict(self) -> dict[str, object]:
+        """As JSON."""
+        return {
+            "samples": self.samples,
+            "mismatches": len(self.mismatches),
+            "status_differs": self.statuses,
+            "bit_mismatches": self.bits,
+            "largest_difference_over_range": self.error,
+            "tolerance": self.tolerance,
+            "instructions_median": self.run.median,
+            "instructions_worst": self.run.worst,
+            "painted_stack_bytes": dict(self.run.stack),
+        }
+
+
+def verify(
+    package: Mapping[str, str],
+    name: str,
+    recording: Recording,
+    target: Target,
+    level: Level = "O2",
+    stack_bytes: int = MOST_STACK,
+) -> Verdict:
+    """Replay the recording on the emulated target and compare; ``stack_bytes``: what a call is expected to need.
+
+    Raises:
+        BuildError: a tool is missing or fails.
+    """
+    with TemporaryDirectory() as folder:
+        image = build(package, name, recording.header, target, level, Path(folder), stack_bytes)
+        run = emulate(image, recording.description, len(recording.x))
+    return compared(recording, run)
+
+
+def compared(recording: Recording, run: Run) -> Verdict:
+    """The verdict on a run."""
+    tolerance = TOLERANCE[recording.description.precision]
+    with np.errstate(invalid="ignore"):
+        errors = np.abs(run.u.astype(np.float64) - recording.u) / recording.u_range
+    largest = errors.max(axis=1, initial=0.0)
+    other = run.status != recording.status
+    wrong = np.flatnonzero(other | ~(largest <= tolerance))
+    return Verdict(
+        run=run,
+        samples=len(recording.x),
+        tolerance=tolerance,
+        error=float(largest.max(initial=0.0)),
+        mismatches=tuple(int(k) for k in wrong),
+        statuses=int(np.sum(other)),
+        bits=int(np.sum(np.any(run.u.astype(np.float64) != recording.u, axis=1))),
+    )

@@ -1,0 +1,152 @@
+"""--target, --verify and budgets on the command line."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from conftest import require_tool
+
+from nmpc_codegen.cli import main
+from nmpc_codegen.runtime.seal import intact
+
+PROBLEM = str(Path(__file__).parents[2] / "examples" / "crane.py")
+
+
+COMMAND = [PROBLEM, "--precision", "single", "--set", "solve=False"]
+TARGET = ["--target", "cortex-m4f", "--level", "Os", "--verify", "--max-ram", "6500"]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package of the crane for a target."""
+    for tool in ("cc", "arm", "qemu"):
+        require_tool(tool)
+    folder = tmp_path_factory.mktemp("exported") / "crane"
+    assert main([*COMMAND, "-o", str(folder), *TARGET]) == 0
+    return folder
+
+
+def test_files_of_an_export_for_a_target(exported: Path, tmp_path: Path) -> None:
+    """Files are sealed; the C is that of any other export; exporting again is safe."""
+    assert main([*COMMAND, "-o", str(tmp_path)]) == 0
+    for path in tmp_path.iterdir():
+        assert (exported / path.name).read_bytes() == path.read_bytes(), "a target changes nothing that others write"
+    files = {p.relative_to(exported).as_posix(): p.read_bytes() for p in exported.rglob("*") if p.is_file()}
+    assert {"certificate.md", "firmware/replay.c", "firmware/Makefile", "zephyr/module.yml"} <= set(files)
+    assert all(intact(data) for data in files.values())
+    copied = files["arduino/crane/src/crane.c"].splitlines()[:-1]
+    assert copied == files["crane.c"].splitlines()[:-1]
+
+
+def test_certificate_of_an_export(exported: Path) -> None:
+    found = json.loads((exported / "certificate.json").read_text())
+    assert found["emulated"]["mismatches"] == 0
+    assert found["emulated"]["samples"] == 200
+    assert found["flash_bytes"] < 20_000
+    page = (exported / "certificate.md").read_text()
+    assert f"{found['flash_bytes']:,}" in page
+    assert "All 200 samples agree with the host" in page
+    assert hashlib.sha256((exported / "crane.c").read_bytes()).hexdigest() in page
+    assert "-Os" in page
+
+
+def ran(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_makefile_and_self_test(exported: Path, tmp_path: Path) -> None:
+    """The Makefile builds everything; the self-test passes on the board, and fails with another expected control."""
+    make, folder = require_tool("make"), tmp_path / "crane"
+    shutil.copytree(exported, folder)
+    built = ran([make, "-C", "firmware", "all"], folder)
+    assert built.returncode == 0, built.stderr
+    assert built.stderr == ""
+    assert ran([make, "-C", "firmware", "selftest"], folder).returncode == 0
+    assert ran([make, "-C", "firmware", "run"], folder).returncode == 0
+    lines = (folder / "firmware" / "uart.txt").read_text().splitlines()
+    assert len([line for line in lines if line.startswith("S ")]) == 200
+    source = folder / "firmware" / "selftest.c"
+    begin, brace, rest = source.read_text().partition("expected_u[SAMPLES][NU] = {\n    { ")
+    source.write_text(f"{begin}{brace}0.25F + {rest}")
+    assert ran([make, "-C", "firmware", "selftest"], folder).returncode == 2
+    assert "Error 1" in ran([make, "-C", "firmware", "selftest"], folder).stderr, "one sample differs"
+
+
+def test_cmake_for_the_target(exported: Path, tmp_path: Path) -> None:
+    cmake = require_tool("cmake")
+    configure = [cmake, "-S", str(exported / "firmware"), "-B", str(tmp_path)]
+    done = ran([*configure, f"-DCMAKE_TOOLCHAIN_FILE={exported / 'firmware' / 'toolchain.cmake'}"], tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = ran([cmake, "--build", str(tmp_path)], tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "selftest.elf").is_file()
+
+
+def test_the_budget_is_checked_by_the_compiler(exported: Path, tmp_path: Path) -> None:
+    shutil.copytree(exported, tmp_path / "crane")
+    budget = tmp_path / "crane" / "firmware" / "budget.c"
+    assert "<= 6500u" in budget.read_text()
+    budget.write_text(budget.read_text().replace("6500u", "6000u"))
+    done = ran([require_tool("make"), "-C", "firmware", "budget.o"], tmp_path / "crane")
+    assert done.returncode != 0
+    assert "ram_budget" in done.stderr
+
+
+def test_module_and_libraries(exported: Path, tmp_path: Path) -> None:
+    """Zephyr's CMake adds the right file under its own commands; library.json is JSON; the Arduino sources compile."""
+    cmake, compiler = require_tool("cmake"), require_tool("arm")
+    commands = ("zephyr_include_directories", "zephyr_library_named", "zephyr_library_compile_options")
+    stubs = "".join(f"function({name})\nendfunction()\n" for name in commands)
+    stubs += 'function(zephyr_library_sources f)\nget_filename_component(p "${f}" REALPATH)\n'
+    stubs += 'if(NOT EXISTS "${p}")\nmessage(FATAL_ERROR "no ${p}")\nendif()\nmessage("adds ${p}")\nendfunction()\n'
+    script = tmp_path / "script.cmake"
+    script.write_text(f"{stubs}set(CONFIG_CRANE 1)\ninclude({exported / 'zephyr' / 'CMakeLists.txt'})\n")
+    assert f"adds {exported.resolve() / 'crane.c'}" in ran([cmake, "-P", str(script)], tmp_path).stderr
+    library = json.loads((exported / "library.json").read_text())
+    assert library["build"]["srcFilter"] == ["-<*>", "+<crane.c>"]
+    source = exported / "arduino" / "crane" / "src"
+    flags = ["-mcpu=cortex-m4", "-mthumb", "-O1", "-fsyntax-only"]
+    assert ran([compiler, *flags, "-I", str(source), str(source / "crane.c")], tmp_path).returncode == 0
+    sketch = next((exported / "arduino" / "crane" / "examples").rglob("*.ino")).read_text()
+    (tmp_path / "sketch.cpp").write_text(f"unsigned long millis();\n{sketch}")
+    done = ran([compiler, *flags, "-I", str(source), "-x", "c++", "sketch.cpp"], tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+def test_exceeded_budgets_leave_no_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "c"
+    assert main([PROBLEM, "-o", str(folder), "--max-ram", "6k", "--max-operations", "1e5"]) == 1
+    err = capsys.readouterr().err
+    assert "--max-ram 6144: crane takes 15,888 bytes" in err
+    assert "--max-operations 100000" in err
+    assert "try --set solve=False" in err
+    assert not folder.exists()
+    assert main([PROBLEM, "-o", str(folder), "--max-ram", "16k"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (["--verify"], 2, "--verify needs --target"),
+        (["--max-stack", "4k"], 2, "--max-stack needs --target"),
+        (["--target", "z80"], 2, "invalid choice: 'z80'"),
+        (["--max-ram", "much"], 1, "expected a positive number"),
+    ],
+)
+def test_wrong_usage(
+    arguments: list[str], status: int, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([PROBLEM, "-o", str(tmp_path / "c"), *arguments]) == status
+    assert says in capsys.readouterr().err
+
+
+def test_missing_toolchain(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert main([PROBLEM, "-o", str(tmp_path / "c"), "--target", "cortex-m7"]) == 1
+    assert "apt install gcc-arm-none-eabi libnewlib-arm-none-eabi" in capsys.readouterr().err
+    assert not (tmp_path / "c").exists()

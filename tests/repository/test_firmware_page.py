@@ -1,0 +1,71 @@
+"""docs/firmware.md: its programs compile, and the bare-metal one controls the plant on the emulated board."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+from pathlib import Path
+
+import pytest
+from conftest import require_tool
+
+from benchmarks.lib.doors.snippets import ROOT, blocks
+from nmpc_codegen.cli import main
+
+PAGE = "docs/firmware.md"
+
+#: What thread.c uses of Zephyr.
+KERNEL = """
+#include <stddef.h>
+struct k_timer { int unused; };
+#define K_MSEC(ms) (ms)
+#define K_FP_REGS 2
+#define K_TIMER_DEFINE(name, expiry, stop) static struct k_timer name
+void k_timer_start(struct k_timer *timer, int first, int period);
+unsigned k_timer_status_sync(struct k_timer *timer);
+#define K_THREAD_DEFINE(name, stack, entry, a, b, c, priority, options, delay) \\
+    void (*const name)(void *, void *, void *) = entry
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cart of the README, exported for a target, and the programs of the page beside it."""
+    for tool in ("cc", "arm", "qemu", "make"):
+        require_tool(tool)
+    place = tmp_path_factory.mktemp("page")
+    for document in ("README.md", PAGE):
+        for block in blocks(document):
+            if block.file:
+                (place / block.file).write_text(block.text, encoding="utf-8")
+    command = [str(place / "cart.py"), "-o", str(place / "cart"), "--precision", "single", "--set", "solve=False"]
+    assert main([*command, "--target", "cortex-m4f", "--level", "Os"]) == 0
+    return place
+
+
+def test_bare_metal_program(folder: Path) -> None:
+    """The commands of the page build it; on the board it brings the cart to rest, and no preparation is late."""
+    text = (ROOT / PAGE).read_text(encoding="utf-8").replace("\\\n", " ")
+    commands = [shlex.split(line) for line in re.findall(r"^    ((?:make|arm|qemu).*)$", text, re.MULTILINE)]
+    assert [command[0] for command in commands] == ["make", "arm-none-eabi-gcc", "qemu-system-arm"]
+    for command in commands:
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=120)
+        assert done.returncode == 0, done.stderr + done.stdout
+
+
+def test_thread(folder: Path) -> None:
+    (folder / "zephyr").mkdir()
+    (folder / "zephyr" / "kernel.h").write_text(KERNEL)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-fsyntax-only", "-I.", "-Icart"]
+    done = subprocess.run([require_tool("arm"), *flags, "thread.c"], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_names_of_the_page(folder: Path) -> None:
+    """Every function and constant of the package that the page names exists."""
+    text = (ROOT / PAGE).read_text(encoding="utf-8")
+    headers = (folder / "cart" / "cart.h").read_text() + (folder / "cart" / "firmware" / "selftest.h").read_text()
+    used = {word for word in re.findall(r"\b(?:cart|CART)_\w+", text) if word != "cart_solve"}
+    assert len(used) > 15
+    assert used <= set(re.findall(r"\w+", headers))
