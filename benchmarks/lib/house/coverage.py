@@ -17,20 +17,14 @@ _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')
 Values = dict[tuple[str, int], set[bool]]
 
 
-#: Folder of the parts of packages of derivatives, which are no controllers; their tests cover them.
-DERIVATIVES = "derivatives"
+#: Folders whose parts belong to no controller: packages of derivatives, programs for a target. Their tests cover them.
+OTHERS = ("derivatives", "firmware")
 
 
 def all_parts() -> set[str]:
-<<<<<<< HEAD
     """Every C part of controllers, relative to the templates."""
     found = (path.relative_to(template_directory()) for path in template_directory().rglob("*.c"))
-    return {str(path) for path in found if path.parts[0] != DERIVATIVES}
-=======
-    """Every C part of a package, relative to the templates; programs for a target are no parts."""
-    found = {str(path.relative_to(template_directory())) for path in template_directory().rglob("*.c")}
-    return {part for part in found if not part.startswith("firmware/")}
->>>>>>> firmware
+    return {str(path) for path in found if path.parts[0] not in OTHERS}
 
 
 def conditions(part: str) -> list[tuple[int, str]]:
