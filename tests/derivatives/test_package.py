@@ -13,7 +13,7 @@ from conftest import require_tool
 
 from benchmarks.lib.adjoint import choice
 from benchmarks.lib.doors.snippets import ROOT, blocks
-from benchmarks.lib.house.coverage import DERIVATIVES, conditions
+from benchmarks.lib.house.coverage import conditions
 from nmpc_codegen import OCP, Discrete, ExplicitRungeKutta, GaussNewton, Online, Options, RealTimeIteration, derivatives
 from nmpc_codegen.derivatives.render import PARTS
 from nmpc_codegen.errors import BuildError, DerivativeError, ExportError, OptionError, ProblemError
@@ -66,9 +66,9 @@ def test_no_warnings(case: str, tmp_path: Path) -> None:
 
 
 def test_every_part_is_used_and_every_condition_true_once_and_false_once() -> None:
-    folder = template_directory() / DERIVATIVES
+    folder = template_directory() / "derivatives"
     assert {path.name for path in folder.glob("*.c")} == set(PARTS)
-    found = {text for part in PARTS for _, text in conditions(f"{DERIVATIVES}/{part}")}
+    found = {text for part in PARTS for _, text in conditions(f"{'derivatives'}/{part}")}
     assert found == {"NOUT"}, "with and without outputs: the cases below"
     assert "NOUT" in sources_of("costs")["tools.c"]
     assert "NOUT" not in sources_of("map")["tools.c"]
