@@ -68,7 +68,7 @@ def test_no_warnings(case: str, tmp_path: Path) -> None:
 def test_every_part_is_used_and_every_condition_true_once_and_false_once() -> None:
     folder = template_directory() / "derivatives"
     assert {path.name for path in folder.glob("*.c")} == set(PARTS)
-    found = {text for part in PARTS for _, text in conditions(f"{'derivatives'}/{part}")}
+    found = {text for part in PARTS for _, text in conditions(f"derivatives/{part}")}
     assert found == {"NOUT"}, "with and without outputs: the cases below"
     assert "NOUT" in sources_of("costs")["tools.c"]
     assert "NOUT" not in sources_of("map")["tools.c"]
