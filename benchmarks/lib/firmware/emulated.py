@@ -19,6 +19,9 @@ BOARDS: tuple[tuple[str, Precision], ...] = (("cortex-m4f", "single"), ("cortex-
 #: Loop -> limit on its median instructions in single precision.
 INSTRUCTIONS = {"crane": 30_000, "quadrotor": 900_000}
 
+#: Loops whose functions are counted one by one; the functions of an exact Hessian cannot be called that way.
+COUNTED = ("crane", "cstr", "quadrotor", "cart_pole", "chain3")
+
 
 def boards(report: Report, scale: float) -> None:
     """Every loop on both boards."""
@@ -79,8 +82,9 @@ def counts(report: Report, scale: float) -> None:
     """Operations of the certificates: every function's against a count, every sample's against the worst case."""
     samples = max(20, round(scale * SAMPLES))
     for loop in loops():
-        wrong = count_mismatches(loop.make(), loop.options)
-        report.add("certificate_mismatches", len(wrong), case=f"{loop.name}: operations", limit=0, profile="counted")
+        if loop.name in COUNTED:
+            wrong, case = count_mismatches(loop.make(), loop.options), f"{loop.name}: operations"
+            report.add("certificate_mismatches", len(wrong), case=case, limit=0, profile="counted")
         name, sources = package(loop, loop.options)
         stated = PackageDescription.from_json(sources[f"{name}.json"]).report.worst_operations["sample"]
         (found,) = count(loop, record(loop, samples, []))
