@@ -32,8 +32,14 @@ static inline void clear(real_t *y)
 /* y = x. A loop is used because memcpy writes halves of a vector register, which would stall the next read. */
 static inline void copy(real_t *y, const real_t *x)
 {
-    for (int j = 0; j < LDV; ++j) {
-        y[j] = x[j];
+    for (int j = 0; j < LDV; j += 4) {
+        real_t t[4];
+        for (int l = 0; l < 4; ++l) {
+            t[l] = x[j + l];
+        }
+        for (int l = 0; l < 4; ++l) {
+            y[j + l] = t[l];
+        }
     }
 }
 

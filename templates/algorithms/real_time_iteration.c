@@ -210,7 +210,7 @@ static void add_row_forces(const solver_t *s, int k, real_t *w)
  * gradient with respect to the controls is known not to vanish. */
 static int recover_multipliers(solver_t *s)
 {
-    int stationary = 1;
+    int held = 1;
     real_t w[NZ];
 #if CHECK_GRADIENT
     real_t least = R(0);
@@ -229,12 +229,12 @@ static int recover_multipliers(solver_t *s)
         }
         ADJOINT_STEP(&s->node[k - 1], HESSIAN(s, k - 1), s->step.dx[k - 1], s->step.du[k - 1], w);
 #if CHECK_GRADIENT
-        stationary &= controls_hold(s, k - 1, w, &least);
+        held &= controls_hold(s, k - 1, w, &least);
 #endif
     }
 #if CHECK_GRADIENT
 #if REGULARIZE_REDUCED
-    stationary |= s->condensed.regularized;
+    held |= s->condensed.regularized;
 #endif
 #endif
 #if NF
@@ -242,7 +242,7 @@ static int recover_multipliers(solver_t *s)
         s->lam[0][free_state[f]] = R(0);
     }
 #endif
-    return stationary;
+    return held;
 }
 #else
 /* lam_k as the QP yields it, whose stages are those of the problem; there, x_0 is not a variable of the coupled rows. */

@@ -88,10 +88,7 @@ static int qp_predict(qp_t *q, int equality, int again, real_t fraction)
             continue;
         }
 #endif
-        if (qp_is_equality(q, c) != equality) {
-            continue;
-        }
-        if (qp_is_member(q, c) ? !again : equality && q->side[c] == INACTIVE) {
+        if (qp_is_equality(q, c) == equality && (qp_is_member(q, c) ? !again : equality && q->side[c] == INACTIVE)) {
 #if BUDGET
             if (!qp_afford(q, COST_PREDICTION)) {
                 break;

@@ -55,17 +55,16 @@ static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
     add_multiple(r, size, q->mult, R(1), R(1), NV);
 #if NG
     for (int c = NV; c < NV + NG; ++c) {
-        if (q->side[c] == INACTIVE) {
-            continue;
-        }
-        add_multiple(r, size, q->A[c - NV], q->mult[c], FABS(q->mult[c]), NV - NSL);
+        if (q->side[c] != INACTIVE) {
+            add_multiple(r, size, q->A[c - NV], q->mult[c], FABS(q->mult[c]), NV - NSL);
 #if NSL
-        const int slack = qp_moving_slack(q, c);
-        if (slack >= 0) {
-            r[slack] -= q->mult[c];
-            size[slack] += FABS(q->mult[c]);
-        }
+            const int slack = qp_moving_slack(q, c);
+            if (slack >= 0) {
+                r[slack] -= q->mult[c];
+                size[slack] += FABS(q->mult[c]);
+            }
 #endif
+        }
     }
 #endif
 }

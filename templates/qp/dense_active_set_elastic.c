@@ -99,22 +99,15 @@ static void qp_settle(qp_t *q, int c, int side, int member, real_t moved, real_t
     }
 }
 
-/* Sets `elastic` and ends the saturation of rows that have become hard or whose bound has become infinite. Returns 0 if a
- * penalty is invalid. */
-static int qp_take_penalties(qp_t *q)
+/* Sets `elastic` and ends the saturation of rows that have become hard or whose bound has become infinite. */
+static void qp_take_penalties(qp_t *q, int elastic)
 {
-    int valid = 1, elastic = 0;
-    for (int c = 0; c < NV + NG; ++c) {
-        valid &= q->penalty[c] >= R(0);
-        elastic |= q->penalty[c] < INF;
-    }
     for (int c = 0; (elastic || q->elastic) && c < NV + NG; ++c) {
         if (qp_is_saturated(q, c) && !(q->penalty[c] < INF && isfinite(qp_bound(q, c)))) {
             q->side[c] = INACTIVE;
         }
     }
     q->elastic = elastic;
-    return valid;
 }
 
 /* Violation of row c, which is saturated or has a slack that moves; 0 for a slack itself. */

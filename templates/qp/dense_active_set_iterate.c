@@ -299,12 +299,20 @@ static int qp_predict_active(qp_t *q, int c, real_t fraction)
 static status_t qp_take_bounds(qp_t *q)
 {
     int valid = 1, ordered = 1;
+#if ELASTIC
+    int elastic = 0;
+#endif
     for (int c = 0; c < NV + NG; ++c) {
-        valid &= q->lower[c] < INF && q->upper[c] > -INF;
-        ordered &= q->lower[c] <= q->upper[c];
+        const real_t width = q->upper[c] - q->lower[c]; /* not a number if both are the same infinity */
+        valid &= width > -INF;
+        ordered &= width >= R(0);
+#if ELASTIC
+        valid &= q->penalty[c] >= R(0);
+        elastic |= q->penalty[c] < INF;
+#endif
     }
 #if ELASTIC
-    valid &= qp_take_penalties(q);
+    qp_take_penalties(q, elastic);
 #endif
     if (!valid || !ordered) {
         return valid ? INFEASIBLE : NUMERICAL_FAILURE;
@@ -334,16 +342,15 @@ static int qp_write_result(qp_t *q)
     q->dropped = q->relaxed = 0;
     memset(q->mult, 0, sizeof q->mult);
     for (int c = 0; c < NV + NG; ++c) {
-        if (q->side[c] != INACTIVE) {
-            continue;
-        }
+        if (q->side[c] == INACTIVE) {
 #if NSL
-        q->dropped += !qp_is_slack(c) && qp_is_equality(q, c);
+            q->dropped += !qp_is_slack(c) && qp_is_equality(q, c);
 #else
-        q->dropped += qp_is_equality(q, c);
+            q->dropped += qp_is_equality(q, c);
 #endif
-        if (c < NV) {
-            q->x[c] = clip(q->x[c], q->lower[c], q->upper[c]);
+            if (c < NV) {
+                q->x[c] = clip(q->x[c], q->lower[c], q->upper[c]);
+            }
         }
     }
 #if ELASTIC

@@ -39,12 +39,11 @@ static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
         const real_t slope = p[c];
 #endif
         const real_t speed = FABS(slope);
-        if (qp_is_member(q, c) || !isfinite(qp_violations(q, c, z, &over, &under))) {
-            continue;
-        }
-        const real_t room = slope > R(0) ? -over : -under;
-        if (speed > R(0) && room < most * speed) {
-            most = room > R(0) ? room / speed : R(0);
+        if (!qp_is_member(q, c) && isfinite(qp_violations(q, c, z, &over, &under))) {
+            const real_t room = slope > R(0) ? -over : -under;
+            if (speed > R(0) && room < most * speed) {
+                most = room > R(0) ? room / speed : R(0);
+            }
         }
     }
     return most;
