@@ -193,48 +193,7 @@ static status_t feedback_here(solver_t *s)
     return plan_is_finite(s) && all_finite(s->lam[0], (N + 1) * NX) ? OK : NUMERICAL_FAILURE;
 }
 
-status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
-{
-    status_t status;
-    int measured, broken;
-    if (s->magic != MAGIC) {
-        for (int j = 0; j < NU; j++) { /* not by memcpy, see fill_copies() */
-            u0[j] = default_control[j];
-        }
-        return NOT_INITIALIZED;
-    }
-    measured = take_state(s, xhat);
-    broken = s->prepared && s->status != OK;
-    if (!s->prepared) {
-        status = NOT_PREPARED;
-    } else if (!measured) {
-        status = NOT_FINITE;
-    } else if (broken) {
-        status = (status_t)s->status;
-    } else {
-        status = feedback_here(s);
-    }
-    if (s->prepared && status != OK) {
-        restore_multipliers(s);
-        if (!all_finite(s->lam[0], (N + 1) * NX)) {
-            forget_multipliers(s);
-        }
-    }
-    s->prepared = 0;
-#if SHIFT
-    s->samples += (s->samples < MANY);
-#endif
-    safe_control(s, u0);
-    recover(s, status, broken);
-    return finish(s, status);
-}
-
-/* If prepare fails, feedback returns its status. */
-status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
-{
-    API(prepare)(s);
-    return API(feedback)(s, xhat, u0);
-}
+#include "algorithms/feedback.c"
 
 #include "algorithms/shift.c"
 

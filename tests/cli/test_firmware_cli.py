@@ -133,6 +133,7 @@ def test_exceeded_budgets_leave_no_files(tmp_path: Path, capsys: pytest.CaptureF
     ("arguments", "status", "says"),
     [
         (["--verify"], 2, "--verify needs --target"),
+        (["--level", "Os"], 2, "--level needs --target"),
         (["--max-stack", "4k"], 2, "--max-stack needs --target"),
         (["--target", "z80"], 2, "invalid choice: 'z80'"),
         (["--max-ram", "much"], 1, "expected a positive number"),

@@ -66,7 +66,7 @@ def parser() -> Parser:
     add("--simulate", type=int, metavar="STEPS", help="simulate the closed loop from the declared initial state")
     add("--plot", metavar="FILE", help="write a picture of the simulation (.png, .pdf, .svg)")
     add("--target", choices=list(TARGETS), help="microcontroller: add a certificate and a bare-metal replay")
-    add("--level", choices=LEVELS, default=LEVELS[0], help="optimisation level of the code for the target")
+    add("--level", choices=LEVELS, help=f"optimisation level of the code for the target (default {LEVELS[0]})")
     add("--verify", action="store_true", help="with --target: replay a closed loop on the emulated board, compare")
     for name, what in BUDGETS.items():
         add(f"--max-{name}", metavar="NUMBER", help=f"export nothing if the package takes more {what}, e.g. 64k or 2e6")
@@ -94,7 +94,7 @@ def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
         if "=" not in setting or not setting.partition("=")[0].strip():
             yield f"--set {setting}: expected KEY=VALUE, e.g. integrator.steps=3"
     if arguments.target is None:
-        for flag in ("verify", "max_flash", "max_stack"):
+        for flag in ("level", "verify", "max_flash", "max_stack"):
             if getattr(arguments, flag):
                 yield f"--{flag.replace('_', '-')} needs --target NAME"
     if arguments.plot is not None and arguments.simulate is None:

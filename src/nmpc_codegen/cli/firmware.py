@@ -12,7 +12,7 @@ from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.firmware.budgets import Budgets, parsed
 from nmpc_codegen.firmware.certificate import Certificate
 from nmpc_codegen.firmware.delivery import Delivery, deliver, sentences
-from nmpc_codegen.firmware.targets import find_target
+from nmpc_codegen.firmware.targets import LEVELS, find_target
 
 
 class Firmware:
@@ -23,7 +23,7 @@ class Firmware:
         limits = {flag: parsed(f"--max-{flag}", text) for flag, text in given.items() if text is not None}
         self._budgets, self._name = Budgets(**limits), name
         self._target = None if arguments.target is None else find_target(arguments.target)
-        self._level, self._run = arguments.level, arguments.verify
+        self._level, self._run = arguments.level or LEVELS[0], arguments.verify
         self._delivery = Delivery({}, None, None)
 
     def more(self, sources: Mapping[str, str]) -> dict[str, str]:

@@ -20,6 +20,7 @@ from nmpc_codegen.lowering.preamble import (
     arithmetic,
     definitions,
     names_in,
+    spelled,
     unit_style,
 )
 from nmpc_codegen.lowering.render import GCC_12, Sources, block_comment, context, environment, table_values, tidy
@@ -29,6 +30,9 @@ FOLDER = "derivatives"
 
 #: Parts of the unit in the order of its text; the last one only with outputs.
 PARTS = ("finite.c", "simulate.c", "linearize.c", "gradient.c", "alternative.c", "impulse_response.c")
+
+#: Structs and enumerations with short names in the unit.
+TYPES = ("data", "trajectory", "nodes", "linearization", "response", "status")
 
 #: Values that the functions return; they have the same meaning as in controllers.
 STATUSES = {
@@ -59,7 +63,7 @@ def render(model: DerivativeModel, name: str) -> Sources:
     tables = [table for table in _tables(model) if table.name in used]
     names |= {
         "body": body.strip("\n"),
-        "preamble": _preamble(name, found, used),
+        "preamble": spelled(name, TYPES, found, used),
         "tables": environment()
         .get_template("tables.c.jinja")
         .render(names | {"tables": tables, "values": lambda table: table_values(table, style)})
@@ -141,16 +145,6 @@ def _prototype(function: Function, name: str) -> str:
     glued = re.sub(r"(?<!,) ", "\0", arguments)
     lines = wrap(f"{glued});", WIDTH, initial_indent="    ", subsequent_indent="    ", break_long_words=False)
     return "\n".join([head, *lines]).replace("\0", " ")
-
-
-def _preamble(name: str, found: list[Definition], used: set[str]) -> str:
-    types = ("data", "trajectory", "nodes", "linearization", "response", "status")
-    lines = [f"typedef {name}_real real_t;"]
-    lines += [f"typedef {name}_{t}_t {t}_t;" for t in types if f"{t}_t" in used]
-    for macro, arguments, text in found:
-        define = f"#define {macro}{'' if arguments is None else f'({arguments})'} {text}"
-        lines.append(" \\\n    ".join(wrap(define, WIDTH, break_long_words=False, break_on_hyphens=False)))
-    return "\n".join(lines)
 
 
 def _definitions(model: DerivativeModel, name: str) -> list[Definition]:

@@ -42,11 +42,15 @@ def unit_style(precision: str) -> CStyle:
 def preamble(module: CModule, known: Sequence[Definition], body: Collection[str]) -> str:
     """Type definitions and those macros of ``known`` that a text with the identifiers ``body`` uses."""
     found, used = definitions(known, body)
-    types = [*(s.name for s in module.structs), "status"]
-    lines = [f"typedef {module.name}_real real_t;"]
-    lines += [f"typedef {module.name}_{name}_t {name}_t;" for name in types if f"{name}_t" in used]
-    for name, arguments, text in found:
-        define = f"#define {name}{'' if arguments is None else f'({arguments})'} {text}"
+    return spelled(module.name, [*(s.name for s in module.structs), "status"], found, used)
+
+
+def spelled(name: str, types: Sequence[str], found: Sequence[Definition], used: Collection[str]) -> str:
+    """The short names of those types of the package ``name`` that are used, and the macros."""
+    lines = [f"typedef {name}_real real_t;"]
+    lines += [f"typedef {name}_{short}_t {short}_t;" for short in types if f"{short}_t" in used]
+    for macro, arguments, text in found:
+        define = f"#define {macro}{'' if arguments is None else f'({arguments})'} {text}"
         lines.append(" \\\n    ".join(wrap(define, WIDTH, break_long_words=False, break_on_hyphens=False)))
     return "\n".join(lines)
 

@@ -28,8 +28,10 @@ from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
     check_shift,
+    initial_tables,
     resample_reach,
     resample_tables,
+    shift_switches,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Core, Defaults, Dims, Parts, Seam
@@ -112,9 +114,7 @@ class AugmentedLagrangian(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         return {
-            "SHIFT_RESAMPLE": int(self.shift == "resample"),
-            "INTEGRATE_PLAN": int(self.shift == "resample"),
-            "SHIFT_PERIODIC": int(self.shift == "periodic"),
+            **shift_switches(self.shift),
             "RELAX": 0,
             "BUDGET": 0,
             "HAS_INITIAL_HESSIAN": 0,
@@ -132,7 +132,6 @@ class AugmentedLagrangian(Defaults):
             )
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
         declared = variable_scales(problem)
         scale = declared if self.scaling == "declared" else np.ones_like(declared)
         weight, padding = 1.0 / scale**2, (0.0,) * (-scale.size % PANEL)
@@ -141,13 +140,7 @@ class AugmentedLagrangian(Defaults):
         soft = [problem.rows[row].soft is not None for _, _, _, row in rows]
         relaxed = tuple(2 * int(s) or int(kind != 0) for (_, kind, _, _), s in zip(rows, soft, strict=True))
         return (
-            Table(
-                "is_accumulator",
-                "int",
-                tuple(int(i in problem.accumulators) for i in range(problem.nx)),
-                "1: the state starts at 0 at every sample",
-            ),
-            Table("is_measured", "int", measured, "1: x_0 is the measured state"),
+            *initial_tables(problem),
             Table("penalty_weight", "real", (float(self.penalty),), "penalty of gaps and rows in their scales"),
             Table("proximal_weight", "real", (float(self.proximal),), "weight of the proximal term"),
             Table("initial_radius", "real", (float(self.radius),), "of the trust region"),

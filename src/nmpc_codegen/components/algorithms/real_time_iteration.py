@@ -17,8 +17,10 @@ from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
     check_shift,
+    initial_tables,
     resample_reach,
     resample_tables,
+    shift_switches,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Seam
@@ -106,9 +108,7 @@ class RealTimeIteration(Defaults):
     def switches(self) -> Mapping[str, int]:
         """How shift() moves the plan (all 0: by one interval); whether hard rows are relaxed, operations limited."""
         return {
-            "SHIFT_RESAMPLE": int(self.shift == "resample"),
-            "INTEGRATE_PLAN": int(self.shift == "resample"),
-            "SHIFT_PERIODIC": int(self.shift == "periodic"),
+            **shift_switches(self.shift),
             "RELAX": int(self.relaxation is not None),
             "BUDGET": int(self.budget is not None),
         }
@@ -119,19 +119,13 @@ class RealTimeIteration(Defaults):
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Flags of accumulators and measured components of x_0, the relaxation, node times for shift="resample"."""
-        flags = tuple(int(i in problem.accumulators) for i in range(problem.nx))
-        measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
-        accumulators = (
-            Table("is_accumulator", "int", flags, "1: the state starts at 0 at every sample"),
-            Table("is_measured", "int", measured, "1: x_0 is the measured state"),
-            Table(
-                "relaxation_weight",
-                "real",
-                (math.inf if self.relaxation is None else float(self.relaxation),),
-                "l1 penalty of hard rows if the QP is infeasible; infinite: they stay hard",
-            ),
+        relaxation = Table(
+            "relaxation_weight",
+            "real",
+            (math.inf if self.relaxation is None else float(self.relaxation),),
+            "l1 penalty of hard rows if the QP is infeasible; infinite: they stay hard",
         )
-        return (*accumulators, *resample_tables(self.shift, self.sampling_time, problem))
+        return (*initial_tables(problem), relaxation, *resample_tables(self.shift, self.sampling_time, problem))
 
     def reach(self, problem: Problem) -> float:
         """With shift="resample": from the last node of the plan before a new node; rounding may pass over a node."""

@@ -1,4 +1,4 @@
-"""How the plan moves before a sample: options that several algorithms share."""
+"""How the plan moves before a sample, and where it starts: what several algorithms share."""
 
 from __future__ import annotations
 
@@ -33,6 +33,25 @@ def check_shift(algorithm: str, shift: str | None, problem: Problem) -> None:
             f'{algorithm}(shift="resample") (--set algorithm.shift=resample) reads the plan between nodes '
             "and clashes with a discrete map"
         )
+
+
+def shift_switches(shift: str | None) -> dict[str, int]:
+    """Conditions of the parts of shift(); all 0: the plan moves by one interval."""
+    return {
+        "SHIFT_RESAMPLE": int(shift == "resample"),
+        "INTEGRATE_PLAN": int(shift == "resample"),
+        "SHIFT_PERIODIC": int(shift == "periodic"),
+    }
+
+
+def initial_tables(problem: Problem) -> tuple[Table, ...]:
+    """Which components of x_0 are accumulators, and which the measured state determines."""
+    accumulators = tuple(int(i in problem.accumulators) for i in range(problem.nx))
+    measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
+    return (
+        Table("is_accumulator", "int", accumulators, "1: the state starts at 0 at every sample"),
+        Table("is_measured", "int", measured, "1: x_0 is the measured state"),
+    )
 
 
 def resample_tables(shift: str | None, sampling_time: float | None, problem: Problem) -> tuple[Table, ...]:
