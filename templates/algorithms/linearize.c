@@ -1,3 +1,4 @@
+#if HOST_LANES == 1 || LAGRANGIAN || KKT
 /* Gap b_k = Phi(x_k, u_k) - x_{k+1} and general rows of node k. */
 static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t *node)
 {
@@ -8,6 +9,24 @@ static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t
     PATH_ROWS(s, k, node->h, &node->J[0][0]);
 #endif
 }
+#endif
+
+#if HOST_LANES == 1 || LAGRANGIAN
+/* Linearises the path nodes one by one, from the last to the first. The same evaluations provide the data that the
+ * Hessian needs. */
+static void linearize_path(solver_t *s)
+{
+    real_t x_next[NX];
+    for (int k = N - 1; k >= 0; k--) {
+        expand_node(s, k, x_next);
+        complete_node(s, k, x_next, &s->node[k]);
+    }
+}
+#endif
+
+#if HOST_LANES > 1
+#include "lanes/linearize.c"
+#endif
 
 #if HAS_TERMINAL_GRADIENT || NH_N
 /* Gradient and general rows of the terminal node. */
@@ -34,20 +53,19 @@ static void add_start_gradient(const solver_t *s, real_t *q)
 }
 #endif
 
-/* Linearises all nodes, from the last to the first. The same evaluations provide the data that the Hessian needs. */
 static void linearize(solver_t *s)
 {
-    real_t x_next[NX];
 #if HAS_TERMINAL_GRADIENT || NH_N
     linearize_terminal(s, &s->terminal);
 #endif
 #if NE
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
 #endif
-    for (int k = N - 1; k >= 0; k--) {
-        expand_node(s, k, x_next);
-        complete_node(s, k, x_next, &s->node[k]);
-    }
+#if HOST_LANES == 1
+    linearize_path(s);
+#else
+    linearize_lanes(s);
+#endif
 #if HAS_START_GRADIENT
     add_start_gradient(s, s->node[0].g);
 #endif

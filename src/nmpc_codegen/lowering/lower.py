@@ -153,6 +153,8 @@ def _switches(model: Model) -> dict[str, int]:
         "START_IS_MEASURED": 0,
         "TUNED": 0,
         "HOST_LANES": 1,
+        "HOST_AVX512": 0,
+        "SINGLE": int(model.precision == "single"),
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
     for component in parts.components:
