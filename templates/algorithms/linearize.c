@@ -1,4 +1,4 @@
-#if HOST_LANES == 1 || LAGRANGIAN || KKT
+#if !LANE_NODES || LAGRANGIAN || KKT
 /* Gap b_k = Phi(x_k, u_k) - x_{k+1} and general rows of node k. */
 static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t *node)
 {
@@ -11,7 +11,7 @@ static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t
 }
 #endif
 
-#if HOST_LANES == 1 || LAGRANGIAN
+#if !LANE_NODES || LAGRANGIAN
 /* Linearises the path nodes one by one, from the last to the first. The same evaluations provide the data that the
  * Hessian needs. */
 static void linearize_path(solver_t *s)
@@ -24,7 +24,7 @@ static void linearize_path(solver_t *s)
 }
 #endif
 
-#if HOST_LANES > 1
+#if LANE_NODES
 #include "lanes/linearize.c"
 #endif
 
@@ -61,7 +61,7 @@ static void linearize(solver_t *s)
 #if NE
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
 #endif
-#if HOST_LANES == 1
+#if !LANE_NODES
     linearize_path(s);
 #else
     linearize_lanes(s);

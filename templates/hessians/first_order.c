@@ -1,4 +1,4 @@
-#if HOST_LANES == 1 || LAGRANGIAN || KKT
+#if !LANE_NODES || LAGRANGIAN || KKT
 /* Evaluates node k: x_next = Phi(x_k, u_k), S = [A_k B_k] and the gradient g. */
 static inline void evaluate_node(const solver_t *s, int k, node_t *node, real_t *x_next)
 {
@@ -10,7 +10,7 @@ static inline void evaluate_node(const solver_t *s, int k, node_t *node, real_t 
 
 #endif
 
-#if HOST_LANES == 1 && !LAGRANGIAN
+#if !LANE_NODES && !LAGRANGIAN
 static void expand_node(solver_t *s, int k, real_t *x_next)
 {
     evaluate_node(s, k, &s->node[k], x_next);

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+from nmpc_codegen.host import steps
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port
 from nmpc_codegen.ir.print_c import CStyle
@@ -40,11 +41,34 @@ MEMBERS = {"x_next": "b", "S": "S", "g": "g", "h": "h", "J": "J"}
 OPTIONS: Mapping[str, Kind] = {"p": "parameter", "yref": "reference", "W": "weight"}
 
 
-def lane_routines(module: CModule) -> tuple[Routine, ...]:
-    """The routines that linearise a path node."""
+@dataclass(frozen=True)
+class LaneRoutines:
+    """The routines that linearise a path node. ``one_step`` replaces the loops of the interval, if it has any."""
+
+    routines: tuple[Routine, ...]
+    one_step: Kernel | None = None
+
+    @property
+    def printed(self) -> tuple[Routine, ...]:
+        """Those that are printed in lanes."""
+        return (*(() if self.one_step is None else (self.one_step,)), *self.called)
+
+    @property
+    def called(self) -> tuple[Routine, ...]:
+        """Those that are called once."""
+        return self.routines if self.one_step is None else self.routines[1:]
+
+
+def lane_routines(module: CModule) -> LaneRoutines | None:
+    """None if nodes are linearised one by one: there are too few, or the interval has loops that cannot be expanded."""
+    if module.value("N") < module.switches["HOST_LANES"]:
+        return None
     first = ("path_exact",) if module.switches["LAGRANGIAN"] else ("integrator_interval", "path_gradient")
     known = {r.name: r for r in module.routines}
-    return tuple(known[name] for name in (*first, "path_rows") if name in known)
+    routines = tuple(known[name] for name in (*first, "path_rows") if name in known)
+    if routines[0].name != "integrator_interval" or isinstance(routines[0], Kernel):
+        return LaneRoutines(routines)
+    return None if module.one_step is None else LaneRoutines(routines, module.one_step())
 
 
 def called_functions(routines: Iterable[Routine]) -> set[str]:
@@ -54,20 +78,26 @@ def called_functions(routines: Iterable[Routine]) -> set[str]:
 
 
 def lane_switches(module: CModule) -> dict[str, int]:
-    """Which parts the routines need."""
-    called = called_functions(lane_routines(module))
+    """Whether nodes are linearised in lanes, and which parts that needs."""
+    found = lane_routines(module)
+    called = called_functions(found.printed) if found else set[str]()
     needed = {OWN.get(name, "LANE_CONDITIONS" if name in CStyle.CONDITIONS.values() else "") for name in called}
-    return {switch: int(switch in needed) for switch in SWITCHES}
+    return {"LANE_NODES": int(found is not None), **{switch: int(switch in needed) for switch in SWITCHES}}
 
 
 def lane_kernels(module: CModule, style: CStyle) -> str:
     """Functions of math.h lane by lane, and the kernels in lanes."""
     lanes = replace(style, real="lanes_t", lanes=True)
-    routines = lane_routines(module)
+    found = lane_routines(module)
+    if found is None:
+        return ""
     arity = {o.function: 2 if "{1}" in o.c else 1 for o in OPERATIONS.values() if o.function}
-    others = sorted(called_functions(routines) - set(OWN) - set(CStyle.CONDITIONS.values()))
+    others = sorted(called_functions(found.printed) - set(OWN) - set(CStyle.CONDITIONS.values()))
     texts = [_one_by_one(name, arity[name], style) for name in others]
-    return "\n\n".join([*texts, *(print_routine(_suffixed(r), lanes) for r in routines)])
+    texts += [print_routine(_suffixed(r), lanes) for r in found.printed]
+    if found.one_step is not None:
+        texts.append(steps.product(module.value("NX"), module.value("NZ")))
+    return "\n\n".join(texts)
 
 
 def lane_nodes(module: CModule, style: CStyle) -> str:
@@ -75,28 +105,28 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
 
     Results are collected in the order of the members of a node, so that blocks of several members are stored at once.
     """
-    routines = lane_routines(module)
-    inputs = {p.name: p for r in routines for p in r.reads}
+    found = lane_routines(module)
+    if found is None:
+        return ""
+    inputs = {p.name: p for r in found.printed for p in r.reads}
     offsets, total = _node_layout(module)
     width = module.switches["HOST_LANES"]
-    stored, places = set[int](), dict[str, str]()
-    for routine in routines:
-        for port in routine.writes:
-            if port.name in MEMBERS:
-                first = offsets[MEMBERS[port.name]]
-                stored |= {first + e for e in _stored(routine, port)}
-                places[port.name] = f"node + {first}"
+    written = [(r, p) for r in found.routines for p in r.writes]
+    stored = {offsets[p.name] + e for r, p in written if p.name in offsets for e in _stored(r, p)}
+    places = {p.name: f"node + {offsets[p.name]}" for _, p in written if p.name in offsets}
     zeros, stores = _scattered("node", stored, total, width, "&s->node[k]", "NODE_STRIDE")
     declared = [*(f"{p.name}[{p.size}]" for p in inputs.values()), f"node[{total}]"]
-    for routine in routines:
-        for port in (p for p in routine.writes if p.name not in MEMBERS):
-            declared.append(f"{port.name}[{port.size}]")
-            more = _scattered(
-                port.name, _stored(routine, port), port.size, width, "&s->hessian.Q[k][0][0]", str(port.size)
-            )
-            zeros, stores = [*zeros, *more[0]], [*stores, *more[1]]
-    calls = [
-        f"{r.name}{SUFFIX}({', '.join(places.get(p.name, p.name) for p in (*r.reads, *r.writes))});" for r in routines
+    for r, p in ((r, p) for r, p in written if p.name not in offsets):
+        declared.append(f"{p.name}[{p.size}]")
+        more = _scattered(p.name, _stored(r, p), p.size, width, "&s->hessian.Q[k][0][0]", str(p.size))
+        zeros, stores = [*zeros, *more[0]], [*stores, *more[1]]
+    calls: list[str] = []
+    if found.one_step is not None:
+        arrays, calls = steps.calls(found.one_step, SUFFIX, places["x_next"], places["S"])
+        declared += arrays
+    calls += [
+        f"{r.name}{SUFFIX}({', '.join(places.get(p.name, p.name) for p in (*r.reads, *r.writes))});"
+        for r in found.called
     ]
     lines = [line for port in inputs.values() for line in _gathered(port, module)]
     lines = [f"lanes_t {', '.join(declared)};", *lines, *zeros, *calls, *stores]
@@ -134,12 +164,12 @@ def lane_transpose(module: CModule, style: CStyle) -> str:
 
 
 def _node_layout(module: CModule) -> tuple[dict[str, int], int]:
-    """Position of every member in a node, and the numbers of a node."""
+    """Where a node stores every output port, and the numbers of a node."""
     (struct,) = (s for s in module.structs if s.name == "node")
     offsets: dict[str, int] = {}
     total = 0
     for member in struct.fields:
-        offsets[member.name] = total
+        offsets |= {port: total for port, name in MEMBERS.items() if name == member.name}
         total += math.prod(member.padded)
     return offsets, total
 
