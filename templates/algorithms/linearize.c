@@ -1,4 +1,3 @@
-#if !LANE_NODES || LAGRANGIAN || KKT
 /* Gap b_k = Phi(x_k, u_k) - x_{k+1} and general rows of node k. */
 static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t *node)
 {
@@ -9,7 +8,6 @@ static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t
     PATH_ROWS(s, k, node->h, &node->J[0][0]);
 #endif
 }
-#endif
 
 #if !LANE_NODES || LAGRANGIAN
 /* Linearises the path nodes one by one, from the last to the first. The same evaluations provide the data that the

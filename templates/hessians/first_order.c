@@ -1,4 +1,3 @@
-#if !LANE_NODES || LAGRANGIAN || KKT
 /* Evaluates node k: x_next = Phi(x_k, u_k), S = [A_k B_k] and the gradient g. */
 static inline void evaluate_node(const solver_t *s, int k, node_t *node, real_t *x_next)
 {
@@ -7,8 +6,6 @@ static inline void evaluate_node(const solver_t *s, int k, node_t *node, real_t 
     PATH_GRADIENT(s, k, node->g);
 #endif
 }
-
-#endif
 
 #if !LANE_NODES && !LAGRANGIAN
 static void expand_node(solver_t *s, int k, real_t *x_next)

@@ -53,43 +53,49 @@ LANES_INLINE lanes_t lanes_sine(lanes_t r, mask_t quadrant)
 }
 
 /* The lanes of value with large arguments by math.h. */
-static __attribute__((noinline)) lanes_t lanes_sin_large(lanes_t x, lanes_t value)
+static __attribute__((noinline)) void lanes_sin_large(const lanes_t *x, lanes_t *value)
 {
     for (int l = 0; l < HOST_LANES; l++) {
-        if (!(lanes_fabs(x)[l] <= LARGEST_ANGLE)) {
-            value[l] = SIN(x[l]);
+        if (!(FABS((*x)[l]) <= LARGEST_ANGLE)) {
+            (*value)[l] = SIN((*x)[l]);
         }
     }
-    return value;
 }
 
 LANES_INLINE lanes_t lanes_sin(lanes_t x)
 {
-    lanes_t shifted;
-    const lanes_t r = lanes_reduce(x, &shifted), value = lanes_sine(r, (mask_t)shifted);
+    lanes_t shifted, value;
+    const lanes_t r = lanes_reduce(x, &shifted);
+    value = lanes_sine(r, (mask_t)shifted);
     if (lanes_any((mask_t)(lanes_fabs(x) > LARGEST_ANGLE))) {
-        return lanes_sin_large(x, value);
+        const lanes_t large = x;
+        lanes_t exact = value;
+        lanes_sin_large(&large, &exact);
+        return exact;
     }
     return value;
 }
 
 /* The lanes of value with large arguments by math.h. */
-static __attribute__((noinline)) lanes_t lanes_cos_large(lanes_t x, lanes_t value)
+static __attribute__((noinline)) void lanes_cos_large(const lanes_t *x, lanes_t *value)
 {
     for (int l = 0; l < HOST_LANES; l++) {
-        if (!(lanes_fabs(x)[l] <= LARGEST_ANGLE)) {
-            value[l] = COS(x[l]);
+        if (!(FABS((*x)[l]) <= LARGEST_ANGLE)) {
+            (*value)[l] = COS((*x)[l]);
         }
     }
-    return value;
 }
 
 LANES_INLINE lanes_t lanes_cos(lanes_t x)
 {
-    lanes_t shifted;
-    const lanes_t r = lanes_reduce(x, &shifted), value = lanes_sine(r, (mask_t)shifted + 1);
+    lanes_t shifted, value;
+    const lanes_t r = lanes_reduce(x, &shifted);
+    value = lanes_sine(r, (mask_t)shifted + 1);
     if (lanes_any((mask_t)(lanes_fabs(x) > LARGEST_ANGLE))) {
-        return lanes_cos_large(x, value);
+        const lanes_t large = x;
+        lanes_t exact = value;
+        lanes_cos_large(&large, &exact);
+        return exact;
     }
     return value;
 }

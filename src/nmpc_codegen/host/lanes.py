@@ -23,8 +23,12 @@ SUFFIX = "_lanes"
 
 #: Functions of math.h for which lanes have one of their own, and the switch of the part that contains it.
 OWN = {
-    **{name: "LANE_CONDITIONS" for name in ("fmin", "fmax", "copysign")},
-    **{"exp": "LANE_EXP", "log": "LANE_LOG", "sin": "LANE_ANGLES", "cos": "LANE_ANGLES", "sqrt": "LANE_SQRT"},
+    **dict.fromkeys(("fmin", "fmax", "copysign"), "LANE_CONDITIONS"),
+    "exp": "LANE_EXP",
+    "log": "LANE_LOG",
+    "sin": "LANE_ANGLES",
+    "cos": "LANE_ANGLES",
+    "sqrt": "LANE_SQRT",
     "fabs": "",
 }
 
@@ -60,8 +64,8 @@ class LaneRoutines:
 
 
 def lane_routines(module: CModule) -> LaneRoutines | None:
-    """None if nodes are linearised one by one: there are too few, or the interval has loops that cannot be expanded."""
-    if module.value("N") < module.switches["HOST_LANES"]:
+    """None if nodes are linearised one by one: for one lane, or if the interval has loops that cannot be expanded."""
+    if module.switches["HOST_LANES"] == 1:
         return None
     first = ("path_exact",) if module.switches["LAGRANGIAN"] else ("integrator_interval", "path_gradient")
     known = {r.name: r for r in module.routines}
@@ -137,12 +141,16 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
 
 
 def lane_transpose(module: CModule, style: CStyle) -> str:
+    """Transposition of a block."""
+    return transpose(module.switches["HOST_LANES"])
+
+
+def transpose(width: int) -> str:
     """lanes_store_block(v, to, stride): HOST_LANES elements of every lane to the rows to, to + stride, ...
 
     Every round merges vectors that are half of them apart. That rotates the bits of the index of the vector and of the
     lane by one, so that after log2(HOST_LANES) rounds both are exchanged.
     """
-    width = module.switches["HOST_LANES"]
     half, rounds = width // 2, width.bit_length() - 1
     low = ", ".join(f"{i}, {i + width}" for i in range(half))
     high = ", ".join(f"{i}, {i + width}" for i in range(half, width))
@@ -159,7 +167,8 @@ def lane_transpose(module: CModule, style: CStyle) -> str:
             lines.append(f"    const lanes_t {after[2 * i]} = __builtin_shufflevector({pair}, {low});")
             lines.append(f"    const lanes_t {after[2 * i + 1]} = __builtin_shufflevector({pair}, {high});")
         before = after
-    lines += [f"    memcpy(to{f' + {l} * stride' if l else ''}, &{row}, sizeof {row});" for l, row in enumerate(before)]
+    for lane, row in enumerate(before):
+        lines.append(f"    memcpy(to{f' + {lane} * stride' if lane else ''}, &{row}, sizeof {row});")
     return "\n".join([*lines, "}"])
 
 
@@ -189,7 +198,7 @@ def _gathered(port: Port, module: CModule) -> Iterator[str]:
 def _scattered(
     name: str, stored: set[int], size: int, width: int, target: str, stride: str
 ) -> tuple[list[str], list[str]]:
-    """Statements that store the elements ``stored`` of an array to the nodes, and those that set zeros in its blocks."""
+    """Statements that set zeros in the blocks of an array, and those that store its elements to the nodes."""
     zeros: dict[str, None] = {}
     stores: list[str] = []
     element = 0
@@ -230,7 +239,7 @@ def _one_by_one(name: str, arity: int, style: CStyle) -> str:
     passed = ", ".join(f"{o}[l]" for o in operands)
     return "\n".join(
         [
-            f"static lanes_t lanes_{name}({declared})",
+            f"LANES_INLINE lanes_t lanes_{name}({declared})",
             "{",
             "    lanes_t value;",
             "    for (int l = 0; l < HOST_LANES; l++) {",
@@ -240,4 +249,3 @@ def _one_by_one(name: str, arity: int, style: CStyle) -> str:
             "}",
         ]
     )
-

@@ -7,7 +7,6 @@ Loops over the columns of [A B] would store the slopes of all columns and lanes,
 
 from __future__ import annotations
 
-from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import Kernel
 
 #: Rows and columns of a tile of the product, whose sums stay in registers.
@@ -77,7 +76,9 @@ def calls(kernel: Kernel, suffix: str, x_next: str, S: str) -> tuple[list[str], 
 
     def call(state: str, target: str) -> str:
         named = {**places, "x": state, "S": target}
-        return f"{kernel.name}{suffix}({', '.join(named.get(p.name, p.name) for p in (*kernel.reads, *kernel.writes))});"
+        return (
+            f"{kernel.name}{suffix}({', '.join(named.get(p.name, p.name) for p in (*kernel.reads, *kernel.writes))});"
+        )
 
     lines = [
         "memset(one_step, 0, sizeof one_step);",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from nmpc_codegen.host.lanes import lane_kernels, lane_nodes, lane_switches, lane_transpose
@@ -18,9 +17,10 @@ GENERATED: Generators = {
 
 
 def hosted(module: CModule, lanes: int, avx512: bool) -> CModule:
-    """The package as a unit that evaluates ``lanes`` shooting nodes at once."""
-    switches: Mapping[str, int] = {**module.switches, "HOST_LANES": lanes, "HOST_AVX512": int(avx512)}
-    return replace(module, switches={**switches, **lane_switches(module)})
+    """The package as a unit that evaluates ``lanes`` shooting nodes at once, or the next power of 2 that it has."""
+    lanes = min(lanes, 1 << (module.value("N").bit_length() - 1))
+    host = replace(module, switches={**module.switches, "HOST_LANES": lanes, "HOST_AVX512": int(avx512)})
+    return replace(host, switches={**host.switches, **lane_switches(host)})
 
 
 def host_unit(module: CModule, lanes: int, avx512: bool) -> str:

@@ -27,8 +27,15 @@ class CStyle:
 
     #: Opcodes of conditions -> the words of their functions on vectors.
     CONDITIONS: ClassVar[Mapping[int, str]] = {
-        **{ca.OP_SIGN: "sign", ca.OP_LT: "lt", ca.OP_LE: "le", ca.OP_EQ: "eq", ca.OP_NE: "ne", ca.OP_NOT: "not"},
-        **{ca.OP_AND: "and", ca.OP_OR: "or", ca.OP_IF_ELSE_ZERO: "if_else_zero"},
+        ca.OP_SIGN: "sign",
+        ca.OP_LT: "lt",
+        ca.OP_LE: "le",
+        ca.OP_EQ: "eq",
+        ca.OP_NE: "ne",
+        ca.OP_NOT: "not",
+        ca.OP_AND: "and",
+        ca.OP_OR: "or",
+        ca.OP_IF_ELSE_ZERO: "if_else_zero",
     }
 
     def literal(self, value: float) -> str:

@@ -104,7 +104,7 @@ _SHUFFLES = 12
 
 @dataclass(frozen=True)
 class Host:
-    """Vectors that a compiler and its flags support: shooting nodes at once (1: one by one), instructions of AVX-512."""
+    """Vectors that a compiler and its flags support: shooting nodes at once, and whether AVX-512 is there."""
 
     lanes: int
     avx512: bool
@@ -166,7 +166,9 @@ def load(
     chosen = get_profile(profile)
     unit = f"{name}_host.c"
     if lanes not in (None, 1) and unit not in files:
-        raise OptionError(f"lanes is {lanes!r}; an exported package evaluates one node at a time (None or 1), build() more")
+        raise OptionError(
+            f"lanes is {lanes!r}; an exported package evaluates one node at a time (None or 1), build() more"
+        )
     missing = [f"{name}.{ext}" for ext in ("h", "c", "json") if f"{name}.{ext}" not in files]
     if missing:
         raise BuildError(f"the package {name!r} lacks {', '.join(missing)}")
