@@ -31,12 +31,24 @@
 
 #include "generated/lane_nodes.c"
 
+#if LAGRANGIAN
+/* The adjoint sweep that provides multipliers goes from node to node. */
+static void linearize_one_by_one(solver_t *s)
+{
+    real_t x_next[NX];
+    for (int k = N - 1; k >= 0; k--) {
+        expand_node(s, k, x_next);
+        complete_node(s, k, x_next, &s->node[k]);
+    }
+}
+
+#endif
 /* Linearises all path nodes, HOST_LANES at once; the last group overlaps the one before it if N is no multiple. */
 static void linearize_lanes(solver_t *s)
 {
 #if LAGRANGIAN
     if (!has_multipliers(s)) {
-        linearize_path(s); /* an adjoint sweep from node to node provides them */
+        linearize_one_by_one(s);
         return;
     }
     start_expansion(s);
