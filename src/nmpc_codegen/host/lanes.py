@@ -64,8 +64,9 @@ class LaneRoutines:
 
 
 def lane_routines(module: CModule) -> LaneRoutines | None:
-    """None if nodes are linearised one by one: for one lane, or if the interval has loops that cannot be expanded."""
-    if module.switches["HOST_LANES"] == 1:
+    """None if nodes are linearised one by one: for one lane, if the interval has loops that cannot be expanded, or if the
+    Hessian does not promise (NODE_KERNELS) that expand_node() is no more than the printed kernels."""
+    if module.switches["HOST_LANES"] == 1 or not module.switches["NODE_KERNELS"]:
         return None
     first = ("path_exact",) if module.switches["LAGRANGIAN"] else ("integrator_interval", "path_gradient")
     known = {r.name: r for r in module.routines}

@@ -156,6 +156,7 @@ def _switches(model: Model) -> dict[str, int]:
         "HOST_LANES": 1,
         "HOST_AVX512": 0,
         "LANE_NODES": 0,
+        "NODE_KERNELS": 0,
         "SINGLE": int(model.precision == "single"),
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
