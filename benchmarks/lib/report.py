@@ -49,9 +49,10 @@ class Report:
         limit: float | None = None,
         at_least: bool = False,
         profile: str = "fast",
+        lanes: int = 1,
     ) -> None:
         """Record a value of a case, based on ``n`` samples."""
-        self.records.append(Record(key, case, float(value), unit, n, limit, at_least, profile, 1))
+        self.records.append(Record(key, case, float(value), unit, n, limit, at_least, profile, lanes))
 
     def worst(self) -> dict[str, Record]:
         """The worst case of every key; NaN is the worst value."""

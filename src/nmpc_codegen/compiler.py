@@ -22,11 +22,12 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.options import Options
-from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.build import host, load
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.folder import write
 from nmpc_codegen.runtime.seal import sealed, sealed_beside
@@ -131,9 +132,18 @@ def build(
 ) -> Controller:
     """Generate, compile and load the code that export() writes, as a Python controller; builds are cached by content.
 
+    lanes: shooting nodes whose dynamics, costs and rows are evaluated at once in vector registers (1, 2, 4, 8); None:
+    as many as the processor has room for if the profile is compiled for it. With 1 the code is that of export(); with
+    more it is GNU C with the same header, and exp, log, sin, cos of its own: results differ by rounding.
+
     Raises:
-        ProblemError, OptionError: see generate().
+        ProblemError, OptionError: see generate(); OptionError also for another number of lanes.
         BuildError: there is no compiler, or it rejected the code.
     """
-    sources = generate(ocp, options, name)
-    return load(sources, ocp.name if name is None else name, profile, lanes=lanes)
+    target = host(lanes, profile)
+    with _ONE_AT_A_TIME:
+        module = compiled(ocp, options, name)
+        sources = sealed(render(module), module.name)
+        if target.lanes > 1:
+            sources[f"{module.name}_host.c"] = host_unit(module, target.lanes, target.avx512)
+    return load(sources, module.name, profile, lanes=target.lanes)

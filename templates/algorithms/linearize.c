@@ -9,6 +9,10 @@ static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t
 #endif
 }
 
+#if LANE_NODES
+#include "lanes/linearize.c"
+#endif
+
 #if HAS_TERMINAL_GRADIENT || NH_N
 /* Gradient and general rows of the terminal node. */
 static void linearize_terminal(const solver_t *s, terminal_t *terminal)
@@ -37,17 +41,23 @@ static void add_start_gradient(const solver_t *s, real_t *q)
 /* Linearises all nodes, from the last to the first. The same evaluations provide the data that the Hessian needs. */
 static void linearize(solver_t *s)
 {
+#if !LANE_NODES
     real_t x_next[NX];
+#endif
 #if HAS_TERMINAL_GRADIENT || NH_N
     linearize_terminal(s, &s->terminal);
 #endif
 #if NE
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
 #endif
+#if LANE_NODES
+    linearize_lanes(s);
+#else
     for (int k = N - 1; k >= 0; k--) {
         expand_node(s, k, x_next);
         complete_node(s, k, x_next, &s->node[k]);
     }
+#endif
 #if HAS_START_GRADIENT
     add_start_gradient(s, s->node[0].g);
 #endif

@@ -38,19 +38,25 @@ static void adjoint_node(solver_t *s, int k)
 #endif
 }
 
+/* Before the first node: are multipliers computed, and Q without what a regularisation has written. */
+static inline void start_expansion(solver_t *s)
+{
+    s->hessian.adjoint = !has_multipliers(s);
+    if (s->hessian.adjoint) {
+        memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
+    }
+    if (s->hessian.changed) {
+        memset(s->hessian.Q, 0, sizeof s->hessian.Q);
+        s->hessian.changed = 0;
+    }
+}
+
 /* Evaluates node k in one sweep: x_next, S and g in s->node[k], and the second derivatives in Q_k. */
 static void expand_node(solver_t *s, int k, real_t *x_next)
 {
     node_t *node = &s->node[k];
     if (k == N - 1) {
-        s->hessian.adjoint = !has_multipliers(s);
-        if (s->hessian.adjoint) {
-            memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
-        }
-        if (s->hessian.changed) {
-            memset(s->hessian.Q, 0, sizeof s->hessian.Q);
-            s->hessian.changed = 0;
-        }
+        start_expansion(s);
     }
     PATH_EXACT(s, k, x_next, &node->S[0][0], node->g, &s->hessian.Q[k][0][0]);
     if (s->hessian.adjoint) {

@@ -7,7 +7,7 @@ static inline void evaluate_node(const solver_t *s, int k, node_t *node, real_t 
 #endif
 }
 
-#if !LAGRANGIAN
+#if !LANE_NODES && !LAGRANGIAN
 static void expand_node(solver_t *s, int k, real_t *x_next)
 {
     evaluate_node(s, k, &s->node[k], x_next);

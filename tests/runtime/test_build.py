@@ -60,9 +60,9 @@ def test_own_profile(toy_files: Files) -> None:
     assert load(toy_files, "toy", Profile("size", ("-Os",))).profile == "size"
 
 
-@pytest.mark.parametrize("lanes", [0, 2, 4, True, "single"])
+@pytest.mark.parametrize("lanes", [0, 2, 4, "single"])
 def test_lanes_other_than_one_are_refused(toy_files: Files, lanes: int) -> None:
-    with pytest.raises(OptionError, match=r"lanes .* None or 1"):
+    with pytest.raises(OptionError, match=r"lanes is .*\(None or 1\)"):
         load(toy_files, "toy", lanes=lanes)
 
 

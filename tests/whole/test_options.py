@@ -114,7 +114,7 @@ BAD: list[tuple[Callable[[], Any], list[str]]] = [
     ),
     (lambda: generate(integrator_ocp(), "fast"), ["options: 'fast'", "Options(...)"]),  # type: ignore[arg-type]
     (lambda: build(integrator_ocp(), profile="quick"), ["profile", "'quick'", "test", "fast", "verify"]),
-    (lambda: build(integrator_ocp(), lanes=4), ["lanes", "4", "None", "1"]),
+    (lambda: build(integrator_ocp(), lanes=3), ["lanes", "3", "None", "1", "8"]),
 ]
 
 

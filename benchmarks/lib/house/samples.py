@@ -6,6 +6,7 @@ For every part or condition that no sample reaches, a sample has to be added her
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import casadi as ca
@@ -30,6 +31,7 @@ from nmpc_codegen import (
     Options,
     Osqp,
     PartialCondensing,
+    ProblemWarning,
     RealTimeIteration,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
@@ -324,6 +326,18 @@ def _alone(qp: Any, condensing: Any = STAGES) -> Options:
     return Options(qp=qp, condensing=condensing, solve=False, online=FIXED)
 
 
+def functions() -> OCP:
+    """Functions and conditions that units for a host have in lanes, and one of math.h that they call for every lane."""
+    ocp = OCP("functions", T=1.0, N=9)
+    x, v, u = ocp.state("x", initial=0.5), ocp.state("v"), ocp.control("u")
+    drag = ca.if_else(v > 0, ca.exp(-v), 1.0) + ca.fmax(v, 0.1) * ca.log(1.0 + x**2) + ca.sqrt(1.0 + v**2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProblemWarning)  # the kinks are what the sample is for
+        ocp.dynamics({x: v, v: u - 0.1 * drag - ca.sin(x) * ca.cos(v) - ca.tanh(x)})
+    ocp.least_squares(ca.vertcat(x, v, u), weight=[1.0, 0.1, 0.1])
+    return ocp
+
+
 #: Examples with their default options.
 EXAMPLES = (
     Sample("crane", crane.build_ocp),
@@ -407,6 +421,8 @@ SAMPLES = (
     Sample("discrete interior", discrete, _interior()),
     Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
     Sample("discrete rows dense", discrete_rows, _dense(precision="single", online=FIXED)),
+    Sample("functions dense", functions, _dense(online=SHARED)),
+    Sample("functions riccati", functions, _riccati(precision="single")),
     Sample("bare augmented", bare, _augmented(online=FIXED, solve=False)),
     Sample("controls augmented", controls, _augmented(shift="resample", sampling_time=0.1)),
     Sample("states augmented", states, _augmented(shift="repeat", precision="single")),

@@ -6,11 +6,11 @@ Header, struct, initialisation, cffi declarations, README table and NumPy views 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.kernel import Kernel, OpCount
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
@@ -130,6 +130,7 @@ class CModule:
     diagonal_weight_N: bool
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # integer member -> least and largest value
     iteration: tuple[str, ...] = ()  # macros of what one iteration of the QP solver charges to a budget
+    one_step: Callable[[], Kernel] | None = None  # an integration step with its Jacobian, for units of a host
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 
     @property

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.kernel import Kernel, OpCount
 from nmpc_codegen.ir.stage_products import Pattern, Products, pattern
 from nmpc_codegen.ir.sweep import Routine
 
@@ -17,11 +17,13 @@ class Interval:
 
     linearize: (x, u, p, dt) -> x_next, S = d x_next / d(x, u); step: (x, u, p, h) -> x_next, one integration step;
     curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians with second derivatives of the dynamics.
+    one_step: yields linearize for the first of its steps as straight-line code, where linearize has loops.
     """
 
     linearize: Routine
     step: Routine
     curved: Routine | None = None
+    one_step: Callable[[], Kernel] | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import casadi as ca
 
@@ -16,10 +16,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CStyle:
-    """Spelling of types, literals and functions: ``real`` is the typedef, ``single`` selects 0.5F and sinf."""
+    """Spelling of types, literals and functions: ``real`` is the typedef, ``single`` selects 0.5F and sinf.
+
+    lanes: values are GNU C vectors, with functions of their own for what has no operator.
+    """
 
     real: str
     single: bool
+    lanes: bool = False
+
+    #: Opcodes of conditions -> the words of their functions on vectors.
+    CONDITIONS: ClassVar[Mapping[int, str]] = {
+        ca.OP_SIGN: "sign",
+        ca.OP_LT: "lt",
+        ca.OP_LE: "le",
+        ca.OP_EQ: "eq",
+        ca.OP_NE: "ne",
+        ca.OP_NOT: "not",
+        ca.OP_AND: "and",
+        ca.OP_OR: "or",
+        ca.OP_IF_ELSE_ZERO: "if_else_zero",
+    }
 
     def literal(self, value: float) -> str:
         """A C literal that reads back to the same number, e.g. ``0.1`` or ``0.1F``."""
@@ -30,7 +47,17 @@ class CStyle:
 
     def function(self, name: str) -> str:
         """Name of a function of math.h in the working precision."""
+        if self.lanes:
+            return f"lanes_{name}"
         return name + ("f" if self.single else "")
+
+    def needs_values(self, opcode: int) -> bool:
+        """True if the operands must be values: a vector cannot be compared with a number, nor a function take one."""
+        return self.lanes and (opcode in self.CONDITIONS or bool(OPERATIONS[opcode].function))
+
+    def whole(self, text: str) -> str:
+        """A number as a value."""
+        return f"lanes_all({text})" if self.lanes else text
 
 
 def signature(name: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], style: CStyle) -> str:
@@ -68,6 +95,7 @@ def print_body(
 ) -> list[str]:
     """Loads, one statement per operation, stores; ``load`` and ``store`` spell element e of a port."""
     names: list[str] = []
+    numbers: set[int] = set()
     loads, body = [], []
     for index, ins in enumerate(kernel.instructions):
         if ins.opcode == ca.OP_INPUT:
@@ -77,14 +105,21 @@ def print_body(
         elif ins.opcode == ca.OP_CONST:
             text = style.literal(ins.constant)
             names.append(f"({text})" if text.startswith("-") else text)
+            numbers.add(index)
         else:
+            operands: Sequence[str] | Mapping[int, str] = names
+            if style.needs_values(ins.opcode) or numbers.issuperset(ins.args):
+                operands = {a: style.whole(names[a]) if a in numbers else names[a] for a in ins.args}
             names.append(f"t{index}")
-            body.append(f"    const {style.real} {names[-1]} = {_expression(ins, names, style)};")
-    return loads + body + [f"    {store(o, e)} = {names[v]};" for o, e, v in kernel.stores]
+            body.append(f"    const {style.real} {names[-1]} = {_expression(ins, operands, style)};")
+    values = [style.whole(name) if i in numbers else name for i, name in enumerate(names)]
+    return loads + body + [f"    {store(o, e)} = {values[v]};" for o, e, v in kernel.stores]
 
 
 def _expression(ins: Instruction, names: Sequence[str] | Mapping[int, str], style: CStyle) -> str:
     operation = OPERATIONS[ins.opcode]
+    if style.lanes and ins.opcode in CStyle.CONDITIONS:
+        return f"lanes_{CStyle.CONDITIONS[ins.opcode]}({', '.join(names[a] for a in ins.args)})"
     return operation.c.format(
         *(names[a] for a in ins.args),
         fn=style.function(operation.function) if operation.function else "",

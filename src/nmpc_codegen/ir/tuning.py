@@ -29,6 +29,10 @@ AUTO_INSTRUCTIONS = 2500
 #: benchmarks.exact_hessian
 AUTO_STATEMENTS = 4000
 
+#: Operations of an integration step in loops up to which a unit for a host contains it as straight-line code.
+#: benchmarks.speed
+STEP_OPERATIONS = 200_000
+
 #: Second derivatives, benchmarks.exact_hessian:
 #: up to this number of panels of rows, each panel has a loop of its own with constant bounds;
 WRITTEN_PANELS = 3

@@ -92,6 +92,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
         diagonal_weight=problem.path.diagonal_weight,
         diagonal_weight_N=problem.terminal.diagonal_weight,
         ranges={name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()},
+        one_step=model.interval.one_step,
         iteration=() if model.parts.qp is None else model.parts.qp.iteration,
         foreign={
             path: text
@@ -152,6 +153,11 @@ def _switches(model: Model) -> dict[str, int]:
         "LAGRANGIAN": 0,
         "START_IS_MEASURED": 0,
         "TUNED": 0,
+        "HOST_LANES": 1,
+        "HOST_AVX512": 0,
+        "LANE_NODES": 0,
+        "NODE_KERNELS": 0,
+        "SINGLE": int(model.precision == "single"),
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
     for component in parts.components:

@@ -6,7 +6,7 @@ No other module imports jinja2.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
 from itertools import groupby
 from textwrap import wrap
@@ -60,15 +60,13 @@ def context(prefix: str, precision: str) -> dict[str, Any]:
     return {"p": prefix, "P": prefix.upper(), "real": f"{prefix}_real", "lit": style.literal}
 
 
+#: Path of an include below generated/ -> what writes its text.
+Generators = Mapping[str, Callable[[CModule, CStyle], str]]
+
+
 def render(module: CModule, resolved: bool = True) -> Sources:
     """All files of the package. Unless ``resolved``, the `#if`s of the parts are left to the compiler, for tests."""
-    names = _names(module)
-    body, known = render_unit(module, names, resolved), all_definitions(module)
-    words = names_in(body)
-    tables = render_tables(module, names, known, words if resolved else names_in(render_unit(module, names)))
-    short_names = preamble(module, known, words | names_in(tables))
-    names["system_headers"] = ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"]
-    names |= {"body": body, "tables": tables, "preamble": short_names if resolved else short_names + conditions(module)}
+    names = _filled(module, GENERATED, resolved)
     files = {
         f"{module.name}.h": "solver.h.jinja",
         f"{module.name}.c": "solver.c.jinja",
@@ -79,6 +77,25 @@ def render(module: CModule, resolved: bool = True) -> Sources:
     sources = {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return {**sources, **module.foreign}
+
+
+def render_c(module: CModule, more: Generators) -> str:
+    """The package's .c alone, whose parts may include what ``more`` writes."""
+    names = _filled(module, {**GENERATED, **more}, True)
+    return tidy(environment().get_template("solver.c.jinja").render(names))
+
+
+def _filled(module: CModule, generators: Generators, resolved: bool) -> dict[str, Any]:
+    """The names of the templates, with the body of the unit, its tables and short names."""
+    names = _names(module)
+    body, known = render_unit(module, names, resolved, generators), all_definitions(module)
+    words = names_in(body)
+    used = words if resolved else names_in(render_unit(module, names))
+    tables = render_tables(module, names, known, used)
+    short_names = preamble(module, known, words | names_in(tables))
+    names["system_headers"] = ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"]
+    short_names = short_names if resolved else short_names + conditions(module)
+    return {**names, "body": body, "tables": tables, "preamble": short_names}
 
 
 def unit_text(module: CModule) -> str:
@@ -114,11 +131,13 @@ def render_tables(module: CModule, names: dict[str, Any], known: Sequence[Defini
     return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
-def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -> str:
+def render_unit(
+    module: CModule, names: dict[str, Any], resolved: bool = True, generators: Generators = GENERATED
+) -> str:
     """The translation unit after its tables: printed kernels, parts."""
 
     def generated(path: str) -> str:
-        return GENERATED[path](module, unit_style(module.precision))
+        return generators[path](module, unit_style(module.precision))
 
     def part(path: str) -> str:
         text = read_part(path, generated)

@@ -95,10 +95,49 @@ def get_profile(profile: str | Profile) -> Profile:
     return PROFILES[profile]
 
 
-def check_lanes(lanes: int | None) -> None:
-    """Raise OptionError unless the number of SIMD lanes is 1 or None, which selects 1."""
-    if lanes not in (None, 1) or isinstance(lanes, bool):
-        raise OptionError(f"lanes is {lanes!r}; only one shooting node at a time is supported: None or 1")
+LANES = (1, 2, 4, 8)
+#: Predefined macros of processors with vectors of so many numbers in double precision.
+_WIDTHS = (("__AVX512DQ__", 8), ("__AVX2__", 4))
+#: The first version of gcc with __builtin_shufflevector; clang has had it for long.
+_SHUFFLES = 12
+
+
+@dataclass(frozen=True)
+class Host:
+    """Vectors that a compiler and its flags support: shooting nodes at once, and whether AVX-512 is there."""
+
+    lanes: int
+    avx512: bool
+
+
+def host(lanes: int | None, profile: str | Profile) -> Host:
+    """What a unit for this machine can use; ``lanes`` None: by its processor if the profile compiles for it.
+
+    Raises:
+        OptionError: no such number of lanes, or no such profile.
+        BuildError: there is no compiler, or it lacks what lanes need.
+    """
+    if lanes is not None and (isinstance(lanes, bool) or lanes not in LANES):
+        raise OptionError(f"lanes is {lanes!r}; expected None (chosen), 1 (plain C), 2, 4 or 8 shooting nodes at once")
+    chosen = get_profile(profile)
+    if lanes == 1 or (lanes is None and "-march=native" not in chosen.flags):
+        return Host(1, False)
+    compiler = find_compiler()
+    macros = _macros(compiler, tuple(chosen.flags), os.environ.get("PATH", ""))
+    shuffles = "__clang__" in macros or int(macros.get("__GNUC__", "0")) >= _SHUFFLES
+    if lanes is not None and not shuffles:
+        raise BuildError(f"lanes={lanes} needs gcc {_SHUFFLES} or clang, not {' '.join(compiler)}; lanes=1 is plain C")
+    width = next((n for name, n in _WIDTHS if name in macros), 1) if shuffles else 1
+    return Host(width if lanes is None else lanes, "__AVX512DQ__" in macros)
+
+
+@lru_cache
+def _macros(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> Mapping[str, str]:
+    """Predefined macros of the compiler with these flags; ``path`` is only a key of lru_cache."""
+    command = [*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull]
+    lines = subprocess.run(command, capture_output=True, text=True, check=False).stdout.splitlines()
+    found = (line.split(None, 2) for line in lines if line.startswith("#define "))
+    return {words[1]: words[2] if len(words) == 3 else "" for words in found}
 
 
 def load(
@@ -112,10 +151,11 @@ def load(
     """Compile a package (or take it from the cache) and return an initialised controller.
 
     Args:
-        files: path -> text; <name>.h, <name>.c, <name>.json and foreign code in folders are used, others are ignored.
+        files: path -> text; <name>.h, <name>.c, <name>.json and foreign code in folders are used, others are ignored;
+            <name>_host.c, if this machine can run it, in the place of <name>.c.
         name: name and C prefix of the package.
         profile: name of a profile in PROFILES, or a Profile.
-        lanes: shooting nodes evaluated at once; None or 1.
+        lanes: shooting nodes evaluated at once; None: those of <name>_host.c if there is one; 1: <name>.c.
         warnings_as_errors: compile the package's .c with all warnings of the project as errors.
 
     Raises:
@@ -123,19 +163,31 @@ def load(
         BuildError: there is no compiler or no Python.h, or the compiler rejects the code.
         ControllerError: <name>.json is not a package description, or it does not describe this C code.
     """
-    check_lanes(lanes)
     chosen = get_profile(profile)
+    unit = f"{name}_host.c"
+    if lanes not in (None, 1) and unit not in files:
+        raise OptionError(
+            f"lanes is {lanes!r}; an exported package evaluates one node at a time (None or 1), build() more"
+        )
     missing = [f"{name}.{ext}" for ext in ("h", "c", "json") if f"{name}.{ext}" not in files]
     if missing:
         raise BuildError(f"the package {name!r} lacks {', '.join(missing)}")
     _check_names(name, files)
     sources = {path: files[path] for path in (f"{name}.h", f"{name}.c", f"{name}.json")}
-    sources |= {path: text for path, text in files.items() if "/" in path}
+    sources |= {path: text for path, text in files.items() if "/" in path or path == unit}
     description = PackageDescription.from_json(sources[f"{name}.json"])
     extra = WARNINGS if warnings_as_errors else ()
-    path = compile_module(sources, name, (*chosen.flags, *extra), chosen.wrapper)
+    texts = {path: text for path, text in sources.items() if path != unit}
+    if unit in sources and lanes != 1 and _runs_here(sources[unit], chosen):
+        texts[f"{name}.c"] = sources[unit]
+    path = compile_module(texts, name, (*chosen.flags, *extra), chosen.wrapper)
     ffi, lib = _import(name, path) if chosen.wrapper else _open(declarations(sources[f"{name}.h"], name), name, path)
     return Controller(CompiledPackage(name, sources, description, chosen, ffi, lib, load))
+
+
+def _runs_here(unit: str, profile: Profile) -> bool:
+    """False for a unit that another machine has written, with instructions that this one lacks."""
+    return host(None, profile).avx512 or "#include <immintrin.h>" not in unit
 
 
 def load_library(

@@ -126,7 +126,7 @@ class EconomicGaussNewton(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         """M is never indefinite, so nothing is regularised; it belongs to data that can be changed."""
-        return {"REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0, "TUNED": 1}
+        return {"REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0, "TUNED": 1, "NODE_KERNELS": 1}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Between which values the bounds of every row leave M valid."""

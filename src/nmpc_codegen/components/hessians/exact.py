@@ -170,7 +170,9 @@ class ExactHessian(Defaults):
     def switches(self) -> Mapping[str, int]:
         """The Hessian depends on multipliers; which indefinite one is changed: the block of every stage, or the reduced
         one."""
-        return {"LAGRANGIAN": 1} | {f"REGULARIZE_{where}": int(self.level == level) for where, level in LEVELS}
+        return {"LAGRANGIAN": 1, "NODE_KERNELS": 1} | {
+            f"REGULARIZE_{where}": int(self.level == level) for where, level in LEVELS
+        }
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""

@@ -64,7 +64,12 @@ class GaussNewton(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         """Whether the curvature of rows is added; the Hessian is never indefinite, so nothing is regularised."""
-        return {"CONVEX_ROWS": int(self.convex_rows), "REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0}
+        return {
+            "CONVEX_ROWS": int(self.convex_rows),
+            "REGULARIZE_REDUCED": 0,
+            "REGULARIZE_STAGES": 0,
+            "NODE_KERNELS": 1,
+        }
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Hessian blocks, lower triangles in the order z = (x, u)."""

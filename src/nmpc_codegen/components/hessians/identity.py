@@ -37,7 +37,7 @@ class IdentityHessian(Defaults):
     @property
     def switches(self) -> Mapping[str, int]:
         """The Hessian is never indefinite, so nothing is regularised."""
-        return {"REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0}
+        return {"REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0, "NODE_KERNELS": 1}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Hessian blocks, lower triangles in the order z = (x, u)."""

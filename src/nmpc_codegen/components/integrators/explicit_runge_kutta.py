@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Literal, get_args
 
 from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, option
@@ -34,7 +35,7 @@ from nmpc_codegen.ir.sweep import (
     looped,
     straight,
 )
-from nmpc_codegen.ir.tuning import AUTO_INSTRUCTIONS, AUTO_STATEMENTS
+from nmpc_codegen.ir.tuning import AUTO_INSTRUCTIONS, AUTO_STATEMENTS, STEP_OPERATIONS
 
 Unroll = Literal["auto", "all", "step", "none"]
 
@@ -91,8 +92,11 @@ class ExplicitRungeKutta(Defaults):
 
     def interval(self, problem: Problem) -> Interval:
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
-        interval = Sensitivities(problem, self.tableau, self.steps).sweep()
-        return Interval(self._spelled(interval), straight(step_sweep(problem, self.tableau)))
+        sensitivities = Sensitivities(problem, self.tableau, self.steps)
+        interval = self._spelled(sensitivities.sweep())
+        one_step = partial(straight, sensitivities.sweep("integrator_one_step", 1))
+        loops = isinstance(interval, LoopedRoutine) and interval.count.total <= STEP_OPERATIONS * self.steps
+        return Interval(interval, straight(step_sweep(problem, self.tableau)), None, one_step if loops else None)
 
     def products(self, problem: Problem) -> IntervalProducts:
         """The value of an interval, and products with its Jacobians that do not form them."""

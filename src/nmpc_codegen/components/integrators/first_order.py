@@ -88,8 +88,9 @@ class Sensitivities:
         self.nz = problem.nx + problem.nu
         self.ld = -(-self.nz // PANEL) * PANEL
 
-    def sweep(self) -> Sweep:
-        """(x, u, p, dt) -> x_next, S."""
+    def sweep(self, name: str = "integrator_interval", steps: int | None = None) -> Sweep:
+        """(x, u, p, dt) -> x_next, S; ``steps``: only so many of the steps."""
+        passes = self.rk.steps if steps is None else steps
         rk, nx, nz, ld = self.rk, self.rk.nx, self.nz, self.ld
         start = ca.SX.zeros(nx * ld)
         for i in range(nx):
@@ -98,13 +99,15 @@ class Sensitivities:
         body: list[Node] = [
             *rk.start(),
             Call(ca.Function("identity", [], [start], [], ["s"]), (), (Slice("Sx", nx * ld),)),
-            For("step", 0, rk.steps, tuple(self._step())),
+            For("step", 0, passes, tuple(self._step())),
             Call(copy("copy_x", nx), (rk.state,), (Slice("x_next", nx),)),
             For("i", 0, nx, (Call(copy("copy_row", nz), (source,), (target,)),)),
         ]
         return Sweep(
-            "integrator_interval",
-            f"x_next = Phi(x, u, p): {rk.steps} {rk.tableau.name} step(s) over dt; S = d x_next / d(x, u)",
+            name,
+            f"x_next = Phi(x, u, p): {passes} {rk.tableau.name} step(s) over dt; S = d x_next / d(x, u)"
+            if passes == rk.steps
+            else f"x_next = one of {rk.steps} {rk.tableau.name} steps over dt, S = d x_next / d(x, u)",
             rk.ports,
             (Port("x_next", nx), Port("S", nx, nz)),
             self._locals(),

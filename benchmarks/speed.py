@@ -1,0 +1,34 @@
+"""Times of a sample on this machine: lanes, exported C, accuracy of lanes and of their functions.
+
+    python -m benchmarks.speed [--json FILE] [--only PART,...] [--where NAME]
+
+Limits belong to a machine on which the reference kernel (benchmarks/reference_kernel.c) takes 24 us; keys with _scaled
+are times carried to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from benchmarks.lib import command
+from benchmarks.lib.report import Report
+from benchmarks.lib.speed import accuracy, before, functions, loops
+
+PARTS: dict[str, Callable[[Report], None]] = {
+    "loops": loops.measure,
+    "lanes": accuracy.measure,
+    "functions": functions.measure,
+    "before": before.measure,
+}
+
+
+def main() -> None:
+    """All parts, or some."""
+    parser = command.parser(__doc__, PARTS)
+    options = parser.parse_args()
+    names, report = command.chosen(parser, options, PARTS), Report("speed")
+    command.measure(report, names, lambda name: PARTS[name](report), options.json)
+
+
+if __name__ == "__main__":
+    main()

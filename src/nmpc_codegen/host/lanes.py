@@ -1,0 +1,252 @@
+"""Linearisation of several shooting nodes at once, one node per lane of GNU C vectors.
+
+The kernels of a package are printed a second time with vectors in the place of numbers. Their inputs are gathered from
+the nodes; their results are transposed, so that every node receives whole rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from nmpc_codegen.host import steps
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port
+from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
+from nmpc_codegen.lowering.preamble import PLACES
+from nmpc_codegen.runtime.package_description import Kind
+
+SUFFIX = "_lanes"
+
+#: Functions of math.h for which lanes have one of their own, and the switch of the part that contains it.
+OWN = {
+    **dict.fromkeys(("fmin", "fmax", "copysign"), "LANE_CONDITIONS"),
+    "exp": "LANE_EXP",
+    "log": "LANE_LOG",
+    "sin": "LANE_ANGLES",
+    "cos": "LANE_ANGLES",
+    "sqrt": "LANE_SQRT",
+    "fabs": "",
+}
+
+#: Switches of the parts.
+SWITCHES = tuple(dict.fromkeys(switch for switch in OWN.values() if switch))
+
+#: Fewer stored elements of a row of HOST_LANES ones are stored one by one.
+LEAST_IN_BLOCK = 3
+
+#: Output port -> member of a node that receives it.
+MEMBERS = {"x_next": "b", "S": "S", "g": "g", "h": "h", "J": "J"}
+
+#: Input port -> the option that decides whether every node has data of its own.
+OPTIONS: Mapping[str, Kind] = {"p": "parameter", "yref": "reference", "W": "weight"}
+
+
+@dataclass(frozen=True)
+class LaneRoutines:
+    """The routines that linearise a path node. ``one_step`` replaces the loops of the interval, if it has any."""
+
+    routines: tuple[Routine, ...]
+    one_step: Kernel | None = None
+
+    @property
+    def printed(self) -> tuple[Routine, ...]:
+        """Those that are printed in lanes."""
+        return (*(() if self.one_step is None else (self.one_step,)), *self.called)
+
+    @property
+    def called(self) -> tuple[Routine, ...]:
+        """Those that are called once."""
+        return self.routines if self.one_step is None else self.routines[1:]
+
+
+def lane_routines(module: CModule) -> LaneRoutines | None:
+    """None if nodes are linearised one by one: for one lane, if the interval has loops that cannot be expanded, or if the
+    Hessian does not promise (NODE_KERNELS) that expand_node() is no more than the printed kernels."""
+    if module.switches["HOST_LANES"] == 1 or not module.switches["NODE_KERNELS"]:
+        return None
+    first = ("path_exact",) if module.switches["LAGRANGIAN"] else ("integrator_interval", "path_gradient")
+    known = {r.name: r for r in module.routines}
+    routines = tuple(known[name] for name in (*first, "path_rows") if name in known)
+    if routines[0].name != "integrator_interval" or isinstance(routines[0], Kernel):
+        return LaneRoutines(routines)
+    return None if module.one_step is None else LaneRoutines(routines, module.one_step())
+
+
+def called_functions(routines: Iterable[Routine]) -> set[str]:
+    """Functions of math.h, and the words of conditions, that the kernels of the routines need."""
+    opcodes = {i.opcode for r in routines for kernel in r.kernels for i in kernel.instructions}
+    return {OPERATIONS[o].function or CStyle.CONDITIONS.get(o, "") for o in opcodes if o in OPERATIONS} - {""}
+
+
+def lane_switches(module: CModule) -> dict[str, int]:
+    """Whether nodes are linearised in lanes, and which parts that needs."""
+    found = lane_routines(module)
+    called = called_functions(found.printed) if found else set[str]()
+    needed = {OWN.get(name, "LANE_CONDITIONS" if name in CStyle.CONDITIONS.values() else "") for name in called}
+    return {"LANE_NODES": int(found is not None), **{switch: int(switch in needed) for switch in SWITCHES}}
+
+
+def lane_kernels(module: CModule, style: CStyle) -> str:
+    """Functions of math.h lane by lane, and the kernels in lanes."""
+    lanes = replace(style, real="lanes_t", lanes=True)
+    found = lane_routines(module)
+    if found is None:
+        return ""
+    arity = {o.function: 2 if "{1}" in o.c else 1 for o in OPERATIONS.values() if o.function}
+    others = sorted(called_functions(found.printed) - set(OWN) - set(CStyle.CONDITIONS.values()))
+    texts = [_one_by_one(name, arity[name], style) for name in others]
+    texts += [print_routine(_suffixed(r), lanes) for r in found.printed]
+    if found.one_step is not None:
+        texts.append(steps.product(module.value("NX"), module.value("NZ")))
+    return "\n\n".join(texts)
+
+
+def lane_nodes(module: CModule, style: CStyle) -> str:
+    """linearize_group(s, k): the nodes k .. k + HOST_LANES - 1.
+
+    Results are collected in the order of the members of a node, so that blocks of several members are stored at once.
+    """
+    found = lane_routines(module)
+    if found is None:
+        return ""
+    inputs = {p.name: p for r in found.printed for p in r.reads}
+    offsets, total = _node_layout(module)
+    width = module.switches["HOST_LANES"]
+    written = [(r, p) for r in found.routines for p in r.writes]
+    stored = {offsets[p.name] + e for r, p in written if p.name in offsets for e in _stored(r, p)}
+    places = {p.name: f"node + {offsets[p.name]}" for _, p in written if p.name in offsets}
+    zeros, stores = _scattered("node", stored, total, width, "&s->node[k]", "NODE_STRIDE")
+    declared = [*(f"{p.name}[{p.size}]" for p in inputs.values()), f"node[{total}]"]
+    for r, p in ((r, p) for r, p in written if p.name not in offsets):
+        declared.append(f"{p.name}[{p.size}]")
+        more = _scattered(p.name, _stored(r, p), p.size, width, "&s->hessian.Q[k][0][0]", str(p.size))
+        zeros, stores = [*zeros, *more[0]], [*stores, *more[1]]
+    calls: list[str] = []
+    if found.one_step is not None:
+        arrays, calls = steps.calls(found.one_step, SUFFIX, places["x_next"], places["S"])
+        declared += arrays
+    calls += [
+        f"{r.name}{SUFFIX}({', '.join(places.get(p.name, p.name) for p in (*r.reads, *r.writes))});"
+        for r in found.called
+    ]
+    lines = [line for port in inputs.values() for line in _gathered(port, module)]
+    lines = [f"lanes_t {', '.join(declared)};", *lines, *zeros, *calls, *stores]
+    if zeros:
+        lines.insert(0, "const lanes_t zero = {0};")
+    head = "/* Linearises the nodes k .. k + HOST_LANES - 1; x_{k+1} is not yet subtracted from the gaps. */"
+    return "\n".join([head, "static void linearize_group(solver_t *s, int k)", "{", *(f"    {n}" for n in lines), "}"])
+
+
+def lane_transpose(module: CModule, style: CStyle) -> str:
+    """Transposition of a block."""
+    return transpose(module.switches["HOST_LANES"])
+
+
+def transpose(width: int) -> str:
+    """lanes_store_block(v, to, stride): HOST_LANES elements of every lane to the rows to, to + stride, ...
+
+    Every round merges vectors that are half of them apart. That rotates the bits of the index of the vector and of the
+    lane by one, so that after log2(HOST_LANES) rounds both are exchanged.
+    """
+    half, rounds = width // 2, width.bit_length() - 1
+    low = ", ".join(f"{i}, {i + width}" for i in range(half))
+    high = ", ".join(f"{i}, {i + width}" for i in range(half, width))
+    lines = [
+        "/* Stores HOST_LANES elements of every lane to the rows to, to + stride, ...: a transposition. */",
+        "LANES_INLINE void lanes_store_block(const lanes_t *v, real_t *to, int stride)",
+        "{",
+    ]
+    before = [f"v[{i}]" for i in range(width)]
+    for n in range(rounds):
+        after = [f"{'abcd'[n]}{i}" for i in range(width)]
+        for i in range(half):
+            pair = f"{before[i]}, {before[i + half]}"
+            lines.append(f"    const lanes_t {after[2 * i]} = __builtin_shufflevector({pair}, {low});")
+            lines.append(f"    const lanes_t {after[2 * i + 1]} = __builtin_shufflevector({pair}, {high});")
+        before = after
+    for lane, row in enumerate(before):
+        lines.append(f"    memcpy(to{f' + {lane} * stride' if lane else ''}, &{row}, sizeof {row});")
+    return "\n".join([*lines, "}"])
+
+
+def _node_layout(module: CModule) -> tuple[dict[str, int], int]:
+    """Where a node stores every output port, and the numbers of a node."""
+    (struct,) = (s for s in module.structs if s.name == "node")
+    offsets: dict[str, int] = {}
+    total = 0
+    for member in struct.fields:
+        offsets |= {port: total for port, name in MEMBERS.items() if name == member.name}
+        total += math.prod(member.padded)
+    return offsets, total
+
+
+def _gathered(port: Port, module: CModule) -> Iterator[str]:
+    place = PLACES[port.name]
+    option = OPTIONS.get(port.name)
+    stride = 1 if port.name == "dt" else port.size
+    yield f"for (int i = 0; i < {port.size}; i++) {{"
+    if option is not None and module.layouts[option] != "node":
+        yield f"    {port.name}[i] = lanes_all(({place})[i]);"
+    else:
+        yield f"    {port.name}[i] = lanes_gather(({place}) + i, {stride});"
+    yield "}"
+
+
+def _scattered(
+    name: str, stored: set[int], size: int, width: int, target: str, stride: str
+) -> tuple[list[str], list[str]]:
+    """Statements that set zeros in the blocks of an array, and those that store its elements to the nodes."""
+    zeros: dict[str, None] = {}
+    stores: list[str] = []
+    element = 0
+    while element < size:
+        first = min(element, size - width)
+        block = range(first, first + width)
+        if first >= 0 and sum(e in stored for e in block if e >= element) >= LEAST_IN_BLOCK:
+            zeros |= {f"{name}[{e}] = zero;": None for e in block if e not in stored}
+            stores.append(f"lanes_store_block({name} + {first}, (real_t *){target} + {first}, {stride});")
+            element = first + width
+        else:
+            if element in stored:
+                stores.append(f"lanes_store({name}[{element}], (real_t *){target} + {element}, {stride});")
+            element += 1
+    return list(zeros), stores
+
+
+def _stored(routine: Routine, port: Port) -> set[int]:
+    """Elements of an output port that the routine stores; loops store all."""
+    if isinstance(routine, LoopedRoutine):
+        return set(range(port.size))
+    index = routine.outputs.index(port)
+    return {e for o, e, _ in routine.stores if o == index}
+
+
+def _suffixed(routine: Routine) -> Routine:
+    """The routine, and the leaves of its loops, under names of their own."""
+    if isinstance(routine, Kernel):
+        return replace(routine, name=routine.name + SUFFIX)
+    leaves = {name: replace(kernel, name=kernel.name + SUFFIX) for name, kernel in routine.leaves.items()}
+    return LoopedRoutine(replace(routine.sweep, name=routine.sweep.name + SUFFIX), leaves)
+
+
+def _one_by_one(name: str, arity: int, style: CStyle) -> str:
+    """A function of math.h, called for every lane."""
+    operands = ("x", "y")[:arity]
+    declared = ", ".join(f"lanes_t {o}" for o in operands)
+    passed = ", ".join(f"{o}[l]" for o in operands)
+    return "\n".join(
+        [
+            f"LANES_INLINE lanes_t lanes_{name}({declared})",
+            "{",
+            "    lanes_t value;",
+            "    for (int l = 0; l < HOST_LANES; l++) {",
+            f"        value[l] = {style.function(name)}({passed});",
+            "    }",
+            "    return value;",
+            "}",
+        ]
+    )

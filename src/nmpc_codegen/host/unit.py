@@ -1,0 +1,28 @@
+"""CModule -> the text that build() compiles for several lanes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from nmpc_codegen.host.lanes import lane_kernels, lane_nodes, lane_switches, lane_transpose
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.lowering.render import Generators, render_c
+
+#: Generated parts besides those of every package.
+GENERATED: Generators = {
+    "generated/lane_transpose.c": lane_transpose,
+    "generated/lane_kernels.c": lane_kernels,
+    "generated/lane_nodes.c": lane_nodes,
+}
+
+
+def hosted(module: CModule, lanes: int, avx512: bool) -> CModule:
+    """The package as a unit that evaluates ``lanes`` shooting nodes at once, or the next power of 2 that it has."""
+    lanes = min(lanes, 1 << (module.value("N").bit_length() - 1))
+    host = replace(module, switches={**module.switches, "HOST_LANES": lanes, "HOST_AVX512": int(avx512)})
+    return replace(host, switches={**host.switches, **lane_switches(host)})
+
+
+def host_unit(module: CModule, lanes: int, avx512: bool) -> str:
+    """The .c of the package with ``lanes`` shooting nodes at once, in GNU C; its header is that of the package."""
+    return render_c(hosted(module, lanes, avx512), GENERATED)

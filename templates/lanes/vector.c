@@ -1,0 +1,73 @@
+#if HOST_AVX512
+#include <immintrin.h>
+#endif
+
+/* A call saves no vector register, so that one between two operations would store all of them. */
+#define LANES_INLINE static inline __attribute__((always_inline))
+
+/* Numbers of HOST_LANES shooting nodes, one per lane, in GNU C vectors. A mask has all bits of a lane set where a
+ * condition holds. */
+typedef real_t lanes_t __attribute__((vector_size(HOST_LANES * sizeof(real_t))));
+#if SINGLE
+typedef int32_t mask_t __attribute__((vector_size(HOST_LANES * sizeof(int32_t))));
+#else
+typedef int64_t mask_t __attribute__((vector_size(HOST_LANES * sizeof(int64_t))));
+#endif
+
+/* The number in every lane. */
+LANES_INLINE lanes_t lanes_all(real_t value)
+{
+    const lanes_t zero = {0};
+    return value - zero; /* a sum would lose the sign of -0 */
+}
+
+/* a where the mask is set, b elsewhere. */
+LANES_INLINE lanes_t lanes_select(mask_t mask, lanes_t a, lanes_t b)
+{
+    return (lanes_t)(((mask_t)a & mask) | ((mask_t)b & ~mask));
+}
+
+/* Bits of the signs. */
+LANES_INLINE mask_t lanes_signs(lanes_t x)
+{
+    return (mask_t)x & (mask_t)lanes_all(R(-0.0));
+}
+
+LANES_INLINE lanes_t lanes_fabs(lanes_t x)
+{
+    return (lanes_t)((mask_t)x ^ lanes_signs(x));
+}
+
+/* 1 if the mask is set in a lane. */
+LANES_INLINE int lanes_any(mask_t mask)
+{
+#if HOST_AVX512 && !SINGLE && HOST_LANES == 8
+    return _mm512_movepi64_mask((__m512i)mask) != 0;
+#else
+    int any = 0;
+    for (int l = 0; l < HOST_LANES; l++) {
+        any |= mask[l] != 0;
+    }
+    return any;
+#endif
+}
+
+/* Element i of the rows first, first + stride, ..., one row per lane. */
+LANES_INLINE lanes_t lanes_gather(const real_t *first, int stride)
+{
+    lanes_t v;
+    for (int l = 0; l < HOST_LANES; l++) {
+        v[l] = first[l * stride];
+    }
+    return v;
+}
+
+#include "generated/lane_transpose.c"
+
+/* Stores one element of every lane to to, to + stride, ... */
+LANES_INLINE void lanes_store(lanes_t v, real_t *to, int stride)
+{
+    for (int l = 0; l < HOST_LANES; l++) {
+        to[l * stride] = v[l];
+    }
+}
