@@ -29,7 +29,7 @@ static void add_panels(real_t *y, const real_t *c, const real_t *A, int n)
         }
         A += 4 * LDZ;
     }
-    for (; l < n; l++) {
+    for (; l < n; l++) { /* at most 3 passes */
         riccati_add(y, c[l], A, LDZ);
         A += LDZ;
     }
