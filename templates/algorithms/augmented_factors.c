@@ -64,7 +64,7 @@ static int factorize_block(auglag_t *a, int k)
 static int factorize_with(solver_t *s, real_t shift, int from)
 {
     auglag_t *a = &s->auglag;
-    for (int k = from; k >= 0; k--) {
+    for (int k = from; k >= 0; k--) { /* at most N + 1 passes */
         memcpy(a->L[k], a->H[k], sizeof a->L[k]);
         for (int i = 0; i < NZ; i++) {
             a->L[k][i][i] += shift * variable_weight[i];
@@ -97,7 +97,7 @@ static real_t largest_curvature(const auglag_t *a)
 static int factorize(solver_t *s, int from)
 {
     auglag_t *a = &s->auglag;
-    for (int last = from; a->shifts <= MAX_SHIFTS; last = N) {
+    for (int last = from; a->shifts <= MAX_SHIFTS; last = N) { /* at most MAX_SHIFTS + 1 passes */
         if (factorize_with(s, a->proximal + a->shift, last)) {
             return 1;
         }

@@ -158,7 +158,6 @@ static status_t feedback_here(solver_t *s)
     s->auglag.radius = initial_radius[0];
     s->auglag.proximal = proximal_weight[0];
     s->auglag.precision = FACTOR_PRECISION;
-    s->auglag.faces = MAX_FACES;
     evaluate_ends(s);
     estimate_multipliers(s);
 #if NE
@@ -186,7 +185,7 @@ static status_t feedback_here(solver_t *s)
             assemble(s);
         }
         s->stats.newton_iterations++;
-        moved = descend(s);
+        moved = descend(s, MAX_FACES);
     }
     s->stats.violation = violation_of(s);
     finish_multipliers(s);

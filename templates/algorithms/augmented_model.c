@@ -14,6 +14,7 @@
 /* y += sum_{l<n} c[l] A[l], rows of LDZ entries, four at a time. */
 static void add_panels(real_t *y, const real_t *c, const real_t *A, int n)
 {
+    const int panel = 4 * LDZ;
     int l;
     for (l = 0; l + 4 <= n; l += 4) {
         const real_t c0 = c[l], c1 = c[l + 1], c2 = c[l + 2], c3 = c[l + 3];
@@ -27,9 +28,9 @@ static void add_panels(real_t *y, const real_t *c, const real_t *A, int n)
                 y[j + i] = t[i];
             }
         }
-        A += 4 * LDZ;
+        A += panel;
     }
-    for (; l < n; l++) {
+    for (; l < n; l++) { /* at most 3 passes */
         riccati_add(y, c[l], A, LDZ);
         A += LDZ;
     }

@@ -208,8 +208,8 @@ static int projected_search(solver_t *s, real_t *value)
     return 0;
 }
 
-/* Improves the Cauchy point on its face and on smaller ones. Returns the value of the model. */
-static real_t refine(solver_t *s, real_t value)
+/* Improves the Cauchy point on its face and on smaller ones, at most `faces`. Returns the value of the model. */
+static real_t refine(solver_t *s, real_t value, int faces)
 {
     auglag_t *a = &s->auglag;
     int last = N;
@@ -222,7 +222,7 @@ static real_t refine(solver_t *s, real_t value)
     a->largest = largest_curvature(a);
     a->shift = R(0);
     a->shifts = 0;
-    for (int face = 0; face < a->faces && last >= 0; face++) { /* at most FACES_OF_SOLVE passes */
+    for (int face = 0; face < faces && last >= 0; face++) {
         a->factorized = factorize(s, last);
         memset(a->residual, 0, sizeof a->residual);
         for (int k = 0; k <= N; k++) {
@@ -287,13 +287,13 @@ static real_t step_length_of(const auglag_t *a)
 
 /* One iteration from the model of the plan, assembled. Returns 1 if the plan has moved, and then gaps, rows, cost and
  * the estimates of the multipliers belong to the new one; else only the radius is smaller. */
-static int descend(solver_t *s)
+static int descend(solver_t *s, int faces)
 {
     auglag_t *a = &s->auglag;
     const real_t before = merit(s), noise = TOL_MERIT_ROUNDING * (R(1) + FABS(before));
     real_t ratio, length;
     set_box(s);
-    a->predicted = -refine(s, cauchy_point(s));
+    a->predicted = -refine(s, cauchy_point(s), faces);
     length = step_length_of(a);
     move_plan(s);
     evaluate_path(s);

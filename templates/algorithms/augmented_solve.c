@@ -65,7 +65,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
         a->proximal = R(0);
         s->stats.sqp_iterations++;
         s->stats.newton_iterations++;
-        if (descend(s)) {
+        if (descend(s, FACES_OF_SOLVE)) {
             linearize_plan(s);
         }
     }
@@ -92,7 +92,6 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
     s->auglag.precision = FACTOR_PRECISION_OF_SOLVE;
-    s->auglag.faces = FACES_OF_SOLVE;
     s->auglag.predicted = INF;
     status = prepare_here(s);
     if (status == OK) {

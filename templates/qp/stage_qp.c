@@ -71,12 +71,18 @@ static inline void qp_add_row(solver_t *s, int m, real_t f)
 }
 
 #endif
+/* u of stage k. */
+static inline const real_t *qp_stage_controls(const qp_t *q, int k)
+{
+    const int first = k * NUS;
+    return q->z + first;
+}
+
 /* z = (x, u) of stage k. */
 static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
 {
-    const int first = k * NUS;
     memcpy(z, q->x[k], sizeof q->x[0]);
-    memcpy(z + NXS, q->z + first, sizeof z[0] * NUS);
+    memcpy(z + NXS, qp_stage_controls(q, k), sizeof z[0] * NUS);
 }
 
 /* y = g_k + Q_k z_k at the present point, for the components that stage k has. */
@@ -84,8 +90,7 @@ static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
 {
     if (k < NS) {
 #if HAS_COST_GRADIENT
-        const int first = k * NUS;
-        COST_GRADIENT(&s->node[k], stage_Q(s, k), s->qp.x[k], s->qp.z + first, y);
+        COST_GRADIENT(&s->node[k], stage_Q(s, k), s->qp.x[k], qp_stage_controls(&s->qp, k), y);
 #else
         real_t z[NZS];
         qp_stage_point(&s->qp, k, z);

@@ -7,7 +7,8 @@ import dataclasses
 import problems
 import pytest
 
-from nmpc_codegen import OptionError
+from examples import crane
+from nmpc_codegen import AugmentedLagrangian, OptionError, Options, generate
 from nmpc_codegen.firmware.budgets import Budgets, check, parsed
 from nmpc_codegen.firmware.certificate import Certificate
 from nmpc_codegen.runtime.package_description import PackageDescription
@@ -64,3 +65,11 @@ def test_all_excesses_are_named() -> None:
 def test_what_needs_a_target(name: str) -> None:
     with pytest.raises(OptionError, match=f"--max-{name} needs --target"):
         check(Budgets(**{name: 1}), description(), None)
+
+
+def test_the_advice_names_options_of_the_algorithm() -> None:
+    options = Options(algorithm=AugmentedLagrangian())
+    augmented = PackageDescription.from_json(generate(crane.build_ocp(), options)["crane.json"])
+    with pytest.raises(OptionError, match=r"try a smaller --set algorithm\.iterations=") as error:
+        check(Budgets(operations=1000), augmented, None)
+    assert "algorithm.budget" not in str(error.value)

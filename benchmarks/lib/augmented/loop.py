@@ -137,7 +137,7 @@ def draw(found: dict[str, tuple[Loop, np.ndarray]], picture: Path) -> None:
     for axis, label in zip(axes, ("feed [g/L]", "time [us]", "conjugate gradients, cumulative"), strict=True):
         axis.set_ylabel(label)
         axis.grid(alpha=0.25)
-    axes[0].legend(frameon=False, ncols=3)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", frameon=False, ncols=3)
     axes[2].set_xlabel("sample")
     picture.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=85)

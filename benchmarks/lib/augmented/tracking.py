@@ -64,7 +64,7 @@ def measure(report: Report, _scale: float) -> None:
         report.add("primal_error_after_5", float(steps[4]), case=f"rho = {penalty:g}")
     left.set_xlabel("iterations M per sample")
     left.set_ylabel("mean distance from the converged controls")
-    left.legend(frameon=False)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", frameon=False, ncols=3)
     right.set_xlabel("iterations in one sample")
     right.set_ylabel("distance from the minimiser")
     Path("out").mkdir(exist_ok=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness.hostile import Data, spoiled
-from benchmarks.lib.robustness.subjects import Candidate, candidates, in_processes
+from benchmarks.lib.robustness.subjects import Candidate, augmented, candidates, in_processes
 from nmpc_codegen import Controller, Status
 
 Array = np.ndarray
@@ -126,7 +126,7 @@ def run(job: tuple[Controller, Array, Array, int, int]) -> Outcome:
 
 def measure(report: Report, scale: float = 1.0) -> None:
     """All controllers take the same share."""
-    chosen = candidates()
+    chosen = (*candidates(), *augmented())
     count = math.ceil(RETURNS * scale / len(chosen))
     report_outcomes(report, chosen, in_processes(run, chosen, count), scale)
 

@@ -18,6 +18,7 @@ from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
     OCP,
     RK4,
+    AugmentedLagrangian,
     Controller,
     ExactHessian,
     ExplicitRungeKutta,
@@ -188,6 +189,18 @@ def candidates() -> tuple[Candidate, ...]:
             options = Options(subject.integrator, hessian, condensing, qp, _shifted(moves, ocp), precision=precision)
             label = f"{solver}, {precision}, {'exact' if exact else 'Gauss-Newton'}, shift {moves}"
             found.append(Candidate(subject, label, options))
+    return tuple(found)
+
+
+def augmented() -> tuple[Candidate, ...]:
+    """The augmented Lagrangian for every subject, with shifts and precisions in turn."""
+    found = []
+    for i, subject in enumerate(subjects()):
+        moves, precision = SHIFTS[i % len(SHIFTS)], PRECISIONS[i % 2]
+        sampled = _shifted(moves, subject.make())
+        algorithm = AugmentedLagrangian(shift=moves, sampling_time=sampled.sampling_time)
+        options = Options(subject.integrator, algorithm=algorithm, precision=precision)
+        found.append(Candidate(subject, f"augmented Lagrangian, {precision}, shift {moves}", options))
     return tuple(found)
 
 

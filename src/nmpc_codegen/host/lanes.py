@@ -64,8 +64,11 @@ class LaneRoutines:
 
 
 def lane_routines(module: CModule) -> LaneRoutines | None:
-    """None if nodes are linearised one by one: for one lane, if the interval has loops that cannot be expanded, or if the
-    Hessian does not promise (NODE_KERNELS) that expand_node() is no more than the printed kernels."""
+    """None if nodes are linearised one by one.
+
+    That is for one lane, for an interval with loops that cannot be expanded, and for a Hessian that does not promise
+    (NODE_KERNELS) that expand_node() is no more than its printed kernels.
+    """
     if module.switches["HOST_LANES"] == 1 or not module.switches["NODE_KERNELS"]:
         return None
     first = ("path_exact",) if module.switches["LAGRANGIAN"] else ("integrator_interval", "path_gradient")

@@ -237,7 +237,6 @@ def _auglag(dims: Dims) -> Struct:
             real("largest", (), "largest diagonal entry of the Hessian, scaled"),
             real("bend", (), "largest diagonal entry of the Hessian of the stages, scaled"),
             real("predicted", (), "reduction that the last step promised"),
-            Field("faces", (), "faces that an iteration visits at most", "scratch", "int32"),
             Field("factorized", (), "1: the factors exist", "scratch", "int32"),
             real("shift", (), "of the factorisation"),
             Field("shifts", (), "shifts of this iteration", "scratch", "int32"),
