@@ -1,0 +1,291 @@
+"""Single shooting with adjoints: the controls are the only variables, and no derivative of the dynamics is stored.
+
+    min_u  sum_k l_k(x_k, u_k) + l_N(x_N) + sum_m psi_m(v_m),   lower <= u <= upper,   x_{k+1} = Phi_k(x_k, u_k)
+
+Bounds of controls hold exactly, the dynamics because the states are simulated, and all other rows v_m are terms psi_m.
+Gradients are those of the exact discrete adjoint, lam_k = A_k' lam_{k+1} + dl_k/dx. The memory is that of some vectors
+of N (nx + nu) numbers, as A_k and B_k are evaluated again wherever a sweep multiplies with them.
+
+A Gauss-Newton step minimises the quadratic model inside the bounds by conjugate gradients, each of which takes a
+forward and an adjoint sweep. Rows that hold at the end alone are part of the model by their slopes Xi = dv / du, one
+adjoint sweep each, with weights that make it satisfy them; a Schur complement of their number is the preconditioner.
+
+"Adjoint-based derivative evaluation methods for nonlinear model predictive control", thesis, 2009, chapters 6 and 7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from nmpc_codegen.components.algorithms.real_time_iteration import PHASES, SOLVE
+from nmpc_codegen.components.algorithms.scales import row_scales, variable_scales
+from nmpc_codegen.components.algorithms.shifts import (
+    SHIFTS,
+    check_sampling_time,
+    check_shift,
+    resample_reach,
+    resample_tables,
+)
+from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
+from nmpc_codegen.components.base import Core, Defaults, Dims, Seam
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.runtime.package_description import EntryPoint
+
+METHODS = ("gauss_newton", "quasi_newton")
+ROWS = ("augmented_lagrangian", "smooth_l1", "quadratic")
+
+#: Relative residuals of conjugate gradients in a sample and in solve(), the sharpness of the smooth max in the scale of
+#: a row at first and at last, the part of the promised decrease that a step must keep, and the shortest part of a step
+#: with which a later search begins.
+PRECISION, SHARPNESS, ARMIJO, SHORTEST = (1e-3, 1e-6), (100.0, 1e9), 1e-4, 1 / 64
+
+#: Simulations of a step of solve(); failures in a row after which the plan is given up.
+MAX_TRIALS, PATIENCE = 25, 3
+
+#: Defaults of options that only one method has.
+PRODUCTS, MEMORY = 12, 5
+ITERATIONS = {"gauss_newton": 1, "quasi_newton": 10}
+
+#: Largest number of terminal rows that are part of the model by their slopes; more are terms like other rows.
+MAX_TERMINAL = 16
+
+STEP = EntryPoint(
+    "step",
+    "Compute u0 for the measured xhat; u0 is finite and inside its bounds on every return.",
+    *((arguments,) for arguments in (PHASES[1].inputs[0], PHASES[1].outputs[0])),
+)
+
+
+@dataclass(frozen=True)
+class AdjointShooting(Defaults):
+    """A fixed number of steps per sample, each with a bounded number of simulations.
+
+    ``method``: "gauss_newton", whose steps take ``products`` products with the Hessian at most (default 12), or
+    "quasi_newton", a projected method that stores ``memory`` pairs of vectors (default 5) and needs gradients alone.
+    ``iterations``: steps of a sample (default 1 or 10). ``trials``: simulations of a step at most, besides one at the
+    start of a sample and one after a step that is given up.
+
+    ``rows``: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
+    multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no multiplier
+    exceeds the weight. "quadratic": satisfied up to multiplier / penalty. Soft rows keep their penalties. ``penalty``:
+    weight of the rows in their scales, the magnitudes of their declared slopes.
+
+    ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration.
+    """
+
+    method: str = option("gauss_newton", Words(METHODS))
+    iterations: int | None = option(None, Whole(most=1000, optional=True))
+    products: int | None = option(None, Whole(most=10_000, optional=True))
+    memory: int | None = option(None, Whole(most=100, optional=True))
+    trials: int = option(2, Whole(most=30))
+    rows: str = option("augmented_lagrangian", Words(ROWS))
+    penalty: float = option(100.0, Number())
+    shift: str | None = option(None, Words(SHIFTS))
+    sampling_time: float | None = option(None, Number(optional=True, unit="s"))
+
+    seam: ClassVar[Seam] = "algorithm"
+    name: ClassVar[str] = "adjoint_shooting"
+    template: ClassVar[str] = "algorithms/adjoint_shooting.c"
+    needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
+    core: ClassVar[frozenset[Core]] = frozenset({"directions", "kkt"})
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "soft rows", "coupled rows"}
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self, self.seam)
+        check_sampling_time("AdjointShooting", self.shift, self.sampling_time)
+        for name, owner in (("products", "gauss_newton"), ("memory", "quasi_newton")):
+            if getattr(self, name) is not None and self.method != owner:
+                raise OptionError(
+                    f'AdjointShooting.{name}: {getattr(self, name)} clashes with method="{self.method}"; it belongs to '
+                    f'method="{owner}" (--set algorithm.method={owner})'
+                )
+
+    @property
+    def second_order(self) -> bool:
+        """True if the method multiplies with a Hessian."""
+        return self.method == "gauss_newton"
+
+    def default(self, seam: Seam) -> str | None:
+        """None: the compiler chooses the integrator for the problem."""
+        return None
+
+    def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
+        """A sample in one call, the shift of the plan, and the iteration to convergence."""
+        return (STEP, PHASES[3], *((SOLVE,) if solve else ()))
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """Kernels of the linearisation and of x_0 are not used; without a Hessian, those of its products neither."""
+        kernels = dict.fromkeys(("HAS_INTEGRATOR_INTERVAL", "HAS_START_GRADIENT"), 0)
+        if not self.second_order:
+            kernels |= dict.fromkeys(("HAS_INTEGRATOR_FORWARD", "HAS_PATH_PRODUCT", "HAS_TERMINAL_PRODUCT"), 0)
+        return {
+            **kernels,
+            "QUASI_NEWTON": int(not self.second_order),
+            "SMOOTH_ROWS": int(self.rows == "smooth_l1"),
+            "DUAL_ROWS": int(self.rows == "augmented_lagrangian"),
+            "SHIFT_RESAMPLE": int(self.shift == "resample"),
+            "INTEGRATE_PLAN": int(self.shift == "resample"),
+            "SHIFT_PERIODIC": int(self.shift == "periodic"),
+            "RELAX": 0,
+        }
+
+    def check(self, problem: Problem) -> None:
+        """Raise OptionError for shifts that clash with the grid, and for an integrated cost with Gauss-Newton."""
+        check_shift("AdjointShooting", self.shift, problem)
+        if self.second_order and problem.path.cost_rate is not None:
+            raise OptionError(
+                f"{problem.name} has an integrated cost, which AdjointShooting() does not support with "
+                'method="gauss_newton"; expected method="quasi_newton" (--set algorithm.method=quasi_newton) or a cost '
+                "of the nodes"
+            )
+
+    def terminal(self, problem: Problem) -> tuple[int, ...]:
+        """Positions in qp_rows of the rows that are part of the model: hard ones that hold at the end alone."""
+        return problem.end_rows[: self._terminal_rows(len(problem.end_rows))]
+
+    def _terminal_rows(self, found: int) -> int:
+        """All of them, or none if they are many or terms of another kind."""
+        exact = self.second_order and self.rows == "augmented_lagrangian"
+        return found if exact and found <= MAX_TERMINAL else 0
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        scale = variable_scales(problem)
+        rows, terminal = problem.qp_rows, self.terminal(problem)
+        positions = [terminal.index(m) if m in terminal else -1 for m in range(len(rows))]
+        accumulators = [int(i in problem.accumulators) for i in range(problem.nx)]
+        weights = 1.0 / row_scales(problem, scale) ** 2
+        return (
+            Table("is_accumulator", "int", tuple(accumulators), "1: the state starts at 0 at every sample"),
+            Table("control_scale", "real", tuple(scale[problem.nx :]), "scales of the controls"),
+            Table("penalty_weight", "real", (float(self.penalty),), "weight of the rows in their scales"),
+            Table("row_weight", "real", tuple(weights), "1 / scale^2 of row m"),
+            Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
+            Table("terminal_row", "int", terminal, "row m that is terminal row t of the model"),
+            Table("terminal_index", "int", tuple(positions), "number t of row m, or -1"),
+            Table(
+                "model_precision",
+                "real",
+                PRECISION,
+                "relative residual of conjugate gradients, in a sample and solve()",
+            ),
+            Table("smooth_sharpness", "real", SHARPNESS, "of the smooth max in the scale of a row: first and last one"),
+            Table("shortest_length", "real", (SHORTEST,), "shortest part of a step that a later one tries first"),
+            Table("armijo_part", "real", (ARMIJO,), "part of the decrease that the slope promises"),
+            *resample_tables(self.shift, self.sampling_time, problem),
+        )
+
+    def notes(self, problem: Problem) -> tuple[str, ...]:
+        """How many terminal rows are part of the model."""
+        count = len(self.terminal(problem))
+        return (f"adjoint shooting: {count} terminal rows by a Schur complement",) if count else ()
+
+    def reach(self, problem: Problem) -> float:
+        return resample_reach(self.sampling_time, problem)
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        controls = dims.N.value * dims.nu.value
+        newton = (
+            ("PRODUCTS", self.products or PRODUCTS, "products with the Hessian of a step at most"),
+            ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
+            ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
+        )
+        memory = (("MEMORY", self.memory or MEMORY, "pairs of the quasi-Newton method"),)
+        return (
+            ("NT", self._terminal_rows(dims.end_rows), "terminal rows in the model"),
+            ("ITERATIONS", self.iterations or ITERATIONS[self.method], "steps of a sample"),
+            ("TRIALS", self.trials, "simulations of a step at most"),
+            ("TRIALS_OF_SOLVE", MAX_TRIALS, "the same in solve()"),
+            *(newton if self.second_order else memory),
+            ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
+            ("MOST_PENALTY", 1_000_000_000, "largest penalty of solve()"),
+            ("SHIFT", int(self.shift is not None), "1: step() moves the plan before the sample"),
+        )
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        members = (
+            Field("row", (dims.ng,), "multipliers of the rows", "keep"),
+            *((Field("samples", (), "samples since init or reset", "keep", "int32"),) if self.shift else ()),
+            Field("failing", (), "failures in a row", "keep", "int32"),
+            Field("stats", (), "counters", "result", "stats"),
+            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
+        )
+        return (_stats(self.second_order), self._shooting(dims), Struct("solver", "", members))
+
+    def _growing(self, dims: Dims) -> tuple[tuple[str, str], ...]:
+        """Weights that solve() increases."""
+        if not dims.ng.value:
+            return ()
+        sharpness = ("sharpness", "of the smooth max, in the scale of a row")
+        return (("penalty", "weight of the rows in their scales"), *((sharpness,) if self.rows == "smooth_l1" else ()))
+
+    def _shooting(self, dims: Dims) -> Struct:
+        terminal = Size("NT", self._terminal_rows(dims.end_rows))
+        pairs = Size("MEMORY", self.memory or MEMORY)
+        controls = (dims.N, dims.nu)
+
+        def real(name: str, shape: tuple[Size, ...], doc: str, only: str = "") -> Field:
+            return Field(name, shape, doc, "scratch", only=only)
+
+        newton = (
+            real("dx", (dims.N, dims.nx), "states of a direction at nodes 1 .. N"),
+            real("Xi", (terminal, *controls), "slopes of the terminal rows"),
+            real("S", (terminal, terminal), "factor of their Schur complement"),
+            real("gap", (terminal,), "their distances from the bounds that they are held at"),
+            real("omega", (terminal,), "their weights in the model"),
+            real("model", (), "change of the model by the step"),
+            Field("solving", (), "1 during solve()", "scratch", "int32", only="SOLVE"),
+            Field("left", (), "products that are left", "scratch", "int32"),
+        )
+        memory = (
+            real("Y", (pairs, *controls), "changes of the gradient"),
+            real("Z", (pairs, *controls), "changes of the controls"),
+            real("bend", (pairs,), "their inner products"),
+            Field(
+                "pairs", (), "pairs since the memory was empty; MEMORY .. 2 MEMORY - 1 if it is full", "keep", "int32"
+            ),
+            Field("paired", (), "1: the last step belongs to the present problem", "scratch", "int32"),
+        )
+        return Struct(
+            "shooting",
+            "single shooting",
+            (
+                *(real(name, (), doc, only="SOLVE") for name, doc in self._growing(dims)),
+                Field("length", (), "part of the step that is tried first", "keep"),
+                real("r", controls, "gradient in scaled controls"),
+                real("d", controls, "step"),
+                real("p", controls, "direction; controls before the step"),
+                real("w", controls, "product with the Hessian; gradient before the step"),
+                Field("held", controls, "-1, 1: held at the lower, upper bound", "scratch", "int32"),
+                *(newton if self.second_order else memory),
+            ),
+        )
+
+
+def _stats(second_order: bool) -> Struct:
+    def count(name: str, doc: str) -> Field:
+        return Field(name, (), doc, "result", "int32")
+
+    products = (
+        count("cg_iterations", "products with the Hessian"),
+        count("faces", "faces on which the model was minimised"),
+        count("negative_curvature", "directions of negative curvature"),
+    )
+    return Struct(
+        "stats",
+        "counters of the last sample or solve",
+        (
+            count("newton_iterations", "steps"),
+            count("accepted", "those that were accepted"),
+            count("simulations", "simulations of the plan"),
+            *(products if second_order else ()),
+            Field("sqp_iterations", (), "iterations of the last solve", "result", "int32", only="SOLVE"),
+            Field("violation", (), "largest violation of a hard row, scaled", "result"),
+        ),
+    )
