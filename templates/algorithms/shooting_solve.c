@@ -23,18 +23,40 @@ static int sharpen(solver_t *s)
     return 1;
 }
 
+#if DUAL_ROWS
+/* Largest |v_m - y_m| in the scale of a row, where y_m minimises psi_m: the violation of a hard row that is active, and
+ * for others what the next update of its multiplier would change. */
+static real_t dual_residual(const solver_t *s)
+{
+    real_t value[NG], most = s->stats.violation, slope, curvature;
+    evaluate_rows(s, value);
+    for (int m = 0; m < NG; m++) {
+#if NT
+        if (terminal_index[m] >= 0) {
+            continue;
+        }
+#endif
+        (void)row_term(s, m, value[m], &slope, &curvature);
+        enlarge(&most, (slope - s->row[m]) / (row_penalty(s) * SQRT(row_weight[m])));
+    }
+    return most;
+}
+#endif
+
 /* The dual update. Returns 0 if neither multipliers nor the penalty can improve the rows. */
 static int advance_rows(solver_t *s, real_t tol, real_t *violation)
 {
-    const real_t now = s->stats.violation;
     int grown = 0;
-    update_rows(s, INF);
 #if DUAL_ROWS
+    const real_t now = dual_residual(s);
+    update_rows(s, INF);
     if (!(now < R(0.25) * *violation) && now > R(0.1) * tol) {
         grown = sharpen(s);
     }
     grown |= now < *violation;
 #else
+    const real_t now = s->stats.violation;
+    update_rows(s, INF);
     (void)tol;
     grown = sharpen(s);
 #endif

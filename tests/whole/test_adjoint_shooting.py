@@ -160,7 +160,7 @@ def test_crane_with_terminal_equalities() -> None:
 def test_other_terms_of_rows_converge_to_the_solution(name: str, rows: str) -> None:
     ocp = SMALL[name]()
     x0 = disturbed(ocp)
-    controller = build(ocp, options(rows=rows), "test")
+    controller = build(ocp, options(rows=rows, penalty=100.0), "test")
     solution, found = controller.solve(x0, tol=1e-7, max_iterations=1000), ipopt(ocp, x0)
     assert solution.status is Status.OK
     np.testing.assert_allclose(solution.u, found.u, atol=3e-6)
@@ -415,6 +415,8 @@ def test_what_makes_no_sense_is_refused() -> None:
         generate(samples.arrival(), options())
     with pytest.raises(OptionError, match=r"integrated cost.*quasi_newton"):
         generate(samples.economic(), options())
+    with pytest.raises(OptionError, match=r"hard row 'effort.*expected penalty="):
+        generate(samples.path(), options(rows="smooth_l1"))
     with pytest.raises(OptionError, match="sampling_time"):
         AdjointShooting(shift="resample")
     with pytest.raises(OptionError, match=r"memory: 3 clashes .*quasi_newton"):

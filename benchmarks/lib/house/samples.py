@@ -303,7 +303,8 @@ RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
 RELAXED, LIMITED = RealTimeIteration(relaxation=100.0), RealTimeIteration(budget=10**8)
 REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
 STAGES = NoCondensing()
-QUASI_NEWTON = {"method": "quasi_newton"}
+QUASI_NEWTON: dict[str, Any] = {"method": "quasi_newton"}
+SMOOTH: dict[str, Any] = {"rows": "smooth_l1", "penalty": 100.0}
 LOOPED = ExplicitRungeKutta(unroll="none")
 
 
@@ -454,18 +455,18 @@ SAMPLES = (
     Sample("bare quasi-Newton", bare, _shooting(QUASI_NEWTON, online=FIXED, solve=False)),
     Sample("controls shooting", controls, _shooting({"shift": "resample", "sampling_time": 0.1})),
     Sample("controls quasi-Newton", controls, _shooting(QUASI_NEWTON, precision="single")),
-    Sample("states shooting", states, _shooting({"shift": "repeat", "rows": "smooth_l1"})),
-    Sample("states smooth", states, _shooting({"rows": "smooth_l1"}, solve=False)),
+    Sample("states shooting", states, _shooting({**SMOOTH, "shift": "repeat"})),
+    Sample("states smooth", states, _shooting(SMOOTH, solve=False)),
     Sample("path shooting", path, _shooting({"rows": "quadratic"}, online=NODE)),
     Sample("final shooting", final, _shooting(online=REFERENCES)),
-    Sample("soft states smooth", soft_states, _shooting({"rows": "smooth_l1"})),
+    Sample("soft states smooth", soft_states, _shooting(SMOOTH)),
     Sample("soft rows shooting", soft_rows, _shooting(integrator=LOOPED)),
     Sample("ends shooting", ends, _shooting()),
     Sample("closing shooting", closing, _shooting({"shift": "periodic"})),
     Sample("target shooting", target, _shooting()),
     Sample("economic quasi-Newton", economic, _shooting(QUASI_NEWTON, online=FIXED)),
     Sample("ring shooting", ring, _shooting()),
-    Sample("counted quasi-Newton", counted, _shooting({**QUASI_NEWTON, "rows": "smooth_l1"})),
+    Sample("counted quasi-Newton", counted, _shooting({**QUASI_NEWTON, **SMOOTH})),
     Sample("discrete shooting", discrete, _shooting()),
     Sample("discrete rows shooting", discrete_rows, _shooting()),
 )  # fmt: skip

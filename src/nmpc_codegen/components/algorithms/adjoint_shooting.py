@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nmpc_codegen.components.algorithms.real_time_iteration import PHASES, SOLVE
-from nmpc_codegen.components.algorithms.scales import row_scales, variable_scales
+from nmpc_codegen.components.algorithms.scales import cost_curvature, row_scales, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
@@ -42,6 +42,9 @@ ROWS = ("augmented_lagrangian", "smooth_l1", "quadratic")
 #: a row at first and at last, the part of the promised decrease that a step must keep, and the shortest part of a step
 #: with which a later search begins.
 PRECISION, SHARPNESS, ARMIJO, SHORTEST = (1e-3, 1e-6), (100.0, 1e9), 1e-4, 1 / 64
+
+#: The default penalty, relative to the curvature of the cost.
+FACTOR = 3.0
 
 #: Simulations of a step of solve(); failures in a row after which the plan is given up.
 MAX_TRIALS, PATIENCE = 25, 3
@@ -72,7 +75,8 @@ class AdjointShooting(Defaults):
     ``rows``: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
     multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no multiplier
     exceeds the weight. "quadratic": satisfied up to multiplier / penalty. Soft rows keep their penalties. ``penalty``:
-    weight of the rows in their scales, the magnitudes of their declared slopes.
+    weight of the rows in their scales, the magnitudes of their declared slopes; None: three times the largest curvature
+    of the cost of a node along a state or control in its scale.
 
     ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration.
     """
@@ -83,7 +87,7 @@ class AdjointShooting(Defaults):
     memory: int | None = option(None, Whole(most=100, optional=True))
     trials: int = option(2, Whole(most=30))
     rows: str = option("augmented_lagrangian", Words(ROWS))
-    penalty: float = option(100.0, Number())
+    penalty: float | None = option(None, Number(optional=True))
     shift: str | None = option(None, Words(SHIFTS))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
 
@@ -146,6 +150,13 @@ class AdjointShooting(Defaults):
                 "of the nodes"
             )
 
+        hard = [problem.rows[row].name for _, _, _, row in problem.qp_rows if problem.rows[row].soft is None]
+        if self.rows == "smooth_l1" and self.penalty is None and hard:
+            raise OptionError(
+                f'AdjointShooting(rows="smooth_l1") penalises the hard row {hard[0]!r}; expected penalty=..., a weight '
+                "that exceeds the multipliers of hard rows in their scales (--set algorithm.penalty=...)"
+            )
+
     def terminal(self, problem: Problem) -> tuple[int, ...]:
         """Positions in qp_rows of the rows that are part of the model: hard ones that hold at the end alone."""
         return problem.end_rows[: self._terminal_rows(len(problem.end_rows))]
@@ -164,7 +175,7 @@ class AdjointShooting(Defaults):
         return (
             Table("is_accumulator", "int", tuple(accumulators), "1: the state starts at 0 at every sample"),
             Table("control_scale", "real", tuple(scale[problem.nx :]), "scales of the controls"),
-            Table("penalty_weight", "real", (float(self.penalty),), "weight of the rows in their scales"),
+            Table("penalty_weight", "real", (self._penalty(problem),), "weight of the rows in their scales"),
             Table("row_weight", "real", tuple(weights), "1 / scale^2 of row m"),
             Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
             Table("terminal_row", "int", terminal, "row m that is terminal row t of the model"),
@@ -181,10 +192,19 @@ class AdjointShooting(Defaults):
             *resample_tables(self.shift, self.sampling_time, problem),
         )
 
+    def _penalty(self, problem: Problem) -> float:
+        if self.penalty is not None:
+            return float(self.penalty)
+        return FACTOR * cost_curvature(problem, variable_scales(problem))
+
     def notes(self, problem: Problem) -> tuple[str, ...]:
-        """How many terminal rows are part of the model."""
-        count = len(self.terminal(problem))
-        return (f"adjoint shooting: {count} terminal rows by a Schur complement",) if count else ()
+        """How many terminal rows are part of the model, and the penalty of the others."""
+        count, others = len(self.terminal(problem)), len(problem.qp_rows) > len(self.terminal(problem))
+        chosen = f"penalty {self._penalty(problem):.4g}, from the curvature of the cost in the scales of its variables"
+        return (
+            *((f"adjoint shooting: {count} terminal rows by a Schur complement",) if count else ()),
+            *((f"adjoint shooting: {chosen}",) if others and self.penalty is None else ()),
+        )
 
     def reach(self, problem: Problem) -> float:
         return resample_reach(self.sampling_time, problem)

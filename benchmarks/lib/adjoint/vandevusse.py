@@ -1,0 +1,43 @@
+"""The Van de Vusse reactor: soft rows with growing weights against IPOPT's solution with hard rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.lib.report import Report
+from examples import vandevusse
+from nmpc_codegen import build
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
+
+
+def measure(report: Report) -> None:
+    """Errors of states and controls relative to the largest value of each, and what every weight violates."""
+    reference, problem = vandevusse.ramp(), classify(vandevusse.build_ocp())
+    data = node_data(problem, x0=vandevusse.steady_state(vandevusse.ENDS[0]))
+    exact = Reference(problem, replace(CLASSICAL, steps=4)).solve(replace(data, yref=reference[:-1]))
+    if not exact.success:
+        raise RuntimeError(f"IPOPT: {exact.status}")
+    largest = np.abs(exact.mu_x).max(axis=0)[1:3]
+    for name, multiplier in zip(vandevusse.HIGHEST, largest, strict=True):
+        report.add("vandevusse_multiplier", float(multiplier), case=name)
+    for penalty in vandevusse.PENALTIES:
+        controller = build(vandevusse.build_ocp(penalty), vandevusse.options())
+        found, case = vandevusse.plan(controller, reference), f"penalty {penalty:g}"
+        over = np.maximum(found.x[1:, 1:3] - list(vandevusse.HIGHEST.values()), 0.0).max(axis=0)
+        for name, excess in zip(vandevusse.HIGHEST, over, strict=True):
+            report.add(f"vandevusse_excess_{name}", float(excess), case=case)
+        report.add("vandevusse_status", found.status, case=case)
+        report.add("vandevusse_iterations", found.iterations, case=case)
+        report.add("vandevusse_products", controller.stats.cg_iterations, case=case)
+        report.add("vandevusse_seconds", found.time_ns / 1e9, "s", case=case)
+        if penalty == vandevusse.PENALTIES[-1]:
+            error = max(relative(found.u, exact.u), relative(found.x, exact.x))
+            report.add("vandevusse_error", error, case=case, limit=1e-3)
+
+
+def relative(found: np.ndarray, exact: np.ndarray) -> float:
+    """Largest error of a column relative to its largest value."""
+    return float((np.abs(found - exact).max(axis=0) / np.abs(exact).max(axis=0)).max())
