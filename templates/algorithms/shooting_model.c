@@ -3,7 +3,7 @@
  *
  *     dx_{k+1} = A_k dx_k + B_k du_k,   w_k = B_k' lam_{k+1} + (H_k d_k)_u,   lam_k = A_k' lam_{k+1} + (H_k d_k)_x,
  *
- * and, for NT terminal rows with values c, slopes Xi = dc / du and weights Omega, mu' (c + Xi d) +
+ * and, for terminal rows with values c, slopes Xi = dc / du and weights Omega, mu' (c + Xi d) +
  * 1/2 (c + Xi d)' Omega (c + Xi d), where Omega is so large that c + Xi d = 0 holds to the precision at hand. */
 
 /* y += factor x */

@@ -59,7 +59,7 @@ static void add_free(shooting_t *a, real_t factor, real_t (*x)[NU])
 /* d = B d by the two loops over the pairs, from the last to the first and back. */
 static void apply_memory(shooting_t *a)
 {
-    real_t part[MEMORY];
+    real_t part[MEMORY] = {R(0)};
     const int stored = (a->pairs < MEMORY) ? a->pairs : MEMORY;
     for (int i = 0; i < stored; i++) { /* at most MEMORY passes in apply_memory */
         const int n = (a->pairs - 1 - i) % MEMORY;

@@ -130,13 +130,16 @@ static const real_t *row_gradient(const nodal_rows_t *rows, int m)
 {
 #if NE && GENERAL_ROWS
     if (IS_COUPLED(m)) {
-        return rows->J_N + row_index[m] * NX;
+        const int of_coupled = row_index[m] * NX;
+        return rows->J_N + of_coupled;
     }
 #endif
 #if GENERAL_ROWS
-    return rows->J + row_index[m] * ((row_node[m] < N) ? NZ : NX);
+    const int first = row_index[m] * ((row_node[m] < N) ? NZ : NX);
+    return rows->J + first;
 #else
-    return rows->J_N + row_index[m] * NX;
+    const int first = row_index[m] * NX;
+    return rows->J_N + first;
 #endif
 }
 #endif

@@ -69,33 +69,58 @@ static int advance_rows(solver_t *s, real_t tol, real_t *violation)
 }
 #endif
 
+/* What iterations remember: the violation at the last dual update, the stationarity at which the next one takes place,
+ * and how often neither a step nor an update has changed anything. */
+typedef struct {
+#if NG > NT
+    real_t violation, accuracy;
+#endif
+    int failed;
+} progress_t;
+
+/* The dual update, if its time has come. */
+static void follow(solver_t *s, real_t tol, real_t stationarity, int moved, progress_t *progress)
+{
+#if NG > NT
+    if (!moved || stationarity <= progress->accuracy) {
+        const int grown = advance_rows(s, tol, &progress->violation);
+        const real_t least = (progress->accuracy < progress->violation) ? progress->accuracy : progress->violation;
+        progress->failed = moved ? 0 : progress->failed + !grown;
+        progress->accuracy = (least > tol) ? R(0.1) * least : R(0.1) * tol;
+    }
+#else
+    (void)s;
+    (void)tol;
+    (void)stationarity;
+    progress->failed += !moved;
+#endif
+}
+
+/* The status of a plan that is not a solution to the tolerance. */
+static status_t unsolved(status_t of_step, status_t otherwise)
+{
+    return (of_step == INFEASIBLE) ? INFEASIBLE : otherwise;
+}
+
 /* Iterates from the simulated plan. */
 static status_t iterate(solver_t *s, real_t tol, int max_iterations)
 {
-    real_t stationarity;
-    int moved = 1, failed = 0;
+    progress_t progress;
     status_t status = OK;
+    int moved = 1;
+    progress.failed = 0;
 #if NG > NT
-    real_t violation = INF, accuracy = R(1);
+    progress.violation = INF;
+    progress.accuracy = R(1);
 #endif
     for (int n = 0; n < max_iterations; n++) {
-        stationarity = residual_of(s, ESTIMATE, &s->kkt);
+        const real_t stationarity = residual_of(s, ESTIMATE, &s->kkt);
         if (s->kkt.relative <= tol) {
             return OK;
         }
-#if NG > NT
-        if (!moved || stationarity <= accuracy) {
-            const int grown = advance_rows(s, tol, &violation);
-            failed = moved ? 0 : failed + !grown;
-            accuracy = R(0.1) * ((accuracy < violation) ? accuracy : violation);
-            accuracy = (accuracy > R(0.1) * tol) ? accuracy : R(0.1) * tol;
-        }
-#else
-        (void)stationarity;
-        failed += !moved;
-#endif
-        if (failed > 1) {
-            return (status == INFEASIBLE) ? INFEASIBLE : STALLED;
+        follow(s, tol, stationarity, moved, &progress);
+        if (progress.failed > 1) {
+            return unsolved(status, STALLED);
         }
         s->stats.sqp_iterations++;
         status = improve(s, TRIALS_OF_SOLVE, &moved);
@@ -109,7 +134,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
 #endif
     }
     (void)residual_of(s, ESTIMATE, &s->kkt);
-    return (s->kkt.relative <= tol) ? OK : (status == INFEASIBLE) ? INFEASIBLE : ITERATION_LIMIT;
+    return (s->kkt.relative <= tol) ? OK : unsolved(status, ITERATION_LIMIT);
 }
 
 status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)

@@ -47,7 +47,7 @@ PRECISION, SHARPNESS, ARMIJO, SHORTEST = (1e-3, 1e-6), (100.0, 1e9), 1e-4, 1 / 6
 FACTOR = 3.0
 
 #: Simulations of a step of solve(); failures in a row after which the plan is given up.
-MAX_TRIALS, PATIENCE = 25, 3
+MAX_TRIALS, PATIENCE = 30, 3
 
 #: Defaults of options that only one method has.
 PRODUCTS, MEMORY = 12, 5
@@ -85,7 +85,7 @@ class AdjointShooting(Defaults):
     iterations: int | None = option(None, Whole(most=1000, optional=True))
     products: int | None = option(None, Whole(most=10_000, optional=True))
     memory: int | None = option(None, Whole(most=100, optional=True))
-    trials: int = option(2, Whole(most=30))
+    trials: int = option(2, Whole(most=MAX_TRIALS))
     rows: str = option("augmented_lagrangian", Words(ROWS))
     penalty: float | None = option(None, Number(optional=True))
     shift: str | None = option(None, Words(SHIFTS))
