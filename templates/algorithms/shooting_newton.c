@@ -98,6 +98,35 @@ static int release(solver_t *s, real_t least)
     return released;
 }
 
+#if !NT
+/* After a step that ended at a bound: if the rest of it would reach several more, its projection on the box becomes the
+ * direction p, and the minimum of the model along it the next d. */
+static void bend_step(solver_t *s, real_t rest)
+{
+    shooting_t *a = &s->shooting;
+    int reached = 0;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t p = a->held[k][j] ? R(0) : rest * a->p[k][j];
+            a->p[k][j] = clip(p, -to_lower(s, k, j), to_upper(s, k, j));
+            reached += FABS(a->p[k][j]) < FABS(p);
+        }
+    }
+    const real_t slope = inner(a->r[0], a->p[0]);
+    if (reached < 2 || a->left < 1 || !(slope < R(0))) {
+        return;
+    }
+    multiply(s);
+    a->left--;
+    s->stats.cg_iterations++;
+    const real_t bend = inner(a->p[0], a->w[0]), length = (bend > -slope) ? -slope / bend : R(1);
+    add_multiple(a->d[0], length, a->p[0]);
+    add_multiple(a->r[0], length, a->w[0]);
+    a->model += length * (slope + R(0.5) * length * bend);
+    hold_reached(s);
+}
+#endif
+
 /* One step along p. Returns 1 if it ends at a bound or along a direction without curvature. */
 static int step_along(solver_t *s, real_t descent)
 {
@@ -117,6 +146,9 @@ static int step_along(solver_t *s, real_t descent)
     a->model += length * (R(0.5) * length * bend - descent);
     if (length < wanted) {
         hold_reached(s);
+#if !NT
+        bend_step(s, wanted - length);
+#endif
         return 1;
     }
     return !curved;
