@@ -148,7 +148,7 @@ static real_t overlap(const shooting_t *a, int t, int q)
     real_t sum = R(0);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            sum += a->held[k][j] ? R(0) : a->Xi[t][k][j] * a->Xi[q][k][j];
+            sum += if_free(a, k, j) * a->Xi[t][k][j] * a->Xi[q][k][j];
         }
     }
     return sum;
@@ -196,7 +196,7 @@ static real_t precondition(shooting_t *a)
 {
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            a->w[k][j] = a->held[k][j] ? R(0) : a->r[k][j];
+            a->w[k][j] = if_free(a, k, j) * a->r[k][j];
         }
     }
 #if NT

@@ -107,7 +107,7 @@ static void bend_step(solver_t *s, real_t rest)
     int reached = 0;
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            const real_t p = a->held[k][j] ? R(0) : rest * a->p[k][j];
+            const real_t p = if_free(a, k, j) * rest * a->p[k][j];
             a->p[k][j] = clip(p, -to_lower(s, k, j), to_upper(s, k, j));
             reached += FABS(a->p[k][j]) < FABS(p);
         }
@@ -234,7 +234,7 @@ static real_t free_size(const shooting_t *a)
     real_t sum = R(0);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            sum += a->held[k][j] ? R(0) : a->r[k][j] * a->r[k][j];
+            sum += if_free(a, k, j) * a->r[k][j] * a->r[k][j];
         }
     }
     return sum;

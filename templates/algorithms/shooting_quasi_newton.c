@@ -29,7 +29,7 @@ static void hold_outward(solver_t *s)
         for (int j = 0; j < NU; j++) {
             const real_t u = s->u[k][j], r = a->r[k][j];
             a->held[k][j] = (r > R(0) && !(u > CONTROL_LOWER(s, k, j))) || (r < R(0) && !(u < CONTROL_UPPER(s, k, j)));
-            a->d[k][j] = a->held[k][j] ? R(0) : -r;
+            a->d[k][j] = -if_free(a, k, j) * r;
         }
     }
 }
@@ -40,7 +40,7 @@ static real_t free_inner(const shooting_t *a, real_t (*x)[NU], real_t (*y)[NU])
     real_t sum = R(0);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            sum += a->held[k][j] ? R(0) : x[k][j] * y[k][j];
+            sum += if_free(a, k, j) * x[k][j] * y[k][j];
         }
     }
     return sum;
@@ -51,7 +51,7 @@ static void add_free(shooting_t *a, real_t factor, real_t (*x)[NU])
 {
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            a->d[k][j] += a->held[k][j] ? R(0) : factor * x[k][j];
+            a->d[k][j] += if_free(a, k, j) * factor * x[k][j];
         }
     }
 }
