@@ -17,23 +17,17 @@ class Interval:
 
     linearize: (x, u, p, dt) -> x_next, S = d x_next / d(x, u); step: (x, u, p, h) -> x_next, one integration step;
     curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians with second derivatives of the dynamics.
-<<<<<<< HEAD
     one_step: yields linearize for the first of its steps as straight-line code, where linearize has loops.
-=======
     forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) -> g = [A B]' adj; both for
     algorithms that multiply with S = [A B] and do not store it.
->>>>>>> c89e0a0 (Algorithm AdjointShooting: single shooting with exact discrete adjoints, for the smallest memory)
     """
 
     linearize: Routine
     step: Routine
     curved: Routine | None = None
-<<<<<<< HEAD
     one_step: Callable[[], Kernel] | None = None
-=======
     forward: Routine | None = None
     adjoint: Routine | None = None
->>>>>>> c89e0a0 (Algorithm AdjointShooting: single shooting with exact discrete adjoints, for the smallest memory)
 
 
 @dataclass(frozen=True, eq=False)

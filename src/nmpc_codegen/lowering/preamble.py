@@ -18,11 +18,7 @@ from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
 from nmpc_codegen.runtime.package_description import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
-<<<<<<< HEAD
-FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos")
-=======
-FUNCTIONS = ("sqrt", "fabs", "ceil", "exp", "log1p")
->>>>>>> c89e0a0 (Algorithm AdjointShooting: single shooting with exact discrete adjoints, for the smallest memory)
+FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos", "exp", "log1p")
 
 
 #: Maximum length of a line without its continuation mark.
