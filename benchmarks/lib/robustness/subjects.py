@@ -18,6 +18,7 @@ from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
     OCP,
     RK4,
+    AdjointShooting,
     AugmentedLagrangian,
     Controller,
     ExactHessian,
@@ -201,6 +202,24 @@ def augmented() -> tuple[Candidate, ...]:
         algorithm = AugmentedLagrangian(shift=moves, sampling_time=sampled.sampling_time)
         options = Options(subject.integrator, algorithm=algorithm, precision=precision)
         found.append(Candidate(subject, f"augmented Lagrangian, {precision}, shift {moves}", options))
+    return tuple(found)
+
+
+def shooting() -> tuple[Candidate, ...]:
+    """Single shooting for every subject that it supports, with methods, shifts and precisions in turn."""
+    found = []
+    for i, subject in enumerate(subjects()):
+        moves, precision, method = (
+            SHIFTS[i % len(SHIFTS)],
+            PRECISIONS[i % 2],
+            ("gauss_newton", "quasi_newton")[i // 2 % 2],
+        )
+        sampled = _shifted(moves, subject.make())
+        algorithm = AdjointShooting(method=method, shift=moves, sampling_time=sampled.sampling_time)
+        if classify(subject.make()).features - AdjointShooting.supports:
+            continue
+        options = Options(subject.integrator, algorithm=algorithm, precision=precision)
+        found.append(Candidate(subject, f"single shooting, {method}, {precision}, shift {moves}", options))
     return tuple(found)
 
 

@@ -27,6 +27,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     check_shift,
     resample_reach,
     resample_tables,
+    shift_switches,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Core, Defaults, Dims, Seam
@@ -134,9 +135,7 @@ class AdjointShooting(Defaults):
             "QUASI_NEWTON": int(not self.second_order),
             "SMOOTH_ROWS": int(self.rows == "smooth_l1"),
             "DUAL_ROWS": int(self.rows == "augmented_lagrangian"),
-            "SHIFT_RESAMPLE": int(self.shift == "resample"),
-            "INTEGRATE_PLAN": int(self.shift == "resample"),
-            "SHIFT_PERIODIC": int(self.shift == "periodic"),
+            **shift_switches(self.shift),
             "RELAX": 0,
         }
 

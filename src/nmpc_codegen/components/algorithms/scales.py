@@ -58,7 +58,7 @@ def cost_curvature(problem: Problem, scale: Array) -> float:
     u = [stage.reference[i] if i >= 0 else 0.0 for i in problem.control_reference]
     evaluate = ca.Function("curvature", [*cost.inputs, cost.yref, cost.W, cost.mu], [H])
     data = (problem.x_initial, u, problem.p_value, problem.dt[0], stage.reference, weight, np.zeros(stage.nh))
-    size = float(np.max(np.abs(np.ravel(evaluate(*data))) * scale**2, initial=0.0))
+    size = float(np.max(np.abs(np.asarray(evaluate(*data)).ravel()) * scale**2, initial=0.0))
     return size if np.isfinite(size) and size > 0 else 1.0
 
 
