@@ -57,7 +57,7 @@ def steady_state(u: np.ndarray) -> np.ndarray:
     """The state (4,) in which the reactor stays under the controls u (2,)."""
     x = ca.SX.sym("x", 4)
     find = ca.rootfinder("steady", "newton", {"x": x, "g": rates(x, ca.SX(u))})
-    return np.ravel(find([2500.0, 900.0, 100.0, 95.0], [])).astype(float)
+    return np.asarray(find([2500.0, 900.0, 100.0, 95.0], []), dtype=float).ravel()
 
 
 def build_ocp(penalty: float | None = None, intervals: int = N) -> OCP:

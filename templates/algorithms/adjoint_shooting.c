@@ -66,6 +66,9 @@ static void set_weights(solver_t *s)
 #if SMOOTH_ROWS
     s->shooting.sharpness = smooth_sharpness[0];
 #endif
+#if LUMPED_ROWS
+    s->shooting.multiplier = penalty_weight[0];
+#endif
 #endif
 #if !QUASI_NEWTON
     s->shooting.solving = 0;
@@ -124,15 +127,17 @@ static status_t start_sample(solver_t *s)
 #if QUASI_NEWTON
     s->shooting.paired = 0;
 #endif
-    if (simulate_plan(s)) {
-        return OK;
+    if (!simulate_plan(s)) {
+        forget_plan(s);
+        if (!simulate_plan(s)) {
+            hold_states(s);
+            return NUMERICAL_FAILURE;
+        }
     }
-    forget_plan(s);
-    if (simulate_plan(s)) {
-        return OK;
-    }
-    hold_states(s);
-    return NUMERICAL_FAILURE;
+#if NG && LUMPED_ROWS
+    (void)merit(s);
+#endif
+    return OK;
 }
 
 /* Prevents a failure from repeating itself: multipliers that are not finite are forgotten at once, and the plan after
@@ -159,6 +164,9 @@ static status_t run_sample(solver_t *s)
 {
     status_t status = start_sample(s);
     int moved;
+#if NG && BARRIER_ROWS
+    recentre_rows(s);
+#endif
     for (int n = 0; n < ITERATIONS && status != NUMERICAL_FAILURE; n++) {
         status = improve(s, TRIALS, &moved);
     }

@@ -26,15 +26,38 @@ static void load_direction(const solver_t *s, int k, real_t *d)
     }
 }
 
+#if NG && LUMPED_ROWS
+/* Part of node k, with n variables, in the change of the lumped row along d, times its factor. */
+static real_t lumped_change(const solver_t *s, int k, int n, const real_t *d)
+{
+    real_t g[NZ] = {R(0)}, sum = R(0);
+    add_rows(s, k, HARD, d, g);
+    for (int i = 0; i < n; i++) {
+        sum += g[i] * d[i];
+    }
+    return sum;
+}
+
+#endif
 /* w = H p without the terminal rows. */
 static void multiply(solver_t *s)
 {
     shooting_t *a = &s->shooting;
     real_t d[NZ], lam[NX] = {R(0)}, g[NZ];
+#if NG && LUMPED_ROWS
+    real_t change = R(0);
+#endif
     for (int k = 0; k < N; k++) {
         load_direction(s, k, d);
+#if NG && LUMPED_ROWS
+        change += lumped_change(s, k, NZ, d);
+#endif
         INTEGRATOR_FORWARD(s, k, d, d + NX, a->dx[k]);
     }
+#if NG && LUMPED_ROWS
+    change += lumped_change(s, N, NX, a->dx[N - 1]);
+    a->lump_change = row_penalty(s) * change / (a->lump * a->lump);
+#endif
 #if HAS_TERMINAL_PRODUCT
     TERMINAL_PRODUCT(s, a->dx[N - 1], lam);
 #endif
@@ -42,7 +65,8 @@ static void multiply(solver_t *s)
     add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
 #endif
     for (int k = N - 1; k >= 0; k--) {
-        real_t own[NZ] = {R(0)};
+        real_t own[NZ];
+        memset(own, 0, sizeof own);
         load_direction(s, k, d);
 #if HAS_PATH_PRODUCT
         PATH_PRODUCT(s, k, d, own);

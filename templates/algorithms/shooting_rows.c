@@ -1,7 +1,8 @@
 /* Contract of this part: the rows as terms psi_m(v_m) that are added to the cost, v_m = value of row m. */
 
-/* What add_rows() adds for the row m with gradient J_m: psi_m' J_m, mu_m J_m, or psi_m'' J_m (J_m' d). */
-enum { ESTIMATE, MULTIPLIER, PRODUCT };
+/* What add_rows() adds for the row m with gradient J_m: psi_m' J_m, mu_m J_m, psi_m'' J_m (J_m' d), or, for a hard row,
+ * psi_m' J_m. */
+enum { ESTIMATE, MULTIPLIER, PRODUCT, HARD };
 
 #if NG
 /* Weight of a row in its scale: the constant of a sample, or what solve() has made of it. */
@@ -36,13 +37,22 @@ static real_t smooth_excess(real_t x, real_t a, real_t factor, real_t *slope, re
     return ((x > R(0)) ? x : R(0)) + LOG1P(e) / a;
 }
 
-/* psi_m(v) = l1 (max(v - upper, 0) + max(lower - v, 0)), both smooth, + l2 / 2 violation^2. A hard row has the weight
- * of the options in its scale, which is exact if no multiplier is larger. */
+/* Weight of a hard row in its scale, which is exact if no multiplier is larger. */
+static real_t hard_weight(const solver_t *s)
+{
+#if LUMPED_ROWS
+    return s->shooting.lump;
+#else
+    return row_penalty(s);
+#endif
+}
+
+/* psi_m(v) = l1 (max(v - upper, 0) + max(lower - v, 0)), both smooth, + l2 / 2 violation^2 of soft rows. */
 static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature)
 {
     const real_t lower = ROW_LOWER(s, m), upper = ROW_UPPER(s, m);
     const real_t unit = SQRT(row_weight[m]), sharpness = row_sharpness(s) * unit;
-    real_t l1 = row_penalty(s) * unit, value;
+    real_t l1 = hard_weight(s) * unit, value;
 #if SOFT_ROWS
     l1 = IS_SOFT(m) ? row_l1[row_id[m]] : l1;
 #endif
@@ -62,6 +72,59 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     }
 #endif
     return value;
+}
+#elif BARRIER_ROWS
+/* -log t above the margin, below it the parabola with the same value, slope and curvature there: a plan outside has
+ * finite terms, too. Value; the derivatives with respect to v, t = distance * unit with the sign of dt / dv, are added. */
+static real_t barrier(real_t t, real_t margin, real_t unit, real_t weight, real_t *slope, real_t *curvature)
+{
+    const int above = t > margin;
+    const real_t z = above ? R(1) : t / margin - R(2), size = above ? t : margin;
+    *slope += weight * unit * (above ? -z : z) / size;
+    *curvature += weight * unit * unit / (size * size);
+    return weight * (above ? -LOG(t) : R(0.5) * (z * z - R(1)) - LOG(margin));
+}
+
+/* Distance from a bound, in the scale of the row, at which the parabola begins. */
+static real_t row_margin(const solver_t *s)
+{
+    return barrier_margin[0] * row_penalty(s) / penalty_weight[0];
+}
+
+/* psi_m(v) = weight (b(upper - v) + b(v - lower)) - tilt_m v with the logarithmic barrier b. */
+static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature)
+{
+    const real_t lower = ROW_LOWER(s, m), upper = ROW_UPPER(s, m);
+    const real_t unit = SQRT(row_weight[m]), margin = row_margin(s), weight = row_penalty(s);
+    real_t value = -s->shooting.tilt[m] * v;
+    *slope = -s->shooting.tilt[m];
+    *curvature = R(0);
+    if (upper < INF) {
+        value += barrier(unit * (upper - v), margin, -unit, weight, slope, curvature);
+    }
+    if (lower > -INF) {
+        value += barrier(unit * (v - lower), margin, unit, weight, slope, curvature);
+    }
+    return value;
+}
+
+/* Recentres the barriers: psi_m' = 0 where the plan ends, so that the rest at a set point is not displaced. The centre of
+ * row m is its value at the last node that has it, moved inside the margins. */
+static void recentre_rows(solver_t *s)
+{
+    real_t value[NG], curvature;
+    evaluate_rows(s, value);
+    for (int m = 0; m < NG; m++) {
+        const real_t margin = row_margin(s) / SQRT(row_weight[m]);
+        real_t centre = value[m], slope;
+        for (int n = m + 1; n < NG; n++) {
+            centre = (row_id[n] == row_id[m]) ? value[n] : centre;
+        }
+        centre = clip(centre, ROW_LOWER(s, m) + margin, ROW_UPPER(s, m) - margin);
+        s->shooting.tilt[m] = R(0);
+        (void)row_term(s, m, centre, &slope, &curvature);
+        s->shooting.tilt[m] = isfinite(slope) ? slope : R(0);
+    }
 }
 #else
 /* psi_m(v) = min_y P_m(y) + mu_m (v - y) + rho_m / 2 (v - y)^2, where P_m is 0 between the bounds of row m and,
@@ -157,7 +220,17 @@ static real_t row_factor(const solver_t *s, int m, real_t v, int what, real_t mo
         return s->row[m];
     }
     (void)row_term(s, m, v, &slope, &curvature);
-    return (what == ESTIMATE) ? slope : curvature * moved;
+#if LUMPED_ROWS
+    if (IS_SOFT(m)) {
+        return (what == HARD) ? R(0) : (what == ESTIMATE) ? slope : curvature * moved;
+    }
+#if !QUASI_NEWTON
+    if (what == PRODUCT) {
+        return curvature * moved + slope * s->shooting.lump_change;
+    }
+#endif
+#endif
+    return (what == PRODUCT) ? curvature * moved : slope;
 }
 
 /* Adds the terms of the rows of node k to g, NZ entries, NX at node N. */
@@ -192,18 +265,45 @@ static void add_rows(const solver_t *s, int k, int what, const real_t *d, real_t
     }
 }
 
+#if LUMPED_ROWS
+/* Multiplier of the lumped row. */
+static real_t lump_multiplier(const solver_t *s)
+{
+#if SOLVE
+    return s->shooting.multiplier;
+#else
+    return row_penalty(s);
+#endif
+}
+#endif
+
 /* Sum of the terms, and the largest violation of a hard row in its scale. */
-static real_t row_terms_of_plan(const solver_t *s, real_t *violation)
+static real_t row_terms_of_plan(solver_t *s, real_t *violation)
 {
     real_t value[NG], sum = R(0), slope, curvature;
+#if LUMPED_ROWS
+    real_t lump = R(0);
+    s->shooting.lump = R(1);
+#endif
     evaluate_rows(s, value);
     *violation = R(0);
     for (int m = 0; m < NG; m++) {
-        sum += row_term(s, m, value[m], &slope, &curvature);
-        if (!IS_SOFT(m)) {
-            enlarge(violation, SQRT(row_weight[m]) * (value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))));
+        const real_t term = row_term(s, m, value[m], &slope, &curvature);
+        if (IS_SOFT(m)) {
+            sum += term;
+            continue;
         }
+#if LUMPED_ROWS
+        lump += term;
+#else
+        sum += term;
+#endif
+        enlarge(violation, SQRT(row_weight[m]) * (value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))));
     }
+#if LUMPED_ROWS
+    s->shooting.lump = lump_multiplier(s) + row_penalty(s) * lump;
+    sum += R(0.5) * (lump_multiplier(s) + s->shooting.lump) * lump;
+#endif
     return sum;
 }
 
@@ -215,14 +315,23 @@ static void update_rows(solver_t *s, real_t most)
     real_t value[NG], slope, curvature;
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
+#if BARRIER_ROWS
+        const real_t limit = INF;
+        (void)most;
+#else
         const real_t limit = most * row_penalty(s) * SQRT(row_weight[m]);
+#endif
 #if NT
         if (terminal_index[m] >= 0) {
             continue;
         }
 #endif
         (void)row_term(s, m, value[m], &slope, &curvature);
+#if BARRIER_ROWS
+        s->row[m] = clip(slope, (ROW_LOWER(s, m) > -INF) ? -limit : R(0), (ROW_UPPER(s, m) < INF) ? limit : R(0));
+#else
         s->row[m] = clip(slope, s->row[m] - limit, s->row[m] + limit);
+#endif
     }
 }
 #endif

@@ -1,9 +1,9 @@
 /* solve(): the steps of a sample to convergence. Where rows have terms, each time the projected gradient is small
- * compared with their violation, their multipliers are updated, and the penalty, or the sharpness of the smooth max,
- * grows where the violation has not become much smaller. */
+ * compared with their violation, their multipliers are updated, and the penalty or the sharpness of the smooth max
+ * grows, or the weight of the barriers decreases, where the violation has not become much smaller. */
 
 #if NG > NT
-/* Returns 1 if the penalty can grow further. */
+/* Returns 1 if the terms of the rows can become closer to the rows themselves. */
 static int sharpen(solver_t *s)
 {
 #if SMOOTH_ROWS
@@ -11,6 +11,11 @@ static int sharpen(solver_t *s)
         return 0;
     }
     s->shooting.sharpness *= R(4);
+#elif BARRIER_ROWS
+    if (!(s->shooting.penalty > least_barrier[0] * penalty_weight[0])) {
+        return 0;
+    }
+    s->shooting.penalty *= R(0.1);
 #else
     if (!(s->shooting.penalty < MOST_PENALTY)) {
         return 0;
@@ -57,8 +62,16 @@ static int advance_rows(solver_t *s, real_t tol, real_t *violation)
 #else
     const real_t now = s->stats.violation;
     update_rows(s, INF);
-    (void)tol;
     grown = sharpen(s);
+#if LUMPED_ROWS
+    if (now > tol && !(now < R(0.5) * *violation) && s->shooting.multiplier < MOST_PENALTY) {
+        const real_t twice = R(2) * s->shooting.multiplier;
+        s->shooting.multiplier = (s->shooting.lump > twice) ? s->shooting.lump : twice;
+        grown = 1;
+    }
+#else
+    (void)tol;
+#endif
 #endif
     *violation = now;
 #if QUASI_NEWTON
@@ -85,7 +98,8 @@ static void follow(solver_t *s, real_t tol, real_t stationarity, int moved, prog
     if (!moved || stationarity <= progress->accuracy) {
         const int grown = advance_rows(s, tol, &progress->violation);
         const real_t least = (progress->accuracy < progress->violation) ? progress->accuracy : progress->violation;
-        progress->failed = moved ? 0 : progress->failed + !grown;
+        const int finer = moved && progress->accuracy > R(0.1) * tol;
+        progress->failed = (grown || finer) ? 0 : progress->failed + 1;
         progress->accuracy = (least > tol) ? R(0.1) * least : R(0.1) * tol;
     }
 #else
@@ -152,6 +166,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         return finish(s, NOT_FINITE);
     }
     s->shooting.length = R(1);
+#if NG && BARRIER_ROWS
+    memset(s->shooting.tilt, 0, sizeof s->shooting.tilt);
+#endif
     status = start_sample(s);
 #if !QUASI_NEWTON
     s->shooting.solving = 1;

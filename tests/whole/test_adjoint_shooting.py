@@ -155,7 +155,7 @@ def test_crane_with_terminal_equalities() -> None:
     assert controller.stats.cg_iterations <= 40
 
 
-@pytest.mark.parametrize("rows", ["smooth_l1", "quadratic"])
+@pytest.mark.parametrize("rows", ["smooth_l1", "quadratic", "lumped"])
 @pytest.mark.parametrize("name", ["path", "final", "soft_rows", "closing", "mixed"])
 def test_other_terms_of_rows_converge_to_the_solution(name: str, rows: str) -> None:
     ocp = SMALL[name]()
@@ -423,6 +423,6 @@ def test_what_makes_no_sense_is_refused() -> None:
         AdjointShooting(memory=3)
     with pytest.raises(OptionError, match=r"products: 3 clashes .*gauss_newton"):
         AdjointShooting(products=3, method="quasi_newton")
-    for wrong in ({"method": "newton"}, {"rows": "barrier"}, {"penalty": 0.0}, {"trials": 0}, {"iterations": 0}):
+    for wrong in ({"method": "newton"}, {"rows": "elastic"}, {"penalty": 0.0}, {"trials": 0}, {"iterations": 0}):
         with pytest.raises(OptionError, match="expected"):
             AdjointShooting(**wrong)  # type: ignore[arg-type]

@@ -9,10 +9,13 @@ import numpy as np
 from benchmarks.lib.adjoint.loops import converged, follows, run
 from benchmarks.lib.report import Report
 from examples import crane
-from nmpc_codegen import AdjointShooting, Online, Options, RealTimeIteration, build
+from nmpc_codegen import AdjointShooting, Online, Options, RealTimeIteration, build, generate
+from nmpc_codegen.firmware.certificate import certify
+from nmpc_codegen.firmware.targets import find_target
 
 SAMPLES, DT = 30, 0.3
 X0 = np.array([2.0, 0.0, 0.0, 0.0])
+TARGET = "cortex-m4f"
 BYTES = {"double": 2048, "single": 1024}
 
 
@@ -43,6 +46,8 @@ def measure(report: Report) -> None:
         loop = run(follows(controller, counts), plant, X0, references, weight, DT)
         if case in BYTES:
             report.add(f"crane_struct_bytes_{case}", controller.nbytes, "bytes", limit=BYTES[case])
+            stack = certify(generate(crane.build_ocp(), given), "crane", find_target(TARGET), "Os").stack_bytes["step"]
+            report.add(f"crane_stack_bytes_{case}", stack, "bytes", case=f"step() on a {TARGET}, -Os", profile="")
         gap = "crane_cost_gap" if case in BYTES else "crane_quasi_newton_cost_gap"
         report.add(gap, abs(loop.cost / best.cost - 1), case=case, n=SAMPLES, limit=1e-2)
         final = "crane_final_state" if case in BYTES else "crane_quasi_newton_final_state"

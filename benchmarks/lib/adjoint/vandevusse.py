@@ -1,8 +1,9 @@
-"""The Van de Vusse reactor: soft rows with growing weights against IPOPT's solution with hard rows."""
+"""The Van de Vusse reactor, Fig. 7.3: soft rows with growing weights against IPOPT's solution with hard rows."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,11 +12,12 @@ from examples import vandevusse
 from nmpc_codegen import build
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
+from nmpc_codegen.runtime.controller import Solution
 
 
-def measure(report: Report) -> None:
+def measure(report: Report, folder: Path) -> None:
     """Errors of states and controls relative to the largest value of each, and what every weight violates."""
-    reference, problem = vandevusse.ramp(), classify(vandevusse.build_ocp())
+    reference, problem, plans = vandevusse.ramp(), classify(vandevusse.build_ocp()), dict[str, Solution]()
     data = node_data(problem, x0=vandevusse.steady_state(vandevusse.ENDS[0]))
     exact = Reference(problem, replace(CLASSICAL, steps=4)).solve(replace(data, yref=reference[:-1]))
     if not exact.success:
@@ -25,7 +27,8 @@ def measure(report: Report) -> None:
         report.add("vandevusse_multiplier", float(multiplier), case=name)
     for penalty in vandevusse.PENALTIES:
         controller = build(vandevusse.build_ocp(penalty), vandevusse.options())
-        found, case = vandevusse.plan(controller, reference), f"penalty {penalty:g}"
+        case = f"penalty {penalty:g}"
+        plans[case] = found = vandevusse.plan(controller, reference)
         over = np.maximum(found.x[1:, 1:3] - list(vandevusse.HIGHEST.values()), 0.0).max(axis=0)
         for name, excess in zip(vandevusse.HIGHEST, over, strict=True):
             report.add(f"vandevusse_excess_{name}", float(excess), case=case)
@@ -36,6 +39,9 @@ def measure(report: Report) -> None:
         if penalty == vandevusse.PENALTIES[-1]:
             error = max(relative(found.u, exact.u), relative(found.x, exact.x))
             report.add("vandevusse_error", error, case=case, limit=1e-3)
+    picture = folder / "figure_7_3.png"
+    vandevusse.draw(plans, reference, str(picture))
+    print(picture)
 
 
 def relative(found: np.ndarray, exact: np.ndarray) -> float:

@@ -305,6 +305,7 @@ REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="p
 STAGES = NoCondensing()
 QUASI_NEWTON: dict[str, Any] = {"method": "quasi_newton"}
 SMOOTH: dict[str, Any] = {"rows": "smooth_l1", "penalty": 100.0}
+LUMPED, BARRIER = {**SMOOTH, "rows": "lumped"}, {"rows": "barrier"}
 LOOPED = ExplicitRungeKutta(unroll="none")
 
 
@@ -469,4 +470,8 @@ SAMPLES = (
     Sample("counted quasi-Newton", counted, _shooting({**QUASI_NEWTON, **SMOOTH})),
     Sample("discrete shooting", discrete, _shooting()),
     Sample("discrete rows shooting", discrete_rows, _shooting()),
+    Sample("soft rows lumped", soft_rows, _shooting(LUMPED)),
+    Sample("states lumped", states, _shooting({**QUASI_NEWTON, **LUMPED}, solve=False)),
+    Sample("path barrier", path, _shooting({**BARRIER, "shift": "repeat"})),
+    Sample("final barrier", final, _shooting(BARRIER, solve=False)),
 )  # fmt: skip

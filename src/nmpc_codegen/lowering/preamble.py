@@ -18,7 +18,7 @@ from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
 from nmpc_codegen.runtime.package_description import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
-FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos", "exp", "log1p")
+FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos", "exp", "log", "log1p")
 
 
 #: Maximum length of a line without its continuation mark.

@@ -37,15 +37,18 @@ from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.runtime.package_description import EntryPoint
 
 METHODS = ("gauss_newton", "quasi_newton")
-ROWS = ("augmented_lagrangian", "smooth_l1", "quadratic")
+ROWS = ("augmented_lagrangian", "smooth_l1", "quadratic", "barrier", "lumped")
 
 #: Relative residuals of conjugate gradients in a sample and in solve(), the sharpness of the smooth max in the scale of
 #: a row at first and at last, the part of the promised decrease that a step must keep, and the shortest part of a step
 #: with which a later search begins.
 PRECISION, SHARPNESS, ARMIJO, SHORTEST = (1e-3, 1e-6), (100.0, 1e9), 1e-4, 1 / 64
 
-#: The default penalty, relative to the curvature of the cost.
-FACTOR = 3.0
+#: The default penalty, relative to the curvature of the cost, and the default weight of barriers.
+FACTOR, BARRIER = 3.0, 1e-2
+
+#: Distance from a bound in the scale of a row at which the barrier becomes a parabola; least part of its weight.
+MARGIN, LEAST_BARRIER = 1e-2, 1e-10
 
 #: Simulations of a step of solve(); failures in a row after which the plan is given up.
 MAX_TRIALS, PATIENCE = 30, 3
@@ -75,9 +78,12 @@ class AdjointShooting(Defaults):
 
     ``rows``: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
     multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no multiplier
-    exceeds the weight. "quadratic": satisfied up to multiplier / penalty. Soft rows keep their penalties. ``penalty``:
-    weight of the rows in their scales, the magnitudes of their declared slopes; None: three times the largest curvature
-    of the cost of a node along a state or control in its scale.
+    exceeds the weight. "quadratic": satisfied up to multiplier / penalty. "barrier": logarithmic barriers, which keep
+    a distance from the bounds, recentred in every sample at the end of the plan; solve() decreases their weight to 0.
+    "lumped": the sum C of the smooth l1 terms as one scalar row C <= 0, whose multiplier solve() increases. Soft rows
+    keep their penalties, and have no barriers. ``penalty``: weight of the rows in their scales, the magnitudes of their
+    declared slopes; None: three times the largest curvature of the cost of a node along a state or control in its
+    scale, for barriers a hundredth of it.
 
     ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration.
     """
@@ -133,7 +139,9 @@ class AdjointShooting(Defaults):
         return {
             **kernels,
             "QUASI_NEWTON": int(not self.second_order),
-            "SMOOTH_ROWS": int(self.rows == "smooth_l1"),
+            "SMOOTH_ROWS": int(self.rows in ("smooth_l1", "lumped")),
+            "LUMPED_ROWS": int(self.rows == "lumped"),
+            "BARRIER_ROWS": int(self.rows == "barrier"),
             "DUAL_ROWS": int(self.rows == "augmented_lagrangian"),
             **shift_switches(self.shift),
             "RELAX": 0,
@@ -148,12 +156,23 @@ class AdjointShooting(Defaults):
                 'method="gauss_newton"; expected method="quasi_newton" (--set algorithm.method=quasi_newton) or a cost '
                 "of the nodes"
             )
+        self._check_rows(problem)
 
-        hard = [problem.rows[row].name for _, _, _, row in problem.qp_rows if problem.rows[row].soft is None]
-        if self.rows == "smooth_l1" and self.penalty is None and hard:
+    def _check_rows(self, problem: Problem) -> None:
+        """Raise OptionError for rows that their terms cannot represent."""
+        rows = [problem.rows[row] for _, _, _, row in problem.qp_rows]
+        hard = [row for row in rows if row.soft is None]
+        if self.rows in ("smooth_l1", "lumped") and self.penalty is None and hard:
             raise OptionError(
-                f'AdjointShooting(rows="smooth_l1") penalises the hard row {hard[0]!r}; expected penalty=..., a weight '
-                "that exceeds the multipliers of hard rows in their scales (--set algorithm.penalty=...)"
+                f'AdjointShooting(rows="{self.rows}") penalises the hard row {hard[0].name!r}; expected penalty=..., a '
+                "weight that exceeds the multipliers of hard rows in their scales (--set algorithm.penalty=...)"
+            )
+        outside = [row for row in rows if row.soft is not None or not row.lower < row.upper]
+        if self.rows == "barrier" and outside:
+            kind = "equation" if outside[0].soft is None else "soft row"
+            raise OptionError(
+                f'AdjointShooting(rows="barrier") has no terms for the {kind} {outside[0].name!r}; expected another kind '
+                "of terms, such as the default (--set algorithm.rows=augmented_lagrangian)"
             )
 
     def terminal(self, problem: Problem) -> tuple[int, ...]:
@@ -186,6 +205,8 @@ class AdjointShooting(Defaults):
                 "relative residual of conjugate gradients, in a sample and solve()",
             ),
             Table("smooth_sharpness", "real", SHARPNESS, "of the smooth max in the scale of a row: first and last one"),
+            Table("barrier_margin", "real", (MARGIN,), "distance from a bound where the barrier becomes a parabola"),
+            Table("least_barrier", "real", (LEAST_BARRIER,), "least part of the weight of the barriers in solve()"),
             Table("shortest_length", "real", (SHORTEST,), "shortest part of a step that a later one tries first"),
             Table("armijo_part", "real", (ARMIJO,), "part of the decrease that the slope promises"),
             *resample_tables(self.shift, self.sampling_time, problem),
@@ -194,7 +215,8 @@ class AdjointShooting(Defaults):
     def _penalty(self, problem: Problem) -> float:
         if self.penalty is not None:
             return float(self.penalty)
-        return FACTOR * cost_curvature(problem, variable_scales(problem))
+        factor = BARRIER if self.rows == "barrier" else FACTOR
+        return factor * cost_curvature(problem, variable_scales(problem))
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
         """How many terminal rows are part of the model, and the penalty of the others."""
@@ -238,11 +260,16 @@ class AdjointShooting(Defaults):
         return (_stats(self.second_order), self._shooting(dims), Struct("solver", "", members))
 
     def _growing(self, dims: Dims) -> tuple[tuple[str, str], ...]:
-        """Weights that solve() increases."""
+        """Weights that solve() changes."""
         if not dims.ng.value:
             return ()
-        sharpness = ("sharpness", "of the smooth max, in the scale of a row")
-        return (("penalty", "weight of the rows in their scales"), *((sharpness,) if self.rows == "smooth_l1" else ()))
+        sharpness = (("sharpness", "of the smooth max, in the scale of a row"),)
+        multiplier = (("multiplier", "of the lumped row"),)
+        return (
+            ("penalty", "weight of the rows in their scales"),
+            *(sharpness if self.rows in ("smooth_l1", "lumped") else ()),
+            *(multiplier if self.rows == "lumped" else ()),
+        )
 
     def _shooting(self, dims: Dims) -> Struct:
         terminal = Size("NT", self._terminal_rows(dims.end_rows))
@@ -252,6 +279,13 @@ class AdjointShooting(Defaults):
         def real(name: str, shape: tuple[Size, ...], doc: str, only: str = "") -> Field:
             return Field(name, shape, doc, "scratch", only=only)
 
+        terms = {
+            "barrier": (real("tilt", (dims.ng,), "slope of the barriers at their centres"),),
+            "lumped": (
+                real("lump", (), "weight of the hard rows: of the lumped row at the plan"),
+                *((real("lump_change", (), "its change along a direction"),) if self.second_order else ()),
+            ),
+        }
         newton = (
             real("dx", (dims.N, dims.nx), "states of a direction at nodes 1 .. N"),
             real("Xi", (terminal, *controls), "slopes of the terminal rows"),
@@ -276,6 +310,7 @@ class AdjointShooting(Defaults):
             "single shooting",
             (
                 *(real(name, (), doc, only="SOLVE") for name, doc in self._growing(dims)),
+                *(terms.get(self.rows, ()) if dims.ng.value else ()),
                 Field("length", (), "part of the step that is tried first", "keep"),
                 real("r", controls, "gradient in scaled controls"),
                 real("d", controls, "step"),
