@@ -33,6 +33,9 @@ static void forget_past(solver_t *s)
 #if QUASI_NEWTON
     s->shooting.pairs = 0;
 #endif
+#if NG && (SMOOTH_ROWS || BARRIER_ROWS)
+    place_terms(s, 0);
+#endif
     s->shooting.length = R(1);
     s->failing = 0;
 }
@@ -62,9 +65,8 @@ static void hold_states(solver_t *s)
 static void set_weights(solver_t *s)
 {
 #if NG
+#if !BARRIER_ROWS
     s->shooting.penalty = penalty_weight[0];
-#if SMOOTH_ROWS
-    s->shooting.sharpness = smooth_sharpness[0];
 #endif
 #if LUMPED_ROWS
     s->shooting.multiplier = penalty_weight[0];
@@ -173,6 +175,9 @@ static status_t run_sample(solver_t *s)
 #if NG > NT
     if (status != NUMERICAL_FAILURE) {
         update_rows(s, R(1));
+#if SMOOTH_ROWS || BARRIER_ROWS
+        follow_terms(s);
+#endif
     }
 #endif
     return status;

@@ -5,10 +5,10 @@
 enum { ESTIMATE, MULTIPLIER, PRODUCT, HARD };
 
 #if NG
-/* Weight of a row in its scale: the constant of a sample, or what solve() has made of it. */
+/* Weight of a row in its scale: the constant of a sample, or what a continuation has made of it. */
 static real_t row_penalty(const solver_t *s)
 {
-#if SOLVE
+#if SOLVE || BARRIER_ROWS
     return s->shooting.penalty;
 #else
     (void)s;
@@ -17,17 +17,6 @@ static real_t row_penalty(const solver_t *s)
 }
 
 #if SMOOTH_ROWS
-/* Sharpness of the smooth max, likewise. */
-static real_t row_sharpness(const solver_t *s)
-{
-#if SOLVE
-    return s->shooting.sharpness;
-#else
-    (void)s;
-    return smooth_sharpness[0];
-#endif
-}
-
 /* max(x, 0) + log(1 + exp(-a |x|)) / a, a smooth max(x, 0); its first and second derivatives times factor are added. */
 static real_t smooth_excess(real_t x, real_t a, real_t factor, real_t *slope, real_t *curvature)
 {
@@ -51,7 +40,7 @@ static real_t hard_weight(const solver_t *s)
 static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature)
 {
     const real_t lower = ROW_LOWER(s, m), upper = ROW_UPPER(s, m);
-    const real_t unit = SQRT(row_weight[m]), sharpness = row_sharpness(s) * unit;
+    const real_t unit = SQRT(row_weight[m]), sharpness = s->shooting.sharpness * unit;
     real_t l1 = hard_weight(s) * unit, value;
 #if SOFT_ROWS
     l1 = IS_SOFT(m) ? row_l1[row_id[m]] : l1;
@@ -88,7 +77,7 @@ static real_t barrier(real_t t, real_t margin, real_t unit, real_t weight, real_
 /* Distance from a bound, in the scale of the row, at which the parabola begins. */
 static real_t row_margin(const solver_t *s)
 {
-    return barrier_margin[0] * row_penalty(s) / penalty_weight[0];
+    return barrier_margin[0] * row_penalty(s) / barrier_weight[0];
 }
 
 /* psi_m(v) = weight (b(upper - v) + b(v - lower)) - tilt_m v with the logarithmic barrier b. */
@@ -221,12 +210,13 @@ static real_t row_factor(const solver_t *s, int m, real_t v, int what, real_t mo
     }
     (void)row_term(s, m, v, &slope, &curvature);
 #if LUMPED_ROWS
-    if (IS_SOFT(m)) {
-        return (what == HARD) ? R(0) : (what == ESTIMATE) ? slope : curvature * moved;
+    if (IS_SOFT(m) && what == HARD) {
+        return R(0);
     }
 #if !QUASI_NEWTON
-    if (what == PRODUCT) {
-        return curvature * moved + slope * s->shooting.lump_change;
+    if (!IS_SOFT(m)) {
+        curvature *= moved;
+        return (what == PRODUCT) ? curvature + slope * s->shooting.lump_change : slope;
     }
 #endif
 #endif
@@ -306,6 +296,31 @@ static real_t row_terms_of_plan(solver_t *s, real_t *violation)
 #endif
     return sum;
 }
+
+#if SMOOTH_ROWS || BARRIER_ROWS
+/* The terms as far from the rows (closest = 0), or as close to them, as in a sample. */
+static void place_terms(solver_t *s, int closest)
+{
+#if SMOOTH_ROWS
+    s->shooting.sharpness = smooth_sharpness[closest];
+#else
+    s->shooting.penalty = barrier_weight[closest];
+#endif
+}
+
+/* Continuation over the samples: the terms come closer to the rows if all steps of the sample have been accepted at
+ * once, and retreat otherwise. */
+static void follow_terms(solver_t *s)
+{
+    const int easy = s->stats.simulations <= s->stats.accepted + 1 && s->shooting.length >= R(1);
+#if SMOOTH_ROWS
+    const real_t sharpness = (easy ? R(2) : R(0.25)) * s->shooting.sharpness;
+    s->shooting.sharpness = clip(sharpness, smooth_sharpness[0], smooth_sharpness[1]);
+#else
+    s->shooting.penalty = clip((easy ? R(0.5) : R(4)) * s->shooting.penalty, barrier_weight[1], barrier_weight[0]);
+#endif
+}
+#endif
 
 #if NG > NT
 /* The dual update: mu_m = psi_m'(v_m), which changes by at most ``most`` times the penalty in the scale of the row, so

@@ -7,12 +7,12 @@
 static int sharpen(solver_t *s)
 {
 #if SMOOTH_ROWS
-    if (!(s->shooting.sharpness < smooth_sharpness[1])) {
+    if (!(s->shooting.sharpness < smooth_sharpness[2])) {
         return 0;
     }
     s->shooting.sharpness *= R(4);
 #elif BARRIER_ROWS
-    if (!(s->shooting.penalty > least_barrier[0] * penalty_weight[0])) {
+    if (!(s->shooting.penalty > barrier_weight[2])) {
         return 0;
     }
     s->shooting.penalty *= R(0.1);
@@ -166,8 +166,11 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         return finish(s, NOT_FINITE);
     }
     s->shooting.length = R(1);
-#if NG && BARRIER_ROWS
+#if NG && (SMOOTH_ROWS || BARRIER_ROWS)
+    place_terms(s, 0);
+#if BARRIER_ROWS
     memset(s->shooting.tilt, 0, sizeof s->shooting.tilt);
+#endif
 #endif
     status = start_sample(s);
 #if !QUASI_NEWTON
@@ -182,6 +185,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
 #endif
 #if NG || !QUASI_NEWTON
     set_weights(s);
+#endif
+#if NG && (SMOOTH_ROWS || BARRIER_ROWS)
+    place_terms(s, status == OK);
 #endif
     return finish(s, recover(s, status));
 }

@@ -74,8 +74,8 @@ def test_the_sweeps_multiply_with_the_jacobian_of_the_interval(steps: int, table
     random = np.random.default_rng(steps)
     d, w = random.uniform(-1, 1, 6), random.uniform(-1, 1, 4)
     at = (cstr.START, [14.0, -1000.0], [], dt)
-    np.testing.assert_allclose(np.ravel(forward(*at, d[:4], d[4:])), J @ d, rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(np.ravel(adjoint(*at, w)), J.T @ w, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(np.asarray(forward(*at, d[:4], d[4:])).ravel(), J @ d, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(np.asarray(adjoint(*at, w)).ravel(), J.T @ w, rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -164,6 +164,71 @@ def test_other_terms_of_rows_converge_to_the_solution(name: str, rows: str) -> N
     solution, found = controller.solve(x0, tol=1e-7, max_iterations=1000), ipopt(ocp, x0)
     assert solution.status is Status.OK
     np.testing.assert_allclose(solution.u, found.u, atol=3e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", ["states", "path", "final", "mixed", "ring"])
+def test_barriers_converge_from_inside(name: str, method: str) -> None:
+    """solve() decreases the weight of the barriers to 0; no hard row is violated on the way out."""
+    ocp = SMALL[name]()
+    x0 = disturbed(ocp)
+    controller = build(ocp, options(rows="barrier", method=method), "test")
+    solution, found = controller.solve(x0, tol=1e-7, max_iterations=1000), ipopt(ocp, x0)
+    assert solution.status is Status.OK
+    assert controller.stats.violation <= 1e-7
+    np.testing.assert_allclose(solution.u, found.u, atol=1e-4)
+
+
+def test_the_multiplier_of_the_lumped_row_grows() -> None:
+    """With a weight that no multiplier respects, the l1 penalty is not exact, but the lumped row is found to hold."""
+    ocp = samples.final()
+    x0 = disturbed(ocp)
+    errors = {}
+    for rows in ("smooth_l1", "lumped"):
+        controller = build(ocp, options(rows=rows, penalty=1e-3), "test")
+        solution = controller.solve(x0, tol=1e-7, max_iterations=1000)
+        errors[rows] = np.abs(solution.u - ipopt(ocp, x0).u).max()
+        assert (solution.status is Status.OK) == (rows == "lumped")
+    assert errors["lumped"] <= 1e-5
+    assert errors["smooth_l1"] > 1e-2
+
+
+def test_a_sample_with_barriers_minimises_their_sum_with_the_cost() -> None:
+    """min cost + sum_k -w log(0.7 - x_k) - w log(x_k + 0.7) - tilt x_k by IPOPT; the tilt makes the slope of the
+    barriers vanish where the plan before the sample ended."""
+    ocp = samples.controls()
+    ocp.subject_to(-0.7, ocp.x[1], 0.7)
+    problem, x0, weight = classify(ocp), np.array([0.5, 0.6]), 1e-3
+    controller = build(ocp, options(rows="barrier", penalty=weight, iterations=30, trials=30), "test")
+    controller.step(x0)
+    step, u = interval_map(problem, CLASSICAL), ca.MX.sym("u", problem.N)
+
+    def rollout(u: Any) -> list[Any]:
+        x = [ca.MX(x0)]
+        for k in range(problem.N):
+            x.append(step(x[-1], u[k], ca.MX(0, 1), problem.dt[k])[0])
+        return x
+
+    end = float(ca.evalf(rollout(ca.MX.zeros(problem.N))[-1][1]))
+    tilt = weight * (1 / (0.7 - end) - 1 / (end + 0.7))
+    np.testing.assert_allclose(controller.view("shooting.tilt"), tilt, rtol=1e-9)
+    x = rollout(u)
+    cost = sum(2 * x[k][0] ** 2 + 0.1 * x[k][1] ** 2 + 0.1 * u[k] ** 2 for k in range(problem.N)) / 2
+    for node in x[1:]:
+        cost -= weight * (ca.log(0.7 - node[1]) + ca.log(node[1] + 0.7)) + tilt * node[1]
+    quiet = {"print_time": 0, "ipopt.print_level": 0, "ipopt.tol": 1e-12, "ipopt.bound_relax_factor": 0.0}
+    exact = ca.nlpsol("exact", "ipopt", {"x": u, "f": cost}, quiet)(x0=0, lbx=-1, ubx=1)["x"]
+    np.testing.assert_allclose(controller.u, np.asarray(exact), atol=1e-6)
+
+
+def test_barriers_do_not_displace_the_rest() -> None:
+    """The set point lies close to a bound: recentred barriers have no slope there."""
+    ocp = samples.controls()
+    ocp.subject_to(-0.02, ocp.x[0], 10.0)
+    controller = build(ocp, options(rows="barrier", penalty=0.1, shift="repeat"), "test")
+    log = simulate(controller, [0.5, 0.0], steps=200)
+    assert np.abs(log.x[-1]).max() <= 1e-4
+    assert log.x[:, 0].min() >= -0.02
 
 
 @pytest.mark.parametrize("rows", ["augmented_lagrangian", "smooth_l1"])
@@ -417,6 +482,12 @@ def test_what_makes_no_sense_is_refused() -> None:
         generate(samples.economic(), options())
     with pytest.raises(OptionError, match=r"hard row 'effort.*expected penalty="):
         generate(samples.path(), options(rows="smooth_l1"))
+    with pytest.raises(OptionError, match=r'rows="lumped".*hard row'):
+        generate(samples.path(), options(rows="lumped"))
+    with pytest.raises(OptionError, match=r"no terms for the equation 'q_end'"):
+        generate(samples.ends(), options(rows="barrier"))
+    with pytest.raises(OptionError, match=r"no terms for the soft row"):
+        generate(samples.soft_rows(), options(rows="barrier"))
     with pytest.raises(OptionError, match="sampling_time"):
         AdjointShooting(shift="resample")
     with pytest.raises(OptionError, match=r"memory: 3 clashes .*quasi_newton"):

@@ -38,7 +38,9 @@ def measure(report: Report) -> None:
     cases = {
         "double": options(),
         "single": options("single"),
-        "quasi-Newton": options(method="quasi_newton", penalty=100.0),
+        "quasi-Newton": options(method="quasi_newton"),
+        "smooth_l1": options(rows="smooth_l1", penalty=100.0),
+        "lumped": options(rows="lumped", penalty=100.0),
     }
     for case, given in cases.items():
         controller = build(crane.build_ocp(), given)
@@ -48,9 +50,9 @@ def measure(report: Report) -> None:
             report.add(f"crane_struct_bytes_{case}", controller.nbytes, "bytes", limit=BYTES[case])
             stack = certify(generate(crane.build_ocp(), given), "crane", find_target(TARGET), "Os").stack_bytes["step"]
             report.add(f"crane_stack_bytes_{case}", stack, "bytes", case=f"step() on a {TARGET}, -Os", profile="")
-        gap = "crane_cost_gap" if case in BYTES else "crane_quasi_newton_cost_gap"
+        gap = "crane_cost_gap" if case in BYTES else "crane_terms_cost_gap"
         report.add(gap, abs(loop.cost / best.cost - 1), case=case, n=SAMPLES, limit=1e-2)
-        final = "crane_final_state" if case in BYTES else "crane_quasi_newton_final_state"
+        final = "crane_final_state" if case in BYTES else "crane_terms_final_state"
         report.add(final, float(np.abs(loop.x[-1]).max()), case=case, n=SAMPLES, limit=5e-3)
         products, simulations = np.array(counts).T
         report.add("crane_products", float(products.max()), "per sample", case=case, n=SAMPLES)

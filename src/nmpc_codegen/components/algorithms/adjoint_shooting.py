@@ -42,13 +42,14 @@ ROWS = ("augmented_lagrangian", "smooth_l1", "quadratic", "barrier", "lumped")
 #: Relative residuals of conjugate gradients in a sample and in solve(), the sharpness of the smooth max in the scale of
 #: a row at first and at last, the part of the promised decrease that a step must keep, and the shortest part of a step
 #: with which a later search begins.
-PRECISION, SHARPNESS, ARMIJO, SHORTEST = (1e-3, 1e-6), (100.0, 1e9), 1e-4, 1 / 64
+PRECISION, SHARPNESS, ARMIJO, SHORTEST = (1e-3, 1e-6), (100.0, 1e4, 1e9), 1e-4, 1 / 64
 
 #: The default penalty, relative to the curvature of the cost, and the default weight of barriers.
 FACTOR, BARRIER = 3.0, 1e-2
 
-#: Distance from a bound in the scale of a row at which the barrier becomes a parabola; least part of its weight.
-MARGIN, LEAST_BARRIER = 1e-2, 1e-10
+#: Distance from a bound in the scale of a row at which the barrier becomes a parabola, with its first weight; parts of
+#: that weight: in the first sample, the least one in a sample and in solve(). The distance changes with the weight.
+MARGIN, WEIGHTS = 1e-2, (1.0, 1e-2, 1e-10)
 
 #: Simulations of a step of solve(); failures in a row after which the plan is given up.
 MAX_TRIALS, PATIENCE = 30, 3
@@ -56,6 +57,11 @@ MAX_TRIALS, PATIENCE = 30, 3
 #: Defaults of options that only one method has.
 PRODUCTS, MEMORY = 12, 5
 ITERATIONS = {"gauss_newton": 1, "quasi_newton": 10}
+
+#: Terms of rows that a continuation over the samples brings closer to the rows: a Gauss-Newton step of their model is
+#: short, and a sample has more of them, with more simulations each.
+FOLLOWED = ("smooth_l1", "barrier", "lumped")
+FOLLOWED_STEPS, TRIALS, FOLLOWED_TRIALS = 3, 2, 4
 
 #: Largest number of terminal rows that are part of the model by their slopes; more are terms like other rows.
 MAX_TERMINAL = 16
@@ -73,8 +79,8 @@ class AdjointShooting(Defaults):
 
     ``method``: "gauss_newton", whose steps take ``products`` products with the Hessian at most (default 12), or
     "quasi_newton", a projected method that stores ``memory`` pairs of vectors (default 5) and needs gradients alone.
-    ``iterations``: steps of a sample (default 1 or 10). ``trials``: simulations of a step at most, besides one at the
-    start of a sample and one after a step that is given up.
+    ``iterations``: steps of a sample (default 1 or 10). ``trials``: simulations of a step at most (default 2), besides
+    one at the start of a sample and one after a step that is given up.
 
     ``rows``: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
     multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no multiplier
@@ -83,7 +89,9 @@ class AdjointShooting(Defaults):
     "lumped": the sum C of the smooth l1 terms as one scalar row C <= 0, whose multiplier solve() increases. Soft rows
     keep their penalties, and have no barriers. ``penalty``: weight of the rows in their scales, the magnitudes of their
     declared slopes; None: three times the largest curvature of the cost of a node along a state or control in its
-    scale, for barriers a hundredth of it.
+    scale, for barriers a hundredth of that curvature. With "smooth_l1", "barrier" and "lumped" a continuation over the
+    samples sharpens the max or decreases the barriers while steps are accepted at once, and a sample has 3 Gauss-Newton
+    steps of 4 trials by default.
 
     ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration.
     """
@@ -92,7 +100,7 @@ class AdjointShooting(Defaults):
     iterations: int | None = option(None, Whole(most=1000, optional=True))
     products: int | None = option(None, Whole(most=10_000, optional=True))
     memory: int | None = option(None, Whole(most=100, optional=True))
-    trials: int = option(2, Whole(most=MAX_TRIALS))
+    trials: int | None = option(None, Whole(most=MAX_TRIALS, optional=True))
     rows: str = option("augmented_lagrangian", Words(ROWS))
     penalty: float | None = option(None, Number(optional=True))
     shift: str | None = option(None, Words(SHIFTS))
@@ -171,8 +179,8 @@ class AdjointShooting(Defaults):
         if self.rows == "barrier" and outside:
             kind = "equation" if outside[0].soft is None else "soft row"
             raise OptionError(
-                f'AdjointShooting(rows="barrier") has no terms for the {kind} {outside[0].name!r}; expected another kind '
-                "of terms, such as the default (--set algorithm.rows=augmented_lagrangian)"
+                f'AdjointShooting(rows="barrier") has no terms for the {kind} {outside[0].name!r}; expected other '
+                "terms, such as the default (--set algorithm.rows=augmented_lagrangian)"
             )
 
     def terminal(self, problem: Problem) -> tuple[int, ...]:
@@ -204,9 +212,19 @@ class AdjointShooting(Defaults):
                 PRECISION,
                 "relative residual of conjugate gradients, in a sample and solve()",
             ),
-            Table("smooth_sharpness", "real", SHARPNESS, "of the smooth max in the scale of a row: first and last one"),
+            Table(
+                "smooth_sharpness",
+                "real",
+                SHARPNESS,
+                "of the smooth max in the scale of a row: first, last of a sample, last of solve()",
+            ),
             Table("barrier_margin", "real", (MARGIN,), "distance from a bound where the barrier becomes a parabola"),
-            Table("least_barrier", "real", (LEAST_BARRIER,), "least part of the weight of the barriers in solve()"),
+            Table(
+                "barrier_weight",
+                "real",
+                tuple(part * self._penalty(problem) for part in WEIGHTS),
+                "first weight of the barriers, least one of a sample and of solve()",
+            ),
             Table("shortest_length", "real", (SHORTEST,), "shortest part of a step that a later one tries first"),
             Table("armijo_part", "real", (ARMIJO,), "part of the decrease that the slope promises"),
             *resample_tables(self.shift, self.sampling_time, problem),
@@ -231,7 +249,8 @@ class AdjointShooting(Defaults):
         return resample_reach(self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        controls = dims.N.value * dims.nu.value
+        controls, followed = dims.N.value * dims.nu.value, self.rows in FOLLOWED
+        steps = FOLLOWED_STEPS if followed and self.second_order else ITERATIONS[self.method]
         newton = (
             ("PRODUCTS", self.products or PRODUCTS, "products with the Hessian of a step at most"),
             ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
@@ -240,8 +259,8 @@ class AdjointShooting(Defaults):
         memory = (("MEMORY", self.memory or MEMORY, "pairs of the quasi-Newton method"),)
         return (
             ("NT", self._terminal_rows(dims.end_rows), "terminal rows in the model"),
-            ("ITERATIONS", self.iterations or ITERATIONS[self.method], "steps of a sample"),
-            ("TRIALS", self.trials, "simulations of a step at most"),
+            ("ITERATIONS", self.iterations or steps, "steps of a sample"),
+            ("TRIALS", self.trials or (FOLLOWED_TRIALS if followed else TRIALS), "simulations of a step at most"),
             ("TRIALS_OF_SOLVE", MAX_TRIALS, "the same in solve()"),
             *(newton if self.second_order else memory),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
@@ -263,12 +282,9 @@ class AdjointShooting(Defaults):
         """Weights that solve() changes."""
         if not dims.ng.value:
             return ()
-        sharpness = (("sharpness", "of the smooth max, in the scale of a row"),)
-        multiplier = (("multiplier", "of the lumped row"),)
         return (
-            ("penalty", "weight of the rows in their scales"),
-            *(sharpness if self.rows in ("smooth_l1", "lumped") else ()),
-            *(multiplier if self.rows == "lumped" else ()),
+            *((("penalty", "weight of the rows in their scales"),) if self.rows != "barrier" else ()),
+            *((("multiplier", "of the lumped row"),) if self.rows == "lumped" else ()),
         )
 
     def _shooting(self, dims: Dims) -> Struct:
@@ -279,9 +295,15 @@ class AdjointShooting(Defaults):
         def real(name: str, shape: tuple[Size, ...], doc: str, only: str = "") -> Field:
             return Field(name, shape, doc, "scratch", only=only)
 
+        sharpness = Field("sharpness", (), "of the smooth max, in the scale of a row", "keep")
         terms = {
-            "barrier": (real("tilt", (dims.ng,), "slope of the barriers at their centres"),),
+            "smooth_l1": (sharpness,),
+            "barrier": (
+                Field("penalty", (), "weight of the barriers", "keep"),
+                real("tilt", (dims.ng,), "slope of the barriers at their centres"),
+            ),
             "lumped": (
+                sharpness,
                 real("lump", (), "weight of the hard rows: of the lumped row at the plan"),
                 *((real("lump_change", (), "its change along a direction"),) if self.second_order else ()),
             ),
