@@ -14,17 +14,25 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
 from nmpc_codegen.runtime.controller import Solution
 
+#: First and last steps of ramps; the last one is that of the example.
+RAMPS = ((10, 30), (40, 60), vandevusse.RAMP)
+
 
 def measure(report: Report, folder: Path) -> None:
     """Errors of states and controls relative to the largest value of each, and what every weight violates."""
-    reference, problem, plans = vandevusse.ramp(), classify(vandevusse.build_ocp()), dict[str, Solution]()
+    problem, plans = classify(vandevusse.build_ocp()), dict[str, Solution]()
+    solver = Reference(problem, replace(CLASSICAL, steps=4))
     data = node_data(problem, x0=vandevusse.steady_state(vandevusse.ENDS[0]))
-    exact = Reference(problem, replace(CLASSICAL, steps=4)).solve(replace(data, yref=reference[:-1]))
-    if not exact.success:
-        raise RuntimeError(f"IPOPT: {exact.status}")
-    largest = np.abs(exact.mu_x).max(axis=0)[1:3]
-    for name, multiplier in zip(vandevusse.HIGHEST, largest, strict=True):
-        report.add("vandevusse_multiplier", float(multiplier), case=name)
+    weights = list(vandevusse.WEIGHTS.values())
+    for first, last in RAMPS:
+        reference = vandevusse.ramp(first, last)
+        exact = solver.solve(replace(data, yref=reference[:-1]))
+        if not exact.success:
+            raise RuntimeError(f"IPOPT: {exact.status}")
+        largest = np.abs(exact.mu_x).max(axis=0)[1:3]
+        for name, multiplier, weight in zip(vandevusse.HIGHEST, largest, weights, strict=True):
+            most = vandevusse.PENALTIES[-1] * weight
+            report.add("vandevusse_multiplier", float(multiplier), case=f"{name}, ramp {first}..{last}", limit=most)
     for penalty in vandevusse.PENALTIES:
         controller = build(vandevusse.build_ocp(penalty), vandevusse.options())
         case = f"penalty {penalty:g}"
