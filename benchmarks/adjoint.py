@@ -1,4 +1,4 @@
-"""Derivatives of single shooting: errors, growth with the horizon and with the states, the figures of the thesis.
+"""Single shooting with adjoints: derivatives and their growth, the figures of the thesis, the controller.
 
     python -m benchmarks.adjoint [--json FILE] [--only PART,...] [--draw FOLDER]
 
@@ -12,8 +12,25 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.lib import command
-from benchmarks.lib.adjoint import accuracy, choice, horizon, integration, penalties, reactor
+from benchmarks.lib.adjoint import (
+    accuracy,
+    choice,
+    crane,
+    cstr,
+    horizon,
+    integration,
+    penalties,
+    reactor,
+    rod,
+    vandevusse,
+)
 from benchmarks.lib.report import Report
+
+
+def without_pictures(measure: Callable[[Report], None]) -> Callable[[Report, Path], None]:
+    """A part that draws nothing."""
+    return lambda report, _: measure(report)
+
 
 #: Part -> its function, which adds records and writes its pictures to the folder.
 PARTS: dict[str, Callable[[Report, Path], None]] = {
@@ -26,6 +43,10 @@ PARTS: dict[str, Callable[[Report, Path], None]] = {
     "rod": integration.measure_rod,
     "states": integration.measure_states,
     "penalties": penalties.measure,
+    "crane": without_pictures(crane.measure),
+    "cstr": without_pictures(cstr.measure),
+    "vandevusse": vandevusse.measure,
+    "heat_rod": without_pictures(rod.measure),
 }
 
 

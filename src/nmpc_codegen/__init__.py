@@ -25,7 +25,7 @@ from nmpc_codegen.runtime.status import Status
 
 if TYPE_CHECKING:
     from nmpc_codegen.compiler import Package, export, generate
-    from nmpc_codegen.components.algorithms import AugmentedLagrangian, RealTimeIteration
+    from nmpc_codegen.components.algorithms import AdjointShooting, AugmentedLagrangian, RealTimeIteration
     from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
     from nmpc_codegen.components.hessians import (
         EconomicGaussNewton,
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.options import Online, Options
 
 _HOMES = {
-    "components.algorithms": ("AugmentedLagrangian", "RealTimeIteration"),
+    "components.algorithms": ("AdjointShooting", "AugmentedLagrangian", "RealTimeIteration"),
     "compiler": ("Package", "export", "generate"),
     "components.condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
     "components.hessians": (
@@ -72,6 +72,7 @@ __all__ = [
     "OCP",
     "RK4",
     "SSPRK3",
+    "AdjointShooting",
     "AugmentedLagrangian",
     "BuildError",
     "ButcherTableau",

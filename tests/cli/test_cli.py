@@ -150,11 +150,11 @@ def test_what_is_listed_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--list-options"]) == 0
     listed = words_listed(capsys.readouterr().out)
     assert len(listed) > 50
-    component = ""
     for key, word in listed:
         seam, _, rest = key.partition(".")
         makers = [cls for cls in REGISTRIES.get(seam, {}).values() if rest.split(".")[0] in cls.__dataclass_fields__]
-        component = makers[0].name if makers and rest else ""
+        owners = [cls for cls in makers if word == str(getattr(cls(), rest, word))] or makers
+        component = owners[0].name if owners and rest else ""
         first = [(seam, component)] if component else []
         first += [("algorithm.sampling_time", "0.1")] if (key, word) == ("algorithm.shift", "resample") else []
         assert apply_settings(Options(), [*first, (key, word)]), (key, word)

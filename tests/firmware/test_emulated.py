@@ -11,8 +11,10 @@ import problems
 import pytest
 from conftest import require_tool
 
-from nmpc_codegen import BuildError
+from examples import crane
+from nmpc_codegen import AdjointShooting, BuildError, Options, generate
 from nmpc_codegen.firmware.certificate import Certificate, certify
+from nmpc_codegen.firmware.delivery import recorded
 from nmpc_codegen.firmware.image import build
 from nmpc_codegen.firmware.recording import Event, Recording, record
 from nmpc_codegen.firmware.targets import TARGETS
@@ -81,6 +83,20 @@ def test_certificate(outcome: tuple[Recording, Certificate, Verdict]) -> None:
     assert certificate.double_functions == ()
     assert (certificate.arithmetic == "software") == (certificate.target == "cortex-m3")
     assert certificate.worst_operations["sample"] > 0
+
+
+def test_an_algorithm_without_phases() -> None:
+    """A sample of single shooting is one call of step(); its struct is a ninth of that of a real-time iteration."""
+    require_tool("qemu")
+    options = Options(algorithm=AdjointShooting(), precision="single", solve=False)
+    sources = generate(crane.build_ocp(), options)
+    inputs = recorded(sources, "crane")
+    certificate = certify(sources, "crane", TARGETS["cortex-m4f"])
+    verdict = verify(sources, "crane", inputs, TARGETS["cortex-m4f"])
+    assert verdict.passed
+    assert verdict.run.stack["step"] <= certificate.stack_bytes["step"]
+    assert "feedback" not in verdict.run.stack
+    assert certificate.struct_bytes <= 1280
 
 
 def test_instructions_are_repeatable() -> None:

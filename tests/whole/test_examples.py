@@ -20,7 +20,19 @@ import problems
 import pytest
 from conftest import require_tool
 
-from examples import adjoint_gradient, bioreactor, cart_pole, chain, crane, cstr, driving, evaporation, quadrotor
+from examples import (
+    adjoint_gradient,
+    bioreactor,
+    cart_pole,
+    chain,
+    crane,
+    cstr,
+    driving,
+    evaporation,
+    heat_rod,
+    quadrotor,
+    vandevusse,
+)
 from nmpc_codegen import OCP, Options, build, cli, export, open_package
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, node_data
@@ -81,7 +93,7 @@ def test_crane_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The examples are built with the profile "test", which takes a third of the time; the crane keeps its own."""
-    for module in (bioreactor, cart_pole, chain, cstr, driving, evaporation, quadrotor):
+    for module in (bioreactor, cart_pole, chain, cstr, driving, evaporation, heat_rod, quadrotor, vandevusse):
         monkeypatch.setattr(module, "build", partial(build, profile="test"))
 
 
@@ -390,6 +402,36 @@ def test_adjoint_gradient_main(tmp_path: Path, capsys: pytest.CaptureFixture[str
     growth = {method: counts[1][method] / counts[0][method] for method in adjoint_gradient.LABELS}
     assert growth["adjoint"] < 2.01
     assert 3.8 < growth["forward"] < 4 > growth["finite_differences"] > 3.8
+
+
+@pytest.mark.usefixtures("quick")
+def test_vandevusse_main(tmp_path: Path) -> None:
+    """A weight above the multipliers satisfies the rows; less does not."""
+    plans = vandevusse.main(str(tmp_path / "vandevusse.png"))
+    assert_picture(tmp_path / "vandevusse.png")
+    over = {name: (plan.x[1:, 1:3] - [800, 100]).max(axis=0) for name, plan in plans.items()}
+    assert all(plan.status.name == "OK" for plan in plans.values())
+    assert over["penalty 0"][0] > over["penalty 10"][0] > 50
+    np.testing.assert_allclose(over["penalty 20"], 0, atol=1e-3)
+
+
+@pytest.mark.parametrize(("u", "cB", "T"), [(vandevusse.ENDS[0], 739.7, 86.99), (vandevusse.ENDS[1], 959.9, 106.0)])
+def test_vandevusse_stands_still_at_its_steady_states(u: np.ndarray, cB: float, T: float) -> None:
+    x = vandevusse.steady_state(u)
+    assert x[1] == pytest.approx(cB, abs=0.05)
+    assert x[2] == pytest.approx(T, abs=0.05)
+    assert np.abs(np.asarray(classify(vandevusse.build_ocp()).dynamics(x, u, []))).max() < 1e-6
+
+
+@pytest.mark.usefixtures("quick")
+def test_heat_rod_main(tmp_path: Path) -> None:
+    """The profile is approached, with the left control at its bound at first."""
+    log = heat_rod.main(str(tmp_path / "heat_rod.png"))
+    assert_picture(tmp_path / "heat_rod.png")
+    assert log.ok
+    assert log.u[:100, 0] == pytest.approx(heat_rod.HOTTEST)
+    off = np.abs(log.x - heat_rod.profile())
+    assert off[-1].max() < 5 < off[360].max() < off[0].max()
 
 
 # The packages ---------------------------------------------------------------------------------------------------------

@@ -1,1 +1,1 @@
-"""Parts of benchmarks.adjoint: derivatives of single-shooting problems."""
+"""Parts of benchmarks.adjoint: derivatives of single-shooting problems, and the controller that uses them."""

@@ -17,6 +17,7 @@ from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
     OCP,
     RK4,
+    AdjointShooting,
     AugmentedLagrangian,
     DenseActiveSet,
     EconomicGaussNewton,
@@ -92,6 +93,16 @@ def final() -> OCP:
     ocp, q, w, u = _pendulum("final")
     ocp.subject_to(-3, u, 3)
     ocp.subject_to(-0.1, ca.vertcat(q + 0.2 * q * w, ca.sin(w) + q), [0.1, 0.5], at="end", name="gate")
+    return ocp
+
+
+def ends() -> OCP:
+    """A state, a general and a coupled row at the end."""
+    ocp, q, w, u = _pendulum("ends")
+    ocp.subject_to(-3, u, 3)
+    ocp.subject_to(0.1, q, 0.1, at="end")
+    ocp.subject_to(-0.2, w + 0.1 * q * w, 0.2, at="end", name="gate")
+    ocp.boundary(-1, ocp.at_start(q) * ocp.at_end(w), 1)
     return ocp
 
 
@@ -292,6 +303,9 @@ RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
 RELAXED, LIMITED = RealTimeIteration(relaxation=100.0), RealTimeIteration(budget=10**8)
 REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
 STAGES = NoCondensing()
+QUASI_NEWTON: dict[str, Any] = {"method": "quasi_newton"}
+SMOOTH: dict[str, Any] = {"rows": "smooth_l1", "penalty": 100.0}
+LUMPED, BARRIER = {**SMOOTH, "rows": "lumped"}, {"rows": "barrier"}
 LOOPED = ExplicitRungeKutta(unroll="none")
 
 
@@ -299,6 +313,10 @@ def _augmented(
     shift: str | None = None, sampling_time: float | None = None, hessian: Any = None, **options: Any
 ) -> Options:
     return Options(algorithm=AugmentedLagrangian(shift=shift, sampling_time=sampling_time), hessian=hessian, **options)
+
+
+def _shooting(given: dict[str, Any] | None = None, **more: Any) -> Options:
+    return Options(algorithm=AdjointShooting(**(given or {})), **more)
 
 
 def _dense(**more: Any) -> Options:
@@ -433,4 +451,27 @@ SAMPLES = (
     Sample("arrival augmented", arrival, _augmented()),
     Sample("loop augmented", bioreactor_in_loop, _augmented(shift="periodic")),
     Sample("discrete augmented", discrete, _augmented(hessian=GaussNewton())),
+    Sample("crane shooting", crane.build_ocp, _shooting({"shift": "repeat"}, online=SHARED, solve=False)),
+    Sample("bare shooting", bare, _shooting(online=FIXED)),
+    Sample("bare quasi-Newton", bare, _shooting(QUASI_NEWTON, online=FIXED, solve=False)),
+    Sample("controls shooting", controls, _shooting({"shift": "resample", "sampling_time": 0.1})),
+    Sample("controls quasi-Newton", controls, _shooting(QUASI_NEWTON, precision="single")),
+    Sample("states shooting", states, _shooting({**SMOOTH, "shift": "repeat"})),
+    Sample("states smooth", states, _shooting(SMOOTH, solve=False)),
+    Sample("path shooting", path, _shooting({"rows": "quadratic"}, online=NODE)),
+    Sample("final shooting", final, _shooting(online=REFERENCES)),
+    Sample("soft states smooth", soft_states, _shooting(SMOOTH)),
+    Sample("soft rows shooting", soft_rows, _shooting(integrator=LOOPED)),
+    Sample("ends shooting", ends, _shooting()),
+    Sample("closing shooting", closing, _shooting({"shift": "periodic"})),
+    Sample("target shooting", target, _shooting()),
+    Sample("economic quasi-Newton", economic, _shooting(QUASI_NEWTON, online=FIXED)),
+    Sample("ring shooting", ring, _shooting()),
+    Sample("counted quasi-Newton", counted, _shooting({**QUASI_NEWTON, **SMOOTH})),
+    Sample("discrete shooting", discrete, _shooting()),
+    Sample("discrete rows shooting", discrete_rows, _shooting()),
+    Sample("soft rows lumped", soft_rows, _shooting(LUMPED)),
+    Sample("states lumped", states, _shooting({**QUASI_NEWTON, **LUMPED}, solve=False)),
+    Sample("path barrier", path, _shooting({**BARRIER, "shift": "repeat"})),
+    Sample("final barrier", final, _shooting(BARRIER, solve=False)),
 )  # fmt: skip

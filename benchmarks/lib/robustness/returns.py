@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness.hostile import Data, spoiled
-from benchmarks.lib.robustness.subjects import Candidate, augmented, candidates, in_processes
+from benchmarks.lib.robustness.subjects import Candidate, augmented, candidates, in_processes, shooting
 from nmpc_codegen import Controller, Status
 
 Array = np.ndarray
@@ -60,7 +60,9 @@ class Assault:
         self.c, self.rest, self.spread = controller, rest, spread
         self.rng = np.random.default_rng([43, seed])
         self.data = Data(controller)
-        self.call = {name: controller._package.function(name) for name in ("prepare", "feedback", "step", "shift")}
+        self.phases = controller.description.has_phases
+        names = ("step", "shift", *(("prepare", "feedback") if self.phases else ()))
+        self.call = {name: controller._package.function(name) for name in names}
         rows = controller.names.rows
         self.rows = [rows.index(name) if name in rows else None for name in controller.names.controls]
 
@@ -93,6 +95,8 @@ class Assault:
         c, call = self.c, self.call
         if way > 0.98:
             call["shift"](c._s)
+        elif not self.phases:
+            return int(call["step"](c._s, c._xhat_c, c._u0_c))
         elif way > 0.96:
             return int(call["feedback"](c._s, c._xhat_c, c._u0_c))
         elif way < 0.1:
@@ -126,7 +130,7 @@ def run(job: tuple[Controller, Array, Array, int, int]) -> Outcome:
 
 def measure(report: Report, scale: float = 1.0) -> None:
     """All controllers take the same share."""
-    chosen = (*candidates(), *augmented())
+    chosen = (*candidates(), *augmented(), *shooting())
     count = math.ceil(RETURNS * scale / len(chosen))
     report_outcomes(report, chosen, in_processes(run, chosen, count), scale)
 

@@ -18,6 +18,7 @@ from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
     OCP,
     RK4,
+    AdjointShooting,
     AugmentedLagrangian,
     Controller,
     ExactHessian,
@@ -28,7 +29,9 @@ from nmpc_codegen import (
     RealTimeIteration,
 )
 from nmpc_codegen.components.algorithms.real_time_iteration import SHIFTS
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.options import PRECISIONS
 
 Array = np.ndarray
@@ -202,6 +205,43 @@ def augmented() -> tuple[Candidate, ...]:
         options = Options(subject.integrator, algorithm=algorithm, precision=precision)
         found.append(Candidate(subject, f"augmented Lagrangian, {precision}, shift {moves}", options))
     return tuple(found)
+
+
+#: Terms of rows of single shooting, with weights.
+TERMS: tuple[dict[str, Any], ...] = (
+    {"rows": "barrier"},
+    {"rows": "smooth_l1", "penalty": 100.0},
+    {"rows": "quadratic"},
+    {"rows": "lumped", "penalty": 100.0},
+)
+
+
+def shooting() -> tuple[Candidate, ...]:
+    """Single shooting for every subject that it supports, with methods, shifts and precisions in turn: with the default
+    terms of rows, and with the first of the other ones, dealt out in turn, that the subject allows."""
+    found = []
+    for i, subject in enumerate(subjects()):
+        problem = classify(subject.make())
+        if problem.features - AdjointShooting.supports:
+            continue
+        moves, precision = SHIFTS[i % len(SHIFTS)], PRECISIONS[i % 2]
+        sampling_time, turn = _shifted(moves, subject.make()).sampling_time, i % len(TERMS)
+        for terms in ({}, next(t for t in (*TERMS[turn:], *TERMS) if _allowed(t, problem))):
+            gradients = problem.path.cost_rate is not None or (i // 2 + bool(terms)) % 2
+            method = "quasi_newton" if gradients else "gauss_newton"
+            algorithm = AdjointShooting(method=method, shift=moves, sampling_time=sampling_time, **terms)
+            label = f"single shooting, {method}, {algorithm.rows}, {precision}, shift {moves}"
+            options = Options(subject.integrator, algorithm=algorithm, precision=precision)
+            found.append(Candidate(subject, label, options))
+    return tuple(found)
+
+
+def _allowed(terms: dict[str, Any], problem: Problem) -> bool:
+    try:
+        AdjointShooting(method="quasi_newton", **terms).check(problem)
+    except OptionError:
+        return False
+    return True
 
 
 def built(chosen: Iterable[Candidate], profile: str = "fast") -> list[Controller]:

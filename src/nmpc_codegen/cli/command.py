@@ -120,7 +120,7 @@ def _print_package(printer: Printer, package: Package, folder: Path, verbose: bo
         printer.line(f"chosen  {choice}")
     if "ram_bytes" in package.report:
         bytes_of_struct = f"{package.report['ram_bytes']:,} bytes of solver struct"
-        printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack")
+        printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack, which --target states")
     _print_operations(printer, package.report.get("operations", {}), verbose)
     worst = package.report.get("worst_operations", {})
     if worst:

@@ -31,8 +31,8 @@ Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
 SEAMS: tuple[Seam, ...] = get_args(Seam)
 
 #: Parts of the core that an algorithm can use: the linearisation of every node, the multipliers, products with the
-#: stage matrices, the KKT residuals.
-Core = Literal["nodes", "multipliers", "products", "kkt"]
+#: stage matrices, the KKT residuals, products of the derivatives of an interval and of the cost with vectors.
+Core = Literal["nodes", "multipliers", "products", "kkt", "directions"]
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ class Dims:
     ne: Size  # coupled rows
     ng: Size  # scalar rows of all nodes besides control bounds
     condensed: QpDims | None  # sizes of the QP, None without condensing
+    end_rows: int = 0  # hard rows that hold at node N alone
 
     @property
     def qp(self) -> QpDims:
@@ -161,6 +162,10 @@ class Integrator(Component, Protocol):
 
     def products(self, problem: Problem) -> IntervalProducts:
         """integrator_value, integrator_adjoint, integrator_forced and integrator_free."""
+        ...
+
+    def directional(self, problem: Problem) -> tuple[Routine, Routine]:
+        """integrator_forward(x, u, p, dt, dx, du -> dx_next) and integrator_adjoint(x, u, p, dt, adj -> g)."""
         ...
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:

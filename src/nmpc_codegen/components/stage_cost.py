@@ -9,6 +9,7 @@ their blocks from the same expressions.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 
@@ -104,6 +105,29 @@ class StageCost:
         """<stage>_gradient -> g."""
         doc = "g = J' W (y - yref)" + ("" if self.general is None else " + gradient of the general cost")
         return self.kernel("gradient", doc, self.gradient, Port("g", self.nz))
+
+    @cached_property
+    def direction(self) -> Expression:
+        """The vector d that ``product`` multiplies."""
+        return ca.SX.sym("d", self.nz)
+
+    @property
+    def product(self) -> Expression:
+        """J' W J d plus the Hessian of the general cost times d."""
+        d = self.direction
+        moved = ca.jtimes(self.residual, self.z, d) if self.ny else ca.SX(0, 1)
+        least_squares = ca.jtimes(self.residual, self.z, self.weight @ moved, True) if self.ny else ca.SX(self.nz, 1)
+        if self.general is None:
+            return ca.sparsify(least_squares)
+        return ca.sparsify(least_squares + ca.jtimes(ca.gradient(self.general, self.z), self.z, d))
+
+    def product_kernel(self) -> Kernel:
+        """<stage>_product: (inputs, yref, W, d) -> w."""
+        doc = "w = J' W J d" + ("" if self.general is None else " + Hessian of the general cost times d")
+        symbols = [*self.inputs, self.yref, self.W, self.direction]
+        ports = [*self.ports, *self.data_ports, Port("d", self.nz)]
+        name = f"{self.name}_product"
+        return lift(ca.Function("product", symbols, [self.product]), name, doc, ports, [Port("w", self.nz)])
 
 
 def stage_cost(stage: Stage, name: str) -> StageCost:

@@ -94,7 +94,8 @@ def _parsed(lines: Sequence[str], description: PackageDescription, samples: int)
     table = np.array([sample[:6] for sample in words["S"]], dtype=np.int64).reshape(samples, 6)
     bits = np.array([sample[6:] for sample in words["S"]], dtype=np.uint32)
     u = np.ascontiguousarray(bits).view(description.real).reshape(samples, description.dims.nu)
-    stack = {"init": words["I"][0][1], "prepare": int(table[:, 1].max()), "feedback": int(table[:, 4].max())}
+    used = (("prepare", 1), ("feedback", 4)) if description.has_phases else (("step", 4),)
+    stack = {"init": words["I"][0][1], **{name: int(table[:, column].max()) for name, column in used}}
     others = {OTHERS[number]: (ticks, used) for number, ticks, used in words["O"]}
     return Run(
         u=u,
@@ -102,5 +103,5 @@ def _parsed(lines: Sequence[str], description: PackageDescription, samples: int)
         prepare=np.array([instructions(t) for t in table[:, 0]]),
         feedback=np.array([instructions(t) for t in table[:, 3]]),
         instructions={"init": instructions(words["I"][0][0])} | {n: instructions(t) for n, (t, _) in others.items()},
-        stack=stack | {name: used for name, (_, used) in others.items()},
+        stack=stack | {name: max(bytes_, stack.get(name, 0)) for name, (_, bytes_) in others.items()},
     )

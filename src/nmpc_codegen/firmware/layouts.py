@@ -70,6 +70,8 @@ def _names(recording: Recording, target: Target, certificate: Certificate, ram: 
         "u": [literals(row, d.precision) for row in recording.u],
         "status": ", ".join(str(int(s)) for s in recording.status),
         "accepted": literals(tolerance * recording.u_range, d.precision),
+        "preparation": [f"{d.name}_prepare(&solver);"] if d.has_phases else [],
+        "control": "feedback" if d.has_phases else "step",
         "milliseconds": max(1, round(1000 * d.dt[0])),
     }
 

@@ -1,6 +1,6 @@
 """Inputs of a closed loop and the controls that the host computes for them, for the same samples on a target.
 
-    u_k, status_k = feedback(x_k) after prepare(),   x_{k+1} = plant(x_k, u_k)
+    u_k, status_k = feedback(x_k) after prepare(), or step(x_k),   x_{k+1} = plant(x_k, u_k)
 
 The host runs the package in its profile "verify", without contraction; all inputs are numbers of the package's own
 precision, written to C as hexadecimal literals, which are exact.
@@ -89,6 +89,7 @@ class Recording:
                 p=d.name,
                 P=d.name.upper(),
                 has_solve=int(d.offers("solve")),
+                has_phases=int(d.has_phases),
                 samples=len(self.x),
                 x=[literals(row, d.precision) for row in self.x],
                 events=events,
@@ -121,11 +122,9 @@ def record(
         disturbed: disturbed(k, x) -> state that is measured at sample k, from where the plant goes on.
 
     Raises:
-        ControllerError: the package has no prepare() and feedback(), or the state of the plant is not finite.
+        ControllerError: the state of the plant is not finite.
     """
     description = controller.description
-    if not (description.offers("prepare") and description.offers("feedback")):
-        raise ControllerError(f"{description.name} has no prepare() and feedback(), which a recorded loop calls")
     real, x = description.real, np.array(x0, dtype=np.float64)
     states, measured, controls, statuses = [x], [], [], []
     for k in range(samples):
@@ -136,8 +135,8 @@ def record(
         if not np.all(np.isfinite(x)):
             raise ControllerError(f"{description.name}: the state of the plant is not finite at sample {k}: {x}")
         measured.append(x)
-        prepared = controller.prepare()
-        u = controller.feedback(x).astype(np.float64)
+        prepared = controller.prepare() if description.has_phases else 0
+        u = (controller.feedback(x) if description.has_phases else controller.step(x)).astype(np.float64)
         controls.append(u)
         statuses.append(int(prepared) or int(controller.status))
         x = _next(controller, x, u, dt)

@@ -156,6 +156,17 @@ class Problem:
         return tuple(sorted(found))
 
     @property
+    def end_rows(self) -> tuple[int, ...]:
+        """Positions in qp_rows of hard rows that hold at node N alone, coupled rows among them."""
+        found = []
+        for m, (k, _, _, row) in enumerate(self.qp_rows):
+            stated = self.rows[row]
+            alone = stated.kind == "coupled" or tuple(stated.nodes) == (self.N,)
+            if k == self.N and alone and stated.soft is None:
+                found.append(m)
+        return tuple(found)
+
+    @property
     def coupled_rows(self) -> int:
         """Number of scalar rows r(x_0, x_N)."""
         return sum(row.kind == "coupled" for row in self.rows)

@@ -18,12 +18,16 @@ class Interval:
     linearize: (x, u, p, dt) -> x_next, S = d x_next / d(x, u); step: (x, u, p, h) -> x_next, one integration step;
     curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians with second derivatives of the dynamics.
     one_step: yields linearize for the first of its steps as straight-line code, where linearize has loops.
+    forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) -> g = [A B]' adj; both for
+    algorithms that multiply with S = [A B] and do not store it.
     """
 
     linearize: Routine
     step: Routine
     curved: Routine | None = None
     one_step: Callable[[], Kernel] | None = None
+    forward: Routine | None = None
+    adjoint: Routine | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +61,8 @@ class Block:
 class StageModel:
     """Cost and rows of a stage: l, g = dl / dz, h and dh / dz, and the Hessian block if there is a Hessian.
 
-    ``integrated``: the cost contains an integral over the interval.
+    ``integrated``: the cost contains an integral over the interval. ``product``: w = H d with the Hessian H of a
+    general cost and the Gauss-Newton one of least squares.
     """
 
     cost: Routine
@@ -65,6 +70,7 @@ class StageModel:
     rows: Routine | None = None
     block: Block = Block()
     integrated: bool = False
+    product: Routine | None = None
 
     @property
     def Q(self) -> Pattern:
@@ -120,9 +126,9 @@ class ModelFunctions:
         at_nodes, along_intervals = ((), cost) if path.integrated else (cost, ())
         return tuple(
             _present(
-                *(self.interval.linearize, self.interval.step),
-                *(*at_nodes, path.hessian, path.curvature),
-                *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature),
+                *(self.interval.linearize, self.interval.step, self.interval.forward, self.interval.adjoint),
+                *(*at_nodes, path.hessian, path.curvature, path.product),
+                *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature, terminal.product),
                 *(self.start.cost, self.start.gradient, self.start.hessian, self.initial),
                 *(*along_intervals, self.interval.curved),
                 *(path.rows, terminal.rows, self.coupled),

@@ -33,7 +33,7 @@ def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool) 
     }
     fields = {"NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
     condensed = None if shape is None else _qp_dims(p, shape)
-    return Dims(**_sizes(sizes, fields), condensed=condensed)
+    return Dims(**_sizes(sizes, fields), condensed=condensed, end_rows=len(p.end_rows))
 
 
 def _qp_dims(problem: Problem, shape: QpShape) -> QpDims:

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import casadi as ca
 
-from nmpc_codegen.components.base import Component, Hessian, Integrator, Parts, refuse_unsupported
+from nmpc_codegen.components.base import Algorithm, Component, Hessian, Integrator, Parts, refuse_unsupported
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import stage_costs, stage_model
 from nmpc_codegen.errors import ProblemError
@@ -74,7 +74,7 @@ def linearize(problem: Problem, options: Options) -> Model:
     problem = replace(problem, path=path, terminal=terminal)
     integrator, choices = _choose_integrator(problem, options.integrator)
     _check(problem, integrator, options.hessian)
-    functions = _functions(problem, integrator, options.hessian)
+    functions = _functions(problem, integrator, options.hessian, options.algorithm)
     constant = _constant_hessian(problem, online, functions)
     parts = Parts(integrator, options.algorithm, options.hessian)
     choice: Choice | None = None
@@ -106,11 +106,20 @@ def _check(problem: Problem, *components: Component | None) -> None:
         component.check(problem)
 
 
-def _functions(problem: Problem, integrator: Integrator, hessian: Hessian | None) -> ModelFunctions:
+def _functions(
+    problem: Problem, integrator: Integrator, hessian: Hessian | None, algorithm: Algorithm
+) -> ModelFunctions:
     """All functions that are lifted from CasADi."""
     interval = integrator.interval(problem)
     costs = stage_costs(problem)
     start, path, terminal = (stage_model(problem, integrator, c) for c in (costs.start, costs.path, costs.terminal))
+    if "directions" in algorithm.core:
+        forward, adjoint = integrator.directional(problem)
+        interval = replace(interval, forward=forward, adjoint=adjoint)
+        path, terminal = (
+            replace(stage, product=cost.product_kernel())
+            for stage, cost in ((path, costs.path), (terminal, costs.terminal))
+        )
     blocks = HessianModel(None, Block(), Block()) if hessian is None else hessian.blocks(problem, costs, integrator)
     slope = _elements(start.gradient)
     return ModelFunctions(

@@ -107,7 +107,7 @@ KERNELS = (
     *(
         f"{stage}_{part}"
         for stage in ("path", "terminal")
-        for part in ("cost", "gradient", "hessian", "rows", "curvature")
+        for part in ("cost", "gradient", "hessian", "rows", "curvature", "product")
     ),
     *(f"start_{part}" for part in ("cost", "gradient", "hessian")),
     "initial_hessian",

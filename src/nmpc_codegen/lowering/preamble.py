@@ -18,7 +18,7 @@ from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
 from nmpc_codegen.runtime.package_description import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
-FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos")
+FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos", "exp", "log", "log1p")
 
 
 #: Maximum length of a line without its continuation mark.
@@ -236,6 +236,10 @@ PLACES = {
     "last": "(s)->x[N]",
     "eta": "(s)->eta",
     "block": "Q",
+    "dx": "dx",
+    "du": "du",
+    "adj": "adj",
+    "d": "d",
 }
 TERMINAL_PLACES = {
     "x": "(s)->x[N]",
@@ -254,11 +258,15 @@ START_PLACES = {
 }
 
 
+#: Inputs that are arguments of the macro of every kernel that has them.
+VECTORS = ("dx", "du", "adj", "d")
+
+
 def kernel_call(routine: Routine, everywhere: dict[str, str] = PLACES) -> Definition:
     """(macro, arguments, text): call of a printed kernel; it passes what is read or written, nothing else.
 
-    The arguments of the macro are always the same: the solver, the node of a path kernel, the outputs;
-    INTEGRATOR_STEP also takes the state, the control and the step length.
+    The arguments of the macro are always the same: the solver, the node of a path kernel, the vectors that it
+    multiplies, the outputs; INTEGRATOR_STEP also takes the state, the control and the step length.
     """
     if routine.name == "integrator_step":
         places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h"}
@@ -271,6 +279,7 @@ def kernel_call(routine: Routine, everywhere: dict[str, str] = PLACES) -> Defini
         places, leading = everywhere, ["s"]
     else:
         places, leading = everywhere, ["s", "k"]
+    leading += [p.name for p in routine.inputs if p.name in VECTORS]
     passed = [places[p.name] for p in routine.reads] + [p.name for p in routine.writes]
     arguments = ", ".join([*leading, *(p.name for p in routine.outputs)])
     return routine.name.upper(), arguments, f"{routine.name}({', '.join(passed)})"

@@ -45,6 +45,11 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "eigen_offdiagonal": (1.0, "element off the diagonal that Jacobi rotations leave, relative to the largest entry"),
     "eigen_tiny": (2.0**-40, "entries below it, relative to the largest, do not count in a decomposition"),
     "face": (2.0**6, "distance from a bound of the box that is taken as zero, relative to its width"),
+    "terminal_compliance": (
+        2.0**10,
+        "what remains of a terminal row in a step of single shooting, relative to its share",
+    ),
+    "terminal_gap": (2.0**10, "rest of a terminal row that counts as met by a step, relative to 1 + its violation"),
     "step_count": (2.0**12, "part of an integration step that is taken as rounding of dt / h"),
 }
 
@@ -65,10 +70,16 @@ FACTORS: dict[str, tuple[float, str]] = {
 }
 
 #: Multiples of the square root of the machine epsilon below which a tolerance does not fall.
-ROOTS: dict[str, float] = {"qp_accepted": 0.25, "step": 0.5, "ipm_ray": 2.0**-4, "ipm_contradiction": 2.0**-10}
+ROOTS: dict[str, float] = {
+    "qp_accepted": 0.25,
+    "step": 0.5,
+    "ipm_ray": 2.0**-4,
+    "terminal_compliance": 4.0,
+    "ipm_contradiction": 2.0**-10,
+}
 
 #: Values below which a tolerance does not fall in any precision.
-FLOORS: dict[str, float] = {"step_gradient": 2.0**-20, "qp_residual": 2.0**-35}
+FLOORS: dict[str, float] = {"step_gradient": 2.0**-20, "qp_residual": 2.0**-35, "terminal_gap": 2.0**-10}
 
 
 def tolerance(name: str, precision: str) -> float:

@@ -24,8 +24,8 @@ COUNTERS = (
     *("qp_iterations", "active_set_changes", "dropped_rows", "relaxed_rows", "sqp_iterations"),
     *("violated_row", "violated_node"),
 )
-#: Counters of an algorithm without a QP; one that has the first has no counters of a QP.
-NEWTON = ("newton_iterations", "accepted", "cg_iterations", "faces", "shifts", "negative_curvature")
+#: Counters of an algorithm without a QP; one that has the first has the second, too, and no counters of a QP.
+NEWTON = ("newton_iterations", "accepted", "cg_iterations", "faces", "shifts", "negative_curvature", "simulations")
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +186,9 @@ class CompiledPackage:
                 expected = " or ".join("none" if entry is None else f"{entry[0]} {list(entry[1])}" for entry in allowed)
                 shown = "none" if found is None else f"{found[0]} {list(found[1])}"
                 self._refuse(f"the member {name} of the solver is {shown} in the description; expected {expected}")
-        counters = (*NEWTON, "sqp_iterations") if NEWTON[0] in self.description.members("stats") else COUNTERS
+        stats = self.description.members("stats")
+        newton = tuple(name for name in (*NEWTON, "sqp_iterations") if name in (*stats, NEWTON[1]))
+        counters = newton if NEWTON[0] in stats else COUNTERS
         results = {"stats": {**dict.fromkeys(counters, "int32"), "violation": "real"}}
         results["kkt"] = dict.fromkeys(KKT_PARTS, "real")
         for struct, scalars in results.items():

@@ -300,6 +300,11 @@ class PackageDescription:
             y_N=self.y_names_N,
         )
 
+    @property
+    def has_phases(self) -> bool:
+        """True if a sample consists of prepare() and feedback(); else it is one call of step()."""
+        return self.offers("prepare") and self.offers("feedback")
+
     def offers(self, name: str) -> bool:
         """True if the algorithm has an entry point of that name."""
         return any(entry.name == name for entry in self.entry_points)

@@ -126,7 +126,8 @@ class Stats:
     ``violated_row``, ``violated_node``, ``violation``: after INFEASIBLE or RELAXED the hard row (by the user's name)
     that the last step of the QP violates most, its node, and the violation; else None, None and 0.
     ``newton_iterations``, ``accepted``, ``faces``, ``cg_iterations``, ``shifts``, ``negative_curvature``: those of the
-    augmented Lagrangian, whose ``violation`` is the largest gap or violation of a hard row in its scale; else 0.
+    augmented Lagrangian, whose ``violation`` is the largest gap or violation of a hard row in its scale; else 0. Single
+    shooting has them without ``shifts``, and ``simulations`` of the plan.
     ``stale_hessian``: parameters, weights or bounds are not those for which a constant Hessian was computed.
     """
 
@@ -148,6 +149,7 @@ class Stats:
     faces: int = 0
     shifts: int = 0
     negative_curvature: int = 0
+    simulations: int = 0
 
     def __str__(self) -> str:
         lines = [*(self._newton() if self.newton_iterations else self._qp())]
@@ -167,6 +169,12 @@ class Stats:
         )
 
     def _newton(self) -> tuple[str, ...]:
+        if self.simulations:
+            return (
+                f"steps: {self.newton_iterations}, {self.accepted} accepted, {self.simulations} simulations",
+                f"conjugate gradients: {self.cg_iterations} products on {self.faces} faces",
+                f"largest violation {self.violation:.3g}",
+            )
         return (
             f"Newton: {self.newton_iterations} iterations, {self.accepted} accepted, on {self.faces} faces",
             f"conjugate gradients: {self.cg_iterations} iterations, {self.negative_curvature} negative curvatures",

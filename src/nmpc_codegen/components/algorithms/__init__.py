@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from nmpc_codegen.components.algorithms.adjoint_shooting import AdjointShooting
 from nmpc_codegen.components.algorithms.augmented_lagrangian import AugmentedLagrangian
 from nmpc_codegen.components.algorithms.real_time_iteration import RealTimeIteration
 from nmpc_codegen.components.base import Algorithm
@@ -9,6 +10,7 @@ from nmpc_codegen.components.base import Algorithm
 REGISTRY: Mapping[str, type[Algorithm]] = {
     RealTimeIteration.name: RealTimeIteration,
     AugmentedLagrangian.name: AugmentedLagrangian,
+    AdjointShooting.name: AdjointShooting,
 }
 
-__all__ = ["REGISTRY", "AugmentedLagrangian", "RealTimeIteration"]
+__all__ = ["REGISTRY", "AdjointShooting", "AugmentedLagrangian", "RealTimeIteration"]

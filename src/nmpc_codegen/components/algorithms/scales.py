@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from nmpc_codegen.components.stage_cost import stage_cost
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.ir.casadi_types import Expression
 
@@ -44,6 +45,21 @@ def row_scales(problem: Problem, scale: Array) -> Array:
         size = float(np.linalg.norm(J * scale[: J.size]))
         found[m] = size if np.isfinite(size) and size > 0 else 1.0
     return found
+
+
+def cost_curvature(problem: Problem, scale: Array) -> float:
+    """Largest |d2 l_0 / dz_i^2| scale_i^2 of the first path node at the initial state and the references of the
+    controls; 1 where that is 0 or not finite."""
+    stage, cost = problem.path, stage_cost(problem.path, "path")
+    H = ca.diag(ca.tril2symm(ca.tril(ca.densify(cost.hessian))))
+    if stage.cost_rate is not None:
+        H = H + stage.dt * ca.diag(ca.hessian(stage.cost_rate, cost.z)[0])
+    weight = np.diag(stage.weight) if stage.diagonal_weight else stage.weight.ravel()
+    u = [stage.reference[i] if i >= 0 else 0.0 for i in problem.control_reference]
+    evaluate = ca.Function("curvature", [*cost.inputs, cost.yref, cost.W, cost.mu], [H])
+    data = (problem.x_initial, u, problem.p_value, problem.dt[0], stage.reference, weight, np.zeros(stage.nh))
+    size = float(np.max(np.abs(np.asarray(evaluate(*data)).ravel()) * scale**2, initial=0.0))
+    return size if np.isfinite(size) and size > 0 else 1.0
 
 
 def _slopes(h: Expression, stage: Stage, problem: Problem) -> Array:

@@ -8,6 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from nmpc_codegen.components.base import Defaults, Dims, Seam
+from nmpc_codegen.components.integrators.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
@@ -85,6 +86,24 @@ class Discrete(Defaults):
             kernel("adjoint", "lam_x = A' lam, lam_u = B' lam", [lam], adjoint, Port("lam_x", nx), Port("lam_u", nu)),
             kernel("forced", "x_next = Phi(x, u, p); S_next = d x_next / du", [], [phi, rows(B)], out, columns),
             kernel("free", "x_next = Phi(x, u, p); S_next = (d x_next / dx) S", [S], [phi, rows(free)], out, columns),
+        )
+
+    def directional(self, problem: Problem) -> tuple[Routine, Routine]:
+        """forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
+        x, u, p, dt = problem.path.x, problem.path.u, problem.path.p, ca.SX.sym("dt")
+        dx, du, adj = (ca.SX.sym(name, n) for name, n in (("dx", problem.nx), ("du", problem.nu), ("adj", problem.nx)))
+        phi = ca.densify(problem.dynamics(x, u, p))
+        moved = ca.densify(ca.jtimes(phi, x, dx) + ca.jtimes(phi, u, du))
+        pulled = ca.densify(ca.vertcat(ca.jtimes(phi, x, adj, True), ca.jtimes(phi, u, adj, True)))
+        ports = (Port("x", problem.nx), Port("u", problem.nu), Port("p", problem.np), Port("dt", 1))
+        forward = ca.Function("forward", [x, u, p, dt, dx, du], [moved])
+        adjoint = ca.Function("adjoint", [x, u, p, dt, adj], [pulled])
+        directions = (Port("dx", problem.nx), Port("du", problem.nu))
+        return (
+            lift(forward, FORWARD, FORWARD_DOC, (*ports, *directions), (Port("dx_next", problem.nx),)),
+            lift(
+                adjoint, ADJOINT, ADJOINT_DOC, (*ports, Port("adj", problem.nx)), (Port("g", problem.nx + problem.nu),)
+            ),
         )
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:

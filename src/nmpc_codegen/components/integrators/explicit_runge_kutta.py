@@ -16,6 +16,7 @@ from typing import ClassVar, Literal, get_args
 
 from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Defaults, Dims, Seam
+from nmpc_codegen.components.integrators.directional import Directional
 from nmpc_codegen.components.integrators.first_order import Sensitivities, step_sweep
 from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.components.integrators.products import IntervalSweeps
@@ -107,6 +108,11 @@ class ExplicitRungeKutta(Defaults):
             self._spelled(sweeps.columns(forced=True)),
             self._spelled(sweeps.columns(forced=False)),
         )
+
+    def directional(self, problem: Problem) -> tuple[Routine, Routine]:
+        """forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
+        sweeps = Directional(problem, self.tableau, self.steps)
+        return self._spelled(sweeps.forward()), self._backward(sweeps.adjoint())
 
     def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the

@@ -1,0 +1,367 @@
+"""Single shooting with adjoints: the controls are the only variables, and no derivative of the dynamics is stored.
+
+    min_u  sum_k l_k(x_k, u_k) + l_N(x_N) + sum_m psi_m(v_m),   lower <= u <= upper,   x_{k+1} = Phi_k(x_k, u_k)
+
+Bounds of controls hold exactly, the dynamics because the states are simulated, and all other rows v_m are terms psi_m.
+Gradients are those of the exact discrete adjoint, lam_k = A_k' lam_{k+1} + dl_k/dx. The memory is that of some vectors
+of N (nx + nu) numbers, as A_k and B_k are evaluated again wherever a sweep multiplies with them.
+
+A Gauss-Newton step minimises the quadratic model inside the bounds by conjugate gradients, each of which takes a
+forward and an adjoint sweep. Rows that hold at the end alone are part of the model by their slopes Xi = dv / du, one
+adjoint sweep each, with weights that make it satisfy them; a Schur complement of their number is the preconditioner.
+
+"Adjoint-based derivative evaluation methods for nonlinear model predictive control", thesis, 2009, chapters 6 and 7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from nmpc_codegen.components.algorithms.real_time_iteration import PHASES, SOLVE
+from nmpc_codegen.components.algorithms.scales import cost_curvature, row_scales, variable_scales
+from nmpc_codegen.components.algorithms.shifts import (
+    SHIFTS,
+    check_sampling_time,
+    check_shift,
+    resample_reach,
+    resample_tables,
+    shift_switches,
+)
+from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
+from nmpc_codegen.components.base import Core, Defaults, Dims, Seam
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.runtime.package_description import EntryPoint
+
+METHODS = ("gauss_newton", "quasi_newton")
+ROWS = ("augmented_lagrangian", "smooth_l1", "quadratic", "barrier", "lumped")
+
+#: Relative residuals of conjugate gradients in a sample and in solve(), the sharpness of the smooth max in the scale of
+#: a row at first and at last, the part of the promised decrease that a step must keep, and the shortest part of a step
+#: with which a later search begins.
+PRECISION, SHARPNESS, ARMIJO, SHORTEST = (1e-3, 1e-6), (100.0, 1e4, 1e9), 1e-4, 1 / 64
+
+#: The default penalty, relative to the curvature of the cost, and the default weight of barriers.
+FACTOR, BARRIER = 3.0, 1e-2
+
+#: Distance from a bound in the scale of a row at which the barrier becomes a parabola, with its first weight; parts of
+#: that weight: in the first sample, the least one in a sample and in solve(). The distance changes with the weight.
+MARGIN, WEIGHTS = 1e-2, (1.0, 1e-2, 1e-10)
+
+#: Simulations of a step of solve(); failures in a row after which the plan is given up.
+MAX_TRIALS, PATIENCE = 30, 3
+
+#: Defaults of options that only one method has.
+PRODUCTS, MEMORY = 12, 5
+ITERATIONS = {"gauss_newton": 1, "quasi_newton": 10}
+
+#: Terms of rows that a continuation over the samples brings closer to the rows: a Gauss-Newton step of their model is
+#: short, and a sample has more of them, with more simulations each.
+FOLLOWED = ("smooth_l1", "barrier", "lumped")
+FOLLOWED_STEPS, TRIALS, FOLLOWED_TRIALS = 3, 2, 4
+
+#: Largest number of terminal rows that are part of the model by their slopes; more are terms like other rows.
+MAX_TERMINAL = 16
+
+STEP = EntryPoint(
+    "step",
+    "Compute u0 for the measured xhat; u0 is finite and inside its bounds on every return.",
+    *((arguments,) for arguments in (PHASES[1].inputs[0], PHASES[1].outputs[0])),
+)
+
+
+@dataclass(frozen=True)
+class AdjointShooting(Defaults):
+    """A fixed number of steps per sample, each with a bounded number of simulations.
+
+    ``method``: "gauss_newton", whose steps take ``products`` products with the Hessian at most (default 12), or
+    "quasi_newton", a projected method that stores ``memory`` pairs of vectors (default 5) and needs gradients alone.
+    ``iterations``: steps of a sample (default 1 or 10). ``trials``: simulations of a step at most (default 2), besides
+    one at the start of a sample and one after a step that is given up.
+
+    ``rows``: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
+    multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no multiplier
+    exceeds the weight. "quadratic": satisfied up to multiplier / penalty. "barrier": logarithmic barriers, which keep
+    a distance from the bounds, recentred in every sample at the end of the plan; solve() decreases their weight to 0.
+    "lumped": the sum C of the smooth l1 terms as one scalar row C <= 0, whose multiplier solve() increases. Soft rows
+    keep their penalties, and have no barriers. ``penalty``: weight of the rows in their scales, the magnitudes of their
+    declared slopes; None: three times the largest curvature of the cost of a node along a state or control in its
+    scale, for barriers a hundredth of that curvature. With "smooth_l1", "barrier" and "lumped" a continuation over the
+    samples sharpens the max or decreases the barriers while steps are accepted at once, and a sample has 3 Gauss-Newton
+    steps of 4 trials by default.
+
+    ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration.
+    """
+
+    method: str = option("gauss_newton", Words(METHODS))
+    iterations: int | None = option(None, Whole(most=1000, optional=True))
+    products: int | None = option(None, Whole(most=10_000, optional=True))
+    memory: int | None = option(None, Whole(most=100, optional=True))
+    trials: int | None = option(None, Whole(most=MAX_TRIALS, optional=True))
+    rows: str = option("augmented_lagrangian", Words(ROWS))
+    penalty: float | None = option(None, Number(optional=True))
+    shift: str | None = option(None, Words(SHIFTS))
+    sampling_time: float | None = option(None, Number(optional=True, unit="s"))
+
+    seam: ClassVar[Seam] = "algorithm"
+    name: ClassVar[str] = "adjoint_shooting"
+    template: ClassVar[str] = "algorithms/adjoint_shooting.c"
+    needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
+    core: ClassVar[frozenset[Core]] = frozenset({"directions", "kkt"})
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {"general cost", "integrated cost", "accumulators", "soft rows", "coupled rows"}
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self, self.seam)
+        check_sampling_time("AdjointShooting", self.shift, self.sampling_time)
+        for name, owner in (("products", "gauss_newton"), ("memory", "quasi_newton")):
+            if getattr(self, name) is not None and self.method != owner:
+                raise OptionError(
+                    f'AdjointShooting.{name}: {getattr(self, name)} clashes with method="{self.method}"; it belongs to '
+                    f'method="{owner}" (--set algorithm.method={owner})'
+                )
+
+    @property
+    def second_order(self) -> bool:
+        """True if the method multiplies with a Hessian."""
+        return self.method == "gauss_newton"
+
+    def default(self, seam: Seam) -> str | None:
+        """None: the compiler chooses the integrator for the problem."""
+        return None
+
+    def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
+        """A sample in one call, the shift of the plan, and the iteration to convergence."""
+        return (STEP, PHASES[3], *((SOLVE,) if solve else ()))
+
+    @property
+    def switches(self) -> Mapping[str, int]:
+        """Kernels of the linearisation and of x_0 are not used; without a Hessian, those of its products neither."""
+        kernels = dict.fromkeys(("HAS_INTEGRATOR_INTERVAL", "HAS_START_GRADIENT"), 0)
+        if not self.second_order:
+            kernels |= dict.fromkeys(("HAS_INTEGRATOR_FORWARD", "HAS_PATH_PRODUCT", "HAS_TERMINAL_PRODUCT"), 0)
+        return {
+            **kernels,
+            "QUASI_NEWTON": int(not self.second_order),
+            "SMOOTH_ROWS": int(self.rows in ("smooth_l1", "lumped")),
+            "LUMPED_ROWS": int(self.rows == "lumped"),
+            "BARRIER_ROWS": int(self.rows == "barrier"),
+            "DUAL_ROWS": int(self.rows == "augmented_lagrangian"),
+            **shift_switches(self.shift),
+            "RELAX": 0,
+        }
+
+    def check(self, problem: Problem) -> None:
+        """Raise OptionError for shifts that clash with the grid, and for an integrated cost with Gauss-Newton."""
+        check_shift("AdjointShooting", self.shift, problem)
+        if self.second_order and problem.path.cost_rate is not None:
+            raise OptionError(
+                f"{problem.name} has an integrated cost, which AdjointShooting() does not support with "
+                'method="gauss_newton"; expected method="quasi_newton" (--set algorithm.method=quasi_newton) or a cost '
+                "of the nodes"
+            )
+        self._check_rows(problem)
+
+    def _check_rows(self, problem: Problem) -> None:
+        """Raise OptionError for rows that their terms cannot represent."""
+        rows = [problem.rows[row] for _, _, _, row in problem.qp_rows]
+        hard = [row for row in rows if row.soft is None]
+        if self.rows in ("smooth_l1", "lumped") and self.penalty is None and hard:
+            raise OptionError(
+                f'AdjointShooting(rows="{self.rows}") penalises the hard row {hard[0].name!r}; expected penalty=..., a '
+                "weight that exceeds the multipliers of hard rows in their scales (--set algorithm.penalty=...)"
+            )
+        outside = [row for row in rows if row.soft is not None or not row.lower < row.upper]
+        if self.rows == "barrier" and outside:
+            kind = "equation" if outside[0].soft is None else "soft row"
+            raise OptionError(
+                f'AdjointShooting(rows="barrier") has no terms for the {kind} {outside[0].name!r}; expected other '
+                "terms, such as the default (--set algorithm.rows=augmented_lagrangian)"
+            )
+
+    def terminal(self, problem: Problem) -> tuple[int, ...]:
+        """Positions in qp_rows of the rows that are part of the model: hard ones that hold at the end alone."""
+        return problem.end_rows[: self._terminal_rows(len(problem.end_rows))]
+
+    def _terminal_rows(self, found: int) -> int:
+        """All of them, or none if they are many or terms of another kind."""
+        exact = self.second_order and self.rows == "augmented_lagrangian"
+        return found if exact and found <= MAX_TERMINAL else 0
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        scale = variable_scales(problem)
+        rows, terminal = problem.qp_rows, self.terminal(problem)
+        positions = [terminal.index(m) if m in terminal else -1 for m in range(len(rows))]
+        accumulators = [int(i in problem.accumulators) for i in range(problem.nx)]
+        weights = 1.0 / row_scales(problem, scale) ** 2
+        return (
+            Table("is_accumulator", "int", tuple(accumulators), "1: the state starts at 0 at every sample"),
+            Table("control_scale", "real", tuple(scale[problem.nx :]), "scales of the controls"),
+            Table("penalty_weight", "real", (self._penalty(problem),), "weight of the rows in their scales"),
+            Table("row_weight", "real", tuple(weights), "1 / scale^2 of row m"),
+            Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
+            Table("terminal_row", "int", terminal, "row m that is terminal row t of the model"),
+            Table("terminal_index", "int", tuple(positions), "number t of row m, or -1"),
+            Table(
+                "model_precision",
+                "real",
+                PRECISION,
+                "relative residual of conjugate gradients, in a sample and solve()",
+            ),
+            Table(
+                "smooth_sharpness",
+                "real",
+                SHARPNESS,
+                "of the smooth max in the scale of a row: first, last of a sample, last of solve()",
+            ),
+            Table("barrier_margin", "real", (MARGIN,), "distance from a bound where the barrier becomes a parabola"),
+            Table(
+                "barrier_weight",
+                "real",
+                tuple(part * self._penalty(problem) for part in WEIGHTS),
+                "first weight of the barriers, least one of a sample and of solve()",
+            ),
+            Table("shortest_length", "real", (SHORTEST,), "shortest part of a step that a later one tries first"),
+            Table("armijo_part", "real", (ARMIJO,), "part of the decrease that the slope promises"),
+            *resample_tables(self.shift, self.sampling_time, problem),
+        )
+
+    def _penalty(self, problem: Problem) -> float:
+        if self.penalty is not None:
+            return float(self.penalty)
+        factor = BARRIER if self.rows == "barrier" else FACTOR
+        return factor * cost_curvature(problem, variable_scales(problem))
+
+    def notes(self, problem: Problem) -> tuple[str, ...]:
+        """How many terminal rows are part of the model, and the penalty of the others."""
+        count, others = len(self.terminal(problem)), len(problem.qp_rows) > len(self.terminal(problem))
+        chosen = f"penalty {self._penalty(problem):.4g}, from the curvature of the cost in the scales of its variables"
+        return (
+            *((f"adjoint shooting: {count} terminal rows by a Schur complement",) if count else ()),
+            *((f"adjoint shooting: {chosen}",) if others and self.penalty is None else ()),
+        )
+
+    def reach(self, problem: Problem) -> float:
+        return resample_reach(self.sampling_time, problem)
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        controls, followed = dims.N.value * dims.nu.value, self.rows in FOLLOWED
+        steps = FOLLOWED_STEPS if followed and self.second_order else ITERATIONS[self.method]
+        newton = (
+            ("PRODUCTS", self.products or PRODUCTS, "products with the Hessian of a step at most"),
+            ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
+            ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
+        )
+        memory = (("MEMORY", self.memory or MEMORY, "pairs of the quasi-Newton method"),)
+        return (
+            ("NT", self._terminal_rows(dims.end_rows), "terminal rows in the model"),
+            ("ITERATIONS", self.iterations or steps, "steps of a sample"),
+            ("TRIALS", self.trials or (FOLLOWED_TRIALS if followed else TRIALS), "simulations of a step at most"),
+            ("TRIALS_OF_SOLVE", MAX_TRIALS, "the same in solve()"),
+            *(newton if self.second_order else memory),
+            ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
+            ("MOST_PENALTY", 1_000_000_000, "largest penalty of solve()"),
+            ("SHIFT", int(self.shift is not None), "1: step() moves the plan before the sample"),
+        )
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        members = (
+            Field("row", (dims.ng,), "multipliers of the rows", "keep"),
+            *((Field("samples", (), "samples since init or reset", "keep", "int32"),) if self.shift else ()),
+            Field("failing", (), "failures in a row", "keep", "int32"),
+            Field("stats", (), "counters", "result", "stats"),
+            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
+        )
+        return (_stats(self.second_order), self._shooting(dims), Struct("solver", "", members))
+
+    def _growing(self, dims: Dims) -> tuple[tuple[str, str], ...]:
+        """Weights that solve() changes."""
+        if not dims.ng.value:
+            return ()
+        return (
+            *((("penalty", "weight of the rows in their scales"),) if self.rows != "barrier" else ()),
+            *((("multiplier", "of the lumped row"),) if self.rows == "lumped" else ()),
+        )
+
+    def _shooting(self, dims: Dims) -> Struct:
+        terminal = Size("NT", self._terminal_rows(dims.end_rows))
+        pairs = Size("MEMORY", self.memory or MEMORY)
+        controls = (dims.N, dims.nu)
+
+        def real(name: str, shape: tuple[Size, ...], doc: str, only: str = "") -> Field:
+            return Field(name, shape, doc, "scratch", only=only)
+
+        sharpness = Field("sharpness", (), "of the smooth max, in the scale of a row", "keep")
+        terms = {
+            "smooth_l1": (sharpness,),
+            "barrier": (
+                Field("penalty", (), "weight of the barriers", "keep"),
+                real("tilt", (dims.ng,), "slope of the barriers at their centres"),
+            ),
+            "lumped": (
+                sharpness,
+                real("lump", (), "weight of the hard rows: of the lumped row at the plan"),
+                *((real("lump_change", (), "its change along a direction"),) if self.second_order else ()),
+            ),
+        }
+        newton = (
+            real("dx", (dims.N, dims.nx), "states of a direction at nodes 1 .. N"),
+            real("Xi", (terminal, *controls), "slopes of the terminal rows"),
+            real("S", (terminal, terminal), "factor of their Schur complement"),
+            real("gap", (terminal,), "their distances from the bounds that they are held at"),
+            real("omega", (terminal,), "their weights in the model"),
+            real("model", (), "change of the model by the step"),
+            Field("solving", (), "1 during solve()", "scratch", "int32", only="SOLVE"),
+            Field("left", (), "products that are left", "scratch", "int32"),
+        )
+        memory = (
+            real("Y", (pairs, *controls), "changes of the gradient"),
+            real("Z", (pairs, *controls), "changes of the controls"),
+            real("bend", (pairs,), "their inner products"),
+            Field(
+                "pairs", (), "pairs since the memory was empty; MEMORY .. 2 MEMORY - 1 if it is full", "keep", "int32"
+            ),
+            Field("paired", (), "1: the last step belongs to the present problem", "scratch", "int32"),
+        )
+        return Struct(
+            "shooting",
+            "single shooting",
+            (
+                *(real(name, (), doc, only="SOLVE") for name, doc in self._growing(dims)),
+                *(terms.get(self.rows, ()) if dims.ng.value else ()),
+                Field("length", (), "part of the step that is tried first", "keep"),
+                real("r", controls, "gradient in scaled controls"),
+                real("d", controls, "step"),
+                real("p", controls, "direction; controls before the step"),
+                real("w", controls, "product with the Hessian; gradient before the step"),
+                Field("held", controls, "-1, 1: held at the lower, upper bound", "scratch", "int32"),
+                *(newton if self.second_order else memory),
+            ),
+        )
+
+
+def _stats(second_order: bool) -> Struct:
+    def count(name: str, doc: str) -> Field:
+        return Field(name, (), doc, "result", "int32")
+
+    products = (
+        count("cg_iterations", "products with the Hessian"),
+        count("faces", "faces on which the model was minimised"),
+        count("negative_curvature", "directions of negative curvature"),
+    )
+    return Struct(
+        "stats",
+        "counters of the last sample or solve",
+        (
+            count("newton_iterations", "steps"),
+            count("accepted", "those that were accepted"),
+            count("simulations", "simulations of the plan"),
+            *(products if second_order else ()),
+            Field("sqp_iterations", (), "iterations of the last solve", "result", "int32", only="SOLVE"),
+            Field("violation", (), "largest violation of a hard row, scaled", "result"),
+        ),
+    )

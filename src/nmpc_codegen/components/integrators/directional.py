@@ -1,0 +1,113 @@
+"""Products of the derivatives of one interval with vectors, which store no transition matrix.
+
+forward:  dx_next = A dx + B du:   dX_i = dx + h sum_j a_ij dK_j,  dK_i = f_x dX_i + f_u du,  dx += h sum_i b_i dK_i
+adjoint:  g = [A B]' adj, the exact discrete adjoint of the scheme:
+          kappa_i = h b_i adj + h sum_j a_ji Xbar_j,  (Xbar_i, ubar_i) = [f_x f_u]' kappa_i,  adj += sum_i Xbar_i
+
+A and B are evaluated at (x, u), whose stage points are computed again.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from nmpc_codegen.components.integrators.runge_kutta import LENGTH, RungeKutta
+from nmpc_codegen.components.integrators.tableau import ButcherTableau
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.kernel import Port
+from nmpc_codegen.ir.passes import copy
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep
+
+FORWARD, ADJOINT = "integrator_forward", "integrator_adjoint"
+FORWARD_DOC = "dx_next = A dx + B du, where [A B] = d Phi / d(x, u)"
+ADJOINT_DOC = "g = [A B]' adj, where [A B] = d Phi / d(x, u)"
+
+
+class Directional:
+    """The two sweeps of one problem, scheme and number of steps."""
+
+    def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
+        self.rk = RungeKutta(problem, tableau, steps)
+        self.x, self.u, self.p = problem.path.x, problem.path.u, problem.path.p
+        self.nx, self.nu = problem.nx, problem.nu
+        self.steps, self.stages = steps, tableau.stages
+        self.f = problem.dynamics(self.x, self.u, self.p)
+
+    def forward(self) -> Sweep:
+        """(x, u, p, dt, dx, du) -> dx_next."""
+        rk, nx, s = self.rk, self.nx, self.stages
+        moved, slope = Slice("dX", nx), self._tangent
+        body: list[Node] = [*rk.start(), Call(copy("copy_dx", nx), (Slice("dx", nx),), (moved,))]
+        step: list[Node] = []
+        for i in range(s):
+            step += [rk.point(i, Slice("Xi", nx)), self._move(i, moved), self._slopes(i)]
+        step += [rk.update_state(), rk.update("move", moved, slope)]
+        body.append(For("step", 0, self.steps, tuple(step)))
+        body.append(Call(copy("copy_dx_next", nx), (moved,), (Slice("dx_next", nx),)))
+        buffers = (("h", 1), ("X", nx), ("Xi", nx), ("K", s * nx), ("dX", nx), ("dXi", nx), ("dK", s * nx))
+        ports = (*rk.ports, Port("dx", nx), Port("du", self.nu))
+        return Sweep(FORWARD, FORWARD_DOC, ports, (Port("dx_next", nx),), buffers, tuple(body))
+
+    def _tangent(self, stage: int) -> Slice:
+        return Slice("dK", self.nx, Affine(stage * self.nx))
+
+    def _move(self, stage: int, moved: Slice) -> Call:
+        """dX_i."""
+        coefficients = self.rk.tableau.a[stage]
+        return self.rk.combined(f"moved_{stage}", coefficients, moved, self._tangent, Slice("dXi", self.nx))
+
+    def _slopes(self, stage: int) -> Call:
+        """K_i and dK_i."""
+        dx, du = ca.SX.sym("dx", self.nx), ca.SX.sym("du", self.nu)
+        tangent = ca.jtimes(self.f, self.x, dx) + ca.jtimes(self.f, self.u, du)
+        leaf = ca.Function("f_and_tangent", [self.x, self.u, self.p, dx, du], [self.f, tangent])
+        ins = (Slice("Xi", self.nx), *self.rk.up, Slice("dXi", self.nx), Slice("du", self.nu))
+        return Call(leaf, ins, (self.rk.slope(stage), self._tangent(stage)))
+
+    def adjoint(self) -> Sweep:
+        """(x, u, p, dt, adj) -> g."""
+        nx, nu, s = self.nx, self.nu, self.stages
+        leaf = ca.Function("f", [self.x, self.u, self.p], [self.f])
+        first: list[Node] = []
+        for i in range(s):
+            first += [
+                self.rk.point(i, self._point(i)),
+                Call(leaf, (self._point(i), *self.rk.up), (self.rk.slope(i),)),
+            ]
+        lam, controls = Slice("lam", nx), Slice("g", nu, Affine(nx))
+        body: list[Node] = [
+            *self.rk.start(),
+            For("step", 0, self.steps, (*first, self.rk.update_state())),
+            Call(copy("copy_adj", nx), (Slice("adj", nx),), (lam,)),
+            Call(ca.Function("clear", [], [ca.SX.zeros(nu)]), (), (controls,)),
+        ]
+        backward = [self._backward(i, lam, controls) for i in reversed(range(s))]
+        update = self.rk.update_adjoint("update_adjoint", lam, self._bar)
+        body.append(For("step", 0, self.steps, (*backward, update), down=True))
+        body.append(Call(copy("copy_lam", nx), (lam,), (Slice("g", nx),)))
+        buffers = (
+            *(("h", 1), ("X", nx), ("Xs", self.steps * s * nx), ("K", s * nx)),
+            *(("lam", nx), ("Xbar", s * nx)),
+        )
+        ports = (*self.rk.ports, Port("adj", nx))
+        return Sweep(ADJOINT, ADJOINT_DOC, ports, (Port("g", nx + nu),), buffers, tuple(body))
+
+    def _point(self, stage: int) -> Slice:
+        return Slice("Xs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))
+
+    def _bar(self, stage: int) -> Slice:
+        return Slice("Xbar", self.nx, Affine(stage * self.nx))
+
+    def _backward(self, stage: int, lam: Slice, controls: Slice) -> Call:
+        """Xbar_i, and the adjoint of the controls += ubar_i."""
+        sym, nx = ca.SX.sym, self.nx
+        adj, h, g = sym("lam", nx), sym("h"), sym("g", self.nu)
+        bars = {j: sym(f"Xbar{j}", nx) for j in self.rk.later(stage)}
+        kappa, k = self.rk.adjoint_of_slope(stage, adj, h, bars), sym("k", nx)
+        value = ca.dot(k, self.f)
+        results = [ca.densify(ca.gradient(value, v)) for v in (self.x, self.u)]
+        bar, ubar = ca.substitute(results, [k], [kappa])
+        inputs = [self.x, self.u, self.p, adj, h, g, *bars.values()]
+        leaf = ca.Function(f"backward_{stage}", inputs, [bar, g + ubar])
+        ins = [self._point(stage), *self.rk.up, lam, LENGTH, controls, *map(self._bar, bars)]
+        return Call(leaf, tuple(ins), (self._bar(stage), controls))

@@ -1,0 +1,213 @@
+/* Component "algorithm". Contract: algorithm_reset, API(step), _shift, _kkt and, if SOLVE, _solve.
+ * Here: single shooting. The controls inside their bounds are the only variables, the states follow by simulation, and
+ * derivatives by adjoint and forward sweeps that recompute A_k and B_k at every interval. */
+
+#include "algorithms/enlarge.c"
+
+#include "algorithms/safe_value.c"
+
+#include "algorithms/finish.c"
+
+#include "algorithms/shooting_rows.c"
+
+#include "algorithms/shooting_sweeps.c"
+
+#include "algorithms/shooting_search.c"
+
+#if QUASI_NEWTON
+#include "algorithms/shooting_quasi_newton.c"
+#else
+#include "algorithms/shooting_model.c"
+
+#include "algorithms/shooting_newton.c"
+#endif
+
+#include "algorithms/shooting_shift.c"
+
+/* Forgets the multipliers of the rows and the pairs of past steps. */
+static void forget_past(solver_t *s)
+{
+#if NG
+    memset(s->row, 0, sizeof s->row);
+#endif
+#if QUASI_NEWTON
+    s->shooting.pairs = 0;
+#endif
+#if NG && (SMOOTH_ROWS || BARRIER_ROWS)
+    place_terms(s, 0);
+#endif
+    s->shooting.length = R(1);
+    s->failing = 0;
+}
+
+/* Sets the controls to their references and forgets the past. */
+static void forget_plan(solver_t *s)
+{
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            s->u[k][j] = CONTROL_REFERENCE(s, k, j);
+            s->u[k][j] = safe_value(s, k, j);
+        }
+    }
+    forget_past(s);
+}
+
+/* Every state of the plan at x_0. */
+static void hold_states(solver_t *s)
+{
+    for (int k = 0; k < N; k++) {
+        memcpy(s->x[k + 1], s->x[k], sizeof s->x[k]);
+    }
+}
+
+#if SOLVE && (NG || !QUASI_NEWTON)
+/* The weights of a sample; those of solve() grow. */
+static void set_weights(solver_t *s)
+{
+#if NG
+#if !BARRIER_ROWS
+    s->shooting.penalty = penalty_weight[0];
+#endif
+#if LUMPED_ROWS
+    s->shooting.multiplier = penalty_weight[0];
+#endif
+#endif
+#if !QUASI_NEWTON
+    s->shooting.solving = 0;
+#endif
+}
+#endif
+
+/* Resets the plan: every state at its declared initial value, controls at their references. */
+static void algorithm_reset(solver_t *s)
+{
+    for (int i = 0; i < NX; i++) { /* not by memcpy, see fill_copies() */
+        s->x[0][i] = initial_state[i];
+    }
+    hold_states(s);
+    forget_plan(s);
+#if SOLVE && (NG || !QUASI_NEWTON)
+    set_weights(s);
+#endif
+    memset(&s->stats, 0, sizeof s->stats);
+#if SHIFT
+    s->samples = 0;
+#endif
+    s->status = (int32_t)OK;
+}
+
+/* x_0 = xhat, 0 in accumulators. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
+static int take_state(solver_t *s, const real_t *xhat)
+{
+#if ACCUMULATORS
+    for (int i = 0; i < NX; i++) {
+        if (!is_accumulator[i] && !isfinite(xhat[i])) {
+            return 0;
+        }
+    }
+    for (int i = 0; i < NX; i++) {
+        s->x[0][i] = is_accumulator[i] ? R(0) : xhat[i];
+    }
+    return 1;
+#else
+    if (!all_finite(xhat, NX)) {
+        return 0;
+    }
+    memcpy(s->x[0], xhat, sizeof s->x[0]);
+    return 1;
+#endif
+}
+
+/* Simulates the plan from x_0; from the references of the controls if its own controls lead to no finite state. */
+static status_t start_sample(solver_t *s)
+{
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            s->u[k][j] = safe_value(s, k, j);
+        }
+    }
+#if QUASI_NEWTON
+    s->shooting.paired = 0;
+#endif
+    if (!simulate_plan(s)) {
+        forget_plan(s);
+        if (!simulate_plan(s)) {
+            hold_states(s);
+            return NUMERICAL_FAILURE;
+        }
+    }
+#if NG && LUMPED_ROWS
+    (void)merit(s);
+#endif
+    return OK;
+}
+
+/* Prevents a failure from repeating itself: multipliers that are not finite are forgotten at once, and the plan after
+ * PATIENCE failures in a row. */
+static status_t recover(solver_t *s, status_t status)
+{
+#if NG
+    if (!all_finite(s->row, NG)) {
+        forget_past(s);
+        status = NUMERICAL_FAILURE;
+    }
+#endif
+    if (status == NUMERICAL_FAILURE && ++s->failing >= PATIENCE) {
+        forget_plan(s);
+    }
+    if (status == OK) {
+        s->failing = 0;
+    }
+    return status;
+}
+
+/* ITERATIONS steps from the measured x_0, then one update of the multipliers of the rows. */
+static status_t run_sample(solver_t *s)
+{
+    status_t status = start_sample(s);
+    int moved;
+#if NG && BARRIER_ROWS
+    recentre_rows(s);
+#endif
+    for (int n = 0; n < ITERATIONS && status != NUMERICAL_FAILURE; n++) {
+        status = improve(s, TRIALS, &moved);
+    }
+#if NG > NT
+    if (status != NUMERICAL_FAILURE) {
+        update_rows(s, R(1));
+#if SMOOTH_ROWS || BARRIER_ROWS
+        follow_terms(s);
+#endif
+    }
+#endif
+    return status;
+}
+
+status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
+{
+    status_t status = NOT_FINITE;
+    if (s->magic != MAGIC) {
+        for (int j = 0; j < NU; j++) { /* not by memcpy, see fill_copies() */
+            u0[j] = default_control[j];
+        }
+        return NOT_INITIALIZED;
+    }
+    memset(&s->stats, 0, sizeof s->stats);
+#if SHIFT
+    if (s->samples > 0) {
+        shift_plan(s);
+    }
+    s->samples += (s->samples < MANY);
+#endif
+    if (take_state(s, xhat)) {
+        status = recover(s, run_sample(s));
+    }
+    safe_control(s, u0);
+    return finish(s, status);
+}
+
+#include "algorithms/shooting_kkt.c"
+#if SOLVE
+
+#include "algorithms/shooting_solve.c"
+#endif

@@ -1,0 +1,6 @@
+/* Control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
+static real_t safe_value(const solver_t *s, int k, int j)
+{
+    const real_t u = s->u[k][j];
+    return clip(isfinite(u) ? u : CONTROL_REFERENCE(s, k, j), CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+}

@@ -1,0 +1,72 @@
+/* KKT residuals of the plan: as they are and, the largest of them all, divided by 1 + the magnitudes of the terms that
+ * are summed up. The dynamics hold because the states are simulated. The multipliers are those of the rows (what =
+ * MULTIPLIER) or their estimates (ESTIMATE), those of the control bounds follow from the gradient. */
+
+#include "algorithms/kkt_terms.c"
+
+#if SOFT_ROWS
+static void kkt_soft_row(const solver_t *s, int m, real_t value, real_t mu, kkt_t *kkt)
+{
+    const real_t l1 = row_l1[row_id[m]], l2 = ROW_CURVATURE(m);
+    kkt_soft_side(kkt, value - ROW_UPPER(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value);
+    kkt_soft_side(kkt, ROW_LOWER(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value);
+}
+
+#endif
+#if NG
+/* Violation and complementarity of all rows. */
+static void kkt_rows(const solver_t *s, int what, kkt_t *kkt)
+{
+    real_t value[NG];
+    evaluate_rows(s, value);
+    for (int m = 0; m < NG; m++) {
+        const real_t mu = row_factor(s, m, value[m], what, R(0));
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            kkt_soft_row(s, m, value[m], mu, kkt);
+            continue;
+        }
+#endif
+        kkt_row(kkt, value[m], ROW_LOWER(s, m), ROW_UPPER(s, m), mu);
+    }
+}
+#endif
+
+/* Gradient with respect to control j at node k: stationarity, unless a bound holds it. */
+static void kkt_control(const solver_t *s, int k, int j, real_t pulled, real_t own, kkt_t *kkt)
+{
+    const real_t u = s->u[k][j], lower = CONTROL_LOWER(s, k, j), upper = CONTROL_UPPER(s, k, j), g = pulled + own;
+    const int holds = (g > R(0) && !(u > lower)) || (g < R(0) && !(u < upper));
+    kkt_row(kkt, u, lower, upper, holds ? -g : R(0));
+    kkt_note(kkt, &kkt->stationarity, holds ? R(0) : g, FABS(pulled) + FABS(own));
+}
+
+/* Returns the relative stationarity. */
+static real_t residual_of(const solver_t *s, int what, kkt_t *kkt)
+{
+    real_t lam[NX], g[NZ], own[NZ], stationarity;
+    memset(kkt, 0, sizeof *kkt);
+    start_adjoint(s, what, lam);
+    for (int k = N - 1; k >= 0; k--) {
+        pull_back(s, k, what, lam, g, own);
+        for (int j = 0; j < NU; j++) {
+            kkt_control(s, k, j, g[NX + j], own[NX + j], kkt);
+        }
+    }
+    stationarity = kkt->relative;
+    for (int k = 0; k < N; k++) {
+        interval_value(s, k, lam);
+        for (int i = 0; i < NX; i++) {
+            kkt_note(kkt, &kkt->equality, lam[i] - s->x[k + 1][i], FABS(lam[i]));
+        }
+    }
+#if NG
+    kkt_rows(s, what, kkt);
+#endif
+    return stationarity;
+}
+
+void API(kkt)(const solver_t *s, kkt_t *out)
+{
+    (void)residual_of(s, MULTIPLIER, out);
+}

@@ -1,0 +1,283 @@
+/* Contract of this part: descend() finds the step d of the controls that minimises the model inside the bounds, by
+ * conjugate gradients on a face of the box: the controls at a bound are held, a bound that is reached is added, and
+ * bounds with multipliers of the wrong sign are released where the gradient on the face has become small. */
+
+/* Products of a step at most, and the square of the relative residual of conjugate gradients. */
+static int products_allowed(const solver_t *s)
+{
+#if SOLVE
+    return s->shooting.solving ? PRODUCTS_OF_SOLVE : PRODUCTS;
+#else
+    (void)s;
+    return PRODUCTS;
+#endif
+}
+
+static real_t least_part(const solver_t *s)
+{
+#if SOLVE
+    const real_t precision = model_precision[s->shooting.solving];
+#else
+    const real_t precision = model_precision[0];
+    (void)s;
+#endif
+    return precision * precision;
+}
+
+/* Distance of d from a bound of control j at node k, in its scale. */
+static real_t to_lower(const solver_t *s, int k, int j)
+{
+    return s->shooting.d[k][j] - (CONTROL_LOWER(s, k, j) - s->u[k][j]) / control_scale[j];
+}
+
+static real_t to_upper(const solver_t *s, int k, int j)
+{
+    return (CONTROL_UPPER(s, k, j) - s->u[k][j]) / control_scale[j] - s->shooting.d[k][j];
+}
+
+/* d = 0; held = -1 for controls at the lower bound, 1 for those at the upper one. */
+static void hold_bounds(solver_t *s)
+{
+    shooting_t *a = &s->shooting;
+    memset(a->d, 0, sizeof a->d);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t u = s->u[k][j];
+            a->held[k][j] = !(u > CONTROL_LOWER(s, k, j)) ? -1 : !(u < CONTROL_UPPER(s, k, j));
+        }
+    }
+}
+
+/* The longest step along p inside the box, at most ``most``. */
+static real_t longest_step(const solver_t *s, real_t most)
+{
+    real_t longest = most;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t p = s->shooting.p[k][j];
+            const real_t distance = (p > R(0)) ? to_upper(s, k, j) : (p < R(0)) ? to_lower(s, k, j) : INF;
+            if (distance < longest * FABS(p)) {
+                longest = distance / FABS(p);
+            }
+        }
+    }
+    return (longest > R(0)) ? longest : R(0);
+}
+
+/* Holds the controls that the step along p has brought to a bound. */
+static void hold_reached(solver_t *s)
+{
+    shooting_t *a = &s->shooting;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t p = a->p[k][j], d = FABS(a->d[k][j]);
+            if (p > R(0) && to_upper(s, k, j) <= TOL_MERIT_ROUNDING * (d + FABS(s->u[k][j]) / control_scale[j])) {
+                a->held[k][j] = 1;
+            } else if (p < R(0) &&
+                to_lower(s, k, j) <= TOL_MERIT_ROUNDING * (d + FABS(s->u[k][j]) / control_scale[j])) {
+                a->held[k][j] = -1;
+            }
+        }
+    }
+}
+
+/* Releases held controls whose gradient points inward by more than the square root of least; returns their number. */
+static int release(solver_t *s, real_t least)
+{
+    shooting_t *a = &s->shooting;
+    int released = 0;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t inward = (real_t)a->held[k][j] * a->r[k][j];
+            if (inward > R(0) && inward * inward > least && CONTROL_LOWER(s, k, j) < CONTROL_UPPER(s, k, j)) {
+                a->held[k][j] = 0;
+                released++;
+            }
+        }
+    }
+    return released;
+}
+
+#if !NT
+/* After a step that ended at a bound: if the rest of it would reach several more, its projection on the box becomes the
+ * direction p, and the minimum of the model along it the next d. */
+static void bend_step(solver_t *s, real_t rest)
+{
+    shooting_t *a = &s->shooting;
+    int reached = 0;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t p = if_free(a, k, j) * rest * a->p[k][j];
+            a->p[k][j] = clip(p, -to_lower(s, k, j), to_upper(s, k, j));
+            reached += FABS(a->p[k][j]) < FABS(p);
+        }
+    }
+    const real_t slope = inner(a->r[0], a->p[0]);
+    if (reached < 2 || a->left < 1 || !(slope < R(0))) {
+        return;
+    }
+    multiply(s);
+    a->left--;
+    s->stats.cg_iterations++;
+    const real_t bend = inner(a->p[0], a->w[0]), length = (bend > -slope) ? -slope / bend : R(1);
+    add_multiple(a->d[0], length, a->p[0]);
+    add_multiple(a->r[0], length, a->w[0]);
+    a->model += length * (slope + R(0.5) * length * bend);
+    hold_reached(s);
+}
+#endif
+
+/* One step along p. Returns 1 if it ends at a bound or along a direction without curvature. */
+static int step_along(solver_t *s, real_t descent)
+{
+    shooting_t *a = &s->shooting;
+    multiply(s);
+#if NT
+    multiply_rows(a);
+#endif
+    s->stats.cg_iterations++;
+    const real_t bend = inner(a->p[0], a->w[0]), size = inner(a->p[0], a->p[0]);
+    const int curved = bend > TOL_UNIT * size;
+    const real_t wanted = curved ? descent / bend : R(1) / SQRT(size);
+    const real_t length = longest_step(s, wanted);
+    s->stats.negative_curvature += !curved;
+    add_multiple(a->d[0], length, a->p[0]);
+    add_multiple(a->r[0], length, a->w[0]);
+    a->model += length * (R(0.5) * length * bend - descent);
+    if (length < wanted) {
+        hold_reached(s);
+#if !NT
+        bend_step(s, wanted - length);
+#endif
+        return 1;
+    }
+    return !curved;
+}
+
+/* Conjugate gradients on a face, until r' M r is at most precision^2 of its largest value. The first step, to the
+ * terminal rows, does not count. Returns 1 if a bound was reached. */
+static int solve_face(solver_t *s, real_t *largest)
+{
+    shooting_t *a = &s->shooting;
+    real_t beta = R(0);
+#if NT
+    factorize_rows(a);
+#endif
+    real_t size = precondition(a);
+    s->stats.faces++;
+    memset(a->p, 0, sizeof a->p);
+    for (int n = 0; n < PRODUCTS_OF_SOLVE && a->left > 0; n++) {
+        if (!(size > least_part(s) * *largest)) {
+            return 0;
+        }
+        for (int k = 0; k < N; k++) {
+            for (int j = 0; j < NU; j++) {
+                a->p[k][j] = beta * a->p[k][j] - a->w[k][j];
+            }
+        }
+        a->left--;
+        if (step_along(s, size)) {
+            return 1;
+        }
+        const real_t next = precondition(a);
+        *largest = (next > *largest) ? next : *largest;
+        beta = next / size;
+        size = next;
+    }
+    return 0;
+}
+
+#if NT
+/* The multipliers mu += Omega (c + Xi d) of those terminal rows that the step meets. Returns 1 if it meets all. */
+static int update_terminal(solver_t *s)
+{
+    shooting_t *a = &s->shooting;
+    int met = 1;
+    for (int t = 0; t < NT; t++) {
+        const int m = terminal_row[t];
+        const real_t unit = SQRT(row_weight[m]), left = a->gap[t] + inner(a->Xi[t][0], a->d[0]);
+        const real_t allowed = TOL_TERMINAL_GAP * (R(1) + unit * FABS(a->gap[t]));
+        if (!(a->omega[t] > R(0))) {
+            met &= unit * FABS(a->gap[t]) <= allowed;
+        } else if (unit * FABS(left) <= allowed) {
+            s->row[m] += a->omega[t] * left;
+        } else {
+            met = 0;
+        }
+    }
+    return met;
+}
+
+/* The part of r' d that is due to the terminal rows in the model, and in the merit function. */
+static real_t terminal_descent(const solver_t *s, int of_model)
+{
+    const shooting_t *a = &s->shooting;
+    real_t sum = R(0);
+    for (int t = 0; t < NT; t++) {
+        const int m = terminal_row[t];
+        const real_t weight = of_model ? a->omega[t] : row_penalty(s) * row_weight[m];
+        sum += (s->row[m] + weight * a->gap[t]) * inner(a->Xi[t][0], a->d[0]);
+    }
+    return sum;
+}
+#endif
+
+/* Whether the controls and the multipliers are finite. */
+static int direction_is_finite(const solver_t *s)
+{
+    return all_finite(s->shooting.d[0], N * NU);
+}
+
+/* |r|^2 over the free controls. */
+static real_t free_size(const shooting_t *a)
+{
+    real_t sum = R(0);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            sum += if_free(a, k, j) * a->r[k][j] * a->r[k][j];
+        }
+    }
+    return sum;
+}
+
+/* One step: the model at the plan, its minimiser, and the search. Returns ITERATION_LIMIT or INFEASIBLE if the step
+ * does not meet the terminal rows because its products are used up, or because the bounds do not allow it. */
+static status_t improve(solver_t *s, int trials, int *moved)
+{
+    shooting_t *a = &s->shooting;
+    real_t largest = R(0), slope;
+    int met = 1;
+    *moved = 0;
+    s->stats.newton_iterations++;
+    differentiate(s);
+    hold_bounds(s);
+    largest = free_size(a);
+    a->left = products_allowed(s);
+    a->model = R(0);
+#if NT
+    for (int t = 0; t < NT; t++) {
+        a->omega[t] = R(0);
+    }
+    impulse_rows(s);
+#endif
+    if (!all_finite(a->r[0], N * NU)) {
+        return NUMERICAL_FAILURE;
+    }
+    for (int face = 0; face < MAX_FACES && a->left > 0; face++) {
+        const int reached = solve_face(s, &largest);
+        if (!reached && !release(s, least_part(s) * largest)) {
+            break;
+        }
+    }
+    if (!direction_is_finite(s)) {
+        return NUMERICAL_FAILURE;
+    }
+    slope = R(2) * a->model - inner(a->r[0], a->d[0]);
+#if NT
+    slope -= terminal_descent(s, 1);
+    met = update_terminal(s);
+    slope += terminal_descent(s, 0);
+#endif
+    *moved = move(s, (slope < R(0)) ? slope : R(0), trials);
+    return met ? OK : (a->left > 0) ? INFEASIBLE : ITERATION_LIMIT;
+}

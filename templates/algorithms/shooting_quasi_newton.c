@@ -1,0 +1,112 @@
+/* Contract of this part: improve() takes a step of a projected quasi-Newton method with limited memory. The controls at
+ * a bound whose gradient points outward are held; on the others d = -B r with the inverse B of the last pairs
+ *
+ *     y = change of the gradient, z = change of the controls,   B <- (I - z y'/y'z) B (I - y z'/y'z) + z z'/y'z.  */
+
+/* Stores the pair of the last step, unless its curvature is not positive. */
+static void remember_step(solver_t *s)
+{
+    shooting_t *a = &s->shooting;
+    const int n = a->pairs % MEMORY;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            a->Y[n][k][j] = a->r[k][j] - a->w[k][j];
+            a->Z[n][k][j] = (s->u[k][j] - a->p[k][j]) / control_scale[j];
+        }
+    }
+    const real_t bend = inner(a->Y[n][0], a->Z[n][0]), size = inner(a->Y[n][0], a->Y[n][0]);
+    if (bend > TOL_UNIT * size && bend < INF && size < INF) {
+        a->bend[n] = bend;
+        a->pairs = (a->pairs < 2 * MEMORY - 1) ? a->pairs + 1 : MEMORY;
+    }
+}
+
+/* held = 1 for controls at a bound whose gradient points outward; d = -r at the others. */
+static void hold_outward(solver_t *s)
+{
+    shooting_t *a = &s->shooting;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t u = s->u[k][j], r = a->r[k][j];
+            a->held[k][j] = (r > R(0) && !(u > CONTROL_LOWER(s, k, j))) || (r < R(0) && !(u < CONTROL_UPPER(s, k, j)));
+            a->d[k][j] = -if_free(a, k, j) * r;
+        }
+    }
+}
+
+/* sum over free controls */
+static real_t free_inner(const shooting_t *a, real_t (*x)[NU], real_t (*y)[NU])
+{
+    real_t sum = R(0);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            sum += if_free(a, k, j) * x[k][j] * y[k][j];
+        }
+    }
+    return sum;
+}
+
+/* d += factor x over free controls */
+static void add_free(shooting_t *a, real_t factor, real_t (*x)[NU])
+{
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            a->d[k][j] += if_free(a, k, j) * factor * x[k][j];
+        }
+    }
+}
+
+/* d = B d by the two loops over the pairs, from the last to the first and back. */
+static void apply_memory(shooting_t *a)
+{
+    real_t part[MEMORY] = {R(0)};
+    const int stored = (a->pairs < MEMORY) ? a->pairs : MEMORY;
+    for (int i = 0; i < stored; i++) { /* at most MEMORY passes in apply_memory */
+        const int n = (a->pairs - 1 - i) % MEMORY;
+        part[n] = free_inner(a, a->Z[n], a->d) / a->bend[n];
+        add_free(a, -part[n], a->Y[n]);
+    }
+    const int last = (a->pairs - 1) % MEMORY;
+    const real_t scale = a->bend[last] / inner(a->Y[last][0], a->Y[last][0]);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            a->d[k][j] *= scale;
+        }
+    }
+    for (int i = stored - 1; i >= 0; i--) { /* at most MEMORY passes in apply_memory */
+        const int n = (a->pairs - 1 - i) % MEMORY;
+        add_free(a, part[n] - free_inner(a, a->Y[n], a->d) / a->bend[n], a->Z[n]);
+    }
+}
+
+/* One step; it is at most one scale long where there are no pairs. */
+static status_t improve(solver_t *s, int trials, int *moved)
+{
+    shooting_t *a = &s->shooting;
+    *moved = 0;
+    s->stats.newton_iterations++;
+    differentiate(s);
+    if (!all_finite(a->r[0], N * NU)) {
+        return NUMERICAL_FAILURE;
+    }
+    if (a->paired) {
+        remember_step(s);
+    }
+    hold_outward(s);
+    if (a->pairs > 0) {
+        apply_memory(a);
+    }
+    if (a->pairs == 0 || !all_finite(a->d[0], N * NU) || !(inner(a->r[0], a->d[0]) < R(0))) {
+        hold_outward(s);
+        const real_t size = SQRT(inner(a->d[0], a->d[0]));
+        for (int k = 0; k < N; k++) {
+            for (int j = 0; size > R(1) && j < NU; j++) {
+                a->d[k][j] /= size;
+            }
+        }
+        a->pairs = 0;
+    }
+    memcpy(a->w, a->r, sizeof a->w);
+    *moved = a->paired = move(s, R(0), trials);
+    return OK;
+}

@@ -1,0 +1,71 @@
+/* Contract of this part: move() takes a part of the step d that decreases cost and terms of the rows. */
+
+/* 1 if the control is free, 0 if it is held. As a factor, and not as a condition: GCC 12 with AVX loads two registers of
+ * x with the mask of the first one in loops of the form y[i] = flag[i] ? 0 : x[i]. */
+static inline real_t if_free(const shooting_t *a, int k, int j)
+{
+    return R(a->held[k][j] == 0);
+}
+
+/* Cost of the plan and the terms of its rows. */
+static real_t merit(solver_t *s)
+{
+#if NG
+    return nodal_cost(s) + row_terms_of_plan(s, &s->stats.violation);
+#else
+    return nodal_cost(s);
+#endif
+}
+
+/* u = base + length scale d inside the bounds; after the full step, held controls are exactly at their bounds. Returns
+ * the change of the linear model of the merit function. */
+static real_t place_controls(solver_t *s, real_t length, real_t slope)
+{
+    shooting_t *a = &s->shooting;
+#if QUASI_NEWTON
+    slope = R(0);
+#else
+    slope *= length;
+#endif
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t lower = CONTROL_LOWER(s, k, j), upper = CONTROL_UPPER(s, k, j);
+            s->u[k][j] = clip(a->p[k][j] + length * control_scale[j] * a->d[k][j], lower, upper);
+#if QUASI_NEWTON
+            slope += a->r[k][j] * (s->u[k][j] - a->p[k][j]) / control_scale[j];
+#else
+            if (length >= R(1) && a->held[k][j]) {
+                s->u[k][j] = (a->held[k][j] < 0) ? lower : upper;
+            }
+#endif
+        }
+    }
+    return slope;
+}
+
+/* Takes quarters of the step until the merit function decreases by a part of what its slope promises. Returns 0 if it
+ * does not in ``trials`` simulations: the plan is then the one before, simulated again. The next step begins with four
+ * times the length that was found, at most 1, so that a sample goes on where the last one ended. */
+static int move(solver_t *s, real_t slope, int trials)
+{
+    const real_t before = merit(s);
+    real_t length = s->shooting.length;
+    memcpy(s->shooting.p, s->u, sizeof s->shooting.p);
+    for (int n = 0; n < TRIALS_OF_SOLVE && n < trials; n++) {
+        const real_t change = place_controls(s, length, slope);
+        if (simulate_plan(s)) {
+            const real_t after = merit(s);
+            if (after <= before + armijo_part[0] * change + TOL_MERIT_ROUNDING * (R(1) + FABS(before))) {
+                s->stats.accepted++;
+                s->shooting.length = clip(R(4) * length, shortest_length[0], R(1));
+                return 1;
+            }
+        }
+        length *= R(0.25);
+    }
+    memcpy(s->u, s->shooting.p, sizeof s->u);
+    s->shooting.length = clip(length, shortest_length[0], R(1));
+    (void)simulate_plan(s);
+    (void)merit(s);
+    return 0;
+}

@@ -1,0 +1,75 @@
+/* Contract of this part: shift_plan() moves controls, states and multipliers of the rows to the next sample. */
+
+#if NG
+/* A row of node k takes the multiplier of the same row at node k + 1, if it is imposed there too. */
+static void shift_rows(solver_t *s)
+{
+    for (int m = 0; m < NG; m++) {
+        int source = m;
+        for (int next = m + 1; next < NG && row_node[next] <= row_node[m] + 1; next++) {
+            if (row_node[next] > row_node[m] && row_id[next] == row_id[m]) {
+                source = next;
+            }
+        }
+        s->row[m] = s->row[source];
+    }
+}
+
+#endif
+#if SHIFT_RESAMPLE
+#include "algorithms/mean_control.c"
+
+/* Evaluates the old plan one sampling time later: x_0 by integration, controls as their mean over the moved intervals,
+ * the other states by simulation. Multipliers are kept. */
+static void shift_plan(solver_t *s)
+{
+    real_t first[NX];
+    int n = 0;
+    for (int k = 0; k + 1 < N; k++) {
+        n += node_time[k + 1] <= sampling_time[0];
+    }
+    integrate_plan(s, n, s->x[n], sampling_time[0] - node_time[n], first);
+    memcpy(s->x[0], first, sizeof first);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            s->u[k][j] = mean_control(s, j, node_time[k] + sampling_time[0], node_time[k + 1] + sampling_time[0]);
+            s->u[k][j] = safe_value(s, k, j);
+        }
+    }
+    for (int k = 0; k < N; k++) {
+        interval_value(s, k, s->x[k + 1]);
+    }
+}
+#else
+/* Node k takes the data of node k + 1. The last control is repeated or, if the plan is periodic, the first one; the
+ * last interval is integrated. */
+static void shift_plan(solver_t *s)
+{
+    real_t first[NU];
+    memcpy(first, s->u[0], sizeof first);
+    for (int k = 0; k < N; k++) {
+        memcpy(s->x[k], s->x[k + 1], sizeof s->x[k]);
+        for (int j = 0; j < NU; j++) {
+#if SHIFT_PERIODIC
+            s->u[k][j] = (k + 1 < N) ? s->u[k + 1][j] : first[j];
+#else
+            s->u[k][j] = (k + 1 < N) ? s->u[k + 1][j] : s->u[k][j];
+#endif
+            s->u[k][j] = safe_value(s, k, j);
+        }
+    }
+    interval_value(s, N - 1, s->x[N]);
+#if NG
+    shift_rows(s);
+#endif
+}
+#endif
+
+status_t API(shift)(solver_t *s)
+{
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    shift_plan(s);
+    return OK;
+}

@@ -1,0 +1,499 @@
+"""AdjointShooting: solutions of IPOPT, gradients of CasADi, closed loops, the failure contract, and what it refuses."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.lib.house import samples
+from examples import crane, cstr
+from nmpc_codegen import (
+    OCP,
+    RK4,
+    AdjointShooting,
+    Controller,
+    DenseActiveSet,
+    ExplicitRungeKutta,
+    GaussNewton,
+    Online,
+    OptionError,
+    Options,
+    Status,
+    build,
+    generate,
+    simulate,
+)
+from nmpc_codegen.components.integrators.directional import Directional
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.sweep import unroll
+from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, interval_map, node_data
+
+TWO_STEPS = ExplicitRungeKutta(RK4, steps=2)
+METHODS = ("gauss_newton", "quasi_newton")
+X0 = np.array([2.0, 0.0, 0.0, 0.0])
+
+
+def options(online: Online | None = None, precision: Any = "double", solve: bool = True, **algorithm: Any) -> Options:
+    return Options(algorithm=AdjointShooting(**algorithm), online=online or Online(), precision=precision, solve=solve)
+
+
+def disturbed(ocp: OCP) -> np.ndarray:
+    """A state near the declared one."""
+    x = np.array(classify(ocp).x_initial, dtype=float)
+    return x + 0.05 * np.where(x != 0, np.abs(x), 0.1) * np.random.default_rng(2).uniform(-1, 1, x.size)
+
+
+def ipopt(ocp: OCP, x0: np.ndarray, steps: int = 2) -> ReferenceSolution:
+    problem = classify(ocp)
+    found = Reference(problem, replace(CLASSICAL, steps=steps)).solve(node_data(problem, x0=x0))
+    assert found.success
+    return found
+
+
+# Derivatives ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tableau", [RK4, samples.LOOPED.tableau], ids=["rk4", "looped"])
+@pytest.mark.parametrize("steps", [1, 3])
+def test_the_sweeps_multiply_with_the_jacobian_of_the_interval(steps: int, tableau: Any) -> None:
+    """[A B] d and [A B]' w are those of CasADi's Jacobian of an interval that was written independently."""
+    problem = classify(cstr.build_ocp())
+    sweeps = Directional(problem, tableau, steps)
+    forward, adjoint = unroll(sweeps.forward()), unroll(sweeps.adjoint())
+    x, u, p, dt = ca.MX.sym("x", 4), ca.MX.sym("u", 2), ca.MX.sym("p", 0), problem.dt[0]
+    phi = interval_map(problem, replace(CLASSICAL, steps=steps))(x, u, p, dt)[0]
+    J = np.asarray(ca.Function("J", [x, u], [ca.jacobian(phi, ca.vertcat(x, u))])(cstr.START, [14.0, -1000.0]))
+    random = np.random.default_rng(steps)
+    d, w = random.uniform(-1, 1, 6), random.uniform(-1, 1, 4)
+    at = (cstr.START, [14.0, -1000.0], [], dt)
+    np.testing.assert_allclose(np.asarray(forward(*at, d[:4], d[4:])).ravel(), J @ d, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(np.asarray(adjoint(*at, w)).ravel(), J.T @ w, rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_stationarity_is_the_gradient_of_casadi(method: str) -> None:
+    """Without rows: max |dJ/du| of the simulated cost, from CasADi, at controls between the bounds."""
+    ocp = cstr.build_ocp(state_bounds=False)
+    problem, controller = classify(ocp), build(ocp, options(method=method), "test")
+    u = ca.MX.sym("u", problem.N, 2)
+    x, cost, r = ca.MX(cstr.START), ca.MX(0), cstr.SET_POINTS[0]
+    step = interval_map(problem, CLASSICAL)
+    Q, R = np.diag([0.2, 1.0, 0.5, 0.2]), np.diag([0.5, 5e-7])
+    states = [x]
+    for k in range(problem.N):
+        e, v = x - r[:4], u[k, :].T - r[4:]
+        cost += (e.T @ Q @ e + v.T @ R @ v) / 2
+        x = step(x, u[k, :].T, ca.MX(0, 1), problem.dt[k])[0]
+        states.append(x)
+    cost += 5 * (x - r[:4]).T @ Q @ (x - r[:4])
+    evaluate = ca.Function("gradient", [u], [ca.gradient(cost, u), ca.horzcat(*states).T])
+    U = np.random.default_rng(1).uniform([5.0, -2000.0], [30.0, -500.0], (problem.N, 2))
+    gradient, trajectory = (np.asarray(v) for v in evaluate(U))
+    controller.u, controller.x = U, trajectory
+    kkt = controller.kkt()
+    assert kkt.stationarity == pytest.approx(np.abs(gradient).max(), rel=1e-11)
+    assert kkt.equality <= 1e-11
+    assert kkt.inequality == 0
+
+
+# solve() against IPOPT ------------------------------------------------------------------------------------------------
+
+SMALL: dict[str, Callable[[], OCP]] = {
+    make.__name__: make
+    for make in (
+        *(samples.bare, samples.single, samples.controls, samples.states, samples.path, samples.final),
+        *(samples.soft_states, samples.soft_rows, samples.ends, samples.closing, samples.ring, samples.target),
+        *(samples.counted, samples.mixed, samples.discrete, samples.discrete_rows),
+    )
+}
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", SMALL)
+def test_solve_finds_the_solution_of_ipopt(name: str, method: str) -> None:
+    ocp = SMALL[name]()
+    x0 = disturbed(ocp)
+    controller = build(ocp, options(method=method), "test")
+    solution = controller.solve(x0, tol=1e-9, max_iterations=1000)
+    found = ipopt(ocp, x0)
+    assert solution.status is Status.OK
+    assert solution.kkt.relative <= 1e-9
+    np.testing.assert_allclose(solution.u, found.u, atol=2e-6)
+    np.testing.assert_allclose(solution.x, found.x, atol=2e-6)
+    assert solution.cost == pytest.approx(found.cost, rel=1e-6, abs=1e-9)
+    assert 0 < controller.stats.accepted <= controller.stats.newton_iterations
+
+
+@pytest.mark.parametrize("set_point", [0, 1, 2])
+def test_reactor_with_bounds_of_states(set_point: int) -> None:
+    """Set point 1 is out of reach of th >= 98 and thK >= 92; the controls differ by three orders of magnitude."""
+    ocp = cstr.build_ocp(set_point)
+    solution = build(ocp, options(penalty=1e4), "test").solve(cstr.START, tol=1e-9, max_iterations=300)
+    found = ipopt(ocp, cstr.START)
+    assert solution.status is Status.OK
+    np.testing.assert_allclose(solution.u, found.u, rtol=1e-6, atol=1e-6)
+    assert solution.cost == pytest.approx(found.cost, rel=1e-8)
+
+
+def test_crane_with_terminal_equalities() -> None:
+    """Six of ten controls are at their bounds; the multipliers are those of IPOPT."""
+    ocp = crane.build_ocp()
+    controller = build(ocp, options(), "test")
+    solution, found = controller.solve(X0, tol=1e-9), ipopt(ocp, X0)
+    assert solution.status is Status.OK
+    assert solution.iterations <= 6
+    np.testing.assert_allclose(solution.u, found.u, atol=1e-8)
+    np.testing.assert_allclose(controller.view("row"), found.mu_x[-1], rtol=1e-5)
+    assert controller.stats.cg_iterations <= 40
+
+
+@pytest.mark.parametrize("rows", ["smooth_l1", "quadratic", "lumped"])
+@pytest.mark.parametrize("name", ["path", "final", "soft_rows", "closing", "mixed"])
+def test_other_terms_of_rows_converge_to_the_solution(name: str, rows: str) -> None:
+    ocp = SMALL[name]()
+    x0 = disturbed(ocp)
+    controller = build(ocp, options(rows=rows, penalty=100.0), "test")
+    solution, found = controller.solve(x0, tol=1e-7, max_iterations=1000), ipopt(ocp, x0)
+    assert solution.status is Status.OK
+    np.testing.assert_allclose(solution.u, found.u, atol=3e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", ["states", "path", "final", "mixed", "ring"])
+def test_barriers_converge_from_inside(name: str, method: str) -> None:
+    """solve() decreases the weight of the barriers to 0; no hard row is violated on the way out."""
+    ocp = SMALL[name]()
+    x0 = disturbed(ocp)
+    controller = build(ocp, options(rows="barrier", method=method), "test")
+    solution, found = controller.solve(x0, tol=1e-7, max_iterations=1000), ipopt(ocp, x0)
+    assert solution.status is Status.OK
+    assert controller.stats.violation <= 1e-7
+    np.testing.assert_allclose(solution.u, found.u, atol=1e-4)
+
+
+def test_the_multiplier_of_the_lumped_row_grows() -> None:
+    """With a weight that no multiplier respects, the l1 penalty is not exact, but the lumped row is found to hold."""
+    ocp = samples.final()
+    x0 = disturbed(ocp)
+    errors = {}
+    for rows in ("smooth_l1", "lumped"):
+        controller = build(ocp, options(rows=rows, penalty=1e-3), "test")
+        solution = controller.solve(x0, tol=1e-7, max_iterations=1000)
+        errors[rows] = np.abs(solution.u - ipopt(ocp, x0).u).max()
+        assert (solution.status is Status.OK) == (rows == "lumped")
+    assert errors["lumped"] <= 1e-5
+    assert errors["smooth_l1"] > 1e-2
+
+
+def test_a_sample_with_barriers_minimises_their_sum_with_the_cost() -> None:
+    """min cost + sum_k -w log(0.7 - x_k) - w log(x_k + 0.7) - tilt x_k by IPOPT; the tilt makes the slope of the
+    barriers vanish where the plan before the sample ended."""
+    ocp = samples.controls()
+    ocp.subject_to(-0.7, ocp.x[1], 0.7)
+    problem, x0, weight = classify(ocp), np.array([0.5, 0.6]), 1e-3
+    controller = build(ocp, options(rows="barrier", penalty=weight, iterations=30, trials=30), "test")
+    controller.step(x0)
+    step, u = interval_map(problem, CLASSICAL), ca.MX.sym("u", problem.N)
+
+    def rollout(u: Any) -> list[Any]:
+        x = [ca.MX(x0)]
+        for k in range(problem.N):
+            x.append(step(x[-1], u[k], ca.MX(0, 1), problem.dt[k])[0])
+        return x
+
+    end = float(ca.evalf(rollout(ca.MX.zeros(problem.N))[-1][1]))
+    tilt = weight * (1 / (0.7 - end) - 1 / (end + 0.7))
+    np.testing.assert_allclose(controller.view("shooting.tilt"), tilt, rtol=1e-9)
+    x = rollout(u)
+    cost = sum(2 * x[k][0] ** 2 + 0.1 * x[k][1] ** 2 + 0.1 * u[k] ** 2 for k in range(problem.N)) / 2
+    for node in x[1:]:
+        cost -= weight * (ca.log(0.7 - node[1]) + ca.log(node[1] + 0.7)) + tilt * node[1]
+    quiet = {"print_time": 0, "ipopt.print_level": 0, "ipopt.tol": 1e-12, "ipopt.bound_relax_factor": 0.0}
+    exact = ca.nlpsol("exact", "ipopt", {"x": u, "f": cost}, quiet)(x0=0, lbx=-1, ubx=1)["x"]
+    np.testing.assert_allclose(controller.u, np.asarray(exact), atol=1e-6)
+
+
+def test_barriers_do_not_displace_the_rest() -> None:
+    """The set point lies close to a bound: recentred barriers have no slope there."""
+    ocp = samples.controls()
+    ocp.subject_to(-0.02, ocp.x[0], 10.0)
+    controller = build(ocp, options(rows="barrier", penalty=0.1, shift="repeat"), "test")
+    log = simulate(controller, [0.5, 0.0], steps=200)
+    assert np.abs(log.x[-1]).max() <= 1e-4
+    assert log.x[:, 0].min() >= -0.02
+
+
+@pytest.mark.parametrize("rows", ["augmented_lagrangian", "smooth_l1"])
+@pytest.mark.parametrize("penalty", [(0.05, 0.0), (0.05, 0.2), (50.0, 0.0)])
+def test_soft_rows_that_are_violated(penalty: tuple[float, float], rows: str) -> None:
+    """Multipliers at the weight of the row, beyond it with a quadratic penalty, and below it (an exact penalty)."""
+    ocp = samples.controls()
+    ocp.subject_to(-0.3, ocp.x[1], 0.3, soft=penalty)
+    x0 = np.array([0.5, 0.6])
+    controller = build(ocp, options(rows=rows), "test")
+    solution, found = controller.solve(x0, tol=1e-8, max_iterations=1000), ipopt(ocp, x0)
+    assert solution.status is Status.OK
+    np.testing.assert_allclose(solution.u, found.u, atol=3e-6)
+    largest = np.abs(controller.view("row")).max()
+    if penalty[0] == 50.0:
+        assert 0.05 < largest < 50.0
+    elif penalty[1]:
+        assert largest > penalty[0] * (1 + 1e-3)
+    else:
+        assert largest == pytest.approx(penalty[0], rel=1e-6)
+
+
+def test_integrated_cost_with_gradients_alone() -> None:
+    ocp = samples.economic()
+    x0 = disturbed(ocp)
+    solution = build(ocp, options(method="quasi_newton"), "test").solve(x0, tol=1e-8, max_iterations=300)
+    assert solution.status is Status.OK
+    np.testing.assert_allclose(solution.u, ipopt(ocp, x0).u, atol=3e-6)
+
+
+def test_negative_curvature_is_met_and_survived() -> None:
+    """The cost is concave in x, and at the start all first derivatives are small."""
+    ocp = OCP("saddle", T=1.0, N=6)
+    x, u = ocp.state("x", initial=0.1), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.stage_cost(x**4 / 4 - 2 * x**2 + 0.05 * u**2)
+    ocp.subject_to(-3, u, 3)
+    controller = build(ocp, options(), "test")
+    solution = controller.solve([0.1], tol=1e-8, max_iterations=300)
+    assert solution.status is Status.OK
+    assert controller.stats.negative_curvature > 0
+    assert controller.x[-1, 0] > 1  # a minimum, not the saddle x = 0
+
+
+def test_loops_and_straight_line_code_agree() -> None:
+    plans = []
+    for unroll_as in ("all", "none", "step"):
+        given = replace(options(), integrator=ExplicitRungeKutta(RK4, steps=2, unroll=unroll_as))
+        plans.append(build(crane.build_ocp(), given, "test").solve(X0, tol=1e-9).u)
+    np.testing.assert_allclose(plans[1], plans[0], atol=1e-9)
+    np.testing.assert_allclose(plans[2], plans[0], atol=1e-9)
+
+
+# Samples --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("method", METHODS)
+def test_the_crane_comes_to_rest(precision: Any, method: str) -> None:
+    given = options(precision=precision, solve=False, shift="repeat", method=method)
+    controller = build(crane.build_ocp(), given, "test")
+    log = simulate(controller, X0, steps=40, dt=0.3)
+    assert np.abs(log.x[-1]).max() < 5e-3
+    assert np.abs(log.u).max() <= 1
+    assert not np.any(log.status[2:])
+
+
+@pytest.mark.parametrize(("given", "simulations"), [({}, 4), ({"trials": 1}, 3), ({"products": 4}, 4)])
+def test_the_work_of_a_sample_is_bounded(given: dict[str, Any], simulations: int) -> None:
+    controller = build(crane.build_ocp(), options(shift="repeat", **given), "test")
+    random = np.random.default_rng(3)
+    for _ in range(30):
+        controller.step(random.uniform(-3, 3, 4))
+        assert 1 < controller.stats.simulations <= simulations
+        assert 0 < controller.stats.cg_iterations <= given.get("products", 12)
+
+
+def test_the_memory_of_the_crane() -> None:
+    """What a microcontroller needs: the struct without solve() and with shared references."""
+    bytes_of = {}
+    for precision in ("double", "single"):
+        given = options(Online(reference="shared"), precision=precision, solve=False, shift="repeat")
+        bytes_of[precision] = build(crane.build_ocp(), given, "test").nbytes
+    assert bytes_of["double"] <= 2048
+    assert bytes_of["single"] <= 1024
+
+
+def test_memory_grows_with_N_times_nx_plus_nu() -> None:
+    def size(N: int) -> int:
+        ocp = OCP("chain", T=0.1 * N, N=N)
+        x, u = ocp.state("x", size=6), ocp.control("u", size=2)
+        ocp.dynamics({x: ca.vertcat(x[1:], u[0] + u[1] * x[0])})
+        ocp.least_squares(ca.vertcat(x, u), weight=np.eye(8))
+        return build(ocp, options(Online(reference="shared"), solve=False), "test").nbytes
+
+    per_interval = (size(40) - size(20)) / 20
+    assert per_interval == (size(20) - size(10)) / 10
+    assert per_interval <= 8 * (2 * 6 + 6 * 2)
+
+
+def test_the_first_sample_after_solve_keeps_its_plan() -> None:
+    controller = build(crane.build_ocp(), options(shift="repeat"), "test")
+    log = simulate(controller, X0, steps=1, dt=0.3, warm_start=True)
+    np.testing.assert_allclose(log.u[0], ipopt(crane.build_ocp(), X0).u[0], atol=1e-6)
+    planned = controller.u.copy()
+    controller.shift()
+    np.testing.assert_array_equal(controller.u[:-1], planned[1:])
+    np.testing.assert_array_equal(controller.u[-1], planned[-1])
+    rest = controller.integrate(controller.x[-2], controller.u[-1], 0.3)
+    np.testing.assert_allclose(controller.x[-1], rest, atol=1e-14)
+
+
+def test_periodic_and_resampled_shifts() -> None:
+    periodic = build(samples.closing(), options(shift="periodic"), "test")
+    periodic.solve([0.5, 0.1])
+    planned = periodic.u.copy()
+    periodic.shift()
+    np.testing.assert_array_equal(periodic.u, np.roll(planned, -1, axis=0))
+    moved = build(samples.controls(), options(shift="resample", sampling_time=0.05), "test")
+    x0 = disturbed(samples.controls())
+    moved.solve(x0)
+    before, u = moved.u.copy(), moved.u[0].copy()
+    moved.shift()
+    np.testing.assert_allclose(moved.x[0], moved.integrate(x0, u, 0.05), atol=1e-10)
+    assert np.all(moved.u <= before.max() + 1e-12)
+    assert np.all(moved.u >= before.min() - 1e-12)
+
+
+def test_bounds_that_change_open_and_close_a_terminal_row() -> None:
+    """A terminal equation becomes an inequality at run time, is inactive, and becomes an equation again."""
+    ocp = samples.ends()
+    controller, x0 = build(ocp, options(), "test"), disturbed(ocp)
+    closed = controller.solve(x0, tol=1e-9).u.copy()
+    controller.set_bounds("q_end", -10.0, 10.0)
+    solution = controller.solve(x0, tol=1e-9)
+    assert solution.status is Status.OK
+    assert abs(controller.x[-1, 0] - 0.1) > 1e-3
+    controller.set_bounds("q_end", 0.1, 0.1)
+    np.testing.assert_allclose(controller.solve(x0, tol=1e-9).u, closed, atol=1e-6)
+
+
+# Failure contract -----------------------------------------------------------------------------------------------------
+
+_BUILT: dict[tuple[str, ...], Controller] = {}
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("precision", ["double", "single"])
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_the_control_is_finite_and_inside_its_bounds(precision: Any, method: str, data: st.DataObject) -> None:
+    key = (precision, method)
+    if key not in _BUILT:
+        _BUILT[key] = build(cstr.build_ocp(), options(precision=precision, method=method, shift="repeat"), "test")
+    controller = _BUILT[key].copy()
+    problem = classify(cstr.build_ocp())
+    hostile = st.sampled_from([0.0, 1.0, -1e3, 1e30, -1e30, np.nan, np.inf, -np.inf])
+    bounds = [(row.lower, row.upper) for row in problem.rows if row.kind == "control"]
+    good = {name: controller.view(name).copy() for name in ("yref", "W")}
+    for _ in range(4):
+        where = data.draw(st.sampled_from(["x", "u", "row", "measured", "yref", "W"]))
+        x = np.array(problem.x_initial)
+        if where == "measured":
+            x[data.draw(st.integers(0, 3))] = data.draw(hostile)
+        else:
+            array = controller.view(where).reshape(-1)
+            array[data.draw(st.integers(0, array.size - 1))] = data.draw(hostile)
+        u = controller.step(x)
+        assert np.all(np.isfinite(u))
+        for value, (lower, upper) in zip(u, bounds, strict=True):
+            assert u.dtype.type(lower) <= value <= u.dtype.type(upper)
+    for name, value in good.items():
+        controller.view(name)[...] = value
+    for _ in range(12):
+        controller.step(problem.x_initial)
+    assert controller.status is Status.OK
+    assert np.all(np.isfinite(controller.x))
+
+
+def test_nan_keeps_the_plan_and_the_next_sample_is_good() -> None:
+    controller = build(crane.build_ocp(), options(), "test")
+    controller.solve(X0)
+    planned = controller.u[0].copy()
+    np.testing.assert_array_equal(controller.step([np.nan, 0, 0, 0]), planned)
+    assert controller.status is Status.NOT_FINITE
+    assert "p" in controller.diagnose()
+    np.testing.assert_allclose(controller.step(X0), planned, atol=1e-6)
+    assert controller.status is Status.OK
+
+
+def test_a_plan_that_overflows_is_replaced_in_the_same_sample() -> None:
+    """x' = x^2 + u leaves the numbers in finite time from x = 1 with u = 5, and does not with the reference u = -2."""
+    ocp = OCP("explosive", T=4.0, N=8)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: x**2 + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1], reference=[0.0, -2.0])
+    ocp.subject_to(-8, u, 5)
+    controller = build(ocp, options(), "test")
+    controller.u = np.full((8, 1), 5.0)
+    control = controller.step([1.0])
+    assert -8 <= control[0] <= 5
+    assert controller.status in (Status.OK, Status.NUMERICAL_FAILURE)
+    for _ in range(3):
+        controller.step([0.1])
+    assert controller.status is Status.OK
+
+
+def test_rows_that_the_bounds_exclude() -> None:
+    """(0, 0, 1, 0) is infeasible; the controls do what they can, and feasible samples are solved at once afterwards."""
+    controller = build(crane.build_ocp(), options(), "test")
+    assert controller.solve([0.0, 0.0, 1.0, 0.0], max_iterations=60).status is Status.INFEASIBLE
+    for _ in range(4):
+        u = controller.step([0.0, 0.0, 1.0, 0.0])
+        assert controller.status in (Status.INFEASIBLE, Status.ITERATION_LIMIT)
+        assert abs(u[0]) <= 1
+    for _ in range(6):
+        controller.step([0.3, 0.0, 0.0, 0.0])
+    assert controller.status is Status.OK
+    found = ipopt(crane.build_ocp(), np.array([0.3, 0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(controller.u, found.u, atol=1e-4)
+
+
+def test_a_bad_argument_of_solve_and_reset() -> None:
+    controller = build(crane.build_ocp(), options(), "test")
+    fresh = controller.u.copy()
+    controller.step(X0)
+    controller.reset()
+    np.testing.assert_array_equal(controller.u, fresh)
+    assert controller.call_solve(-1.0, 10) is Status.BAD_ARGUMENT
+
+
+# What a package contains and what is refused --------------------------------------------------------------------------
+
+
+def test_a_package_has_the_integrator_and_nothing_else() -> None:
+    sources = generate(crane.build_ocp(), options())
+    for file in ("crane.h", "crane.c", "README.md"):
+        assert not re.findall(r"(?i)\b(?:\w*condens\w*|qp_?\w*|\w*riccati\w*|working_set)\b", sources[file])
+    assert "integrator_interval(" not in sources["crane.c"]
+    assert "crane_prepare" not in sources["crane.h"]
+
+
+def test_what_makes_no_sense_is_refused() -> None:
+    with pytest.raises(OptionError, match=r"hessian .* clashes with algorithm AdjointShooting"):
+        Options(algorithm=AdjointShooting(), hessian=GaussNewton())
+    with pytest.raises(OptionError, match=r"qp .* clashes with algorithm AdjointShooting"):
+        Options(algorithm=AdjointShooting(), qp=DenseActiveSet())
+    with pytest.raises(OptionError, match="free initial state"):
+        generate(samples.arrival(), options())
+    with pytest.raises(OptionError, match=r"integrated cost.*quasi_newton"):
+        generate(samples.economic(), options())
+    with pytest.raises(OptionError, match=r"hard row 'effort.*expected penalty="):
+        generate(samples.path(), options(rows="smooth_l1"))
+    with pytest.raises(OptionError, match=r'rows="lumped".*hard row'):
+        generate(samples.path(), options(rows="lumped"))
+    with pytest.raises(OptionError, match=r"no terms for the equation 'q_end'"):
+        generate(samples.ends(), options(rows="barrier"))
+    with pytest.raises(OptionError, match=r"no terms for the soft row"):
+        generate(samples.soft_rows(), options(rows="barrier"))
+    with pytest.raises(OptionError, match="sampling_time"):
+        AdjointShooting(shift="resample")
+    with pytest.raises(OptionError, match=r"memory: 3 clashes .*quasi_newton"):
+        AdjointShooting(memory=3)
+    with pytest.raises(OptionError, match=r"products: 3 clashes .*gauss_newton"):
+        AdjointShooting(products=3, method="quasi_newton")
+    for wrong in ({"method": "newton"}, {"rows": "elastic"}, {"penalty": 0.0}, {"trials": 0}, {"iterations": 0}):
+        with pytest.raises(OptionError, match="expected"):
+            AdjointShooting(**wrong)  # type: ignore[arg-type]
