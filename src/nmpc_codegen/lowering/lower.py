@@ -152,6 +152,7 @@ def _switches(model: Model) -> dict[str, int]:
         "LAGRANGIAN": 0,
         "START_IS_MEASURED": 0,
         "TUNED": 0,
+        "HOST_LANES": 1,
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
     for component in parts.components:

@@ -76,7 +76,7 @@ def all_definitions(module: CModule) -> list[Definition]:
     constants = [(m.name, f"{P}_{m.name}") for m in module.macros if m.name != "MAGIC"]
     constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
-    constants += arithmetic(module.precision)
+    constants += [("HOST_LANES", str(module.switches["HOST_LANES"])), *arithmetic(module.precision)]
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
     parametric.append(("HESSIAN", "s, k", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]"))
     places = PLACES | (MEASURED_START if module.switches["START_IS_MEASURED"] else {})
