@@ -46,7 +46,11 @@ static void riccati_backward_stage(solver_t *s, int k)
         gaps |= r->b[k][i] < R(0) || !(r->b[k][i] <= R(0));
     }
     if (gaps) {
+#if HOST_LANES > 1
+        riccati_add_symmetric(v, r->P[k + 1][0], LDX, r->b[k], NXS);
+#else
         riccati_combine(v, r->b[k], r->P[k + 1][0], LDX, NXS, LDX);
+#endif
     }
     memcpy(w, r->work.vectors.rhs.g[k], sizeof w);
     riccati_combine(w, v, stage_S(s, k)[0], NZS, NXS, NZS);
@@ -132,9 +136,14 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
             z[NXS + j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, LDX);
             u[k * NUS + j] = z[NXS + j];
         }
+#if HOST_LANES > 1
+        memcpy(x[k + 1], r->b[k], sizeof x[0]);
+        riccati_multiply(x[k + 1], S[0], NZS, z, NXS, NZS);
+#else
         for (int i = 0; i < NXS; i++) {
             x[k + 1][i] = r->b[k][i] + riccati_dot(S[i], z, NZS);
         }
+#endif
         memcpy(z, x[k + 1], sizeof x[0]);
     }
 }
