@@ -34,6 +34,7 @@ static void riccati_load_terminal(solver_t *s)
     riccati_clear_padding(r->P[NS]);
 }
 
+#if HOST_LANES == 1 || GENERAL_ROWS || NE || BLOCK_ROWS
 /* P += A'B, lower triangle, where A and B have n rows. */
 static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
@@ -49,6 +50,7 @@ static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A,
     }
 }
 
+#endif
 #if NG
 /* Weight of a a' for row m. */
 static inline real_t riccati_weight(const riccati_t *r, int m)

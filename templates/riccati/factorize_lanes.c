@@ -140,6 +140,7 @@ static void riccati_form_states(real_t (*P)[LDX], const tiled_stage_t *t, const 
 /* y += a x, whole packs. */
 PACK_INLINE void riccati_add_packs(real_t *y, real_t a, const real_t *x)
 {
+#pragma GCC unroll 4
     for (int i = 0; i < STATE_WIDTH; i += HOST_LANES) {
         *(pack_t *)(y + i) += a * *(const pack_t *)(x + i);
     }
@@ -149,8 +150,10 @@ PACK_INLINE void riccati_add_packs(real_t *y, real_t a, const real_t *x)
 PACK_INLINE void riccati_load_controls(riccati_t *r, int k, real_t (*V)[STAGE_WIDTH])
 {
     const int32_t *fixed = &r->fixed[k * NUS];
+#pragma GCC unroll 4
     for (int j = 0; j < NUS; j++) {
         const real_t *M = r->M[k][j];
+#pragma GCC unroll 4
         for (int l = 0; l < j; l++) {
             r->L[k][j][l] = (fixed[j] || fixed[l]) ? R(0) : M[NXS + l];
         }
@@ -169,6 +172,7 @@ static int riccati_eliminate_controls(riccati_t *r, int k, tiled_stage_t *t)
     real_t(*V)[STAGE_WIDTH] = t->T + NXS;
     riccati_load_controls(r, k, V);
     r->raised[k] = 0;
+#pragma GCC unroll 4
     for (int l = 0; l < NUS; l++) {
         real_t *reference = &r->M[k][l][NXS + l], added;
         const real_t pivot = riccati_pivot(r, L[l][l], r->fixed[k * NUS + l] ? R(0) : *reference, &added);
@@ -178,14 +182,17 @@ static int riccati_eliminate_controls(riccati_t *r, int k, tiled_stage_t *t)
         r->raised[k] |= added > R(0);
         *reference += added;
         L[l][l] = R(1) / pivot;
+#pragma GCC unroll 4
         for (int j = l + 1; j < NUS; j++) {
             const real_t y = L[j][l];
             L[j][l] = y * L[l][l];
+#pragma GCC unroll 4
             for (int i = l + 1; i <= j; i++) {
                 L[j][i] -= y * L[i][l];
             }
             riccati_add_packs(V[j], -L[j][l], V[l]);
         }
+#pragma GCC unroll 4
         for (int i = 0; i < STATE_WIDTH; i += HOST_LANES) {
             *(pack_t *)(t->W[l] + i) = -L[l][l] * *(const pack_t *)(V[l] + i);
         }
@@ -196,10 +203,13 @@ static int riccati_eliminate_controls(riccati_t *r, int k, tiled_stage_t *t)
 /* L'K = W. */
 PACK_INLINE void riccati_gain(riccati_t *r, int k, tiled_stage_t *t)
 {
+#pragma GCC unroll 4
     for (int j = NUS - 1; j >= 0; j--) {
+#pragma GCC unroll 4
         for (int l = j + 1; l < NUS; l++) {
             riccati_add_packs(t->W[j], -r->L[k][l][j], t->W[l]);
         }
+#pragma GCC unroll 4
         for (int i = 0; i < NXS; i += HOST_LANES) {
             pack_store(r->K[k][j] + i, *(const pack_t *)(t->W[j] + i), NXS - i);
         }

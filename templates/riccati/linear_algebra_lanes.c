@@ -79,51 +79,44 @@ PACK_INLINE void packs_clear(packs_t *c)
     c->r0 = c->r1 = c->r2 = c->r3 = c->r4 = c->r5 = c->r6 = c->r7 = zero;
 }
 
-/* y[i] += sum_j A[i][j] x[j],  i < rows <= HOST_LANES,  j < n */
-PACK_INLINE void riccati_multiply_rows(real_t *y, const real_t *A, int ld, const real_t *x, int rows, int n)
+/* sum_j A[i][j] x[j],  i < rows <= HOST_LANES,  j < n; x has whole packs. */
+PACK_INLINE pack_t riccati_row_products(const real_t *A, int ld, const real_t *x, int rows, int n)
 {
+    const int done = n / HOST_LANES * HOST_LANES;
     packs_t c;
     packs_clear(&c);
-    for (int j = 0; j + HOST_LANES <= n; j += HOST_LANES) {
-        packs_add(&c, A + j, ld, pack_load(x + j, HOST_LANES), rows, HOST_LANES);
+#pragma GCC unroll 4
+    for (int j = 0; j < done; j += HOST_LANES) {
+        packs_add(&c, A + j, ld, *(const pack_t *)(x + j), rows, HOST_LANES);
     }
-    if (n % HOST_LANES) {
-        const int done = n / HOST_LANES * HOST_LANES;
-        packs_add(&c, A + done, ld, pack_load(x + done, n - done), rows, n - done);
+    if (n > done) {
+        packs_add(&c, A + done, ld, *(const pack_t *)(x + done), rows, n - done);
     }
-    pack_store(y, pack_load(y, rows) + packs_sums(&c), rows);
+    return packs_sums(&c);
 }
 
-/* y[i] += sum_j A[i][j] x[j],  i < rows,  j < n */
-PACK_INLINE void riccati_multiply(real_t *y, const real_t *A, int ld, const real_t *x, int rows, int n)
-{
-    const int done = rows / HOST_LANES * HOST_LANES;
-    for (int i = 0; i < done; i += HOST_LANES) {
-        riccati_multiply_rows(y + i, A + i * ld, ld, x, HOST_LANES, n);
-    }
-    if (rows > done) {
-        riccati_multiply_rows(y + done, A + done * ld, ld, x, rows - done, n);
-    }
-}
-
-/* y[j] += sum_{l<n} a[l] rows[l][j],  j < width <= TILE_WIDTH */
+/* y[j] += sum_{l<n} a[l] rows[l][j],  j < width <= TILE_WIDTH; in four sums, as one is a chain of dependent operations */
 PACK_INLINE void riccati_combine_strip(real_t *y, const real_t *a, const real_t *rows, int ld, int n, int width)
 {
-    const int pairs = n / 2 * 2;
-    const pack_t zero = {0};
-    strip_t even = strip_load(y, width), odd = {zero, zero, zero};
-    for (int l = 0; l < pairs; l += 2) {
-        const strip_t first = strip_load(rows, width), second = strip_load(rows + ld, width);
-        strip_add(&even, a[l], &first);
-        strip_add(&odd, a[l + 1], &second);
-        rows += 2 * ld;
+    const int fours = n / 4 * 4;
+    tile_t c;
+    tile_clear(&c);
+    c.r0 = strip_load(y, width);
+    for (int l = 0; l < fours; l += 4) {
+        strip_add_row(&c.r0, a[l], rows, width);
+        strip_add_row(&c.r1, a[l + 1], rows + ld, width);
+        strip_add_row(&c.r2, a[l + 2], rows + 2 * ld, width);
+        strip_add_row(&c.r3, a[l + 3], rows + 3 * ld, width);
+        rows += 4 * ld;
     }
-    if (n > pairs) {
-        const strip_t last = strip_load(rows, width);
-        strip_add(&even, a[pairs], &last);
+    for (int l = fours; l < n; l++) {
+        strip_add_row(&c.r0, a[l], rows, width);
+        rows += ld;
     }
-    strip_add(&even, R(1), &odd);
-    strip_store(y, &even, width);
+    strip_add(&c.r0, R(1), &c.r1);
+    strip_add(&c.r2, R(1), &c.r3);
+    strip_add(&c.r0, R(1), &c.r2);
+    strip_store(y, &c.r0, width);
 }
 
 /* y[j] += sum_{l<n} a[l] rows[l][j],  j < width */

@@ -34,6 +34,7 @@ static inline void riccati_add_fixed(const riccati_t *r, int k, real_t *w)
     }
 }
 
+#if HOST_LANES == 1
 /* w = g_k + S_k'(p_{k+1} + P_{k+1} b_k) is the gradient at z = 0. With f the fixed controls:
  *     feed = -M_uu^{-1} (w_u + M_uf du_f),   p_k = w_x + M_xf du_f + K'(w_u + M_uf du_f) */
 static void riccati_backward_stage(solver_t *s, int k)
@@ -46,11 +47,7 @@ static void riccati_backward_stage(solver_t *s, int k)
         gaps |= r->b[k][i] < R(0) || !(r->b[k][i] <= R(0));
     }
     if (gaps) {
-#if HOST_LANES > 1
-        riccati_add_symmetric(v, r->P[k + 1][0], LDX, r->b[k], NXS);
-#else
         riccati_combine(v, r->b[k], r->P[k + 1][0], LDX, NXS, LDX);
-#endif
     }
     memcpy(w, r->work.vectors.rhs.g[k], sizeof w);
     riccati_combine(w, v, stage_S(s, k)[0], NZS, NXS, NZS);
@@ -67,6 +64,10 @@ static void riccati_backward_stage(solver_t *s, int k)
     }
 }
 
+#else
+static void riccati_backward_stage(solver_t *s, int k);
+
+#endif
 /* p, feed and h of the stages last .. 0; last = NS: all stages and p_NS. */
 static void riccati_backward(solver_t *s, int last)
 {
@@ -121,6 +122,9 @@ static void riccati_solve_free(const riccati_t *r, real_t *x)
 }
 
 #endif
+#if HOST_LANES > 1
+#include "riccati/substitute_lanes.c"
+#else
 /* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */
 static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
 {
@@ -136,18 +140,14 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
             z[NXS + j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, LDX);
             u[k * NUS + j] = z[NXS + j];
         }
-#if HOST_LANES > 1
-        memcpy(x[k + 1], r->b[k], sizeof x[0]);
-        riccati_multiply(x[k + 1], S[0], NZS, z, NXS, NZS);
-#else
         for (int i = 0; i < NXS; i++) {
             x[k + 1][i] = r->b[k][i] + riccati_dot(S[i], z, NZS);
         }
-#endif
         memcpy(z, x[k + 1], sizeof x[0]);
     }
 }
 
+#endif
 static void riccati_init(solver_t *s)
 {
     memset(&s->riccati, 0, sizeof s->riccati);

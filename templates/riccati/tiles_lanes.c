@@ -51,6 +51,13 @@ PACK_INLINE void strip_add(strip_t *c, real_t a, const strip_t *b)
     c->v2 += a * b->v2;
 }
 
+/* c += a times `width` numbers of a row */
+PACK_INLINE void strip_add_row(strip_t *c, real_t a, const real_t *row, int width)
+{
+    const strip_t s = strip_load(row, width);
+    strip_add(c, a, &s);
+}
+
 PACK_INLINE void tile_clear(tile_t *c)
 {
     const pack_t zero = {0};
@@ -133,6 +140,7 @@ PACK_INLINE void tile_add(tile_t *c, const real_t *a, int step, const strip_t *b
 PACK_INLINE void tile_accumulate(
     tile_t *c, const real_t *a, int along, int across, const real_t *b, int ldb, int n, int rows, int width)
 {
+#pragma GCC unroll 4
     for (int l = 0; l < n; l++) {
         const strip_t s = strip_load(b, width);
         tile_add(c, a, across, &s, rows);
