@@ -1,4 +1,4 @@
-#if HOST_LANES > 1
+#if HOST_LANES > 2
 #include "riccati/linear_algebra_lanes.c"
 #else
 #include "riccati/blocks.c"

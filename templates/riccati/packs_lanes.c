@@ -6,7 +6,7 @@
 typedef real_t pack_t __attribute__((vector_size(HOST_LANES * sizeof(real_t))));
 typedef real_t loose_pack_t
     __attribute__((vector_size(HOST_LANES * sizeof(real_t)), aligned(sizeof(real_t)), may_alias));
-typedef real_t quad_t __attribute__((vector_size(4 * sizeof(real_t))));
+typedef real_t pack4_t __attribute__((vector_size(4 * sizeof(real_t))));
 typedef real_t loose_quad_t __attribute__((vector_size(4 * sizeof(real_t)), aligned(sizeof(real_t)), may_alias));
 
 /* n rounded up to whole packs. */
@@ -16,15 +16,15 @@ typedef real_t loose_quad_t __attribute__((vector_size(4 * sizeof(real_t)), alig
 #define PACK_ALIGNED __attribute__((aligned(64)))
 
 /* The first n < 4 numbers, then zeros. */
-PACK_INLINE quad_t quad_part(const real_t *p, int n)
+PACK_INLINE pack4_t quad_part(const real_t *p, int n)
 {
-    quad_t v = {0};
+    pack4_t v = {0};
     if (n == 1) {
-        v = (quad_t){p[0], 0, 0, 0};
+        v = (pack4_t){p[0], 0, 0, 0};
     } else if (n == 2) {
-        v = (quad_t){p[0], p[1], 0, 0};
+        v = (pack4_t){p[0], p[1], 0, 0};
     } else if (n == 3) {
-        v = (quad_t){p[0], p[1], p[2], 0};
+        v = (pack4_t){p[0], p[1], p[2], 0};
     }
     return v;
 }
@@ -36,10 +36,10 @@ PACK_INLINE pack_t pack_load(const real_t *p, int n)
         return *(const loose_pack_t *)p;
     }
 #if HOST_LANES == 8
-    const quad_t zero = {0};
+    const pack4_t zero = {0};
     if (n >= 4) {
         return __builtin_shufflevector(
-            (quad_t) * (const loose_quad_t *)p, quad_part(p + 4, n - 4), 0, 1, 2, 3, 4, 5, 6, 7);
+            (pack4_t) * (const loose_quad_t *)p, quad_part(p + 4, n - 4), 0, 1, 2, 3, 4, 5, 6, 7);
     }
     return __builtin_shufflevector(quad_part(p, n), zero, 0, 1, 2, 3, 4, 5, 6, 7);
 #else
@@ -76,9 +76,9 @@ PACK_INLINE void pack_store(real_t *p, pack_t v, int n)
 PACK_INLINE real_t pack_sum(pack_t v)
 {
 #if HOST_LANES == 8
-    const quad_t s = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
+    const pack4_t s = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
 #else
-    const quad_t s = v;
+    const pack4_t s = v;
 #endif
     return (s[0] + s[2]) + (s[1] + s[3]);
 }
