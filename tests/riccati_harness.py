@@ -119,10 +119,12 @@ def source(
     sizes: tuple[tuple[str, int, str], ...] = (),
     owned: tuple[Struct, ...] = (),
     precision: str = "double",
+    lanes: int = 1,
 ) -> str:
-    """Self-contained C text of a part that works on stages."""
+    """Self-contained C text of a part that works on stages; with ``lanes`` > 1 as in the unit that build() compiles."""
     dims = vars(shape.dims)
     values = {size.text: size.value for size in dims.values() if isinstance(size, Size)}
+    values |= {"HOST_LANES": lanes}
     values |= {name: value for name, value, _ in (*riccati_sizes(shape.dims), *sizes)}
     measured = [int(i not in shape.free) for i in range(shape.nx)]
     tables = {
@@ -183,28 +185,35 @@ int test_qp_size(void) { return (int)sizeof(solver_t); }
 """
 
 
-def solver_source(shape: Shape, component: Any, precision: str = "double") -> str:
+def solver_source(shape: Shape, component: Any, precision: str = "double", lanes: int = 1) -> str:
     """Self-contained C text of a solver with its exported entry points."""
     known = {name for name, _, _ in riccati_sizes(shape.dims)}
     sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-    return source(shape, component.template, sizes, component.structs(shape.dims), precision) + SOLVER
+    return source(shape, component.template, sizes, component.structs(shape.dims), precision, lanes) + SOLVER
 
 
 @functools.cache
 def solver_library(
-    shape: Shape, component: Any, precision: str, flags: tuple[str, ...]
+    shape: Shape, component: Any, precision: str, flags: tuple[str, ...], lanes: int = 1
 ) -> tuple[ctypes.CDLL, np.dtype[Any]]:
     """The library of a solver and the type of its struct, once per session."""
     layout = memory_layout(shape, component.structs(shape.dims), precision)
-    return compiled(solver_source(shape, component, precision), flags), layout
+    return compiled(solver_source(shape, component, precision, lanes), flags), layout
 
 
 class RiccatiQP:
     """A solver on stages; ``self["z"]`` is the view of the member z of its struct qp."""
 
-    def __init__(self, shape: Shape, component: Any, precision: str = "double", flags: tuple[str, ...] = FAST) -> None:
+    def __init__(
+        self,
+        shape: Shape,
+        component: Any,
+        precision: str = "double",
+        flags: tuple[str, ...] = FAST,
+        lanes: int = 1,
+    ) -> None:
         self.shape = shape
-        self.library, layout = solver_library(shape, component, precision, flags)
+        self.library, layout = solver_library(shape, component, precision, flags, lanes)
         self.memory = np.zeros((), layout)
         assert self.library.test_qp_size() == self.memory.nbytes
         self.library.test_qp_init(self.pointer)

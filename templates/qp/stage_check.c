@@ -201,6 +201,22 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
 }
 
 #endif
+#if HOST_LANES > 2
+/* The gradients of cost and rows of all stages before their products with the dynamics: vectors that load what scalars
+ * have just stored would wait. */
+static void qp_start_check(solver_t *s)
+{
+    for (int k = 0; k <= NS; k++) {
+        qp_cost_gradient(s, k, s->riccati.work.vectors.rhs.g[k]);
+#if NG
+        for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+            qp_add_row(s, m, s->qp.mult[NV + m]);
+        }
+#endif
+    }
+}
+
+#endif
 /* Returns 1 if the gradient of the Lagrangian vanishes up to its tolerance. The multipliers of the dynamics follow from
  * the states and remain in the first entries of rhs.g, so that only the components of the controls and of a free x_0 are
  * to be checked. */
@@ -214,12 +230,17 @@ static int qp_is_stationary(solver_t *s, int full)
     if (full) {
         qp_component_sizes(s, full, size);
     }
+#if HOST_LANES > 2
+    qp_start_check(s);
+#endif
     for (int k = NS; k >= 0; k--) {
+#if HOST_LANES <= 2
         qp_cost_gradient(s, k, w[k]);
 #if NG
         for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
             qp_add_row(s, m, s->qp.mult[NV + m]);
         }
+#endif
 #endif
         memcpy(y, w[k], sizeof y[0] * (k < NS ? NZS : NXS));
         if (k < NS) {

@@ -34,6 +34,7 @@ static void riccati_load_terminal(solver_t *s)
     riccati_clear_padding(r->P[NS]);
 }
 
+#if HOST_LANES <= 2 || GENERAL_ROWS || NE || BLOCK_ROWS
 /* P += A'B, lower triangle, where A and B have n rows. */
 static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
@@ -49,6 +50,7 @@ static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A,
     }
 }
 
+#endif
 #if NG
 /* Weight of a a' for row m. */
 static inline real_t riccati_weight(const riccati_t *r, int m)
@@ -113,6 +115,7 @@ static void riccati_add_weights(solver_t *s, int k)
 }
 
 #endif
+#if HOST_LANES <= 2
 /* T = P_{k+1} S_k, with S_k copied to W and padded. */
 static void riccati_propagate(solver_t *s, int k)
 {
@@ -147,6 +150,7 @@ static inline void riccati_load_controls(riccati_t *r, int k)
     }
 }
 
+#endif
 /* Returns the pivot d of a matrix whose diagonal entry is `reference`, or 0 if it is not positive. If r->regularize is
  * set, a pivot that may be zero is increased by `added`, a small fraction of that entry. */
 static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t reference, real_t *added)
@@ -163,6 +167,9 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
     return d + *added;
 }
 
+#if HOST_LANES > 2
+#include "riccati/factorize_lanes.c"
+#else
 /* M_uu = L D L' with 1 / D stored on the diagonal of L, V = L^{-1} M_ux, -D^{-1} V in W below the states. Returns 0 if
  * a pivot is not positive. */
 static int riccati_eliminate_controls(riccati_t *r, int k)
@@ -206,6 +213,8 @@ static inline void riccati_gain(riccati_t *r, int k)
     }
 }
 
+#endif
+#if HOST_LANES <= 2 || NF
 /* Copies the lower triangle of P_k to the upper one. */
 static inline void riccati_mirror(real_t (*P)[LDX])
 {
@@ -216,6 +225,8 @@ static inline void riccati_mirror(real_t (*P)[LDX])
     }
 }
 
+#endif
+#if HOST_LANES <= 2
 /* P_k = Q_xx + A'P_{k+1}A - V'D^{-1}V, computed as one product of (A, -D^{-1}V) with (P_{k+1}A, V). */
 static int riccati_stage(solver_t *s, int k)
 {
@@ -242,6 +253,7 @@ static int riccati_stage(solver_t *s, int k)
     return 1;
 }
 
+#endif
 #if NXS > NX
 /* Adds the rows and columns of P_0 that belong to copies of components of x_0 to those of the original components,
  * because the copies are not independent variables. */
@@ -297,13 +309,18 @@ static int riccati_factorize(solver_t *s, int last)
 #if NG
         riccati_add_weights(s, NS);
 #endif
+#if HOST_LANES <= 2
         riccati_mirror(s->riccati.P[NS]);
+#endif
     }
     for (int k = last < NS ? last : NS - 1; k >= 0; k--) {
         if (!riccati_stage(s, k)) {
             return 0;
         }
     }
+#if HOST_LANES > 2 && NF
+    riccati_mirror(s->riccati.P[0]);
+#endif
 #if NXS > NX
     riccati_fold(&s->riccati);
 #endif

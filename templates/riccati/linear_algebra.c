@@ -1,3 +1,6 @@
+#if HOST_LANES > 2
+#include "riccati/linear_algebra_lanes.c"
+#else
 #include "riccati/blocks.c"
 
 /* y[j] += sum_{l<n} a[l] rows[l][j],  j < width. */
@@ -68,4 +71,5 @@ static void riccati_add_symmetric(real_t *y, const real_t *Q, int ld, const real
         row += ld;
     }
 }
+#endif
 #endif

@@ -34,6 +34,7 @@ static inline void riccati_add_fixed(const riccati_t *r, int k, real_t *w)
     }
 }
 
+#if HOST_LANES <= 2
 /* w = g_k + S_k'(p_{k+1} + P_{k+1} b_k) is the gradient at z = 0. With f the fixed controls:
  *     feed = -M_uu^{-1} (w_u + M_uf du_f),   p_k = w_x + M_xf du_f + K'(w_u + M_uf du_f) */
 static void riccati_backward_stage(solver_t *s, int k)
@@ -63,6 +64,10 @@ static void riccati_backward_stage(solver_t *s, int k)
     }
 }
 
+#else
+static void riccati_backward_stage(solver_t *s, int k);
+
+#endif
 /* p, feed and h of the stages last .. 0; last = NS: all stages and p_NS. */
 static void riccati_backward(solver_t *s, int last)
 {
@@ -117,6 +122,9 @@ static void riccati_solve_free(const riccati_t *r, real_t *x)
 }
 
 #endif
+#if HOST_LANES > 2
+#include "riccati/substitute_lanes.c"
+#else
 /* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */
 static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
 {
@@ -139,6 +147,7 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
     }
 }
 
+#endif
 static void riccati_init(solver_t *s)
 {
     memset(&s->riccati, 0, sizeof s->riccati);

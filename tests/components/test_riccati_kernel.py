@@ -24,16 +24,19 @@ SHAPES = {
     "all free": Shape(3, 2, 1, (), (0, 1)),
     "blocks of eight": Shape(3, 12, 4),
     "remainders": Shape(3, 21, 3),
+    "rows of 17": Shape(2, 13, 4, ((0, 2), (1, -1))),
+    "more than one tile": Shape(2, 29, 5, ((1, 3), (2, -1))),
     "many controls": Shape(3, 6, 13, ((2, -1), (2, 5))),
 }
 seeds = st.integers(0, 2**32 - 1)
+every_lanes = pytest.mark.parametrize("lanes", [1, 4, 8])
 some = settings(max_examples=25, deadline=None)
 
 
 @functools.cache
-def built(shape: Shape, precision: str) -> tuple[ctypes.CDLL, np.dtype[Any]]:
+def built(shape: Shape, precision: str, lanes: int) -> tuple[ctypes.CDLL, np.dtype[Any]]:
     """The library of the recursion and the type of its struct, once per session."""
-    library = compiled(source(shape, precision=precision) + KERNEL)
+    library = compiled(source(shape, precision=precision, lanes=lanes) + KERNEL)
     library.test_gradient.restype = ctypes.c_float if precision == "single" else ctypes.c_double
     return library, memory_layout(shape, precision=precision)
 
@@ -41,9 +44,9 @@ def built(shape: Shape, precision: str) -> tuple[ctypes.CDLL, np.dtype[Any]]:
 class Kernel:
     """The recursion on one problem."""
 
-    def __init__(self, shape: Shape, precision: str = "double") -> None:
+    def __init__(self, shape: Shape, precision: str = "double", lanes: int = 1) -> None:
         self.shape = shape
-        self.library, layout = built(shape, precision)
+        self.library, layout = built(shape, precision, lanes)
         self.memory = np.zeros((), layout)
         self.library.test_init(self.pointer)
 
@@ -162,12 +165,13 @@ def agrees(kernel: Kernel, data: dict[str, Any], x: np.ndarray, u: np.ndarray, l
         np.testing.assert_allclose(gradient, expected, atol=limit * scale)
 
 
+@every_lanes
 @pytest.mark.parametrize("name", SHAPES)
 @some
 @given(seed=seeds)
-def test_one_dense_kkt_system_agrees(name: str, seed: int) -> None:
+def test_one_dense_kkt_system_agrees(name: str, lanes: int, seed: int) -> None:
     shape, rng = SHAPES[name], np.random.default_rng(seed)
-    kernel = Kernel(shape)
+    kernel = Kernel(shape, lanes=lanes)
     for _ in range(2):
         data = drawn(shape, rng)
         loaded(kernel, data)
@@ -175,13 +179,14 @@ def test_one_dense_kkt_system_agrees(name: str, seed: int) -> None:
         agrees(kernel, data, *kernel.substitute(data["problem"].x_0))
 
 
+@every_lanes
 @pytest.mark.parametrize("name", ["one control", "rows", "free", "many controls"])
 @some
 @given(seed=seeds)
-def test_a_recursion_from_the_middle(name: str, seed: int) -> None:
+def test_a_recursion_from_the_middle(name: str, lanes: int, seed: int) -> None:
     """Weights, fixed controls and vectors up to stage ``last`` change: later stages remain valid."""
     shape, rng = SHAPES[name], np.random.default_rng(seed)
-    kernel = Kernel(shape)
+    kernel = Kernel(shape, lanes=lanes)
     data, other = drawn(shape, rng), drawn(shape, rng)
     loaded(kernel, data)
     kernel.factorize()
@@ -196,9 +201,10 @@ def test_a_recursion_from_the_middle(name: str, seed: int) -> None:
     agrees(kernel, data, *kernel.substitute(data["problem"].x_0, last))
 
 
-def test_a_pivot_that_is_not_positive_is_named() -> None:
+@every_lanes
+def test_a_pivot_that_is_not_positive_is_named(lanes: int) -> None:
     shape = SHAPES["one control"]
-    kernel = Kernel(shape)
+    kernel = Kernel(shape, lanes=lanes)
     data = drawn(shape, np.random.default_rng(1))
     data["fixed"][...] = False
     data["problem"].Q[5, -1, -1] = -1e3
@@ -211,10 +217,11 @@ def test_a_pivot_that_is_not_positive_is_named() -> None:
     agrees(kernel, data, *kernel.substitute(data["problem"].x_0))
 
 
+@every_lanes
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_data_that_are_not_finite_fail(bad: float) -> None:
+def test_data_that_are_not_finite_fail(bad: float, lanes: int) -> None:
     shape = SHAPES["remainders"]
-    kernel = Kernel(shape)
+    kernel = Kernel(shape, lanes=lanes)
     data = drawn(shape, np.random.default_rng(2))
     data["fixed"][...] = False
     data["problem"].S[1, 2, 20] = bad
@@ -222,9 +229,10 @@ def test_data_that_are_not_finite_fail(bad: float) -> None:
     assert kernel.factorize() == 0
 
 
-def test_free_components_without_curvature_are_refused() -> None:
+@every_lanes
+def test_free_components_without_curvature_are_refused(lanes: int) -> None:
     shape = SHAPES["all free"]
-    kernel = Kernel(shape)
+    kernel = Kernel(shape, lanes=lanes)
     data = drawn(shape, np.random.default_rng(3))
     data["problem"].Q[0, 0, 0] = -1e3
     loaded(kernel, data)
@@ -232,9 +240,10 @@ def test_free_components_without_curvature_are_refused() -> None:
     assert kernel.memory["riccati"]["failed"] == -1
 
 
-def test_single_precision() -> None:
+@every_lanes
+def test_single_precision(lanes: int) -> None:
     shape = SHAPES["rows"]
-    kernel = Kernel(shape, "single")
+    kernel = Kernel(shape, "single", lanes)
     data = drawn(shape, np.random.default_rng(4))
     loaded(kernel, data)
     assert kernel.factorize() == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import require_tool
@@ -15,12 +16,15 @@ from benchmarks.lib.speed.accuracy import LIMIT, errors
 from benchmarks.lib.speed.functions import EXACT, arguments, evaluate, library, ulps
 from examples import chain, crane, cstr
 from nmpc_codegen import (
+    OCP,
     RK4,
     Controller,
     ExactHessian,
     ExplicitRungeKutta,
+    NoCondensing,
     OptionError,
     Options,
+    RiccatiActiveSet,
     build,
     export,
     generate,
@@ -73,6 +77,16 @@ def test_exact_hessians_without_multipliers_take_the_adjoint_sweep() -> None:
     x0 = np.array(one.x[0])
     np.testing.assert_allclose(one.step(x0), other.step(x0), rtol=1e-12)
     np.testing.assert_allclose(one.lam, other.lam, rtol=1e-9, atol=1e-9)
+
+
+def test_more_controls_of_a_stage_than_lanes() -> None:
+    """Two intervals of the quadrotor are a stage with eight controls."""
+    require_tool("cc")
+    one, other = pair("quadrotor partial", 4)
+    x0 = np.array(one.x[0]) + 0.1
+    for scale in (1.0, 3.0):
+        np.testing.assert_allclose(other.step(scale * x0), one.step(scale * x0), rtol=1e-9)
+    assert one.status == other.status == 0
 
 
 def test_closed_loops_agree() -> None:
@@ -143,3 +157,39 @@ def test_few_intervals_take_fewer_lanes() -> None:
     bare = compiled(KNOWN["bare dense"].make(), Options(hessian=ExactHessian()))
     assert "vector_size(HOST_LANES" in host_unit(bare, 8, True)
     assert "#define HOST_LANES 4" in host_unit(bare, 8, True)
+
+
+def linear(nx: int, nu: int) -> OCP:
+    """A random stable map with a quadratic cost."""
+    random = np.random.default_rng([nx, nu])
+    ocp = OCP("linear", N=9)
+    x, u = ocp.state("x", size=nx, initial=random.uniform(-1, 1, nx)), ocp.control("u", size=nu)
+    A = random.uniform(-1, 1, (nx, nx))
+    A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
+    B = random.uniform(-1, 1, (nx, nu))
+    ocp.dynamics({"x": ca.mtimes(ca.DM(A), x) + ca.mtimes(ca.DM(B), u)}, discrete=True)
+    ocp.least_squares(ca.vertcat(x, u), weight=np.ones(nx + nu))
+    ocp.terminal_least_squares(x, weight=random.uniform(1, 2, nx))
+    ocp.subject_to(-0.2, u, 0.2)
+    return ocp
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize(("nx", "nu"), [(1, 1), (2, 3), (3, 1), (5, 2), (8, 4), (9, 3), (13, 5), (17, 1)])
+def test_riccati_products_in_tiles(nx: int, nu: int, precision: str) -> None:
+    """Sizes with tiles of all shapes and rests: factors, and controls at their bounds, are those of exported C."""
+    require_tool("cc")
+    options = Options(condensing=NoCondensing(), qp=RiccatiActiveSet(), precision=precision)
+    ocp = linear(nx, nu)
+    tolerance = 1e-11 if precision == "double" else 2e-3
+    one, *others = (build(ocp, options, "test", lanes=n) for n in (1, 2, 8))
+    x0 = np.array(one.x[0])
+    expected = [one.step(scale * x0) for scale in (1.0, 3.0, 0.1)]
+    assert one.status == 0
+    size = np.abs(one.view("riccati.P")[:, :nx, :nx]).max()
+    for other in others:
+        found = [other.step(scale * x0) for scale in (1.0, 3.0, 0.1)]
+        np.testing.assert_allclose(found, expected, atol=tolerance)
+        for name in ("riccati.P", "riccati.K"):
+            pair = (c.view(name)[:, : (nx if name == "riccati.P" else nu), :nx] for c in (other, one))
+            np.testing.assert_allclose(*pair, atol=tolerance * size, err_msg=name)

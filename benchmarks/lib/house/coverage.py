@@ -15,7 +15,7 @@ ALWAYS = ("rows.c", "cost.c")
 _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')
 
 #: Lanes, and whether there are instructions of AVX-512, of the units for a host.
-HOSTS = ((8, True), (2, False))
+HOSTS = ((8, True), (4, False), (2, False))
 
 #: (part, line number) of a condition -> its observed values.
 Values = dict[tuple[str, int], set[bool]]

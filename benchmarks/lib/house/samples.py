@@ -439,6 +439,7 @@ SAMPLES = (
     Sample("discrete interior", discrete, _interior()),
     Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
     Sample("discrete rows dense", discrete_rows, _dense(precision="single", online=FIXED)),
+    Sample("quadrotor partial", quadrotor.build_ocp, _partial()),
     Sample("functions dense", functions, _dense(online=SHARED)),
     Sample("functions riccati", functions, _riccati(precision="single")),
     Sample("bare augmented", bare, _augmented(online=FIXED, solve=False)),
