@@ -1,8 +1,30 @@
 /* Contract of this part: a Hessian that depends on multipliers which do not converge belongs to no problem, and every QP
  * may be solved all the same. settle() is called before a preparation, watch_multipliers() after a success. */
 
+/* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value: the plan stands at
+ * a solution, and multipliers that change there are not unique (as many active rows as controls). */
+static int stands_still(const solver_t *s)
+{
+    for (int i = 0; i < NZ; i++) {
+        real_t moved = R(0), size = R(0);
+        for (int k = 0; k <= N; k++) {
+            if (i < NX) {
+                enlarge(&moved, s->step.dx[k][i]);
+                enlarge(&size, s->x[k][i]);
+            } else if (k < N) {
+                enlarge(&moved, s->step.du[k][i - NX]);
+                enlarge(&size, s->u[k][i - NX]);
+            }
+        }
+        if (moved > size / 4096) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
 /* Counts in unsettled the samples on end in which the lam have changed by more than half their size since the sample
- * before, node by node: a plan that is moved while the state stands still has multipliers that do not change. */
+ * before, node by node, although the plan moves: where the state stands still they do not change. */
 static void watch_multipliers(solver_t *s)
 {
     real_t change = R(0), size = R(0);
@@ -14,7 +36,7 @@ static void watch_multipliers(solver_t *s)
         }
     }
     memcpy(s->lam_before, s->lam, sizeof s->lam_before);
-    s->unsettled = (change > R(0.5) * size) ? s->unsettled + 1 : 0;
+    s->unsettled = (change > R(0.5) * size && !stands_still(s)) ? s->unsettled + 1 : 0;
 }
 
 /* After PATIENCE / 2 such samples the multipliers are estimated anew at the plan; if that does not help, the plan is

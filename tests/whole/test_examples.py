@@ -33,7 +33,7 @@ from examples import (
     quadrotor,
     vandevusse,
 )
-from nmpc_codegen import OCP, Options, build, cli, export, open_package
+from nmpc_codegen import OCP, Options, Status, build, cli, export, open_package
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map
@@ -157,6 +157,27 @@ def test_bioreactor_orbit() -> None:
     assert -best.cost == pytest.approx(3.054852, abs=1e-6)
     assert (controller.u >= bioreactor.LOWEST).all()
     assert (controller.u <= bioreactor.HIGHEST).all()
+
+
+@pytest.mark.usefixtures("quick")
+def test_multipliers_of_the_orbit_are_not_unique() -> None:
+    """As many rows are active as there are controls: lam jumps from sample to sample, and the plan stays all the same."""
+    best = bioreactor.orbit()[1]
+    controller = build(bioreactor.build_ocp(soft=True), bioreactor.options(), "test", lanes=1)
+    rng, jumps = np.random.default_rng(0), []
+    for _ in range(4):
+        controller.reset()
+        controller.x[...] = best.x * (1 + 1e-12 * rng.standard_normal(best.x.shape))
+        controller.u[...], controller.lam[...] = best.u, best.lam
+        x = best.x[0]
+        for k in range(60):
+            before = controller.lam.copy()
+            u = controller.step(x)
+            jumps.append(np.abs(controller.lam - before).max() > np.abs(before).max())
+            assert controller.status is Status.OK
+            assert controller.u[0] == pytest.approx(best.u[k % bioreactor.N], abs=1e-6)
+            x = controller.integrate(x, u, bioreactor.SAMPLING)
+    assert sum(jumps) > 10
 
 
 @pytest.mark.slow
