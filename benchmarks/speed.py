@@ -16,6 +16,7 @@ from benchmarks.lib.speed import accuracy, before, functions, loops
 
 PARTS: dict[str, Callable[[Report], None]] = {
     "loops": loops.measure,
+    "first": loops.first_control,
     "lanes": accuracy.measure,
     "functions": functions.measure,
     "before": before.measure,

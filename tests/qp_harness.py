@@ -46,6 +46,7 @@ SWITCHES = {
     "INTERIOR_POINT": 1,
     "SET_REFERENCE": 1,
     "BUDGET": 0,
+    "FIRST": 0,
     "HOST_LANES": 1,
 }
 

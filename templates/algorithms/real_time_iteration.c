@@ -96,6 +96,10 @@ static status_t prepare_here(solver_t *s)
 #include "algorithms/settle.c"
 
 #endif
+#if FIRST
+static void first_prepare(solver_t *s);
+
+#endif
 status_t API(prepare)(solver_t *s)
 {
     status_t status;
@@ -121,6 +125,9 @@ status_t API(prepare)(solver_t *s)
     status = within_budget(s, status);
 #endif
     s->prepared = 1;
+#if FIRST
+    first_prepare(s);
+#endif
     return finish(s, status);
 }
 
@@ -323,6 +330,10 @@ static status_t feedback_here(solver_t *s)
 }
 
 #include "algorithms/feedback.c"
+
+#if FIRST
+#include "algorithms/feedback_first.c"
+#endif
 
 #include "algorithms/shift.c"
 

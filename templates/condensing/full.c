@@ -449,3 +449,7 @@ static void qp_shift_rows(qp_t *q, const int *source);
 
 #include "condensing/shift_condensed.c"
 #endif
+
+#if FIRST
+#include "condensing/law_condensed.c"
+#endif

@@ -161,3 +161,7 @@ static status_t qp_solve(qp_t *q)
 #if !SHIFT_RESAMPLE
 #include "qp/dense_active_set_shift.c"
 #endif
+
+#if FIRST
+#include "qp/dense_active_set_response.c"
+#endif

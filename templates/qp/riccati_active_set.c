@@ -248,3 +248,7 @@ static status_t qp_solve(solver_t *s)
 #if !SHIFT_RESAMPLE
 #include "qp/shift_on_stages.c"
 #endif
+
+#if FIRST
+#include "qp/riccati_active_set_law.c"
+#endif

@@ -301,6 +301,7 @@ SHARED = Online("shared", "shared", "shared", "shared")
 NODE = Online("node", "node", "node", "node", dense_weight=True)
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
 RELAXED, LIMITED = RealTimeIteration(relaxation=100.0), RealTimeIteration(budget=10**8)
+FIRST = RealTimeIteration(first_control=True)
 REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
 STAGES = NoCondensing()
 QUASI_NEWTON: dict[str, Any] = {"method": "quasi_newton"}
@@ -440,6 +441,11 @@ SAMPLES = (
     Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
     Sample("discrete rows dense", discrete_rows, _dense(precision="single", online=FIXED)),
     Sample("quadrotor partial", quadrotor.build_ocp, _partial()),
+    Sample("controls first dense", controls, _dense(algorithm=FIRST, online=FIXED)),
+    Sample("controls first", controls, _riccati_alone(algorithm=FIRST)),
+    Sample("ends first dense", ends, _dense(algorithm=FIRST)),
+    Sample("path first", path, _riccati(algorithm=FIRST)),
+    Sample("closing first partial", closing, _partial(algorithm=FIRST)),
     Sample("functions dense", functions, _dense(online=SHARED)),
     Sample("functions riccati", functions, _riccati(precision="single")),
     Sample("bare augmented", bare, _augmented(online=FIXED, solve=False)),

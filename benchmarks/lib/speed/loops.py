@@ -5,22 +5,22 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from benchmarks.lib import scenarios
-from benchmarks.lib.closed_loop import Scenario, Timing, compile_driver
+from benchmarks.lib.closed_loop import Scenario, Timing, compile_driver, run_driver
 from benchmarks.lib.hessian import bioreactor as bioreactor_loops
 from benchmarks.lib.house.ratios import in_turn
 from benchmarks.lib.house.timed import TIMED
 from benchmarks.lib.report import Report
 from benchmarks.lib.speed.reference import reference_kernel_us
 from examples import chain
-from nmpc_codegen import OCP, Options
+from nmpc_codegen import OCP, Options, RealTimeIteration
 from nmpc_codegen.compiler import compiled
 from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.lowering.render import Sources, render
-from nmpc_codegen.runtime.build import host
+from nmpc_codegen.runtime.build import PROFILES, host
 
 #: Time of the reference kernel (us) on the machine of the limits.
 REFERENCE = 24.0
@@ -99,6 +99,20 @@ def measure(report: Report, runs: int = RUNS) -> None:
             times = in_turn(programs, loop.scenario, runs, loop.steps)
         for found, suffix, count in zip(times, ("", "_single_lane"), (lanes, 1), strict=True):
             _add(report, loop, found, suffix, count, reference)
+
+
+def first_control(report: Report, runs: int = 5) -> None:
+    """feedback_first_us: the first part of the feedback phase, which returns the control of the predicted set."""
+    for loop in LOOPS:
+        algorithm = loop.options.algorithm
+        assert isinstance(algorithm, RealTimeIteration)
+        split = replace(loop, options=replace(loop.options, algorithm=replace(algorithm, first_control=True)))
+        prefix, _, hosted, lanes = units(split)
+        with tempfile.TemporaryDirectory() as folder:
+            program = compile_driver(hosted, prefix, Path(folder), (*PROFILES["fast"].flags, "-DFIRST"))
+            times = run_driver(program, loop.scenario, runs=runs, steps=loop.steps)
+        n = times.samples
+        report.add("feedback_first_us", times.feedback, "us", case=loop.name, n=n, limit=0.3, lanes=lanes)
 
 
 def _add(report: Report, loop: Loop, times: list[Timing], suffix: str, lanes: int, reference: float) -> None:

@@ -236,6 +236,7 @@ class QpSolver(Component, Protocol):
 
     takes: ClassVar[str]  # "condensed" or "stages"
     automatic: ClassVar[bool]  # qp=None may choose it
+    predicts: ClassVar[bool]  # its preparation yields the law of the first control on the predicted working set
     iteration: ClassVar[tuple[str, ...]]  # macros of what one iteration charges to a budget; none: it has no budget
 
     def search(self, dims: Dims) -> OpCount:

@@ -12,11 +12,13 @@ from functools import cached_property
 from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.package_description import Kind, PackageDescription, Struct
 from nmpc_codegen.runtime.status import KKT_PARTS, Status
 
+ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
 C_REAL = {"double": "double", "single": "float"}
 #: The status values that every package has; later versions added some.
 EARLIEST = 12
@@ -252,3 +254,17 @@ class CompiledPackage:
             place = self.ffi.offsetof(ctype, member)
             self._same(f"struct {struct}: the offset of {member}", entry[1], place)
         self._same(f"struct {struct}: the number of bytes", expected.itemsize, self.ffi.sizeof(ctype))
+
+
+def restored(reload: Callable[..., Any], files: Mapping[str, str], name: str, profile: Any, state: bytes) -> Any:
+    """Unpickle: load the package again, from the cache if possible, and restore the state."""
+    controller = reload(files, name, profile)
+    controller._memory[:] = np.frombuffer(state, dtype=np.uint8)
+    return controller
+
+
+def aligned(size: int) -> NDArray[np.uint8]:
+    """A zeroed byte array whose first byte is aligned."""
+    raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
+    start = -raw.ctypes.data % ALIGNMENT
+    return raw[start : start + size]

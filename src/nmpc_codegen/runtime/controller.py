@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from time import perf_counter_ns
 from typing import IO, Any, Literal, NoReturn, Self
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.compiled import COUNTERS, NEWTON, CompiledPackage
+from nmpc_codegen.runtime.compiled import COUNTERS, NEWTON, CompiledPackage, aligned, restored
 from nmpc_codegen.runtime.given import checked_array, checked_weight, is_integer, ndim
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
@@ -27,7 +27,6 @@ from nmpc_codegen.runtime.status import KKT_PARTS, Kkt, Stats, Status, diagnosis
 
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
-ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
 #: Stats of an algorithm without counters.
 _NO_COUNTS = {**dict.fromkeys((*COUNTERS, *NEWTON), 0), "violation": 0.0}
 
@@ -49,7 +48,7 @@ class Controller:
         self.dims: Dimensions = self.description.dims
         self.names: Names = self.description.names
         self._real = self.description.real
-        self._memory = _aligned(package.dtype.itemsize)
+        self._memory = aligned(package.dtype.itemsize)
         self._struct: NDArray[np.void] = self._memory.view(package.dtype).reshape(())
         self._s = package.ffi.from_buffer(f"{package.name}_solver_t *", self._memory)
         self._xhat, self._xhat_c = self._buffer(self.dims.nx)
@@ -105,6 +104,22 @@ class Controller:
         self._feedback_ns = perf_counter_ns() - start
         self._judge(status, "feedback", on_failure)
         return self._u0.copy()
+
+    def feedback_first(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
+        """Return the control (nu,) for the measured state (nx,) on the predicted working set, before the QP is solved.
+
+        It needs RealTimeIteration(first_control=True). Apply the control, then call feedback_finish().
+        """
+        self._measure(xhat)
+        self._judge(self._call("feedback_first", self._s, self._xhat_c, self._u0_c), "feedback_first", on_failure)
+        return self._u0.copy()
+
+    def feedback_finish(self, on_failure: OnFailure = "status") -> Status:
+        """Solve the QP for the state of feedback_first() and update the plan; see stats.first_deviation."""
+        start = perf_counter_ns()
+        status = self._call("feedback_finish", self._s)
+        self._feedback_ns = perf_counter_ns() - start
+        return self._judge(status, "feedback_finish", on_failure)
 
     def solve(
         self,
@@ -334,6 +349,7 @@ class Controller:
             prepare_ns=self._prepare_ns,
             feedback_ns=self._feedback_ns,
             stale_hessian=bool(counts.get("stale_hessian", 0)),
+            first_deviation=float(counts.get("first_deviation", 0)),
         )
 
     @property
@@ -390,7 +406,7 @@ class Controller:
 
     def __reduce__(self) -> tuple[Any, ...]:
         package = self._package
-        return _restore, (package.reload, dict(package.files), package.name, package.profile, self._memory.tobytes())
+        return restored, (package.reload, dict(package.files), package.name, package.profile, self._memory.tobytes())
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
         """Write the state, the bytes of the struct and the fingerprint of its package, as an .npz archive."""
@@ -581,17 +597,3 @@ class Controller:
     def _assign(self, name: str, value: ArrayLike) -> None:
         view = self._view(name)
         view[...] = self._array(name, value, view.shape)
-
-
-def _restore(reload: Callable[..., Controller], files: Mapping[str, str], name: str, profile: Any, state: bytes) -> Any:
-    """Unpickle: load the package again, from the cache if possible, and restore the state."""
-    controller = reload(files, name, profile)
-    controller._memory[:] = np.frombuffer(state, dtype=np.uint8)
-    return controller
-
-
-def _aligned(size: int) -> NDArray[np.uint8]:
-    """A zeroed byte array whose first byte is aligned."""
-    raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
-    start = -raw.ctypes.data % ALIGNMENT
-    return raw[start : start + size]

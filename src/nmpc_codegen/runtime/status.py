@@ -128,6 +128,7 @@ class Stats:
     ``newton_iterations``, ``accepted``, ``faces``, ``cg_iterations``, ``shifts``, ``negative_curvature``: those of the
     augmented Lagrangian, whose ``violation`` is the largest gap or violation of a hard row in its scale; else 0. Single
     shooting has them without ``shifts``, and ``simulations`` of the plan.
+    ``first_deviation``: largest difference between the control of feedback_finish() and that of feedback_first().
     ``stale_hessian``: parameters, weights or bounds are not those for which a constant Hessian was computed.
     """
 
@@ -143,6 +144,7 @@ class Stats:
     prepare_ns: int
     feedback_ns: int
     stale_hessian: bool = False
+    first_deviation: float = 0.0
     newton_iterations: int = 0
     accepted: int = 0
     cg_iterations: int = 0

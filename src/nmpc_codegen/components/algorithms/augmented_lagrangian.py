@@ -117,6 +117,7 @@ class AugmentedLagrangian(Defaults):
             **shift_switches(self.shift),
             "RELAX": 0,
             "BUDGET": 0,
+            "FIRST": 0,
             "HAS_INITIAL_HESSIAN": 0,
             "START_IS_MEASURED": 1,
         }

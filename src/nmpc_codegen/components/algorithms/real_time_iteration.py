@@ -22,8 +22,9 @@ from nmpc_codegen.components.algorithms.shifts import (
     resample_tables,
     shift_switches,
 )
-from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Seam
+from nmpc_codegen.components.allowed import Flag, Number, Whole, Words, check_options, option
+from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Parts, Seam, called
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.kernel import OpCount
@@ -54,6 +55,22 @@ SOLVE = EntryPoint(
     (_XHAT, Argument("tol", "real"), Argument("max_iterations", "int")),
 )
 
+FIRST = (
+    EntryPoint(
+        "feedback_first",
+        "First part of the feedback phase: u0 on the predicted working set, finite and inside its bounds on every "
+        "return; the whole feedback phase where no law is known.",
+        (_XHAT,),
+        (_U0,),
+    ),
+    EntryPoint(
+        "feedback_finish",
+        "Second part: solve the QP for the same xhat and update the plan; stats.first_deviation is the largest "
+        "difference between its control and that of the first part.",
+    ),
+)
+_WITH_FIRST = "RealTimeIteration(first_control=True) (--set algorithm.first_control=True)"
+
 MAX_TRIALS = 30
 FILTER = 16
 MAX_ATTEMPTS = 2
@@ -76,12 +93,16 @@ class RealTimeIteration(Defaults):
 
     ``relaxation``: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
     is then RELAXED. None: the status is INFEASIBLE, and the plan does not change.
+
+    ``first_control``: splits the feedback phase. feedback_first() returns the control of the minimiser on the predicted
+    working set, clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
     """
 
     shift: str | None = option(None, Words(SHIFTS))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
     relaxation: float | None = option(None, Number(optional=True))
     budget: int | None = option(None, Whole(optional=True))
+    first_control: bool = option(False, Flag())
 
     seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
@@ -102,7 +123,7 @@ class RealTimeIteration(Defaults):
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
-        return (*PHASES, *((SOLVE,) if solve else ()))
+        return (*PHASES, *(FIRST if self.first_control else ()), *((SOLVE,) if solve else ()))
 
     @property
     def switches(self) -> Mapping[str, int]:
@@ -111,11 +132,25 @@ class RealTimeIteration(Defaults):
             **shift_switches(self.shift),
             "RELAX": int(self.relaxation is not None),
             "BUDGET": int(self.budget is not None),
+            "FIRST": int(self.first_control),
         }
 
     def check(self, problem: Problem) -> None:
-        """Raise OptionError for a shift by one interval on a non-uniform grid, or for resampling a discrete map."""
+        """Raise OptionError for a shift that clashes with the grid, and for a first control with a free x_0."""
         check_shift("RealTimeIteration", self.shift, problem)
+        if self.first_control and problem.free_initial:
+            raise OptionError(
+                f"{_WITH_FIRST} clashes with free_initial(): a control that depends on components of x_0 which are not "
+                "measured has no law before the QP is solved"
+            )
+
+    def check_parts(self, parts: Parts) -> None:
+        """Raise OptionError if the QP solver has no working set that yields the first control."""
+        if self.first_control and parts.qp is not None and not parts.qp.predicts:
+            raise OptionError(
+                f"{_WITH_FIRST} clashes with qp {called(parts.qp)}, which predicts no working set; expected "
+                "DenseActiveSet() or RiccatiActiveSet()"
+            )
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Flags of accumulators and measured components of x_0, the relaxation, node times for shift="resample"."""
@@ -153,6 +188,7 @@ class RealTimeIteration(Defaults):
                 "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
             ),
             *_watched(dims),
+            Field("first", (), "first control", "keep", "first", only="FIRST"),
             Field("late", (), "samples since the last success that the budget ended", "keep", "int32", only="BUDGET"),
         )
         results = (
@@ -165,6 +201,7 @@ class RealTimeIteration(Defaults):
             ),
         )
         return (
+            *((_first(dims),) if self.first_control else ()),
             _stats(),
             _step(dims),
             _measures(),
@@ -194,6 +231,21 @@ def _watched(dims: Dims) -> tuple[Field, ...]:
     )
 
 
+def _first(dims: Dims) -> Struct:
+    """The law of the first control."""
+    return Struct(
+        "first",
+        "law of the first control on the predicted working set",
+        (
+            Field("gain", (dims.nu, dims.nx), "du_0 / dx_0", "scratch"),
+            Field("feed", (dims.nu,), "du_0 at dx_0 = 0", "scratch"),
+            Field("control", (dims.nu,), "control that feedback_first() has returned", "scratch"),
+            Field("valid", (), "1: the law belongs to the last preparation", "scratch", "int32"),
+            Field("call", (), "what the last feedback_first() has done", "scratch", "int32"),
+        ),
+    )
+
+
 def _stats() -> Struct:
     """Counters of the last sample, and the row that it could not satisfy."""
 
@@ -216,6 +268,7 @@ def _stats() -> Struct:
             count("violated_row", "hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1"),
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of this row by the last step of the QP", "result"),
+            Field("first_deviation", (), "control of the QP less that of feedback_first()", "result", only="FIRST"),
         ),
     )
 

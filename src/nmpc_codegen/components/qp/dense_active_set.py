@@ -38,6 +38,7 @@ class DenseActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = True
+    predicts: ClassVar[bool] = True
     iteration: ClassVar[tuple[str, ...]] = ("COST_ATTEMPT", "COST_SEARCH")
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}

@@ -39,6 +39,7 @@ class Osqp(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = False
+    predicts: ClassVar[bool] = False
     iteration: ClassVar[tuple[str, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "coupled rows"}

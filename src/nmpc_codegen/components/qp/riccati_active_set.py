@@ -89,6 +89,7 @@ class RiccatiActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = True
+    predicts: ClassVar[bool] = True
     iteration: ClassVar[tuple[str, ...]] = ("COST_WORKING_SET",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}

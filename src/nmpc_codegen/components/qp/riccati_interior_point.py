@@ -127,6 +127,7 @@ class RiccatiInteriorPoint(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = False
+    predicts: ClassVar[bool] = False
     iteration: ClassVar[tuple[str, ...]] = ("COST_INTERIOR",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}

@@ -1,0 +1,68 @@
+/* States of first.call: no measured state; feedback_first() has used the control law; it has run the whole feedback. */
+enum { FIRST_NONE, FIRST_BY_LAW, FIRST_WHOLE };
+
+/* Preparation: the law u_0 = u_0 of the plan + feed + gain (xhat - x_0) of the minimiser on the predicted working set. */
+static void first_prepare(solver_t *s)
+{
+    s->first.call = FIRST_NONE;
+    s->first.valid = condense_law(s) && all_finite(s->first.gain[0], NU * NX) && all_finite(s->first.feed, NU);
+}
+
+/* Returns 1 if the law belongs to the present data. References that have changed since prepare change it. */
+static inline int first_is_current(const solver_t *s)
+{
+#if SET_REFERENCE
+    return s->prepared && s->status == (int32_t)OK && s->first.valid && s->renewal != REFERENCE_CHANGED;
+#else
+    return s->prepared && s->status == (int32_t)OK && s->first.valid;
+#endif
+}
+
+/* First part of the feedback phase: u0 by the law, clipped. Where there is no law, the whole feedback phase. */
+status_t API(feedback_first)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
+{
+    status_t status = OK;
+    if (s->magic == MAGIC && first_is_current(s) && take_state(s, xhat)) {
+        for (int j = 0; j < NU; j++) {
+            real_t u = s->u[0][j] + s->first.feed[j];
+            for (int i = 0; i < NX; i++) {
+                u += s->first.gain[j][i] * (s->xhat[i] - s->x[0][i]);
+            }
+            u0[j] = s->first.control[j] = clip(u, CONTROL_LOWER(s, 0, j), CONTROL_UPPER(s, 0, j));
+        }
+        if (all_finite(u0, NU)) {
+            s->first.call = FIRST_BY_LAW;
+            return OK;
+        }
+    }
+    status = API(feedback)(s, xhat, u0);
+    if (status != NOT_INITIALIZED) {
+        memcpy(s->first.control, u0, sizeof s->first.control);
+        s->first.call = FIRST_WHOLE;
+        s->stats.first_deviation = R(0);
+    }
+    return status;
+}
+
+/* Second part: the QP, the step of the plan, and by how much its control differs from that of the first part. Without a
+ * first part it changes nothing. */
+status_t API(feedback_finish)(solver_t *s)
+{
+    real_t xhat[NX], u0[NU];
+    status_t status;
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    const int32_t call = s->first.call;
+    s->first.call = FIRST_NONE;
+    if (call != FIRST_BY_LAW) {
+        return (call == FIRST_WHOLE) ? (status_t)s->status : NOT_PREPARED;
+    }
+    memcpy(xhat, s->xhat, sizeof xhat);
+    status = API(feedback)(s, xhat, u0);
+    s->stats.first_deviation = R(0);
+    for (int j = 0; j < NU; j++) {
+        enlarge(&s->stats.first_deviation, u0[j] - s->first.control[j]);
+    }
+    return status;
+}

@@ -1,0 +1,21 @@
+/* Law of the first control from the recursion at the predicted working set. Returns 0 if rows are equations of the set:
+ * their multipliers are not part of the recursion. */
+static int condense_law(solver_t *s)
+{
+    const riccati_t *r = &s->riccati;
+#if NG
+    if (s->schur.active && s->schur.joint > 0) {
+        return 0;
+    }
+#endif
+    for (int j = 0; j < NU; j++) {
+        s->first.feed[j] = r->feed[0][j];
+        memcpy(s->first.gain[j], r->K[0][j], sizeof s->first.gain[j]);
+#if NXS > NX
+        for (int c = 0; c < NXS - NX; c++) {
+            s->first.gain[j][copied_state[c]] += r->K[0][j][NX + c];
+        }
+#endif
+    }
+    return s->qp.factorized == FACTORS_READY;
+}
