@@ -11,11 +11,6 @@ static int condense_law(solver_t *s)
     for (int j = 0; j < NU; j++) {
         s->first.feed[j] = r->feed[0][j];
         memcpy(s->first.gain[j], r->K[0][j], sizeof s->first.gain[j]);
-#if NXS > NX
-        for (int c = 0; c < NXS - NX; c++) {
-            s->first.gain[j][copied_state[c]] += r->K[0][j][NX + c];
-        }
-#endif
     }
     return s->qp.factorized == FACTORS_READY;
 }

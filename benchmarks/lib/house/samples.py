@@ -340,9 +340,9 @@ def _partial(block: int = 2, **more: Any) -> Options:
     return Options(qp=RiccatiActiveSet(), condensing=PartialCondensing(block), **more)
 
 
-def _alone(qp: Any, condensing: Any = STAGES) -> Options:
+def _alone(qp: Any, condensing: Any = STAGES, **more: Any) -> Options:
     """Real-time iterations without any optional part."""
-    return Options(qp=qp, condensing=condensing, solve=False, online=FIXED)
+    return Options(qp=qp, condensing=condensing, solve=False, online=FIXED, **more)
 
 
 def functions() -> OCP:
@@ -385,7 +385,7 @@ SAMPLES = (
     Sample("controls riccati alone", controls, _alone(RiccatiActiveSet(fallback=None))),
     Sample("controls partial alone", controls, _alone(RiccatiActiveSet(), PartialCondensing(2))),
     Sample("controls interior alone", controls, _alone(RiccatiInteriorPoint())),
-    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None))),
+    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None), algorithm=FIRST)),
     Sample("states dense", states, _dense(hessian=ExactHessian(regularization=None))),
     Sample("states partial", states, _partial()),
     Sample("states riccati", states, _riccati(hessian=IdentityHessian(), algorithm=RESAMPLE)),
@@ -400,7 +400,7 @@ SAMPLES = (
     Sample("soft states dense", soft_states, _dense()),
     Sample("soft states riccati", soft_states, _riccati()),
     Sample("soft states interior", soft_states, _interior()),
-    Sample("soft rows dense", soft_rows, _dense(hessian=ExactHessian(), online=NODE)),
+    Sample("soft rows dense", soft_rows, _dense(hessian=ExactHessian(), online=NODE, algorithm=FIRST)),
     Sample("soft rows partial", soft_rows, _partial(3, hessian=GaussNewton(convex_rows=True))),
     Sample("soft rows interior", soft_rows, _interior(hessian=GaussNewton(levenberg_marquardt=0.1))),
     Sample("cycle dense", cycle, _dense(algorithm=PERIODIC)),
@@ -420,7 +420,7 @@ SAMPLES = (
     Sample("cycle riccati", cycle, _riccati(algorithm=PERIODIC)),
     Sample("ring interior", ring, _interior(hessian=ExactHessian())),
     Sample("closing interior", closing, _interior()),
-    Sample("target dense", target, _dense(solve=False)),
+    Sample("target dense", target, _dense(solve=False, algorithm=FIRST)),
     Sample("target riccati", target, _riccati(solve=False, online=FIXED)),
     Sample("target interior", target, _interior(solve=False, online=FIXED)),
     Sample("target partial", target, _partial(solve=False, online=FIXED)),
@@ -440,12 +440,7 @@ SAMPLES = (
     Sample("discrete interior", discrete, _interior()),
     Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
     Sample("discrete rows dense", discrete_rows, _dense(precision="single", online=FIXED)),
-    Sample("quadrotor partial", quadrotor.build_ocp, _partial()),
-    Sample("controls first dense", controls, _dense(algorithm=FIRST, online=FIXED)),
-    Sample("controls first", controls, _riccati_alone(algorithm=FIRST)),
-    Sample("ends first dense", ends, _dense(algorithm=FIRST)),
-    Sample("path first", path, _riccati(algorithm=FIRST)),
-    Sample("closing first partial", closing, _partial(algorithm=FIRST)),
+    Sample("quadrotor partial", quadrotor.build_ocp, _partial(algorithm=FIRST)),
     Sample("functions dense", functions, _dense(online=SHARED)),
     Sample("functions riccati", functions, _riccati(precision="single")),
     Sample("bare augmented", bare, _augmented(online=FIXED, solve=False)),
