@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.build import load
-from nmpc_codegen.runtime.controller import ALIGNMENT, Controller, Status
+from nmpc_codegen.runtime.compiled import ALIGNMENT
+from nmpc_codegen.runtime.controller import Controller, Status
 
 Array = NDArray[np.float64]
 DT = 0.1
