@@ -1,4 +1,4 @@
-"""Times of a sample on this machine: lanes, exported C, accuracy of lanes and of their functions.
+"""Times of a sample on this machine: lanes, exported C, accuracy of lanes, elementary functions.
 
     python -m benchmarks.speed [--json FILE] [--only PART,...] [--where NAME]
 
@@ -12,12 +12,12 @@ from collections.abc import Callable
 
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
-from benchmarks.lib.speed import accuracy, before, functions, loops
+from benchmarks.lib.speed import accuracy, before, loops, own_math
 
 PARTS: dict[str, Callable[[Report], None]] = {
     "loops": loops.measure,
     "lanes": accuracy.measure,
-    "functions": functions.measure,
+    "math": own_math.measure,
     "before": before.measure,
 }
 
