@@ -30,13 +30,13 @@ static real_t own_ceil(real_t x)
 /* The other operand if one is NaN, as in math.h. */
 static real_t own_fmin(real_t a, real_t b)
 {
-    return own_select((a < b) | (b != b), a, b);
+    return own_select(a < b, a, own_select(b <= b, b, a));
 }
 
 /* The other operand if one is NaN, as in math.h. */
 static real_t own_fmax(real_t a, real_t b)
 {
-    return own_select((a > b) | (b != b), a, b);
+    return own_select(a > b, a, own_select(b <= b, b, a));
 }
 
 /* sqrt(x^2 + y^2), scaled by a power of two where squares leave the range; infinite if one is, even beside NaN. */

@@ -33,6 +33,7 @@ from benchmarks.lib.speed.functions import (
 )
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import OCP, Controller, OptionError, Options, Osqp, ProblemWarning, build, derivatives, generate
+from nmpc_codegen.cli.command import main
 from nmpc_codegen.lowering.generated import own_names
 from nmpc_codegen.lowering.parts import needed
 from nmpc_codegen.runtime.build import PROFILES
@@ -233,6 +234,12 @@ def test_other_clashes() -> None:
         Options(math="fast")  # type: ignore[arg-type]
     with pytest.raises(OptionError, match=r"options\.math does not apply to derivatives"):
         derivatives.build(crane.build_ocp(), options=Options(math="own"))
+
+
+def test_the_command_line(tmp_path: Path) -> None:
+    assert main([crane.__file__, "-o", str(tmp_path), "--math", "own"]) == 0
+    assert "own_sin(" in (tmp_path / "crane.c").read_text(encoding="utf-8")
+    assert main([crane.__file__, "-o", str(tmp_path), "--math", "fast"]) == 2
 
 
 def test_paragraphs_that_are_needed() -> None:
