@@ -1,4 +1,4 @@
-"""Times of a sample on this machine: lanes, exported C, the recursion, accuracy of lanes and of their functions.
+"""Times of a sample on this machine: lanes, exported C, the recursion, accuracy of lanes, elementary functions.
 
     python -m benchmarks.speed [--json FILE] [--only PART,...] [--where NAME]
 
@@ -12,14 +12,14 @@ from collections.abc import Callable
 
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
-from benchmarks.lib.speed import accuracy, before, functions, loops, recursion
+from benchmarks.lib.speed import accuracy, before, loops, own_math, recursion
 
 PARTS: dict[str, Callable[[Report], None]] = {
     "loops": loops.measure,
     "first": loops.first_control,
     "recursion": recursion.measure,
     "lanes": accuracy.measure,
-    "functions": functions.measure,
+    "math": own_math.measure,
     "before": before.measure,
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
@@ -36,6 +36,10 @@ C = TypeVar("C", bound=Component)
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+
+#: Whose elementary functions a package calls: those of the C library, or those that it contains.
+Math = Literal["libm", "own"]
+MATHS: tuple[Math, ...] = get_args(Math)
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,8 @@ class Options:
 
     None selects the default of the algorithm or lets the compiler choose a component for the problem; the report gives
     the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone
-    is smaller without it.
+    is smaller without it. ``math``: "own" puts exp, sin, pow and their like into the package, so that host and target
+    compute the same bits and no libm is needed; "libm" calls those of math.h.
 
     Raises:
         OptionError: a value is not allowed, or a component is given for a seam that the algorithm does not need.
@@ -127,6 +132,7 @@ class Options:
     online: Online = option(Online(), Group(Online))
     precision: Precision = option("double", Words(PRECISIONS))
     solve: bool = option(True, Flag())
+    math: Math = option("libm", Words(MATHS))
 
     def __post_init__(self) -> None:
         check_options(self, "")

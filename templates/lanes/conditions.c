@@ -48,19 +48,3 @@ LANES_INLINE lanes_t lanes_sign(lanes_t a)
 {
     return lanes_one_where((mask_t)(a > R(0))) - lanes_one_where((mask_t)(a < R(0)));
 }
-
-/* The other operand if one is NaN, as in math.h. */
-LANES_INLINE lanes_t lanes_fmin(lanes_t a, lanes_t b)
-{
-    return lanes_select((mask_t)(a < b) | (mask_t)(b != b), a, b);
-}
-
-LANES_INLINE lanes_t lanes_fmax(lanes_t a, lanes_t b)
-{
-    return lanes_select((mask_t)(a > b) | (mask_t)(b != b), a, b);
-}
-
-LANES_INLINE lanes_t lanes_copysign(lanes_t a, lanes_t b)
-{
-    return (lanes_t)((mask_t)lanes_fabs(a) | lanes_signs(b));
-}

@@ -1,28 +1,18 @@
 #include "lanes/vector.c"
 
-#if LANE_EXP || LANE_LOG || LANE_ANGLES
-#include "lanes/constants.c"
-#endif
-
 #if LANE_CONDITIONS
 #include "lanes/conditions.c"
-#endif
-
-#if LANE_EXP
-#include "lanes/exp.c"
-#endif
-
-#if LANE_LOG
-#include "lanes/log.c"
-#endif
-
-#if LANE_ANGLES
-#include "lanes/sincos.c"
 #endif
 
 #if LANE_SQRT
 #include "lanes/sqrt.c"
 #endif
+
+#if LANE_ANGLES
+#include "lanes/large_angles.c"
+#endif
+
+#include "generated/lane_functions.c"
 
 #include "generated/lane_kernels.c"
 

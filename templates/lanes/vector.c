@@ -10,8 +10,10 @@
 typedef real_t lanes_t __attribute__((vector_size(HOST_LANES * sizeof(real_t))));
 #if SINGLE
 typedef int32_t mask_t __attribute__((vector_size(HOST_LANES * sizeof(int32_t))));
+typedef uint32_t words_t __attribute__((vector_size(HOST_LANES * sizeof(uint32_t))));
 #else
 typedef int64_t mask_t __attribute__((vector_size(HOST_LANES * sizeof(int64_t))));
+typedef uint64_t words_t __attribute__((vector_size(HOST_LANES * sizeof(uint64_t))));
 #endif
 
 /* The number in every lane. */
@@ -27,15 +29,20 @@ LANES_INLINE lanes_t lanes_select(mask_t mask, lanes_t a, lanes_t b)
     return (lanes_t)(((mask_t)a & mask) | ((mask_t)b & ~mask));
 }
 
-/* Bits of the signs. */
-LANES_INLINE mask_t lanes_signs(lanes_t x)
+LANES_INLINE words_t lanes_pick(mask_t mask, words_t a, words_t b)
 {
-    return (mask_t)x & (mask_t)lanes_all(R(-0.0));
+    return (a & (words_t)mask) | (b & ~(words_t)mask);
 }
 
-LANES_INLINE lanes_t lanes_fabs(lanes_t x)
+/* The bits of numbers as unsigned integers, and back. */
+LANES_INLINE words_t lanes_bits(lanes_t x)
 {
-    return (lanes_t)((mask_t)x ^ lanes_signs(x));
+    return (words_t)x;
+}
+
+LANES_INLINE lanes_t lanes_number(words_t words)
+{
+    return (lanes_t)words;
 }
 
 /* 1 if the mask is set in a lane. */

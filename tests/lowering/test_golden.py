@@ -155,6 +155,7 @@ def handwritten() -> Model:
         parts=parts,
         online=Online(),
         precision="double",
+        math="libm",
         solve=True,
         reasons=("written by hand",),
         choice=None,

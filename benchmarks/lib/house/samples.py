@@ -346,7 +346,7 @@ def _alone(qp: Any, condensing: Any = STAGES, **more: Any) -> Options:
 
 
 def functions() -> OCP:
-    """Functions and conditions that units for a host have in lanes, and one of math.h that they call for every lane."""
+    """Functions and conditions that units for a host have in lanes."""
     ocp = OCP("functions", T=1.0, N=9)
     x, v, u = ocp.state("x", initial=0.5), ocp.state("v"), ocp.control("u")
     drag = ca.if_else(v > 0, ca.exp(-v), 1.0) + ca.fmax(v, 0.1) * ca.log(1.0 + x**2) + ca.sqrt(1.0 + v**2)
@@ -443,6 +443,8 @@ SAMPLES = (
     Sample("quadrotor partial", quadrotor.build_ocp, _partial(algorithm=FIRST)),
     Sample("functions dense", functions, _dense(online=SHARED)),
     Sample("functions riccati", functions, _riccati(precision="single")),
+    Sample("functions own", functions, _dense(math="own")),
+    Sample("functions own single", functions, _riccati(math="own", precision="single")),
     Sample("bare augmented", bare, _augmented(online=FIXED, solve=False)),
     Sample("controls augmented", controls, _augmented(shift="resample", sampling_time=0.1)),
     Sample("states augmented", states, _augmented(shift="repeat", precision="single")),

@@ -1,58 +1,106 @@
-"""math_ulp: exp, log, sin, cos and sqrt in lanes against long double."""
+"""The elementary functions of math="own" and of lanes, compiled alone, against long double."""
 
 from __future__ import annotations
 
 import ctypes
 import subprocess
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.lib.report import Report
-from nmpc_codegen.host.lanes import transpose
+from nmpc_codegen.host.lanes import in_lanes, transpose
+from nmpc_codegen.lowering.generated import MATH, MATH_IN_LANES, own_names, own_text
 from nmpc_codegen.lowering.parts import read_part, resolve
-from nmpc_codegen.runtime.build import PROFILES, find_compiler, host
+from nmpc_codegen.runtime.build import find_compiler
 
-#: Function -> its values in long double.
-EXACT: Mapping[str, Callable[[Any], Any]] = {
+#: Function of one argument -> its values in long double.
+EXACT: Mapping[str, Callable[..., Any]] = {
     "exp": np.exp,
+    "expm1": np.expm1,
     "log": np.log,
+    "log1p": np.log1p,
     "sin": np.sin,
     "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan": np.arctan,
+    "sinh": np.sinh,
+    "cosh": np.cosh,
+    "tanh": np.tanh,
+    "asinh": np.arcsinh,
+    "acosh": np.arccosh,
+    "atanh": np.arctanh,
+    "floor": np.floor,
+    "ceil": np.ceil,
     "sqrt": np.sqrt,
+    "fabs": np.fabs,
 }
-PARTS = ("vector", "constants", "exp", "log", "sincos", "sqrt")
+#: The same for two arguments.
+EXACT_OF_TWO: Mapping[str, Callable[..., Any]] = {
+    "pow": np.power,
+    "atan2": np.arctan2,
+    "hypot": np.hypot,
+    "fmod": np.fmod,
+    "fmin": np.fmin,
+    "fmax": np.fmax,
+    "copysign": np.copysign,
+}
+#: Functions that have no text for lanes.
+SCALAR_ONLY = ("fmod",)
+LANE_PARTS = ("vector", "sqrt", "large_angles")
 SAMPLES = 1_000_000
 LIMIT = 2.0
 
 
-def library(folder: Path, single: bool, lanes: int, avx512: bool, flags: tuple[str, ...]) -> ctypes.CDLL:
-    """<name>(x, y, n): y = the function of x, n a multiple of ``lanes``."""
+def names() -> list[str]:
+    """All functions."""
+    return sorted({*own_names(), "sqrt"})
+
+
+def source(single: bool, lanes: int, avx512: bool) -> str:
+    """A unit with own_<name>_of(x, y, z, n) and lanes_<name>_of(): z = the function of x and y."""
     real, suffix = ("float", "f") if single else ("double", "")
     sizes = {"HOST_LANES": lanes, "HOST_AVX512": int(avx512), "SINGLE": int(single)}
-    texts = [resolve(read_part(f"lanes/{part}.c", lambda path: transpose(lanes)), sizes) for part in PARTS]
     head = "#include <math.h>\n#include <stdint.h>\n#include <string.h>\n"
-    head += f"typedef {real} real_t;\n#define R(x) ((real_t)(x))\n#define HOST_LANES {lanes}\n"
-    head += "".join(f"#define {name.upper()} {name}{suffix}\n" for name in ("sqrt", "fabs", "sin", "cos"))
-    for name in EXACT:
-        texts.append(
-            f"void {name}_of(const real_t *x, real_t *y, long n) {{ for (long i = 0; i < n; i += HOST_LANES) {{ "
-            f"lanes_t v; memcpy(&v, x + i, sizeof v); v = lanes_{name}(v); memcpy(y + i, &v, sizeof v); }} }}"
-        )
-    (folder / "functions.c").write_text(head + "\n".join(texts))
-    command = [*find_compiler(), "-shared", "-fPIC", "-Wno-psabi", *flags, "functions.c", "-o", "functions.so", "-lm"]
-    subprocess.run(command, cwd=folder, check=True)
+    head += f"typedef {real} real_t;\n#define R(x) ((real_t)(x))\n#define INF R(INFINITY)\n#define HOST_LANES {lanes}\n"
+    head += "".join(f"#define {name.upper()} {name}{suffix}\n" for name in ("sqrt", "fabs"))
+    texts = [head, own_text(MATH, sizes)]
+    if lanes > 1:
+        texts += [resolve(read_part(f"lanes/{part}.c", lambda path: transpose(lanes)), sizes) for part in LANE_PARTS]
+        texts.append(in_lanes(own_names(MATH_IN_LANES), sizes))
+    for name in names():
+        second = ", w" if name in EXACT_OF_TWO else ""
+        loads = "memcpy(&v, x + i, sizeof v); memcpy(&w, y + i, sizeof w)"
+        for prefix, ctype, width in (("own", "real_t", "1"), ("lanes", "lanes_t", "HOST_LANES")):
+            if prefix == "lanes" and (lanes == 1 or name in SCALAR_ONLY):
+                continue
+            texts.append(
+                f"void {prefix}_{name}_of(const real_t *x, const real_t *y, real_t *z, long n) "
+                f"{{ for (long i = 0; i < n; i += {width}) {{ {ctype} v, w; {loads}; "
+                f"v = {prefix}_{name}(v{second}); memcpy(z + i, &v, sizeof v); }} }}"
+            )
+    return "\n".join(texts)
+
+
+def library(
+    folder: Path, single: bool, lanes: int, avx512: bool, flags: tuple[str, ...], compiler: tuple[str, ...] = ()
+) -> ctypes.CDLL:
+    """The unit, compiled and loaded."""
+    (folder / "functions.c").write_text(source(single, lanes, avx512))
+    command = [*(compiler or find_compiler()), "-shared", "-fPIC", "-Wno-psabi", *flags, "functions.c"]
+    subprocess.run([*command, "-o", "functions.so", "-lm"], cwd=folder, check=True)
     return ctypes.CDLL(str(folder / "functions.so"))
 
 
-def evaluate(loaded: ctypes.CDLL, name: str, x: np.ndarray) -> np.ndarray:
-    """The function of a vector whose length is a multiple of the lanes."""
-    y = np.empty_like(x)
-    loaded[f"{name}_of"](x.ctypes.data_as(ctypes.c_void_p), y.ctypes.data_as(ctypes.c_void_p), ctypes.c_long(x.size))
-    return y
+def evaluate(loaded: ctypes.CDLL, name: str, x: np.ndarray, y: np.ndarray | None = None) -> np.ndarray:
+    """own_<name> or lanes_<name> of vectors whose length is a multiple of the lanes."""
+    z = np.empty_like(x)
+    addresses = [a.ctypes.data_as(ctypes.c_void_p) for a in (x, x if y is None else y, z)]
+    loaded[f"{name}_of"](*addresses, ctypes.c_long(x.size))
+    return z
 
 
 def ulps(got: np.ndarray, exact: np.ndarray) -> np.ndarray:
@@ -65,36 +113,52 @@ def ulps(got: np.ndarray, exact: np.ndarray) -> np.ndarray:
     return np.where(same & ~np.isfinite(got), 0.0, np.where(np.isfinite(got) & np.isfinite(rounded), error, np.inf))
 
 
-def arguments(name: str, dtype: Any, random: np.random.Generator, n: int = SAMPLES) -> np.ndarray:
-    """Where the function varies, all magnitudes, and special values."""
-    info = np.finfo(dtype)
-    near = random.uniform(-4.0, 4.0, n)
+def special(dtype: Any) -> np.ndarray:
+    """Zeros, infinities, NaN, the ends of the range, numbers near which functions change their form."""
+    info, digits = np.finfo(dtype), float(2 ** np.finfo(dtype).nmant)
+    values = [0.0, 0.5, 1.0, 2.0, 3.0, np.inf, info.max, info.tiny, info.smallest_subnormal, 1e15, np.pi, 11 * np.pi]
+    values += [digits / 2, digits, digits + 1, 2 * digits - 1, 2 * digits, 4 * digits, 1.5e6, 3000.0, 0.25, 1e-300]
     with np.errstate(all="ignore"):
-        wide = np.exp(random.uniform(np.log(info.tiny), np.log(info.max), n)) * random.choice([-1, 1], n)
-    medium = random.uniform(-1.1 * np.log(info.max), 1.1 * np.log(info.max), n)
-    special = [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, info.max, info.tiny, info.smallest_subnormal] * 8
-    return np.concatenate([near, wide, medium, special]).astype(dtype)
+        return np.array([np.nan, *values, *(-v for v in values), 0.9, 1.1, 1e-5, -0.9]).astype(dtype)
 
 
-def measure(report: Report) -> None:
-    """Both precisions, with and without contraction."""
-    machine = host(None, "fast")
-    for precision, dtype in (("double", np.float64), ("single", np.float32)):
-        for profile in ("fast", "verify"):
-            avx512 = machine.avx512 and profile == "fast"
-            with tempfile.TemporaryDirectory() as folder:
-                loaded = library(Path(folder), precision == "single", 8, avx512, PROFILES[profile].flags)
-                for name, exact in EXACT.items():
-                    x = arguments(name, dtype, np.random.default_rng(1))
-                    with np.errstate(all="ignore"):
-                        worst = ulps(evaluate(loaded, name, x), exact(x.astype(np.longdouble))).max()
-                    report.add(
-                        "math_ulp",
-                        worst,
-                        "ulp",
-                        case=f"{name}, {precision}",
-                        n=x.size,
-                        limit=LIMIT,
-                        profile=profile,
-                        lanes=8,
-                    )
+def arguments(dtype: Any, random: np.random.Generator, n: int) -> np.ndarray:
+    """Where functions vary, all magnitudes with subnormal numbers, the range of exp, special values."""
+    info = np.finfo(dtype)
+    near, unit = random.uniform(-4.0, 4.0, n), random.uniform(-1.0, 1.0, n)
+    lowest, highest = np.log(float(info.tiny)) - info.nmant * np.log(2), np.log(float(info.max))
+    wide = np.exp(random.uniform(max(lowest, -744.0), highest, n)) * random.choice([-1, 1], n)
+    medium = random.uniform(-1.1 * highest, 1.1 * highest, n)
+    return _whole(np.concatenate([near, unit, wide, medium, special(dtype)]).astype(dtype))
+
+
+def pairs(dtype: Any, random: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Two arguments: any, such that powers stay in the range, integer exponents, all pairs of special values."""
+    x, y = arguments(dtype, random, n), arguments(dtype, random, n)
+    base = (
+        np.exp(random.uniform(-600, 600, n)).astype(dtype)
+        if dtype == np.float64
+        else np.exp(random.uniform(-80, 80, n))
+    )
+    largest = 1.1 * np.log(float(np.finfo(dtype).max))
+    exponent = random.uniform(-largest, largest, n) / np.log(base)
+    integers, few = np.round(random.uniform(-9, 9, n)), random.uniform(-5, 5, n)
+    a, b = np.meshgrid(special(dtype), special(dtype))
+    left = np.concatenate([x, base, few, a.ravel()]).astype(dtype)
+    right = np.concatenate([random.permutation(y), exponent, integers, b.ravel()]).astype(dtype)
+    return _whole(left), _whole(right)
+
+
+def _whole(x: np.ndarray) -> np.ndarray:
+    """With copies of the last element, so that the length is a multiple of all numbers of lanes."""
+    return np.concatenate([x, np.repeat(x[-1:], -x.size % 8)])
+
+
+def exact(name: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Values in long double; fmod, whose result is a number of the type itself, in that type."""
+    with np.errstate(all="ignore"):
+        if name == "fmod":
+            return np.asarray(np.fmod(x, y)).astype(np.longdouble)
+        if name in EXACT_OF_TWO:
+            return np.asarray(EXACT_OF_TWO[name](x.astype(np.longdouble), y.astype(np.longdouble)))
+        return np.asarray(EXACT[name](x.astype(np.longdouble)))

@@ -80,7 +80,7 @@ class Unit:
             return Callee("function", function.result, tuple(t for _, t in function.parameters))
         if name in self.macros:
             return Callee("macro", macro=self.macros[name])
-        word = name if name in MATH else name.removesuffix("f")
+        word = name if name in MATH else name.removesuffix("f").removeprefix("own_")
         if word not in MATH:
             return Callee("unknown")
         return Callee("library", Type("real" if MATH[word] else "int"), operations=MATH[word])

@@ -83,7 +83,7 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Opti
 
     with undisturbed(printer, arguments.problem, arguments.verbose), np.errstate():
         ocp, options = load_problem(Path(arguments.problem))
-    words = [(flag, getattr(arguments, flag)) for flag in ("hessian", "qp", "precision")]
+    words = [(flag, getattr(arguments, flag)) for flag in ("hessian", "qp", "precision", "math")]
     settings = [(key, text) for key, text in words if text is not None]
     for setting in arguments.settings:
         key, _, text = setting.partition("=")

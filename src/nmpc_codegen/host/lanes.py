@@ -7,33 +7,37 @@ the nodes; their results are transposed, so that every node receives whole rows.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from nmpc_codegen.host import steps
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port
+from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, called_functions
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.preamble import PLACES
+from nmpc_codegen.lowering.generated import MATH_IN_LANES, own_names, own_text
+from nmpc_codegen.lowering.parts import needed
+from nmpc_codegen.lowering.preamble import PLACES, names_in
 from nmpc_codegen.runtime.package_description import Kind
 
 SUFFIX = "_lanes"
 
-#: Functions of math.h for which lanes have one of their own, and the switch of the part that contains it.
-OWN = {
-    **dict.fromkeys(("fmin", "fmax", "copysign"), "LANE_CONDITIONS"),
-    "exp": "LANE_EXP",
-    "log": "LANE_LOG",
-    "sin": "LANE_ANGLES",
-    "cos": "LANE_ANGLES",
-    "sqrt": "LANE_SQRT",
-    "fabs": "",
-}
-
 #: Switches of the parts.
-SWITCHES = tuple(dict.fromkeys(switch for switch in OWN.values() if switch))
+SWITCHES = ("LANE_CONDITIONS", "LANE_ANGLES", "LANE_SQRT")
+
+#: The function that reduces any angle.
+REDUCTION = "lanes_reduce"
+
+#: How the text of the elementary functions becomes that of lanes.
+RENAMED = (
+    (r"\bstatic (?:inline )?", "LANES_INLINE "),
+    (r"\bown_", "lanes_"),
+    (r"\breal_t\b", "lanes_t"),
+    (r"\bbits_t\b", "words_t"),
+    (r"\btruth_t\b", "mask_t"),
+)
 
 #: Fewer stored elements of a row of HOST_LANES ones are stored one by one.
 LEAST_IN_BLOCK = 3
@@ -79,28 +83,51 @@ def lane_routines(module: CModule) -> LaneRoutines | None:
     return None if module.one_step is None else LaneRoutines(routines, module.one_step())
 
 
-def called_functions(routines: Iterable[Routine]) -> set[str]:
-    """Functions of math.h, and the words of conditions, that the kernels of the routines need."""
-    opcodes = {i.opcode for r in routines for kernel in r.kernels for i in kernel.instructions}
-    return {OPERATIONS[o].function or CStyle.CONDITIONS.get(o, "") for o in opcodes if o in OPERATIONS} - {""}
+def has_conditions(routines: Iterable[Routine]) -> bool:
+    """Whether the kernels of the routines compare or choose."""
+    return any(i.opcode in CStyle.CONDITIONS for r in routines for kernel in r.kernels for i in kernel.instructions)
+
+
+def in_lanes(names: Iterable[str], sizes: Mapping[str, int]) -> str:
+    """The elementary functions of these names in math.h, and what they need, on vectors."""
+    text = own_text(MATH_IN_LANES, sizes)
+    for pattern, new in RENAMED:
+        text = re.sub(pattern, new, text)
+    roots = [f"lanes_{name}" for name in names]
+    if REDUCTION in names_in(needed(text, roots)):
+        roots.append(f"{REDUCTION}_moderate")  # which the part for all angles calls
+    return needed(text, roots)
 
 
 def lane_switches(module: CModule) -> dict[str, int]:
     """Whether nodes are linearised in lanes, and which parts that needs."""
     found = lane_routines(module)
-    called = called_functions(found.printed) if found else set[str]()
-    needed = {OWN.get(name, "LANE_CONDITIONS" if name in CStyle.CONDITIONS.values() else "") for name in called}
-    return {"LANE_NODES": int(found is not None), **{switch: int(switch in needed) for switch in SWITCHES}}
+    if found is None:
+        return {"LANE_NODES": 0, **dict.fromkeys(SWITCHES, 0)}
+    called = called_functions(found.printed)
+    words = names_in(in_lanes(called, module.sizes))
+    return {
+        "LANE_NODES": 1,
+        "LANE_CONDITIONS": int(has_conditions(found.printed)),
+        "LANE_ANGLES": int(REDUCTION in words),
+        "LANE_SQRT": int("sqrt" in called or "lanes_sqrt" in words),
+    }
+
+
+def lane_functions(module: CModule, style: CStyle) -> str:
+    """The elementary functions that the kernels call."""
+    found = lane_routines(module)
+    return "" if found is None else in_lanes(called_functions(found.printed), module.sizes)
 
 
 def lane_kernels(module: CModule, style: CStyle) -> str:
     """Functions of math.h lane by lane, and the kernels in lanes."""
-    lanes = replace(style, real="lanes_t", lanes=True)
+    lanes = replace(style, real="lanes_t", lanes=True, own=False)
     found = lane_routines(module)
     if found is None:
         return ""
     arity = {o.function: 2 if "{1}" in o.c else 1 for o in OPERATIONS.values() if o.function}
-    others = sorted(called_functions(found.printed) - set(OWN) - set(CStyle.CONDITIONS.values()))
+    others = sorted(called_functions(found.printed) - own_names(MATH_IN_LANES) - {"sqrt"})
     texts = [_one_by_one(name, arity[name], style) for name in others]
     texts += [print_routine(_suffixed(r), lanes) for r in found.printed]
     if found.one_step is not None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from nmpc_codegen.host.lanes import lane_kernels, lane_nodes, lane_switches, lane_transpose
+from nmpc_codegen.host.lanes import lane_functions, lane_kernels, lane_nodes, lane_switches, lane_transpose
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.render import Generators, render_c
 
 #: Generated parts besides those of every package.
 GENERATED: Generators = {
     "generated/lane_transpose.c": lane_transpose,
+    "generated/lane_functions.c": lane_functions,
     "generated/lane_kernels.c": lane_kernels,
     "generated/lane_nodes.c": lane_nodes,
 }

@@ -186,6 +186,11 @@ class CModule:
         """Folders of foreign code."""
         return tuple(sorted({path.split("/")[0] for path in self.foreign}))
 
+    @property
+    def libraries(self) -> tuple[str, ...]:
+        """Libraries that a program with the package is linked with."""
+        return () if self.switches["OWN_MATH"] else ("m",)
+
     def value(self, macro: str) -> int:
         """Value of a size macro."""
         return self.description.sizes[macro]

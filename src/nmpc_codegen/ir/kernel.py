@@ -7,10 +7,10 @@ opcode that is not in the table raises an error that names it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import casadi as ca
 
@@ -194,6 +194,19 @@ class Kernel:
         instructions = (*self.instructions, Instruction(ca.OP_CONST, ()))
         stores = (*self.stores, *((output, e, zero) for e in missing))
         return replace(self, instructions=instructions, stores=stores)
+
+
+class _HasKernels(Protocol):
+    """A routine: straight-line or looped."""
+
+    @property
+    def kernels(self) -> tuple[Kernel, ...]: ...
+
+
+def called_functions(routines: Iterable[_HasKernels]) -> set[str]:
+    """Functions of math.h that routines call."""
+    opcodes = {i.opcode for r in routines for kernel in r.kernels for i in kernel.instructions}
+    return {OPERATIONS[o].function for o in opcodes if o in OPERATIONS} - {""}
 
 
 class _ValueNumbering:

@@ -18,12 +18,17 @@ if TYPE_CHECKING:
 class CStyle:
     """Spelling of types, literals and functions: ``real`` is the typedef, ``single`` selects 0.5F and sinf.
 
-    lanes: values are GNU C vectors, with functions of their own for what has no operator.
+    lanes: values are GNU C vectors, with functions of their own for what has no operator. own: functions of the
+    package's text take the place of those of math.h.
     """
 
     real: str
     single: bool
     lanes: bool = False
+    own: bool = False
+
+    #: Functions that are instructions, or made of bits, and round the same everywhere: those of math.h serve always.
+    INSTRUCTIONS: ClassVar[tuple[str, ...]] = ("sqrt", "fabs")
 
     #: Opcodes of conditions -> the words of their functions on vectors.
     CONDITIONS: ClassVar[Mapping[int, str]] = {
@@ -46,9 +51,11 @@ class CStyle:
         return text + ("F" if self.single else "")
 
     def function(self, name: str) -> str:
-        """Name of a function of math.h in the working precision."""
+        """Name of a function of math.h, or of the package's own, in the working precision."""
         if self.lanes:
             return f"lanes_{name}"
+        if self.own and name not in self.INSTRUCTIONS:
+            return f"own_{name}"
         return name + ("f" if self.single else "")
 
     def needs_values(self, opcode: int) -> bool:

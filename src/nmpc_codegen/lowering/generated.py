@@ -1,13 +1,20 @@
-"""Text that parts include as ``generated/<name>.c``: products with the stage matrices, tables of their structure."""
+"""Text that parts include as ``generated/<name>.c``: products with the stage matrices, tables of their structure.
+
+Also the elementary functions that a package contains, of which a unit has those that it calls.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import cache
 from itertools import accumulate
 
 from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.ir.kernel import OPERATIONS
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.lowering.parts import needed, read_part, resolve
 
 
 def products(module: CModule, style: CStyle) -> str:
@@ -52,12 +59,40 @@ def of_host(module: CModule, style: CStyle) -> str:
 #: Path of an include -> its text.
 GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
     "generated/lane_transpose.c": of_host,
+    "generated/lane_functions.c": of_host,
     "generated/lane_kernels.c": of_host,
     "generated/lane_nodes.c": of_host,
     "generated/products.c": products,
     "generated/product_columns.c": product_columns,
     "generated/hessian_blocks.c": hessian_blocks,
 }
+
+
+#: The elementary functions of a package, and those of them that lanes have too.
+MATH, MATH_IN_LANES = "math/own.c", "math/functions.c"
+_FUNCTION = re.compile(r"^static (?:inline )?real_t own_(\w+)\(", re.MULTILINE)
+_HEADING = f"/* ==== elementary functions {'=' * 79} */"
+
+
+def own_text(part: str, sizes: Mapping[str, int], resolved: bool = True) -> str:
+    """A part of the elementary functions with what it includes."""
+    text = read_part(part, lambda path: "")
+    return resolve(text, sizes) if resolved else text
+
+
+@cache
+def own_names(part: str = MATH) -> frozenset[str]:
+    """Functions of math.h that have a text of their own."""
+    in_math_h = {operation.function for operation in OPERATIONS.values()}
+    return frozenset(_FUNCTION.findall(own_text(part, {}, resolved=False))) & in_math_h
+
+
+def own_math(module: CModule, names: Collection[str], resolved: bool = True) -> str:
+    """The elementary functions that a unit with these identifiers calls; lanes need some of them as well."""
+    if not (module.switches["OWN_MATH"] or module.switches["LANE_NODES"]):
+        return ""
+    text = needed(own_text(MATH, module.sizes, resolved), names)
+    return f"{_HEADING}\n\n{text}\n" if text else ""
 
 
 def _tables(tables: Mapping[str, Iterable[int]]) -> str:

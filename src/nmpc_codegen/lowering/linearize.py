@@ -20,7 +20,7 @@ from nmpc_codegen.lowering.choose import Choice, choose_qp
 from nmpc_codegen.lowering.choose_hessian import choose_hessian
 from nmpc_codegen.lowering.growth import growth
 from nmpc_codegen.lowering.stability import stability_warning
-from nmpc_codegen.options import REGISTRIES, Online, Options
+from nmpc_codegen.options import REGISTRIES, Math, Online, Options
 from nmpc_codegen.runtime.package_description import Precision
 
 
@@ -36,6 +36,7 @@ class Model(ModelFunctions):
     parts: Parts
     online: Online
     precision: Precision
+    math: Math
     solve: bool
     reasons: tuple[str, ...]
     choice: Choice | None
@@ -55,6 +56,7 @@ class Model(ModelFunctions):
             online=self.online,
             precision=self.precision,
             solve=self.solve,
+            math=self.math,
         )
 
 
@@ -91,6 +93,7 @@ def linearize(problem: Problem, options: Options) -> Model:
         parts=parts,
         online=online,
         precision=options.precision,
+        math=options.math,
         solve=options.solve,
         reasons=(*choices, *stability_warning(problem, integrator), *of_hessian, *notes),
         choice=choice,

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.components.core import PARTS, core_structs
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage, c_identifier
 from nmpc_codegen.ir.cmodule import (
     CModule,
@@ -26,10 +27,12 @@ from nmpc_codegen.ir.cmodule import (
     check_prefix,
     struct_layout,
 )
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.kernel import OpCount, called_functions
+from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.dimensions import dimensions
+from nmpc_codegen.lowering.generated import own_names
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.placement import placed
 from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report
@@ -50,6 +53,8 @@ def lower(model: Model, name: str | None = None) -> CModule:
     name = problem.name if name is None else name
     check_prefix(name)
     dims = _dims(model)
+    if model.math == "own":
+        _check_math(model, name, dims)
     switches = _switches(model)
     structs = _structs(model, dims, switches)
     layout = struct_layout(structs, model.precision)
@@ -100,6 +105,22 @@ def lower(model: Model, name: str | None = None) -> CModule:
             for path, text in c.foreign_sources(name, model.precision, dims).items()
         },
     )
+
+
+def _check_math(model: Model, name: str, dims: Dims) -> None:
+    """Raise OptionError if the package needs functions of math.h that have no text of their own."""
+    clash = 'math="own" (--math own) clashes with'
+    for component in model.parts.components:
+        if component.foreign_sources(name, model.precision, dims):
+            raise OptionError(f"{clash} {component.name}, whose foreign code calls the C library; choose another one")
+    known = {*own_names(), *CStyle.INSTRUCTIONS}
+    for routine in _printed(model):
+        missing = sorted(called_functions([routine]) - known)
+        if missing:
+            raise OptionError(
+                f"{clash} {routine.name}(): {', '.join(missing)} has no text of its own; there is "
+                f'{", ".join(sorted(known))}; choose math="libm" or another expression'
+            )
 
 
 #: Kernels that a package may lack; HAS_<NAME> is then 0.
@@ -158,6 +179,7 @@ def _switches(model: Model) -> dict[str, int]:
         "LANE_NODES": 0,
         "NODE_KERNELS": 0,
         "SINGLE": int(model.precision == "single"),
+        "OWN_MATH": int(model.math == "own"),
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
     for component in parts.components:

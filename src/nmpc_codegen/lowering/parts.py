@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import operator
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
@@ -20,6 +20,10 @@ _INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
 _DIRECTIVE = re.compile(r"#(if|elif|else|endif)\b\s*(.*)")
 _ANY_DIRECTIVE = re.compile(r"\s*#\s*(?:if|elif|else|endif)")
 _NO_CODE = re.compile(r"/\*.*?\*/|//[^\n]*|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", re.DOTALL)
+_WORD = re.compile(r"[A-Za-z_]\w*")
+_DEFINITION = re.compile(
+    r"^#define (\w+)|^typedef \w+ (\w+);|^(?:static|LANES_INLINE) [\w *]*?\b(\w+)[(\[]", re.MULTILINE
+)
 _BRACES = re.compile(r"[{}]")
 _WORDS = re.compile(r"\b(?:and|or|not|if|else|in|is|lambda|True|False|None)\b")
 _BINARY: dict[type[ast.AST], Callable[[int, int], int]] = {
@@ -55,6 +59,25 @@ def read_part(path: str, generated: Callable[[str], str]) -> str:
 def _pieces(path: str) -> tuple[str, ...]:
     """Text of a file below templates/, the path of the part that follows, text after it, and so on."""
     return tuple(_INCLUDE.split((template_directory() / path).read_text(encoding="utf-8").rstrip("\n") + "\n"))
+
+
+def needed(text: str, names: Collection[str]) -> str:
+    """The paragraphs of a text that define these names, or names in such paragraphs, in the order of the text."""
+    paragraphs = [p for p in text.strip("\n").split("\n\n") if p]
+    defined = {name: i for i, p in enumerate(paragraphs) for name in _defined(p)}
+    kept: set[int] = set()
+    found = {defined[name] for name in names if name in defined}
+    while found:
+        kept |= found
+        words = {word for i in found for word in _WORD.findall(_code(paragraphs[i]))}
+        found = {defined[word] for word in words if word in defined} - kept
+    return "\n\n".join(paragraphs[i].strip("\n") for i in sorted(kept))
+
+
+@lru_cache(maxsize=4096)
+def _defined(paragraph: str) -> tuple[str, ...]:
+    """Names of the macros, types, tables and functions that a paragraph defines."""
+    return tuple(next(filter(None, found)) for found in _DEFINITION.findall(paragraph))
 
 
 class _Line(NamedTuple):

@@ -34,9 +34,14 @@ _IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
 Definition = tuple[str, str | None, str]
 
 
-def unit_style(precision: str) -> CStyle:
+def unit_style(precision: str, own: bool = False) -> CStyle:
     """Spelling of numbers and functions inside the translation unit."""
-    return CStyle("real_t", precision == "single")
+    return CStyle("real_t", precision == "single", own=own)
+
+
+def module_style(module: CModule) -> CStyle:
+    """The spelling of a package."""
+    return unit_style(module.precision, bool(module.switches["OWN_MATH"]))
 
 
 def preamble(module: CModule, known: Sequence[Definition], body: Collection[str]) -> str:
@@ -76,12 +81,15 @@ def all_definitions(module: CModule) -> list[Definition]:
     constants = [(m.name, f"{P}_{m.name}") for m in module.macros if m.name != "MAGIC"]
     constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
-    constants += [("HOST_LANES", str(module.switches["HOST_LANES"])), *arithmetic(module.precision)]
+    constants += [
+        ("HOST_LANES", str(module.switches["HOST_LANES"])),
+        *arithmetic(module.precision, bool(module.switches["OWN_MATH"])),
+    ]
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
     parametric.append(("HESSIAN", "s, k", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]"))
     places = PLACES | (MEASURED_START if module.switches["START_IS_MEASURED"] else {})
     parametric += [kernel_call(routine, places) for routine in module.routines]
-    parametric += [product_call(routine, unit_style(module.precision)) for routine in module.called_products]
+    parametric += [product_call(routine, module_style(module)) for routine in module.called_products]
     return [*((name, None, text) for name, text in constants), *parametric]
 
 
@@ -90,9 +98,9 @@ def conditions(module: CModule) -> str:
     return "".join(f"\n#define {name} {value}" for name, value in module.switches.items())
 
 
-def arithmetic(precision: str) -> list[tuple[str, str]]:
-    """(macro, text): functions of math.h, infinity, tolerances and factors in the working precision."""
-    style = unit_style(precision)
+def arithmetic(precision: str, own: bool = False) -> list[tuple[str, str]]:
+    """(macro, text): functions of math.h or their own text, infinity, tolerances, factors in the working precision."""
+    style = unit_style(precision, own)
     functions = [(name.upper(), style.function(name)) for name in FUNCTIONS]
     tolerances = [(f"TOL_{name.upper()}", style.literal(tolerance(name, precision))) for name in TOLERANCES]
     factors = [(f"FACTOR_{name.upper()}", style.literal(value)) for name, (value, _) in FACTORS.items()]

@@ -17,13 +17,14 @@ import jinja2
 from nmpc_codegen.ir.cmodule import PURPOSES, WORK, CModule, Field, Struct, Table
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
-from nmpc_codegen.lowering.generated import GENERATED
+from nmpc_codegen.lowering.generated import GENERATED, own_math
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
 from nmpc_codegen.lowering.preamble import (
     Definition,
     all_definitions,
     conditions,
     definitions,
+    module_style,
     names_in,
     preamble,
     unit_style,
@@ -90,12 +91,14 @@ def _filled(module: CModule, generators: Generators, resolved: bool) -> dict[str
     names = _names(module)
     body, known = render_unit(module, names, resolved, generators), all_definitions(module)
     words = names_in(body)
+    math = own_math(module, definitions(known, words)[1], resolved)
+    words |= names_in(math)
     used = words if resolved else names_in(render_unit(module, names))
     tables = render_tables(module, names, known, used)
     short_names = preamble(module, known, words | names_in(tables))
     names["system_headers"] = ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"]
     short_names = short_names if resolved else short_names + conditions(module)
-    return {**names, "body": body, "tables": tables, "preamble": short_names}
+    return {**names, "body": body, "math": math, "tables": tables, "preamble": short_names}
 
 
 def unit_text(module: CModule) -> str:
@@ -104,7 +107,7 @@ def unit_text(module: CModule) -> str:
 
 
 def _names(module: CModule) -> dict[str, Any]:
-    style = unit_style(module.precision)
+    style = module_style(module)
     names: dict[str, Any] = context(module.name, module.precision)
     names |= {
         "m": module,
@@ -137,7 +140,7 @@ def render_unit(
     """The translation unit after its tables: printed kernels, parts."""
 
     def generated(path: str) -> str:
-        return generators[path](module, unit_style(module.precision))
+        return generators[path](module, module_style(module))
 
     def part(path: str) -> str:
         text = read_part(path, generated)

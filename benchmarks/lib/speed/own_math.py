@@ -1,0 +1,97 @@
+"""math="own": errors of the functions, bits of an emulated target against the host's, times against math.h."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.lib.closed_loop import compile_driver
+from benchmarks.lib.house.ratios import in_turn, scenario_of
+from benchmarks.lib.house.timed import TIMED
+from benchmarks.lib.report import Report
+from benchmarks.lib.speed.functions import (
+    EXACT_OF_TWO,
+    LIMIT,
+    SAMPLES,
+    SCALAR_ONLY,
+    arguments,
+    evaluate,
+    exact,
+    library,
+    names,
+    pairs,
+    ulps,
+)
+from examples import crane, cstr, quadrotor
+from nmpc_codegen import Options, generate
+from nmpc_codegen.firmware.delivery import recorded
+from nmpc_codegen.firmware.targets import TARGETS
+from nmpc_codegen.firmware.toolchain import EMULATOR, PREFIX
+from nmpc_codegen.firmware.verify import verify
+from nmpc_codegen.options import Precision
+from nmpc_codegen.runtime.build import PROFILES, host
+
+BOARDS: tuple[tuple[str, Precision], ...] = (("cortex-m4f", "single"), ("cortex-m7", "double"))
+LOOPS = {"crane": crane, "cstr": cstr, "quadrotor": quadrotor}
+RATIO_LIMIT = 1.25
+RUNS, STEPS = 40, 400
+
+
+def measure(report: Report, samples: int = SAMPLES, runs: int = RUNS, steps: int = STEPS) -> None:
+    """math_ulp, math_host_target_mismatches, own_math_ratio."""
+    for precision in ("double", "single"):
+        for profile in ("fast", "verify"):
+            errors(report, precision == "single", profile, samples)
+    bits(report)
+    times(report, runs, steps)
+
+
+def errors(report: Report, single: bool, profile: str, samples: int) -> None:
+    """Every function, one number at a time and in lanes, with and without contraction."""
+    dtype, avx512 = np.float32 if single else np.float64, host(None, "fast").avx512 and profile == "fast"
+    with tempfile.TemporaryDirectory() as folder:
+        loaded = library(Path(folder), single, 8, avx512, PROFILES[profile].flags)
+        for name in names():
+            random = np.random.default_rng(1)
+            x, y = pairs(dtype, random, samples) if name in EXACT_OF_TWO else (arguments(dtype, random, samples),) * 2
+            values = exact(name, x, y)
+            for lanes, prefix in ((1, "own"), (8, "lanes")):
+                if lanes > 1 and name in SCALAR_ONLY:
+                    continue
+                worst = ulps(evaluate(loaded, f"{prefix}_{name}", x, y), values).max()
+                case = f"{name}, {'single' if single else 'double'}"
+                report.add("math_ulp", worst, "ulp", case=case, n=x.size, limit=LIMIT, profile=profile, lanes=lanes)
+
+
+def bits(report: Report) -> None:
+    """Samples of closed loops whose controls on the emulated board differ in a bit; absent without its tools."""
+    if shutil.which(f"{PREFIX}gcc") is None or shutil.which(EMULATOR) is None:
+        print("math_host_target_mismatches: there is no ARM compiler or no emulator")
+        return
+    for name, example in LOOPS.items():
+        for board, precision in BOARDS:
+            sources = generate(example.build_ocp(), Options(math="own", precision=precision))
+            verdict = verify(sources, name, recorded(sources, name), TARGETS[board])
+            case = f"{name} on {board}"
+            report.add(
+                "math_host_target_mismatches", verdict.bits, case=case, n=verdict.samples, limit=0, profile="verify"
+            )
+
+
+def times(report: Report, runs: int, steps: int) -> None:
+    """A real-time iteration of exported C with its own functions over one with those of math.h, in turn."""
+    for sample in TIMED:
+        prefix = sample.make().name
+        options = sample.options or Options()
+        with ExitStack() as stack:
+            folders = [Path(stack.enter_context(tempfile.TemporaryDirectory())) for _ in range(2)]
+            pair = [generate(sample.make(), replace(options, math=math)) for math in ("libm", "own")]
+            programs = [compile_driver(files, prefix, folder) for files, folder in zip(pair, folders, strict=True)]
+            found = in_turn(programs, scenario_of(sample), runs, steps)
+        libm, own = (min(t.total for t in timings) for timings in found)
+        report.add("own_math_ratio", own / libm, "to libm", case=prefix, limit=RATIO_LIMIT, n=runs * steps)

@@ -1,0 +1,60 @@
+"""math="own" on emulated boards: the bits of the host, and nothing of libm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from conftest import require_tool
+
+from examples import crane, cstr
+from nmpc_codegen import Options, generate
+from nmpc_codegen.firmware.certificate import certify
+from nmpc_codegen.firmware.image import sources, write
+from nmpc_codegen.firmware.recording import record
+from nmpc_codegen.firmware.targets import TARGETS
+from nmpc_codegen.firmware.toolchain import gcc
+from nmpc_codegen.firmware.verify import verify
+from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.package_description import Precision
+
+EXAMPLES: dict[str, ModuleType] = {"crane": crane, "cstr": cstr}
+SAMPLES = 20
+CASES: list[tuple[str, str, Precision]] = [
+    ("crane", "cortex-m4f", "single"),
+    ("crane", "cortex-m3", "single"),
+    ("cstr", "cortex-m7", "double"),
+]
+
+
+@pytest.mark.parametrize(("name", "board", "precision"), CASES)
+def test_the_board_computes_the_bits_of_the_host(name: str, board: str, precision: Precision) -> None:
+    require_tool("cc")
+    require_tool("arm")
+    require_tool("qemu")
+    package = generate(EXAMPLES[name].build_ocp(), Options(math="own", precision=precision, solve=False))
+    controller = load(package, name, "verify")
+    inputs = record(controller, controller.description.x_initial, SAMPLES)
+    verdict = verify(package, name, inputs, TARGETS[board])
+    assert verdict.samples == SAMPLES
+    assert verdict.bits == verdict.statuses == 0
+    assert verdict.error == 0
+
+
+@pytest.mark.parametrize(("name", "board", "precision"), [c for c in CASES if c[1] != "cortex-m3"])
+def test_the_program_is_linked_without_libm(name: str, board: str, precision: Precision, tmp_path: Path) -> None:
+    require_tool("cc")
+    require_tool("arm")
+    package = generate(EXAMPLES[name].build_ocp(), Options(math="own", precision=precision))
+    target = TARGETS[board]
+    certificate = certify(package, name, target)
+    assert certificate.math_functions == ()
+    assert precision == "double" or certificate.double_functions == ()
+    controller = load(package, name, "verify")
+    inputs = record(controller, controller.description.x_initial, 2)
+    write(package, name, sources(target, inputs.header), tmp_path)
+    units = (f"{name}.c", "start.c", "replay.c")
+    flags = [*target.compile_flags("O2"), "-nostartfiles", "-nodefaultlibs", "--specs=nosys.specs", "-Wl,--gc-sections"]
+    gcc([*flags, "-Timage.ld", *units, "-lc", "-lnosys", "-lgcc", "-o", "image.elf"], tmp_path)
+    assert (tmp_path / "image.elf").exists()
