@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
@@ -36,6 +36,12 @@ C = TypeVar("C", bound=Component)
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+
+Goal = Literal["speed", "size"]
+GOALS: tuple[Goal, ...] = get_args(Goal)
+
+Processor = Literal["vector", "scalar"]
+PROCESSORS: tuple[Processor, ...] = get_args(Processor)
 
 
 @dataclass(frozen=True)
@@ -113,7 +119,10 @@ class Options:
 
     None selects the default of the algorithm or lets the compiler choose a component for the problem; the report gives
     the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone
-    is smaller without it.
+    is smaller without it. ``goal``: "size" chooses loops instead of straight-line code and matrices without padding,
+    "speed" what takes the least time. ``processor``: "scalar" writes sums as variables of their own, for processors
+    without a vector unit such as microcontrollers, with the same results, bit for bit; None is "vector", and "scalar"
+    with the goal "size", whose matrices do not fit the registers of a vector unit.
 
     Raises:
         OptionError: a value is not allowed, or a component is given for a seam that the algorithm does not need.
@@ -127,6 +136,8 @@ class Options:
     online: Online = option(Online(), Group(Online))
     precision: Precision = option("double", Words(PRECISIONS))
     solve: bool = option(True, Flag())
+    goal: Goal = option("speed", Words(GOALS))
+    processor: Processor | None = option(None, Words((*PROCESSORS, None)))
 
     def __post_init__(self) -> None:
         check_options(self, "")
@@ -138,6 +149,11 @@ class Options:
                     f"{seam} {called(given)} clashes with algorithm {called(self.algorithm)}, which takes none; "
                     f"it needs {needed}"
                 )
+        if self.goal == "size" and self.processor == "vector":
+            raise OptionError(
+                'Options(processor="vector") clashes with Options(goal="size"), whose matrices have no padding for '
+                "vectors (--set processor=scalar or None, --goal speed)"
+            )
 
     @property
     def with_defaults(self) -> Options:
@@ -148,6 +164,7 @@ class Options:
             hessian=_or_default(self.hessian, self.algorithm, "hessian", hessians.REGISTRY),
             condensing=_or_default(self.condensing, self.algorithm, "condensing", condensing.REGISTRY),
             qp=_or_default(self.qp, self.algorithm, "qp", qp.REGISTRY),
+            processor=self.processor or ("scalar" if self.goal == "size" else "vector"),
         )
 
 

@@ -26,6 +26,11 @@ SHAPES = {
     "remainders": Shape(3, 21, 3),
     "many controls": Shape(3, 6, 13, ((2, -1), (2, 5))),
 }
+SHAPES |= {
+    f"{name}, {form}": dataclasses.replace(SHAPES[name], form=form)
+    for name in ("smallest", "rows", "many rows", "free", "blocks of eight", "remainders", "many controls")
+    for form in ("scalar", "small")
+}
 seeds = st.integers(0, 2**32 - 1)
 some = settings(max_examples=25, deadline=None)
 
