@@ -2,7 +2,8 @@
 
     python -m benchmarks.firmware [--json FILE] [--only boards,...] [--scale S]
 
-It needs arm-none-eabi-gcc with newlib and qemu-system-arm; keys of tools that are missing are absent. At scale 1 every
+It needs arm-none-eabi-gcc with newlib, qemu-system-arm, riscv64-unknown-elf-gcc with picolibc; keys of tools that are
+missing are absent. At scale 1 every
 loop has 200 samples. Instructions are emulated (QEMU, -icount shift=6), not cycles.
 """
 
@@ -12,7 +13,7 @@ import shutil
 from collections.abc import Callable, Mapping
 
 from benchmarks.lib import command
-from benchmarks.lib.firmware import emulated, misra, single, sizes
+from benchmarks.lib.firmware import emulated, misra, riscv, single, sizes
 from benchmarks.lib.report import Report
 
 PARTS: Mapping[str, Callable[[Report, float], None]] = {
@@ -21,6 +22,7 @@ PARTS: Mapping[str, Callable[[Report, float], None]] = {
     "counts": emulated.counts,
     "single": single.single,
     "misra": misra.rules,
+    "riscv": riscv.cores,
 }
 
 #: Part -> programs without which it is left out.
@@ -28,6 +30,7 @@ NEEDS = {
     "boards": ("arm-none-eabi-gcc", "qemu-system-arm"),
     "sizes": ("arm-none-eabi-gcc",),
     "misra": ("cppcheck",),
+    "riscv": ("riscv64-unknown-elf-gcc",),
 }
 
 

@@ -29,6 +29,30 @@ static inline void clear(real_t *y)
     }
 }
 
+#if SCALAR && !SMALL
+/* y = x */
+static inline void copy(real_t *y, const real_t *x)
+{
+    for (int j = 0; j < LDV; j += 4) {
+        y[j] = x[j];
+        y[j + 1] = x[j + 1];
+        y[j + 2] = x[j + 2];
+        y[j + 3] = x[j + 3];
+    }
+}
+
+/* y[j] -= c0 A[0][j] + c1 A[1][j] + c2 A[2][j] + c3 A[3][j],  from <= j < to */
+static inline void subtract_panel(real_t *y, const real_t (*A)[LDV], const real_t *c, int from, int to)
+{
+    const real_t c0 = c[0], c1 = c[1], c2 = c[2], c3 = c[3];
+    for (int j = from; j < to; j += 4) {
+        y[j] -= (c0 * A[0][j] + c1 * A[1][j]) + (c2 * A[2][j] + c3 * A[3][j]);
+        y[j + 1] -= (c0 * A[0][j + 1] + c1 * A[1][j + 1]) + (c2 * A[2][j + 1] + c3 * A[3][j + 1]);
+        y[j + 2] -= (c0 * A[0][j + 2] + c1 * A[1][j + 2]) + (c2 * A[2][j + 2] + c3 * A[3][j + 2]);
+        y[j + 3] -= (c0 * A[0][j + 3] + c1 * A[1][j + 3]) + (c2 * A[2][j + 3] + c3 * A[3][j + 3]);
+    }
+}
+#else
 /* y = x. A loop is used because memcpy writes halves of a vector register, which would stall the next read. */
 static inline void copy(real_t *y, const real_t *x)
 {
@@ -57,6 +81,7 @@ static inline void subtract_panel(real_t *y, const real_t (*A)[LDV], const real_
         }
     }
 }
+#endif
 
 /* c = L^{-1} y, four entries, where L is the panel at column b of L' (unit upper triangular). */
 static inline void solve_block(const real_t (*L)[LDV], int b, const real_t *y, real_t *c)

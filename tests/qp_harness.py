@@ -34,6 +34,8 @@ SCALARS = {"double": np.float64, "single": np.float32}
 
 #: A part that is tested separately has all kinds of rows, and the fallback of the active-set method.
 SWITCHES = {
+    "SCALAR": 0,
+    "SMALL": 0,
     "SHIFT_RESAMPLE": 0,
     "REGULARIZE_REDUCED": 0,
     "SOLVE": 1,

@@ -18,19 +18,29 @@ from qp_harness import FAST, SCALARS, STATUSES, SWITCHES, WARNINGS, build_direct
 
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
+from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.runtime.build import find_compiler, with_required_options
 from nmpc_codegen.runtime.package_description import union_dtype
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Sizes of a stage QP. ``rows``: (stage, state index or -1: general), sorted; ``free``: components of x_0."""
+    """Sizes of a stage QP. ``rows``: (stage, state index or -1: general), sorted; ``free``: components of x_0.
+
+    ``form``: "vector"; "scalar": sums are variables; "small": also matrices without padding.
+    """
 
     ns: int
     nx: int
     nus: int
     rows: tuple[tuple[int, int], ...] = ()
     free: tuple[int, ...] = ()
+    form: str = "vector"
+
+    @property
+    def switches(self) -> dict[str, int]:
+        """Those that select the form."""
+        return {"SCALAR": int(self.form != "vector"), "SMALL": int(self.form == "small")}
 
     @property
     def dims(self) -> Any:
@@ -45,7 +55,7 @@ class Shape:
         }
         named |= {"nv": self.ns * self.nus, "ng": len(self.rows)}
         found = types.SimpleNamespace(**{name: Size(name.upper(), value) for name, value in named.items()})
-        found.qp = found
+        found.qp, found.multiple = found, 1 if self.form == "small" else PANEL
         return found
 
     @property
@@ -143,7 +153,9 @@ def source(
         text = ", ".join(map(str, entries)) or "0"
         lines.append(f"static const int {name}[{max(1, len(entries))}] = {{ {text} }};")
     lines += [struct_text(struct) for struct in structs(shape, owned)]
-    return "\n".join(lines) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "") + part_text(part, values)
+    return (
+        "\n".join(lines) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "") + part_text(part, values | shape.switches)
+    )
 
 
 @functools.cache

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.render import Sources, render
-from nmpc_codegen.options import Options
+from nmpc_codegen.options import GOALS, Options
 from nmpc_codegen.runtime.build import host, load
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.folder import write
@@ -58,6 +58,11 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
     """
     module = compiled(ocp, options, name)
     return sealed(render(module), module.name)
+
+
+def for_every_goal(ocp: OCP, options: Options, name: str | None = None) -> dict[str, Sources]:
+    """Goal -> the files of the package with this goal, for a processor without a vector unit."""
+    return {goal: generate(ocp, replace(options, goal=goal, processor="scalar"), name) for goal in GOALS}
 
 
 def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:

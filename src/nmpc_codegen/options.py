@@ -40,6 +40,11 @@ LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 #: Whose elementary functions a package calls: those of the C library, or those that it contains.
 Math = Literal["libm", "own"]
 MATHS: tuple[Math, ...] = get_args(Math)
+Goal = Literal["speed", "size"]
+GOALS: tuple[Goal, ...] = get_args(Goal)
+
+Processor = Literal["vector", "scalar"]
+PROCESSORS: tuple[Processor, ...] = get_args(Processor)
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,11 @@ class Options:
     None selects the default of the algorithm or lets the compiler choose a component for the problem; the report gives
     the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone
     is smaller without it. ``math``: "own" puts exp, sin, pow and their like into the package, so that host and target
-    compute the same bits and no libm is needed; "libm" calls those of math.h.
+    compute the same bits and no libm is needed; "libm" calls those of math.h. ``goal``: "size" chooses loops instead of
+    straight-line code and matrices without padding, "speed" what takes the least time. ``processor``: "scalar" writes
+    sums as variables of their own, for processors without a vector unit such as microcontrollers, with the same
+    results, bit for bit; None is "vector", and "scalar" with the goal "size", whose matrices do not fit the registers
+    of a vector unit.
 
     Raises:
         OptionError: a value is not allowed, or a component is given for a seam that the algorithm does not need.
@@ -133,6 +142,8 @@ class Options:
     precision: Precision = option("double", Words(PRECISIONS))
     solve: bool = option(True, Flag())
     math: Math = option("libm", Words(MATHS))
+    goal: Goal = option("speed", Words(GOALS))
+    processor: Processor | None = option(None, Words((*PROCESSORS, None)))
 
     def __post_init__(self) -> None:
         check_options(self, "")
@@ -144,6 +155,11 @@ class Options:
                     f"{seam} {called(given)} clashes with algorithm {called(self.algorithm)}, which takes none; "
                     f"it needs {needed}"
                 )
+        if self.goal == "size" and self.processor == "vector":
+            raise OptionError(
+                'Options(processor="vector") clashes with Options(goal="size"), whose matrices have no padding for '
+                "vectors (--set processor=scalar or None, --goal speed)"
+            )
 
     @property
     def with_defaults(self) -> Options:
@@ -154,6 +170,7 @@ class Options:
             hessian=_or_default(self.hessian, self.algorithm, "hessian", hessians.REGISTRY),
             condensing=_or_default(self.condensing, self.algorithm, "condensing", condensing.REGISTRY),
             qp=_or_default(self.qp, self.algorithm, "qp", qp.REGISTRY),
+            processor=self.processor or ("scalar" if self.goal == "size" else "vector"),
         )
 
 

@@ -7,9 +7,15 @@
  * a block tridiagonal matrix with H_k = Q_k + S_k' rho S_k + rho on the diagonal and B_k = -rho S_k between x_{k+1} and
  * node k. LDZ is NZ rounded up to a multiple of 4, as products are computed in blocks of four rows and columns. */
 
+#if SCALAR
+#include "riccati/blocks_scalar.c"
+
+#include "riccati/dot_scalar.c"
+#else
 #include "riccati/blocks.c"
 
 #include "riccati/dot.c"
+#endif
 
 /* y += sum_{l<n} c[l] A[l], rows of LDZ entries, four at a time. */
 static void add_panels(real_t *y, const real_t *c, const real_t *A, int n)

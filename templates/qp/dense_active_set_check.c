@@ -5,10 +5,22 @@ static inline void add_multiple(real_t *y, real_t *size, const real_t *a, real_t
 {
     const int fours = n / 4 * 4;
     for (int j = 0; j < fours; j += 4) {
+#if SCALAR && !SMALL
+        const real_t a0 = a[j], a1 = a[j + 1], a2 = a[j + 2], a3 = a[j + 3];
+        y[j] += c * a0;
+        y[j + 1] += c * a1;
+        y[j + 2] += c * a2;
+        y[j + 3] += c * a3;
+        size[j] += m * FABS(a0);
+        size[j + 1] += m * FABS(a1);
+        size[j + 2] += m * FABS(a2);
+        size[j + 3] += m * FABS(a3);
+#else
         for (int l = 0; l < 4; ++l) {
             y[j + l] += c * a[j + l];
             size[j + l] += m * FABS(a[j + l]);
         }
+#endif
     }
     for (int j = fours; j < n; ++j) {
         y[j] += c * a[j];

@@ -399,7 +399,10 @@ static status_t qp_fail(qp_t *q, status_t status)
 /* Returns 1 if the working set has occurred before (Brent's cycle detection: a snapshot after 1, 2, 4, ... changes). */
 static int qp_repeats(qp_t *q, int count)
 {
-    const int same = count > 1 && memcmp(q->side, q->snapshot, sizeof q->side) == 0;
+    int same = count > 1;
+    for (int c = 0; c < NV + NG; ++c) {
+        same &= q->side[c] == q->snapshot[c];
+    }
     if ((count & (count - 1)) == 0) {
         memcpy(q->snapshot, q->side, sizeof q->side);
     }

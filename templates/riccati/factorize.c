@@ -1,3 +1,4 @@
+#if !SMALL
 /* Sets the padding of P_k to zero, as it takes part in products. */
 static inline void riccati_clear_padding(real_t (*P)[LDX])
 {
@@ -8,6 +9,7 @@ static inline void riccati_clear_padding(real_t (*P)[LDX])
     }
 }
 
+#endif
 /* P_k (lower triangle) and M_u before the cost to go is added: Q_k, and `diagonal` for the controls. */
 static void riccati_load_stage(solver_t *s, int k)
 {
@@ -18,7 +20,9 @@ static void riccati_load_stage(solver_t *s, int k)
     for (int i = 0; i < NXS; i++) {
         memcpy(P[i], Q[i], sizeof(Q[0][0]) * NXS);
     }
+#if !SMALL
     riccati_clear_padding(P);
+#endif
     for (int j = 0; j < NUS; j++) {
         memcpy(M[j], Q[NXS + j], sizeof Q[0]);
         M[j][NXS + j] += r->diagonal[k][j];
@@ -31,23 +35,33 @@ static void riccati_load_terminal(solver_t *s)
     for (int i = 0; i < NXS; i++) {
         memcpy(r->P[NS][i], stage_Q_N(s)[i], sizeof r->P[0][0][0] * NXS);
     }
+#if !SMALL
     riccati_clear_padding(r->P[NS]);
+#endif
 }
 
 #if HOST_LANES <= 2 || GENERAL_ROWS || NE || BLOCK_ROWS
 /* P += A'B, lower triangle, where A and B have n rows. */
 static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
+#if SMALL
+    riccati_lower(r->P[k][0], LDX, A, LDW, B, LDZ, n, NXS);
+#else
     for (int i = 0; i < LDX; i += 4) {
         riccati_rows(r->P[k][i], LDX, A + i, LDW, B, LDZ, n, i + 4);
     }
+#endif
 }
 
 static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
+#if SMALL
+    riccati_product(r->M[k][0], LDZ, A + NXS, LDW, B, LDZ, n, NUS, NZS);
+#else
     for (int j = 0; j < NUS; j += 4) {
         riccati_rows(r->M[k][j], LDZ, A + NXS + j, LDW, B, LDZ, n, LDZ);
     }
+#endif
 }
 
 #endif
@@ -126,9 +140,13 @@ static void riccati_propagate(solver_t *s, int k)
         memcpy(work->W[i], S[i], sizeof S[0]);
     }
     memset(work->T, 0, sizeof work->T);
+#if SMALL
+    riccati_product(work->T[0], LDZ, r->P[k + 1][0], LDX, work->W[0], LDW, NXS, NXS, NZS);
+#else
     for (int i = 0; i < LDX; i += 4) {
         riccati_rows(work->T[i], LDZ, &r->P[k + 1][0][i], LDX, work->W[0], LDW, NXS, LDZ);
     }
+#endif
 }
 
 /* Copies M_uu of the free controls to L (lower triangle) and their M_ux to V (T below the states). Fixed controls get

@@ -1,48 +1,22 @@
 #if HOST_LANES > 2
 #include "riccati/linear_algebra_lanes.c"
+#elif SCALAR
+#include "riccati/blocks_scalar.c"
+
+#include "riccati/combine_scalar.c"
+
+#include "riccati/dot_scalar.c"
+
+#if SMALL
+#include "riccati/products_unpadded.c"
+#endif
 #else
 #include "riccati/blocks.c"
 
-/* y[j] += sum_{l<n} a[l] rows[l][j],  j < width. */
-static inline void riccati_combine(real_t *y, const real_t *a, const real_t *rows, int ld, int n, int width)
-{
-    const int eights = width / 8 * 8, fours = width / 4 * 4;
-    for (int j = 0; j < eights; j += 8) {
-        const real_t *row = rows + j;
-        real_t s[8] = {0};
-        for (int l = 0; l < n; l++) {
-            for (int i = 0; i < 8; i++) {
-                s[i] += a[l] * row[i];
-            }
-            row += ld;
-        }
-        for (int i = 0; i < 8; i++) {
-            y[j + i] += s[i];
-        }
-    }
-    for (int j = eights; j < fours; j += 4) {
-        const real_t *row = rows + j;
-        real_t s[4] = {0};
-        for (int l = 0; l < n; l++) {
-            for (int i = 0; i < 4; i++) {
-                s[i] += a[l] * row[i];
-            }
-            row += ld;
-        }
-        for (int i = 0; i < 4; i++) {
-            y[j + i] += s[i];
-        }
-    }
-    for (int j = fours; j < width; j++) {
-        real_t sum = R(0);
-        for (int l = 0; l < n; l++) {
-            sum += a[l] * rows[l * ld + j];
-        }
-        y[j] += sum;
-    }
-}
+#include "riccati/combine.c"
 
 #include "riccati/dot.c"
+#endif
 
 #if BLOCK_ROWS || !HAS_COST_GRADIENT || !HAS_TERMINAL_ADJOINT
 /* y += Q z, where Q is symmetric of n rows (lower triangle). Every entry is read once, in blocks of four. */

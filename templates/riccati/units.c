@@ -55,14 +55,23 @@ static void riccati_closed_loop(solver_t *s, int k)
 static void riccati_propagate_covariance(noise_t *q)
 {
     memset(q->product, 0, sizeof q->product);
+#if SMALL
+    riccati_product(q->product[0], LDX, q->covariance[0], LDX, q->closed[0], LDX, NXS, NXS, NXS);
+#else
     for (int i = 0; i < LDX; i += 4) {
         riccati_rows(q->product[i], LDX, &q->covariance[0][i], LDX, q->closed[0], LDX, NXS, LDX);
     }
+#endif
     memset(q->covariance, 0, sizeof q->covariance);
+#if SMALL
+    riccati_lower(q->covariance[0], LDX, q->closed[0], LDX, q->product[0], LDX, NXS, NXS);
+    riccati_lower(q->covariance[0], LDX, q->push[0], LDX, q->push[0], LDX, NUS, NXS);
+#else
     for (int i = 0; i < LDX; i += 4) {
         riccati_rows(q->covariance[i], LDX, &q->closed[0][i], LDX, q->product[0], LDX, NXS, i + 4);
         riccati_rows(q->covariance[i], LDX, &q->push[0][i], LDX, q->push[0], LDX, NUS, i + 4);
     }
+#endif
     for (int i = 0; i < LDX; i++) {
         for (int j = i + 1; j < LDX; j++) {
             q->covariance[i][j] = q->covariance[j][i];

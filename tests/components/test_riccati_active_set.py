@@ -29,6 +29,7 @@ SHAPES = {
     "more rows": Shape(2, 3, 2, tuple((k, -1) for k in range(3) for _ in range(5))),
     "wide": Shape(3, 6, 9, ((1, -1), (3, 2), (3, 4))),
 }
+SHAPES |= {f"{name}, small": dataclasses.replace(SHAPES[name], form="small") for name in ("general", "free", "wide")}
 #: Weights of the states lower, free, upper, equal, violated.
 KINDS = {
     "mixed": (1, 3, 1, 0, 0),

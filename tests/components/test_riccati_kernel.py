@@ -28,6 +28,11 @@ SHAPES = {
     "more than one tile": Shape(2, 29, 5, ((1, 3), (2, -1))),
     "many controls": Shape(3, 6, 13, ((2, -1), (2, 5))),
 }
+SHAPES |= {
+    f"{name}, {form}": dataclasses.replace(SHAPES[name], form=form)
+    for name in ("smallest", "rows", "many rows", "free", "blocks of eight", "remainders", "many controls")
+    for form in ("scalar", "small")
+}
 seeds = st.integers(0, 2**32 - 1)
 every_lanes = pytest.mark.parametrize("lanes", [1, 4, 8])
 some = settings(max_examples=25, deadline=None)

@@ -33,11 +33,25 @@ def loops() -> list[Loop]:
 def small(loop: Loop) -> Options:
     """Options of a small real-time controller in single precision: without solve() and, where it is named, in STEPPED
     with a function per integration step, in ALONE without the interior point behind the active set."""
-    options = replace(loop.options, solve=False, precision="single")
+    options = real_time(loop)
     if loop.name in STEPPED:
         integrator = options.integrator or ExplicitRungeKutta()
         assert isinstance(integrator, ExplicitRungeKutta)
         options = replace(options, integrator=replace(integrator, unroll="step"))
+    return _alone(loop, options)
+
+
+def smallest(loop: Loop) -> Options:
+    """The same with the goal "size": loops in the place of straight-line code, whatever stack they need."""
+    return _alone(loop, replace(real_time(loop), goal="size"))
+
+
+def real_time(loop: Loop) -> Options:
+    """Options without solve(), in single precision, for a processor without a vector unit."""
+    return replace(loop.options, solve=False, precision="single", processor="scalar")
+
+
+def _alone(loop: Loop, options: Options) -> Options:
     return replace(options, qp=RiccatiActiveSet(fallback=None)) if loop.name in ALONE else options
 
 
@@ -49,8 +63,8 @@ def package(loop: Loop, options: Options) -> tuple[str, Sources]:
 
 
 def with_precision(loop: Loop, precision: Precision) -> Loop:
-    """The loop with the default options of its example in a precision."""
-    return replace(loop, options=replace(loop.options, precision=precision))
+    """The loop with the default options of its example in a precision, for a target as --target writes them."""
+    return replace(loop, options=replace(loop.options, precision=precision, processor="scalar"))
 
 
 def events(scenario: Scenario, samples: int) -> list[Event]:

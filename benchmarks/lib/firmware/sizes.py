@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from benchmarks.lib.firmware.loops import loops, package, small
+from benchmarks.lib.firmware.loops import loops, package, small, smallest, with_precision
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness.work import Loop
 from nmpc_codegen import Options
@@ -17,8 +15,8 @@ STACK = 2_500
 
 
 def forms(loop: Loop) -> dict[str, Options]:
-    """Name of a form -> its options: the default, and the small real-time controller."""
-    return {"default": replace(loop.options, precision="single"), "small": small(loop)}
+    """Name of a form -> its options: the default, the small real-time controller, the same with the goal "size"."""
+    return {"default": with_precision(loop, "single").options, "small": small(loop), "size": smallest(loop)}
 
 
 def sizes(report: Report, scale: float) -> None:

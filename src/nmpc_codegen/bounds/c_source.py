@@ -207,4 +207,4 @@ def _expression(text: str) -> c_ast.Node:
 
 
 #: Functions of the C library that the parts call, with their operations.
-MATH: Mapping[str, int] = {"sqrt": 1, "fabs": 1, "ceil": 1, "isfinite": 0, "memcpy": 0, "memset": 0, "memcmp": 0}
+MATH: Mapping[str, int] = {"sqrt": 1, "fabs": 1, "ceil": 1, "isfinite": 0, "memcpy": 0, "memset": 0}

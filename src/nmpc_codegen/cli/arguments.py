@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from nmpc_codegen.cli.messages import one_line
 from nmpc_codegen.firmware.targets import LEVELS, TARGETS
-from nmpc_codegen.options import MATHS, PRECISIONS
+from nmpc_codegen.options import GOALS, MATHS, PRECISIONS
 
 #: Maximum number of samples of --simulate: a longer log may not fit into memory.
 MAX_SAMPLES = 1_000_000
@@ -55,6 +55,7 @@ def parser() -> Parser:
     add("--force", action="store_true", help="also replace files that were edited or not written by an export")
     add("--precision", choices=PRECISIONS, help="working precision")
     add("--math", choices=MATHS, help="elementary functions: of the C library, or of the package's own text")
+    add("--goal", choices=GOALS, help=f"what the form of the code makes small or fast (default {GOALS[0]})")
     add(
         "--set",
         action="append",
@@ -66,7 +67,7 @@ def parser() -> Parser:
     add("--check", action="store_true", help="compile with warnings as errors, solve the problem, compare with IPOPT")
     add("--simulate", type=int, metavar="STEPS", help="simulate the closed loop from the declared initial state")
     add("--plot", metavar="FILE", help="write a picture of the simulation (.png, .pdf, .svg)")
-    add("--target", choices=list(TARGETS), help="microcontroller: add a certificate and a bare-metal replay")
+    add("--target", choices=list(TARGETS), help="microcontroller: scalar code, a certificate, a bare-metal replay")
     add("--level", choices=LEVELS, help=f"optimisation level of the code for the target (default {LEVELS[0]})")
     add("--verify", action="store_true", help="with --target: replay a closed loop on the emulated board, compare")
     for name, what in BUDGETS.items():

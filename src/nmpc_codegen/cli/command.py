@@ -57,12 +57,12 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         return 0
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
-    from nmpc_codegen.compiler import export
+    from nmpc_codegen.compiler import export, for_every_goal
 
     ocp, options = _problem(arguments, printer)
     name = ocp.name if arguments.name is None else arguments.name
     folder = Path(arguments.output or Path("out") / name)
-    firmware = Firmware(arguments, name)
+    firmware = Firmware(arguments, name, lambda: for_every_goal(ocp, options, name))
     given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": firmware.more}
     package = export(ocp, options, str(folder), name=name, **given)
     _print_package(printer, package, folder, arguments.verbose)
@@ -83,11 +83,13 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Opti
 
     with undisturbed(printer, arguments.problem, arguments.verbose), np.errstate():
         ocp, options = load_problem(Path(arguments.problem))
-    words = [(flag, getattr(arguments, flag)) for flag in ("hessian", "qp", "precision", "math")]
+    words = [(flag, getattr(arguments, flag)) for flag in ("hessian", "qp", "precision", "math", "goal")]
     settings = [(key, text) for key, text in words if text is not None]
     for setting in arguments.settings:
         key, _, text = setting.partition("=")
         settings.append((key.strip(), text.strip()))
+    if arguments.target is not None and options.processor is None:
+        settings.insert(0, ("processor", "scalar"))
     return ocp, apply_settings(options, settings)
 
 

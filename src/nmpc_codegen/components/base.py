@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, get_args
+from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, Self, get_args
 
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.runtime.package_description import OpCount
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ class Dims:
     ng: Size  # scalar rows of all nodes besides control bounds
     condensed: QpDims | None  # sizes of the QP, None without condensing
     end_rows: int = 0  # hard rows that hold at node N alone
+    multiple: int = PANEL  # to which leading dimensions of stage matrices are rounded up; 1: no padding
 
     @property
     def qp(self) -> QpDims:
@@ -151,6 +153,11 @@ class Component(Protocol):
 
 class Integrator(Component, Protocol):
     """Computes the state at the next node and its derivatives."""
+
+    @property
+    def small(self) -> Self:
+        """This integrator with the least code, where its options leave that open."""
+        ...
 
     def longest_step(self, problem: Problem) -> float:
         """Length (s) of the longest integration step."""

@@ -7,13 +7,14 @@ firmware/                           a bare-metal program that replays a recorded
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import Budgets, check
 from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, certify
 from nmpc_codegen.firmware.deviations import DEVIATIONS
+from nmpc_codegen.firmware.forms import Form, forms_of
 from nmpc_codegen.firmware.image import sources
 from nmpc_codegen.firmware.layouts import layouts
 from nmpc_codegen.firmware.recording import Recording, record, started_again
@@ -30,17 +31,29 @@ NOT_RUN = "Not run: export with --verify."
 
 @dataclass(frozen=True)
 class Delivery:
-    """The files that are added, and what was found: certificate and verdict, None without a target or --verify."""
+    """The files that are added, and what was found: certificate and verdict, None without a target or --verify.
+
+    ``forms``: sizes for every goal, empty if they have not been asked for.
+    """
 
     files: Mapping[str, str]
     certificate: Certificate | None
     verdict: Verdict | None
+    forms: tuple[Form, ...] = ()
 
 
 def deliver(
-    package: Mapping[str, str], name: str, target: Target | None, level: Level, budgets: Budgets, run: bool
+    package: Mapping[str, str],
+    name: str,
+    target: Target | None,
+    level: Level,
+    budgets: Budgets,
+    run: bool,
+    goals: Callable[[], Mapping[str, Mapping[str, str]]] = dict,
 ) -> Delivery:
     """Check the budgets; for a target also certify the package, record a closed loop and, on request, replay it.
+
+    ``goals``: makes the package for every goal, whose sizes are compared.
 
     Raises:
         OptionError: a budget is exceeded.
@@ -61,9 +74,10 @@ def deliver(
         f"{FOLDER}/{path}": text for path, text in sources(target, recording.header, certificate.stack_worst).items()
     }
     files |= layouts(package, recording, target, certificate, budgets.ram)
-    files["certificate.json"] = certificate_json(certificate, verdict)
-    files["certificate.md"] = page(certificate, verdict)
-    return Delivery(files, certificate, verdict)
+    forms = forms_of(goals(), name, target)
+    files["certificate.json"] = certificate_json(certificate, verdict, forms)
+    files["certificate.md"] = page(certificate, verdict, forms)
+    return Delivery(files, certificate, verdict, forms)
 
 
 def recorded(package: Mapping[str, str], name: str) -> Recording:
@@ -73,18 +87,19 @@ def recorded(package: Mapping[str, str], name: str) -> Recording:
     return record(controller, x0, SAMPLES, disturbed=started_again(x0))
 
 
-def certificate_json(certificate: Certificate, verdict: Verdict | None) -> str:
-    """The certificate, and the outcome of the run if there was one."""
-    entries = certificate.as_dict()
+def certificate_json(certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = ()) -> str:
+    """The certificate, the sizes for every goal, and the outcome of the run if there was one."""
+    entries = certificate.as_dict() | {"forms": [form.as_dict() for form in forms]}
     if verdict is not None:
         entries["emulated"] = verdict.as_dict()
     return json.dumps(entries, indent=1, allow_nan=False) + "\n"
 
 
-def page(certificate: Certificate, verdict: Verdict | None) -> str:
+def page(certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = ()) -> str:
     """The certificate for people."""
     names = {
         "c": certificate,
+        "forms": forms,
         "real_time": ", ".join(REAL_TIME),
         "math": ", ".join(certificate.math_functions) or "none",
         "compiler": ", ".join(certificate.compiler_functions) or "none",

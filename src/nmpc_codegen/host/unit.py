@@ -18,9 +18,15 @@ GENERATED: Generators = {
 
 
 def hosted(module: CModule, lanes: int, avx512: bool) -> CModule:
-    """The package as a unit that evaluates ``lanes`` shooting nodes at once, or the next power of 2 that it has."""
-    lanes = min(lanes, 1 << (module.value("N").bit_length() - 1))
-    host = replace(module, switches={**module.switches, "HOST_LANES": lanes, "HOST_AVX512": int(avx512)})
+    """The package as a unit that evaluates ``lanes`` shooting nodes at once, or the next power of 2 that it has.
+
+    Four and more lanes also hold register tiles of the stage matrices, which a package with the goal "size" does not
+    pad. A host has a vector unit, whatever processor the exported C is for.
+    """
+    small = module.switches["SMALL"]
+    lanes = min(lanes, 1 << (module.value("N").bit_length() - 1), 2 if small else lanes)
+    at_hand = {"HOST_LANES": lanes, "HOST_AVX512": int(avx512), "SCALAR": small}
+    host = replace(module, switches={**module.switches, **at_hand})
     return replace(host, switches={**host.switches, **lane_switches(host)})
 
 

@@ -12,7 +12,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.model import ModelFunctions
-from nmpc_codegen.lowering.dimensions import dimensions
+from nmpc_codegen.lowering.dimensions import dimensions, multiple_of
 from nmpc_codegen.lowering.growth import Growth
 from nmpc_codegen.options import Options
 
@@ -76,7 +76,7 @@ def choose_qp(
     for stated, qp in pairs:
         condensing = stated.adapted(problem)
         if all(problem.features <= c.supports for c in (condensing, qp)):
-            dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian)
+            dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian, multiple_of(options.goal))
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
             total = sum(counts, qp.search(dims) if soft else OpCount())
             candidates.append(Candidate(condensing, qp, total.total))

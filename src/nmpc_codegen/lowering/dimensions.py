@@ -8,10 +8,19 @@ from nmpc_codegen.components.base import Dims, QpDims, QpShape
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.cmodule import Size
 from nmpc_codegen.ir.tuning import PANEL
+from nmpc_codegen.options import Goal
 
 
-def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool) -> Dims:
-    """All shared sizes; ``shape`` is None without a QP; ``constant_hessian``: one path block serves all nodes."""
+def multiple_of(goal: Goal) -> int:
+    """To which leading dimensions of stage matrices are rounded up: small ones have no padding."""
+    return 1 if goal == "size" else PANEL
+
+
+def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool, multiple: int = PANEL) -> Dims:
+    """All shared sizes; ``shape`` is None without a QP; ``constant_hessian``: one path block serves all nodes.
+
+    Leading dimensions of stage matrices are rounded up to a multiple of ``multiple``.
+    """
     p = problem
     sizes = {
         "N": p.N,
@@ -33,7 +42,7 @@ def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool) 
     }
     fields = {"NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
     condensed = None if shape is None else _qp_dims(p, shape)
-    return Dims(**_sizes(sizes, fields), condensed=condensed, end_rows=len(p.end_rows))
+    return Dims(**_sizes(sizes, fields), condensed=condensed, end_rows=len(p.end_rows), multiple=multiple)
 
 
 def _qp_dims(problem: Problem, shape: QpShape) -> QpDims:

@@ -18,9 +18,10 @@ from nmpc_codegen.ir.stage_products import Pattern, pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.choose import Choice, choose_qp
 from nmpc_codegen.lowering.choose_hessian import choose_hessian
+from nmpc_codegen.lowering.dimensions import multiple_of
 from nmpc_codegen.lowering.growth import growth
 from nmpc_codegen.lowering.stability import stability_warning
-from nmpc_codegen.options import REGISTRIES, Math, Online, Options
+from nmpc_codegen.options import REGISTRIES, Goal, Math, Online, Options, Processor
 from nmpc_codegen.runtime.package_description import Precision
 
 
@@ -41,6 +42,13 @@ class Model(ModelFunctions):
     reasons: tuple[str, ...]
     choice: Choice | None
     constant_hessian: bool
+    goal: Goal = "speed"
+    processor: Processor | None = "vector"
+
+    @property
+    def multiple(self) -> int:
+        """To which leading dimensions of stage matrices are rounded up."""
+        return multiple_of(self.goal)
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -57,6 +65,8 @@ class Model(ModelFunctions):
             precision=self.precision,
             solve=self.solve,
             math=self.math,
+            goal=self.goal,
+            processor=self.processor,
         )
 
 
@@ -74,7 +84,7 @@ def linearize(problem: Problem, options: Options) -> Model:
     online = options.online
     path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
     problem = replace(problem, path=path, terminal=terminal)
-    integrator, choices = _choose_integrator(problem, options.integrator)
+    integrator, choices = _choose_integrator(problem, options)
     _check(problem, integrator, options.hessian)
     functions = _functions(problem, integrator, options.hessian, options.algorithm)
     constant = _constant_hessian(problem, online, functions)
@@ -95,6 +105,8 @@ def linearize(problem: Problem, options: Options) -> Model:
         precision=options.precision,
         math=options.math,
         solve=options.solve,
+        goal=options.goal,
+        processor=options.processor,
         reasons=(*choices, *stability_warning(problem, integrator), *of_hessian, *notes),
         choice=choice,
         constant_hessian=constant,
@@ -172,12 +184,13 @@ def _constant_hessian(problem: Problem, online: Online, functions: ModelFunction
     return path.hessian is not None and path.curvature is None and not varying & _inputs_read(path.hessian)
 
 
-def _choose_integrator(problem: Problem, given: Integrator | None) -> tuple[Integrator, tuple[str, ...]]:
-    if given is not None:
-        return given, ()
-    chosen = Discrete() if problem.discrete else ExplicitRungeKutta()
+def _choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
+    chosen = options.integrator or (Discrete() if problem.discrete else ExplicitRungeKutta())
     why = "the dynamics are a discrete map" if problem.discrete else "default for differential equations: RK4"
-    return chosen, (f"integrator: {chosen.name}; {why}",)
+    reasons = () if options.integrator else (f"integrator: {chosen.name}; {why}",)
+    if options.goal == "speed" or chosen.small == chosen:
+        return chosen, reasons
+    return chosen.small, (*reasons, f"integrator: {chosen.small}; goal: size")
 
 
 def _rows(stage: Stage, name: str) -> Kernel:

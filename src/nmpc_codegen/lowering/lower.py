@@ -180,6 +180,8 @@ def _switches(model: Model) -> dict[str, int]:
         "NODE_KERNELS": 0,
         "SINGLE": int(model.precision == "single"),
         "OWN_MATH": int(model.math == "own"),
+        "SCALAR": int(model.processor == "scalar"),
+        "SMALL": int(model.goal == "size"),
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
     for component in parts.components:
@@ -218,7 +220,7 @@ def _section_count(counts: Counts) -> OpCount | None:
 def _dims(model: Model) -> Dims:
     condensing = model.parts.condensing
     shape = None if condensing is None else condensing.qp_shape(model.problem)
-    return dimensions(model.problem, shape, model.constant_hessian)
+    return dimensions(model.problem, shape, model.constant_hessian, model.multiple)
 
 
 def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:

@@ -37,6 +37,11 @@ class Discrete(Defaults):
                 "(--set integrator=explicit_runge_kutta) instead of Discrete() (--set integrator=discrete)"
             )
 
+    @property
+    def small(self) -> Discrete:
+        """The map itself."""
+        return self
+
     def longest_step(self, problem: Problem) -> float:
         """Length (s) of the longest interval; the map is evaluated once per interval."""
         return max(problem.dt)

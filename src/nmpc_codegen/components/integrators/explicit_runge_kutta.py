@@ -10,7 +10,7 @@ straight-line code or loops.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar, Literal, get_args
 
@@ -86,6 +86,11 @@ class ExplicitRungeKutta(Defaults):
                 f"integrator: {problem.name} is a discrete map; expected Discrete() (--set integrator=discrete) "
                 "instead of ExplicitRungeKutta(...) (--set integrator=explicit_runge_kutta)"
             )
+
+    @property
+    def small(self) -> ExplicitRungeKutta:
+        """Loops, unless ``unroll`` says otherwise."""
+        return replace(self, unroll="none") if self.unroll == "auto" else self
 
     def longest_step(self, problem: Problem) -> float:
         """Length (s) of a step in the longest interval."""

@@ -17,19 +17,21 @@ if TYPE_CHECKING:
 BLOCK = 4
 
 
-def _padded(n: int) -> int:
-    return -(-n // BLOCK) * BLOCK
+def _padded(n: int, dims: Dims) -> int:
+    return -(-n // dims.multiple) * dims.multiple
 
 
 def riccati_sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
     """Leading dimensions: (macro without prefix, value, meaning)."""
     nx, nus = dims.qp.nxs.value, dims.qp.nus.value
+    ldx, ldu = _padded(nx, dims), _padded(nus, dims)
+    rounded = "" if dims.multiple == 1 else f" rounded up to {dims.multiple}"
     return (
-        ("LDX", _padded(nx), "NXS rounded up to 4"),
-        ("LDU", _padded(nus), "NUS rounded up to 4"),
-        ("LDZ", _padded(nx + nus), "NZS rounded up to 4"),
-        ("LDW", _padded(nx + _padded(nus)), "NXS + LDU rounded up to 4"),
-        ("LDT", max(_padded(nx), nx + nus), "rows of the stage product: LDX or NZS"),
+        ("LDX", ldx, f"NXS{rounded}"),
+        ("LDU", ldu, f"NUS{rounded}"),
+        ("LDZ", _padded(nx + nus, dims), f"NZS{rounded}"),
+        ("LDW", _padded(nx + ldu, dims), f"NXS + LDU{rounded}"),
+        ("LDT", max(ldx, nx + nus), "rows of the stage product: LDX or NZS"),
     )
 
 
@@ -196,7 +198,7 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
     The counts are for dynamics with gaps, when no row has a weight, no control is fixed and no pivot is regularised.
     """
     ns, nx, nus, nf = (size.value for size in (dims.qp.ns, dims.qp.nxs, dims.qp.nus, dims.nf))
-    ldx, nz, copies = _padded(nx), nx + nus, nx - dims.nx.value
+    ldx, nz, copies = _padded(nx, dims), nx + nus, nx - dims.nx.value
     fold = OpCount(add=copies * (ldx + nx), mul=copies * ldx)
     backward = _combined(ldx, nx) + _combined(nz, nx) + _combined(ldx, nus)
     backward += OpCount(add=1, mul=1) * (nus * (nus - 1)) + OpCount(mul=nus)
@@ -204,7 +206,7 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
     pairs = nf * (nf - 1) // 2
     free = OpCount(add=nf, div=nf) + _dot(nx) * nf + OpCount(add=1, mul=1) * (2 * pairs)
     return {
-        "riccati_factorize": _stage_recursion(nx, nus) * ns + fold + _free_factor(nf),
+        "riccati_factorize": _stage_recursion(dims) * ns + fold + _free_factor(nf),
         "riccati_backward": backward * ns + OpCount(add=copies),
         "riccati_forward": forward * ns + free,
     }
@@ -222,12 +224,14 @@ def riccati_search(dims: Dims) -> OpCount:
     return iteration * 10
 
 
-def _stage_recursion(nx: int, nus: int) -> OpCount:
-    ldx, ldz = _padded(nx), _padded(nx + nus)
+def _stage_recursion(dims: Dims) -> OpCount:
+    nx, nus = dims.qp.nxs.value, dims.qp.nus.value
+    ldx, ldu, ldz = (value for _, value, _ in riccati_sizes(dims)[:3])
     total = OpCount(add=nus)
-    total += _block(ldz, nx) * (ldx // BLOCK + -(-nus // BLOCK))
+    total += _entries((ldx + ldu) * ldz, nx)
     for i in range(0, ldx, BLOCK):
-        total += _block(i + BLOCK, nx + nus)
+        end = min(i + BLOCK, ldx)
+        total += _entries((end - i) * end, nx + nus)
     for column in range(nus):
         total += OpCount(add=1, mul=1 + ldx, div=1)
         for row in range(column + 1, nus):
@@ -242,9 +246,9 @@ def _free_factor(nf: int) -> OpCount:
     return total
 
 
-def _block(width: int, n: int) -> OpCount:
-    """Operations of BLOCK rows of a product, with n terms per entry."""
-    return OpCount(add=BLOCK * width * (n + 1), mul=BLOCK * width * n)
+def _entries(number: int, n: int) -> OpCount:
+    """Operations of entries of a product, with n terms each."""
+    return OpCount(add=number * (n + 1), mul=number * n)
 
 
 def _combined(width: int, n: int) -> OpCount:

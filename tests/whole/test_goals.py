@@ -1,0 +1,124 @@
+"""Options(goal, processor): forms of the same algorithm. What differs is code and memory, not the controls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import require_tool
+
+from benchmarks.lib.counting import count_mismatches
+from examples import cart_pole, chain, crane, quadrotor
+from nmpc_codegen import (
+    OCP,
+    AugmentedLagrangian,
+    DenseActiveSet,
+    Discrete,
+    ExplicitRungeKutta,
+    FullCondensing,
+    Options,
+    PartialCondensing,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+    Status,
+    build,
+    generate,
+)
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.package_description import PackageDescription
+
+DENSE = Options(qp=DenseActiveSet(), condensing=FullCondensing())
+CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
+    "dense": (crane.build_ocp, DENSE),
+    "stages": (cart_pole.build_ocp, Options(qp=RiccatiActiveSet())),
+    "blocks": (crane.build_ocp, Options(qp=RiccatiActiveSet(), condensing=PartialCondensing(3))),
+    "interior point": (cart_pole.build_ocp, Options(qp=RiccatiInteriorPoint())),
+    "odd sizes": (lambda: chain.build_ocp(3), Options(solve=False)),
+    "even sizes": (quadrotor.build_ocp, Options(solve=False)),
+    "augmented Lagrangian": (cart_pole.build_ocp, Options(algorithm=AugmentedLagrangian())),
+}
+SAMPLES = 15
+
+
+@pytest.fixture(autouse=True)
+def _compiler() -> None:
+    require_tool("cc")
+
+
+def made(name: str, **more: Any) -> Controller:
+    """Without contraction of products and sums, so that every form rounds alike."""
+    make, options = CASES[name]
+    return build(make(), replace(options, **more), profile="verify", lanes=1)
+
+
+def loop(controller: Controller) -> np.ndarray:
+    """Controls of a closed loop that begins away from its set point."""
+    x, dt = controller.description.x_initial, controller.description.dt[0]
+    if controller.description.name != "crane":  # its terminal state is just within reach
+        x = x + 0.05 * np.cos(np.arange(len(x)))
+    controls = []
+    for _ in range(SAMPLES):
+        u = controller.step(x).copy()
+        assert controller.status == Status.OK
+        x = controller.integrate(x, u, dt)
+        controls.append(u)
+    return np.array(controls)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_sums_in_variables_have_the_same_bits(name: str) -> None:
+    expected, found = loop(made(name)), loop(made(name, processor="scalar"))
+    assert np.ptp(expected) > 1e-3
+    np.testing.assert_array_equal(expected, found)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_small_controller_computes_the_same_controls(name: str) -> None:
+    fast, small = made(name), made(name, goal="size")
+    expected, found = loop(fast), loop(small)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+    assert small.nbytes <= fast.nbytes
+
+
+@pytest.mark.parametrize("name", ["stages", "odd sizes"])
+def test_matrices_of_stages_have_no_padding(name: str) -> None:
+    fast, small = (PackageDescription.from_json(text(name, goal)) for goal in ("speed", "size"))
+    assert (fast.sizes["LDX"], fast.sizes["LDU"]) == (-(-fast.dims.nx // 4) * 4, -(-fast.dims.nu // 4) * 4)
+    assert (small.sizes["LDX"], small.sizes["LDU"]) == (small.dims.nx, small.dims.nu)
+    assert small.report.ram_bytes < 0.9 * fast.report.ram_bytes
+
+
+def text(name: str, goal: Any) -> str:
+    make, options = CASES[name]
+    return generate(make(), replace(options, goal=goal), name="package")["package.json"]
+
+
+@pytest.mark.parametrize("name", ["dense", "stages", "odd sizes"])
+@pytest.mark.parametrize("more", [{"processor": "scalar"}, {"goal": "size"}], ids=lambda more: next(iter(more)))
+def test_operations_are_stated_exactly(name: str, more: dict[str, Any]) -> None:
+    require_tool("cxx")
+    make, options = CASES[name]
+    assert count_mismatches(make(), replace(options, **more)) == []
+
+
+def test_loops_are_chosen_only_where_the_options_leave_it_open() -> None:
+    choices = PackageDescription.from_json(text("dense", "size")).report.choices
+    assert any("unroll='none'" in choice and "goal: size" in choice for choice in choices)
+    given = replace(CASES["dense"][1], integrator=ExplicitRungeKutta(unroll="all"), goal="size")
+    options = PackageDescription.from_json(generate(crane.build_ocp(), given)["crane.json"]).options
+    assert "unroll='all'" in options
+    assert ExplicitRungeKutta(unroll="step").small == ExplicitRungeKutta(unroll="step")
+    assert Discrete().small == Discrete()
+
+
+def test_a_vector_unit_clashes_with_matrices_without_padding() -> None:
+    with pytest.raises(OptionError, match=r"processor=\"vector\".*clashes with.*goal=\"size\".*--goal speed"):
+        Options(goal="size", processor="vector")
+    with pytest.raises(OptionError, match="goal"):
+        Options(goal="small")  # type: ignore[arg-type]
+    assert Options(goal="size").with_defaults.processor == "scalar"
+    assert Options().with_defaults.processor == "vector"
