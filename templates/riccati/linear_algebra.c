@@ -1,6 +1,7 @@
 #if HOST_LANES > 2
 #include "riccati/linear_algebra_lanes.c"
-#elif SCALAR
+#else
+#if SCALAR
 #include "riccati/blocks_scalar.c"
 
 #include "riccati/combine_scalar.c"
