@@ -18,6 +18,7 @@ from benchmarks.lib.report import Report
 
 PARTS: Mapping[str, Callable[[Report, float], None]] = {
     "boards": emulated.boards,
+    "bits": emulated.bits,
     "sizes": sizes.sizes,
     "counts": emulated.counts,
     "single": single.single,
@@ -28,6 +29,7 @@ PARTS: Mapping[str, Callable[[Report, float], None]] = {
 #: Part -> programs without which it is left out.
 NEEDS = {
     "boards": ("arm-none-eabi-gcc", "qemu-system-arm"),
+    "bits": ("arm-none-eabi-gcc", "qemu-system-arm"),
     "sizes": ("arm-none-eabi-gcc",),
     "misra": ("cppcheck",),
     "riscv": ("riscv64-unknown-elf-gcc",),

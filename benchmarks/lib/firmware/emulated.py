@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from benchmarks.lib.counting import count_mismatches
@@ -46,6 +48,19 @@ def one(report: Report, loop: Loop, board: str, samples: int) -> None:
     stack(report, certificate, verdict, case)
     mismatches(report, certificate, sources[f"{name}.json"], case)
     instructions(report, loop, verdict, board)
+
+
+def bits(report: Report, scale: float) -> None:
+    """Every loop on both boards with the elementary functions of the package: the controls of the host, bit for bit."""
+    samples = max(20, round(scale * SAMPLES))
+    for loop in loops():
+        for board, precision in BOARDS:
+            there = with_precision(loop, precision)
+            own = replace(there, options=replace(there.options, math="own"))
+            inputs, (name, sources) = recorded(own, samples), package(own, own.options)
+            verdict = verify(sources, name, inputs, TARGETS[board], "O2")
+            other = verdict.bits + verdict.statuses
+            report.add("bit_mismatches", other, case=f"{loop.name} on {board}", n=samples, limit=0, profile="verify")
 
 
 def stack(report: Report, certificate: Certificate, verdict: Verdict, case: str) -> None:
