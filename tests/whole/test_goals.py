@@ -84,6 +84,15 @@ def test_a_small_controller_computes_the_same_controls(name: str) -> None:
     assert small.nbytes <= fast.nbytes
 
 
+@pytest.mark.parametrize("more", [{"processor": "scalar"}, {"goal": "size"}], ids=lambda more: next(iter(more)))
+def test_units_for_a_host(more: dict[str, Any]) -> None:
+    """What build() compiles for several lanes of this machine computes the controls of the exported C."""
+    make, options = CASES["odd sizes"]
+    options = replace(options, **more)
+    expected, found = (loop(build(make(), options, profile="test", lanes=lanes)) for lanes in (1, 8))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize("name", ["stages", "odd sizes"])
 def test_matrices_of_stages_have_no_padding(name: str) -> None:
     fast, small = (PackageDescription.from_json(text(name, goal)) for goal in ("speed", "size"))
