@@ -41,10 +41,10 @@ typedef struct { /* factors of the working set, vectors of an iteration */
 } golden_basis_t;
 
 typedef struct { /* the condensed QP's dependence on dx_0 */
+    golden_real Ax[GOLDEN_NG][GOLDEN_NX]; /* coupling of the rows to dx_0 */
     golden_real g[GOLDEN_NV]; /* condensed gradient at dx_0 = 0 */
     golden_real Hx[GOLDEN_NV][GOLDEN_NX]; /* coupling of the controls to dx_0 */
     golden_real c[GOLDEN_N + 1][GOLDEN_NX]; /* free response of the gaps b_k */
-    golden_real Ax[GOLDEN_NG][GOLDEN_NX]; /* coupling of the rows to dx_0 */
     golden_real v[GOLDEN_NG]; /* values of the rows at du = 0, dx_0 = 0 */
     golden_real terms[GOLDEN_NG]; /* magnitude of the terms of v */
 } golden_condensed_t;
@@ -90,6 +90,7 @@ typedef struct { /* condensed QP and its active-set factorisation */
 } golden_qp_t;
 
 typedef struct { /* counters of the last feedback or solve */
+    golden_real violation; /* violation of this row by the last step of the QP */
     int32_t qp_iterations; /* iterations of the last QP */
     int32_t active_set_changes; /* changes of the working set in the last QP */
     int32_t dropped_rows; /* redundant rows left out of the working set */
@@ -97,14 +98,13 @@ typedef struct { /* counters of the last feedback or solve */
     int32_t sqp_iterations; /* iterations of the last solve */
     int32_t violated_row; /* hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1 */
     int32_t violated_node; /* its node, or -1 */
-    golden_real violation; /* violation of this row by the last step of the QP */
 } golden_stats_t;
 
 typedef struct { /* solution of the QP */
+    golden_real mult[GOLDEN_NG]; /* multipliers of the rows */
     golden_real du[GOLDEN_N][GOLDEN_NU]; /* step of the controls */
     golden_real mult_u[GOLDEN_N][GOLDEN_NU]; /* multipliers of the control bounds */
     golden_real dx[GOLDEN_N + 1][GOLDEN_NX]; /* step of the states */
-    golden_real mult[GOLDEN_NG]; /* multipliers of the rows */
 } golden_step_t;
 
 typedef struct { /* measures of a point */
@@ -153,6 +153,7 @@ typedef struct { /* line search of solve() */
 typedef struct { /* the whole controller: no pointers, copy it with '=' */
     /* work */
     golden_node_t node[GOLDEN_N]; /* linearisation of a path node */
+    golden_qp_t qp; /* condensed QP and its active-set factorisation */
     golden_step_t step; /* solution of the QP */
     golden_condensed_t condensed; /* the condensed QP's dependence on dx_0 */
     int32_t renewal; /* 1: references are newer than the gradients, 2: so are weights or parameters */
@@ -162,7 +163,6 @@ typedef struct { /* the whole controller: no pointers, copy it with '=' */
     golden_real relaxation; /* l1 penalty of hard rows while a QP is relaxed, else infinite */
     golden_terminal_t terminal; /* linearisation of the terminal node */
     golden_hessian_t hessian; /* Hessian blocks, lower triangles, z = (x, u) */
-    golden_qp_t qp; /* condensed QP and its active-set factorisation */
     golden_sqp_t sqp; /* line search of solve() */
     int32_t magic; /* set by init */
     /* plan */
