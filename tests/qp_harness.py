@@ -50,6 +50,7 @@ SWITCHES = {
     "BUDGET": 0,
     "FIRST": 0,
     "HOST_LANES": 1,
+    "TILES": 0,
 }
 
 

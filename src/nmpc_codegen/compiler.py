@@ -150,5 +150,5 @@ def build(
         module = compiled(ocp, options, name)
         sources = sealed(render(module), module.name)
         if target.lanes > 1:
-            sources[f"{module.name}_host.c"] = host_unit(module, target.lanes, target.avx512)
+            sources[f"{module.name}_host.c"] = host_unit(module, target.lanes, target.avx512, target.tiles)
     return load(sources, module.name, profile, lanes=target.lanes)

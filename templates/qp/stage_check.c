@@ -201,7 +201,7 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
 }
 
 #endif
-#if HOST_LANES > 2
+#if TILES
 /* The gradients of cost and rows of all stages before their products with the dynamics: vectors that load what scalars
  * have just stored would wait. */
 static void qp_start_check(solver_t *s)
@@ -230,11 +230,11 @@ static int qp_is_stationary(solver_t *s, int full)
     if (full) {
         qp_component_sizes(s, full, size);
     }
-#if HOST_LANES > 2
+#if TILES
     qp_start_check(s);
 #endif
     for (int k = NS; k >= 0; k--) {
-#if HOST_LANES <= 2
+#if !TILES
         qp_cost_gradient(s, k, w[k]);
 #if NG
         for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {

@@ -2,7 +2,7 @@
 static void riccati_adjoint(const riccati_t *r, int k, const real_t *x, real_t *lam)
 {
     memcpy(lam, r->p[k], sizeof lam[0] * NXS);
-#if HOST_LANES > 2
+#if TILES
     riccati_add_symmetric(lam, r->P[k][0], LDX, x, NXS);
 #else
     riccati_combine(lam, x, r->P[k][0], LDX, NXS, NXS);

@@ -40,7 +40,7 @@ static void riccati_load_terminal(solver_t *s)
 #endif
 }
 
-#if HOST_LANES <= 2 || GENERAL_ROWS || NE || BLOCK_ROWS
+#if !TILES || GENERAL_ROWS || NE || BLOCK_ROWS
 /* P += A'B, lower triangle, where A and B have n rows. */
 static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
@@ -129,7 +129,7 @@ static void riccati_add_weights(solver_t *s, int k)
 }
 
 #endif
-#if HOST_LANES <= 2
+#if !TILES
 /* T = P_{k+1} S_k, with S_k copied to W and padded. */
 static void riccati_propagate(solver_t *s, int k)
 {
@@ -185,7 +185,7 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
     return d + *added;
 }
 
-#if HOST_LANES > 2
+#if TILES
 #include "riccati/factorize_lanes.c"
 #else
 /* M_uu = L D L' with 1 / D stored on the diagonal of L, V = L^{-1} M_ux, -D^{-1} V in W below the states. Returns 0 if
@@ -232,7 +232,7 @@ static inline void riccati_gain(riccati_t *r, int k)
 }
 
 #endif
-#if HOST_LANES <= 2 || NF
+#if !TILES || NF
 /* Copies the lower triangle of P_k to the upper one. */
 static inline void riccati_mirror(real_t (*P)[LDX])
 {
@@ -244,7 +244,7 @@ static inline void riccati_mirror(real_t (*P)[LDX])
 }
 
 #endif
-#if HOST_LANES <= 2
+#if !TILES
 /* P_k = Q_xx + A'P_{k+1}A - V'D^{-1}V, computed as one product of (A, -D^{-1}V) with (P_{k+1}A, V). */
 static int riccati_stage(solver_t *s, int k)
 {
@@ -327,7 +327,7 @@ static int riccati_factorize(solver_t *s, int last)
 #if NG
         riccati_add_weights(s, NS);
 #endif
-#if HOST_LANES <= 2
+#if !TILES
         riccati_mirror(s->riccati.P[NS]);
 #endif
     }
@@ -336,7 +336,7 @@ static int riccati_factorize(solver_t *s, int last)
             return 0;
         }
     }
-#if HOST_LANES > 2 && NF
+#if TILES && NF
     riccati_mirror(s->riccati.P[0]);
 #endif
 #if NXS > NX

@@ -1,4 +1,4 @@
-#if HOST_LANES > 2
+#if TILES
 #include "riccati/linear_algebra_lanes.c"
 #else
 #if SCALAR

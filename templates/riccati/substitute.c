@@ -34,7 +34,7 @@ static inline void riccati_add_fixed(const riccati_t *r, int k, real_t *w)
     }
 }
 
-#if HOST_LANES <= 2
+#if !TILES
 /* w = g_k + S_k'(p_{k+1} + P_{k+1} b_k) is the gradient at z = 0. With f the fixed controls:
  *     feed = -M_uu^{-1} (w_u + M_uf du_f),   p_k = w_x + M_xf du_f + K'(w_u + M_uf du_f) */
 static void riccati_backward_stage(solver_t *s, int k)
@@ -122,7 +122,7 @@ static void riccati_solve_free(const riccati_t *r, real_t *x)
 }
 
 #endif
-#if HOST_LANES > 2
+#if TILES
 #include "riccati/substitute_lanes.c"
 #else
 /* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */

@@ -97,9 +97,10 @@ def certificate_json(certificate: Certificate, verdict: Verdict | None, forms: t
 
 def page(certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = ()) -> str:
     """The certificate for people."""
+    goals = environment().get_template("firmware/certificate_goals.md.jinja")
     names = {
         "c": certificate,
-        "forms": forms,
+        "goals": goals.render(forms=forms) if forms else "",
         "real_time": ", ".join(REAL_TIME),
         "math": ", ".join(certificate.math_functions) or "none",
         "compiler": ", ".join(certificate.compiler_functions) or "none",

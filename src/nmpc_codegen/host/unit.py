@@ -17,19 +17,19 @@ GENERATED: Generators = {
 }
 
 
-def hosted(module: CModule, lanes: int, avx512: bool) -> CModule:
+def hosted(module: CModule, lanes: int, avx512: bool, tiles: bool = True) -> CModule:
     """The package as a unit that evaluates ``lanes`` shooting nodes at once, or the next power of 2 that it has.
 
-    Four and more lanes also hold register tiles of the stage matrices, which a package with the goal "size" does not
-    pad. A host has a vector unit, whatever processor the exported C is for.
+    Four and more lanes may also hold register ``tiles`` of the stage matrices, which a package with the goal "size"
+    does not pad; their sums have another order. A host has a vector unit, whatever processor the exported C is for.
     """
     small = module.switches["SMALL"]
     lanes = min(lanes, 1 << (module.value("N").bit_length() - 1), 2 if small else lanes)
-    at_hand = {"HOST_LANES": lanes, "HOST_AVX512": int(avx512), "SCALAR": small}
+    at_hand = {"HOST_LANES": lanes, "HOST_AVX512": int(avx512), "TILES": int(tiles and lanes > 2), "SCALAR": small}
     host = replace(module, switches={**module.switches, **at_hand})
     return replace(host, switches={**host.switches, **lane_switches(host)})
 
 
-def host_unit(module: CModule, lanes: int, avx512: bool) -> str:
+def host_unit(module: CModule, lanes: int, avx512: bool, tiles: bool = True) -> str:
     """The .c of the package with ``lanes`` shooting nodes at once, in GNU C; its header is that of the package."""
-    return render_c(hosted(module, lanes, avx512), GENERATED)
+    return render_c(hosted(module, lanes, avx512, tiles), GENERATED)

@@ -176,6 +176,7 @@ def _switches(model: Model) -> dict[str, int]:
         "TUNED": 0,
         "HOST_LANES": 1,
         "HOST_AVX512": 0,
+        "TILES": 0,
         "LANE_NODES": 0,
         "NODE_KERNELS": 0,
         "SINGLE": int(model.precision == "single"),

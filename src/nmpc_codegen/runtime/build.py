@@ -104,10 +104,14 @@ _SHUFFLES = 12
 
 @dataclass(frozen=True)
 class Host:
-    """Vectors that a compiler and its flags support: shooting nodes at once, and whether AVX-512 is there."""
+    """Vectors that a compiler and its flags support: shooting nodes at once, and whether AVX-512 is there.
+
+    ``tiles``: sums may have another order than in exported C.
+    """
 
     lanes: int
     avx512: bool
+    tiles: bool
 
 
 def host(lanes: int | None, profile: str | Profile) -> Host:
@@ -121,14 +125,15 @@ def host(lanes: int | None, profile: str | Profile) -> Host:
         raise OptionError(f"lanes is {lanes!r}; expected None (chosen), 1 (plain C), 2, 4 or 8 shooting nodes at once")
     chosen = get_profile(profile)
     if lanes == 1 or (lanes is None and "-march=native" not in chosen.flags):
-        return Host(1, False)
+        return Host(1, False, False)
     compiler = find_compiler()
     macros = _macros(compiler, tuple(chosen.flags), os.environ.get("PATH", ""))
     shuffles = "__clang__" in macros or int(macros.get("__GNUC__", "0")) >= _SHUFFLES
     if lanes is not None and not shuffles:
         raise BuildError(f"lanes={lanes} needs gcc {_SHUFFLES} or clang, not {' '.join(compiler)}; lanes=1 is plain C")
     width = next((n for name, n in _WIDTHS if name in macros), 1) if shuffles else 1
-    return Host(width if lanes is None else lanes, "__AVX512DQ__" in macros)
+    tiles = "-ffp-contract=off" not in chosen.flags
+    return Host(width if lanes is None else lanes, "__AVX512DQ__" in macros, tiles)
 
 
 @lru_cache
