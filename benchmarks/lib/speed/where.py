@@ -45,7 +45,7 @@ def show(name: str) -> None:
 
 
 def _program(loop: Loop, folder: Path, *more: str) -> Path:
-    prefix, _, hosted, _ = units(loop)
+    prefix, _, hosted, _ = units(loop, avx512=not more)
     flags = [flag for flag in PROFILES["fast"].flags if not (more and flag.startswith("-march"))]
     return compile_driver(hosted, prefix, folder, (*flags, "-fno-inline-functions-called-once", *more))
 
