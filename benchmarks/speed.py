@@ -4,6 +4,7 @@
 
 Limits belong to a machine on which the reference kernel (benchmarks/reference_kernel.c) takes 24 us; keys with _scaled
 are times carried to it.
+With --where the only output is a table: which functions the time of a sample of this loop goes to.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from collections.abc import Callable
 
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
-from benchmarks.lib.speed import accuracy, before, loops, own_math, recursion
+from benchmarks.lib.speed import accuracy, before, loops, own_math, recursion, where
 
 PARTS: dict[str, Callable[[Report], None]] = {
     "loops": loops.measure,
@@ -27,7 +28,11 @@ PARTS: dict[str, Callable[[Report], None]] = {
 def main() -> None:
     """All parts, or some."""
     parser = command.parser(__doc__, PARTS)
+    parser.add_argument("--where", metavar="NAME", choices=where.NAMES, help=f"one of {', '.join(where.NAMES)}")
     options = parser.parse_args()
+    if options.where:
+        where.show(options.where)
+        return
     names, report = command.chosen(parser, options, PARTS), Report("speed")
     command.measure(report, names, lambda name: PARTS[name](report), options.json)
 

@@ -79,9 +79,11 @@ def _loops() -> tuple[Loop, ...]:
 LOOPS = _loops()
 
 
-def units(loop: Loop) -> tuple[str, Sources, Sources, int]:
+def units(loop: Loop, avx512: bool = True) -> tuple[str, Sources, Sources, int]:
     """Prefix, the exported package, the same with the unit for this machine as its .c, and the lanes of the latter."""
     module, found = compiled(loop.make(), loop.options), host(None, "fast")
+    if found.avx512 and not avx512:
+        found = replace(found, lanes=4, avx512=False)
     exported = render(module)
     unit = host_unit(module, found.lanes, found.avx512)
     return module.name, exported, {**exported, f"{module.name}.c": unit}, found.lanes

@@ -1,0 +1,91 @@
+"""Where the time of a sample goes: shares of its functions, by perf or, without it, by callgrind's instructions.
+
+Both need no change of the code that is measured, but functions that are called once stay functions, so that they have
+a share of their own.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.lib.closed_loop import Scenario, compile_driver, run_driver
+from benchmarks.lib.speed.loops import LOOPS, Loop, units
+from nmpc_codegen.runtime.build import PROFILES
+
+NAMES = tuple(loop.name for loop in LOOPS)
+RUNS = 40
+#: Shares below this one are left out of the table.
+LEAST = 0.005
+#: callgrind does not know AVX-512.
+KNOWN_TO_CALLGRIND = "-march=x86-64-v3"
+
+
+def show(name: str) -> None:
+    """Print the table of one loop, in a unit for this machine. RuntimeError if there is no tool."""
+    loop = next(loop for loop in LOOPS if loop.name == name)
+    with tempfile.TemporaryDirectory() as folder:
+        if shutil.which("perf"):
+            total, shares, tool = _by_perf(loop, Path(folder))
+        elif shutil.which("valgrind"):
+            total, shares, tool = _by_callgrind(loop, Path(folder))
+        else:
+            raise RuntimeError("--where needs perf (package linux-perf) or valgrind; neither is installed")
+    table = Table("function", "share", "us", title=f"{name}: {total:.3g} us per sample, shares by {tool}")
+    for function, share in shares:
+        table.add_row(function, f"{100 * share:.1f} %", f"{share * total:.3f}")
+    Console().print(table)
+
+
+def _program(loop: Loop, folder: Path, *more: str) -> Path:
+    prefix, _, hosted, _ = units(loop, avx512=not more)
+    flags = [flag for flag in PROFILES["fast"].flags if not (more and flag.startswith("-march"))]
+    return compile_driver(hosted, prefix, folder, (*flags, "-fno-inline-functions-called-once", *more))
+
+
+def _command(program: Path, scenario: Scenario, runs: int, steps: int) -> list[str]:
+    return [str(program), str(runs), str(steps), *scenario.arguments()]
+
+
+def _by_perf(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], str]:
+    program, data = _program(loop, folder), folder / "samples"
+    total = run_driver(program, loop.scenario, runs=5, steps=loop.steps).total
+    record = ["perf", "record", "-q", "-e", "cpu-clock", "-F", "5000", "-o", str(data)]
+    record += _command(program, loop.scenario, RUNS, loop.steps)
+    subprocess.run(record, check=True, stdout=subprocess.DEVNULL)
+    report = ["perf", "report", "-i", str(data), "--stdio", "--no-children", "-g", "none", "-F", "sample,symbol"]
+    text = subprocess.run(report, check=True, capture_output=True, text=True).stdout
+    return total, _shares(re.findall(r"^\s*(\d+)\s+\[\.\]\s+(\S+)", text, re.M)), "time (perf)"
+
+
+def _by_callgrind(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], str]:
+    program, out = _program(loop, folder, KNOWN_TO_CALLGRIND), folder / "instructions"
+    total = run_driver(program, loop.scenario, runs=5, steps=loop.steps).total
+    tool = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}"]
+    subprocess.run([*tool, *_command(program, loop.scenario, 1, loop.steps)], check=True, capture_output=True)
+    text = subprocess.run(["callgrind_annotate", str(out)], check=True, capture_output=True, text=True).stdout
+    found = re.findall(r"^\s*([\d,]+) \([^)]*\)\s+\S*?:(\S+)", text, re.M)
+    return total, _shares((count.replace(",", ""), name) for count, name in found), "instructions (callgrind)"
+
+
+#: Functions of the measuring program.
+OUTSIDE = re.compile(r"main|ascending|microseconds|msort|clock_gettime|printf|strto|memset_avx|_dl_|_start")
+
+
+def _shares(found: Iterable[tuple[str, str]]) -> list[tuple[str, float]]:
+    """Functions of the controller and their shares, largest first."""
+    counts: dict[str, int] = {}
+    for count, symbol in found:
+        name = symbol.split(".")[0]
+        if not OUTSIDE.search(name):
+            counts[name] = counts.get(name, 0) + int(count)
+    whole = sum(counts.values())
+    ranked = sorted(counts.items(), key=lambda item: -item[1])
+    return [(name, count / whole) for name, count in ranked if count >= LEAST * whole]
