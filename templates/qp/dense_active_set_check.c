@@ -3,8 +3,8 @@
 /* y += c a and size += m |a|, n entries. */
 static inline void add_multiple(real_t *y, real_t *size, const real_t *a, real_t c, real_t m, int n)
 {
-    const int fours = n / 4 * 4;
-    for (int j = 0; j < fours; j += 4) {
+    const int end = n / 4 * 4;
+    for (int j = 0; j < end; j += 4) {
 #if SCALAR && !SMALL
         const real_t a0 = a[j], a1 = a[j + 1], a2 = a[j + 2], a3 = a[j + 3];
         y[j] += c * a0;
@@ -22,90 +22,9 @@ static inline void add_multiple(real_t *y, real_t *size, const real_t *a, real_t
         }
 #endif
     }
-    for (int j = fours; j < n; ++j) {
+    for (int j = end; j < n; ++j) {
         y[j] += c * a[j];
         size[j] += m * FABS(a[j]);
-    }
-}
-
-/* y_j += sum_i c_i A_ij and size_j += sum_i m_i |A_ij|: four rows, columns from .. to - 1. */
-static inline void add_panel(
-    real_t *y, real_t *size, const real_t (*A)[LDV], const real_t *c, const real_t *m, int from, int to)
-{
-    const real_t c0 = c[0], c1 = c[1], c2 = c[2], c3 = c[3];
-    const real_t m0 = m[0], m1 = m[1], m2 = m[2], m3 = m[3];
-    for (int j = from; j < to; j += 4) {
-        for (int l = 0; l < 4; ++l) {
-            y[j + l] += (c0 * A[0][j + l] + c1 * A[1][j + l]) + (c2 * A[2][j + l] + c3 * A[3][j + l]);
-            size[j + l] +=
-                (m0 * FABS(A[0][j + l]) + m1 * FABS(A[1][j + l])) + (m2 * FABS(A[2][j + l]) + m3 * FABS(A[3][j + l]));
-        }
-    }
-}
-
-/* y = L c, four entries; l: the entries of L below its diagonal, which is one. */
-static inline void multiply_lower(const real_t *l, const real_t *c, real_t *y)
-{
-    y[0] = c[0];
-    y[1] = c[1] + l[0] * c[0];
-    y[2] = c[2] + l[1] * c[0] + l[2] * c[1];
-    y[3] = c[3] + l[3] * c[0] + l[4] * c[1] + l[5] * c[2];
-}
-
-/* y = L'c, four entries. */
-static inline void multiply_upper(const real_t *l, const real_t *c, real_t *y)
-{
-    y[0] = c[0] + l[0] * c[1] + l[1] * c[2] + l[3] * c[3];
-    y[1] = c[1] + l[2] * c[2] + l[4] * c[3];
-    y[2] = c[2] + l[5] * c[3];
-    y[3] = c[3];
-}
-
-/* Entries of L below the diagonal in block b, and their magnitudes. */
-static inline void qp_take_block(const qp_t *q, int b, real_t *l, real_t *magnitude)
-{
-    const real_t *h1 = q->H[b + 1] + b, *h2 = q->H[b + 2] + b, *h3 = q->H[b + 3] + b;
-    l[0] = h1[0];
-    l[1] = h2[0];
-    l[2] = h2[1];
-    l[3] = h3[0];
-    l[4] = h3[1];
-    l[5] = h3[2];
-    for (int i = 0; i < 6; ++i) {
-        magnitude[i] = FABS(l[i]);
-    }
-}
-
-/* r = L'x and size = |L'| |x|. */
-static void qp_multiply_upper(const qp_t *q, real_t *r, real_t *size)
-{
-    real_t m[LDV], l[6], magnitude[6];
-    for (int b = 0; b < LDH; b += 4) {
-        for (int i = b; i < b + 4; ++i) {
-            m[i] = FABS(q->x[i]);
-        }
-        qp_take_block(q, b, l, magnitude);
-        multiply_upper(l, q->x + b, r + b);
-        multiply_upper(magnitude, m + b, size + b);
-    }
-    for (int b = 4; b < LDH; b += 4) {
-        add_panel(r, size, q->H + b, q->x + b, m + b, 0, b);
-    }
-}
-
-/* r := L D r and size := |L| D size. */
-static void qp_multiply_lower(const qp_t *q, real_t *r, real_t *size)
-{
-    real_t c[4], m[4], l[6], magnitude[6];
-    for (int b = LDH - 4; b >= 0; b -= 4) {
-        for (int i = 0; i < 4; ++i) {
-            c[i] = q->H[b + i][b + i] * r[b + i];
-            m[i] = q->H[b + i][b + i] * size[b + i];
-        }
-        qp_take_block(q, b, l, magnitude);
-        multiply_lower(l, c, r + b);
-        multiply_lower(magnitude, m, size + b);
-        add_panel(r, size, q->H + b, c, m, b + 4, LDH);
     }
 }
 
@@ -113,15 +32,27 @@ static void qp_multiply_lower(const qp_t *q, real_t *r, real_t *size)
  * small difference. */
 static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
 {
+    const int n = NV - NSL;
     const real_t unit = R(1.0 / 256) * (q->scale + norm(q->work.basis.y));
-    qp_multiply_upper(q, r, size);
-    qp_multiply_lower(q, r, size);
-    for (int k = 0; k < NV - NSL; ++k) {
+    copy(r, q->x);
+    for (int i = 0; i < LDV; ++i) {
+        size[i] = FABS(r[i]);
+    }
+    for (int i = 0; i < n; ++i) {
+        add_multiple(r, size, q->H[i], q->x[i], FABS(q->x[i]), i);
+    }
+    for (int k = n - 1; k >= 0; --k) {
+        const real_t *column = q->H[k];
+        r[k] *= column[k];
+        size[k] *= column[k];
+        add_multiple(r + k + 1, size + k + 1, column + k + 1, r[k], size[k], n - k - 1);
+    }
+    for (int k = 0; k < n; ++k) {
         r[k] -= q->semidefinite ? q->proximal[k] * q->x[k] : R(0);
         size[k] += unit * q->H[k][k] * q->inverse[k];
     }
 #if NSL
-    for (int i = NV - NSL; i < LDV; ++i) {
+    for (int i = n; i < NV; ++i) {
         r[i] = qp_curvature(q, i) * q->x[i];
         size[i] = unit / q->inverse[i] + FABS(r[i]);
     }

@@ -399,14 +399,14 @@ static status_t qp_fail(qp_t *q, status_t status)
 /* Returns 1 if the working set has occurred before (Brent's cycle detection: a snapshot after 1, 2, 4, ... changes). */
 static int qp_repeats(qp_t *q, int count)
 {
-    int same = count > 1;
-    for (int c = 0; c < NV + NG; ++c) {
-        same &= q->side[c] == q->snapshot[c];
+    int c = 0;
+    while (c < NV + NG && q->side[c] == q->snapshot[c]) {
+        ++c;
     }
-    if ((count & (count - 1)) == 0) {
+    if (!(count & (count - 1))) {
         memcpy(q->snapshot, q->side, sizeof q->side);
     }
-    return same;
+    return count > 1 && c == NV + NG;
 }
 
 /* Alternates between the search for the most violated row and dual steps. At the end y and lam are computed from the
