@@ -18,6 +18,7 @@ from benchmarks.lib.speed import accuracy, before, loops, own_math, recursion, w
 PARTS: dict[str, Callable[[Report], None]] = {
     "loops": loops.measure,
     "first": loops.first_control,
+    "levels": loops.levels,
     "recursion": recursion.measure,
     "lanes": accuracy.measure,
     "math": own_math.measure,

@@ -49,6 +49,7 @@ SWITCHES = {
     "SET_REFERENCE": 1,
     "BUDGET": 0,
     "FIRST": 0,
+    "LEVELS": 0,
     "HOST_LANES": 1,
     "TILES": 0,
 }

@@ -6,7 +6,8 @@
  * to all states, the next set point becomes the reference of path and end (cyclically), and the plant runs for `pushes`
  * samples under u. Prints per run: median us of prepare + feedback and of feedback, failed steps, mean and maximum of
  * the QP iterations per step; then the total of the worst step, where the time of a step is its minimum over the runs,
- * which are all equal. With -DFIRST only the first part of the feedback phase, feedback_first(), is timed. */
+ * which are all equal. With -DFIRST only the first part of the feedback phase, feedback_first(), is timed; with -DLEVEL=n
+ * the preparation is that of level n. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>
@@ -110,7 +111,11 @@ static void run(const scenario_t *c, double *total, double *feedback, double *le
         double start, middle, end;
         event(c, n, x);
         start = microseconds();
+#ifdef LEVEL
+        API(_prepare_level)(&solver, LEVEL);
+#else
         API(_prepare)(&solver);
+#endif
         middle = microseconds();
 #ifdef FIRST
         API(_feedback_first)(&solver, x, u);

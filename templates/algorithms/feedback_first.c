@@ -6,6 +6,9 @@ static void first_prepare(solver_t *s)
 {
     s->first.call = FIRST_NONE;
     s->first.valid = condense_law(s) && all_finite(s->first.gain[0], NU * NX) && all_finite(s->first.feed, NU);
+#if LEVELS
+    s->first.valid &= (s->levels.last == LEVEL_A); /* later levels leave the vectors of the law to the QP solver */
+#endif
 }
 
 /* Returns 1 if the law belongs to the present data. References that have changed since prepare change it. */

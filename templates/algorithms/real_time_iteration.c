@@ -12,6 +12,9 @@ static void algorithm_reset(solver_t *s)
     s->samples = 0;
 #endif
     s->failing = FINE;
+#if LEVELS
+    s->levels.valid = 0;
+#endif
 #if LAGRANGIAN
     s->unsettled = 0;
     memset(s->lam_before, 0, sizeof s->lam_before);
@@ -37,9 +40,19 @@ static void algorithm_reset(solver_t *s)
  * weights with the old linearisation would belong to no problem. */
 enum { UP_TO_DATE, REFERENCE_CHANGED, HELD };
 
+#if LEVELS
+static status_t evaluate(solver_t *s, int level);
+
+#endif
 /* Recomputes the gradients after references have changed since prepare; the rest of the linearisation remains valid. */
 static void renew_gradients(solver_t *s)
 {
+#if LEVELS
+    if (s->levels.last != LEVEL_A) { /* what level C adds to a gradient is not stored on its own */
+        (void)evaluate(s, (s->levels.last == LEVEL_C) ? LEVEL_C : LEVEL_B);
+        return;
+    }
+#endif
 #if HAS_PATH_GRADIENT
     for (int k = 0; k < N; k++) {
         PATH_GRADIENT(s, k, s->node[k].g);
@@ -100,7 +113,13 @@ static status_t prepare_here(solver_t *s)
 static void first_prepare(solver_t *s);
 
 #endif
+#if LEVELS
+#include "algorithms/levels.c"
+
+static status_t prepare_at(solver_t *s, int level)
+#else
 status_t API(prepare)(solver_t *s)
+#endif
 {
     status_t status;
     if (s->magic != MAGIC) {
@@ -120,7 +139,14 @@ status_t API(prepare)(solver_t *s)
 #if BUDGET
     s->qp.allowance = ALLOWANCE;
 #endif
+#if LEVELS
+    status = evaluate(s, level);
+#else
     status = prepare_here(s);
+#endif
+#if ADVANCED
+    status = (status == OK) ? advance(s) : status;
+#endif
 #if BUDGET
     status = within_budget(s, status);
 #endif
@@ -130,6 +156,18 @@ status_t API(prepare)(solver_t *s)
 #endif
     return finish(s, status);
 }
+
+#if LEVELS
+status_t API(prepare)(solver_t *s)
+{
+    return prepare_at(s, LEVEL_A);
+}
+
+status_t API(prepare_level)(solver_t *s, int level)
+{
+    return (level < LEVEL_A || level > LEVEL_D) ? BAD_ARGUMENT : prepare_at(s, level);
+}
+#endif
 
 /* Copies the multipliers of the QP to the multipliers of the corresponding rows; those of states without a row are 0. */
 static void scatter_multipliers(solver_t *s)
@@ -330,6 +368,31 @@ static status_t feedback_here(solver_t *s)
 }
 
 #include "algorithms/feedback.c"
+
+#if LEVELS
+status_t API(iterate)(solver_t *s, int level)
+{
+    status_t status;
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    if (level < LEVEL_A || level > LEVEL_D) {
+        return BAD_ARGUMENT;
+    }
+#if BUDGET
+    s->qp.allowance = ALLOWANCE;
+#endif
+    forget_violation(s);
+    status = evaluate(s, level);
+    status = (status == OK) ? step_at_plan(s) : status;
+#if BUDGET
+    status = within_budget(s, status);
+#endif
+    s->levels.valid &= (status == OK || status == RELAXED);
+    s->prepared = 0;
+    return finish(s, status);
+}
+#endif
 
 #if FIRST
 #include "algorithms/feedback_first.c"

@@ -587,6 +587,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         return NOT_INITIALIZED;
     }
     s->prepared = 0;
+#if LEVELS
+    s->levels.valid = 0;
+#endif
 #if BUDGET
     s->qp.allowance = -1;
 #endif

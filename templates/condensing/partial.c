@@ -20,7 +20,7 @@
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
-#if SET_REFERENCE || SOLVE
+#if SET_REFERENCE || SOLVE || LEVELS
 static void qp_gradient(solver_t *s);
 #endif
 static status_t qp_solve(solver_t *s);
@@ -295,7 +295,7 @@ static void condense_gradient(solver_t *s)
 }
 
 #endif
-#if SOLVE
+#if SOLVE || LEVELS
 static void condense_rows(solver_t *s)
 {
     condense_vectors(s);

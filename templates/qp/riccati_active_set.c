@@ -150,7 +150,7 @@ static status_t qp_factorize(solver_t *s)
     return OK;
 }
 
-#if SET_REFERENCE || SOLVE
+#if SET_REFERENCE || SOLVE || LEVELS
 static void qp_gradient(solver_t *s)
 {
     s->qp.stale_vectors = NS;

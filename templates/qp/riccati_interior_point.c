@@ -44,7 +44,7 @@ static status_t qp_factorize(solver_t *s)
 }
 #endif
 
-#if SET_REFERENCE || SOLVE
+#if SET_REFERENCE || SOLVE || LEVELS
 static void qp_gradient(solver_t *s)
 {
     if (s->ipm.ready) {

@@ -301,7 +301,9 @@ SHARED = Online("shared", "shared", "shared", "shared")
 NODE = Online("node", "node", "node", "node", dense_weight=True)
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
 RELAXED, LIMITED = RealTimeIteration(relaxation=100.0), RealTimeIteration(budget=10**8)
-FIRST = RealTimeIteration(first_control=True)
+FIRST, LEVELS = RealTimeIteration(first_control=True), RealTimeIteration(levels=True)
+BOTH = RealTimeIteration(first_control=True, levels=True)
+AHEAD = RealTimeIteration(shift="resample", sampling_time=0.05, advance="B", advance_iterations=2)
 REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
 STAGES = NoCondensing()
 QUASI_NEWTON: dict[str, Any] = {"method": "quasi_newton"}
@@ -393,7 +395,7 @@ SAMPLES = (
     Sample("controls riccati alone", controls, _alone(RiccatiActiveSet(fallback=None))),
     Sample("controls partial alone", controls, _alone(RiccatiActiveSet(), PartialCondensing(2))),
     Sample("controls interior alone", controls, _alone(RiccatiInteriorPoint())),
-    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None), algorithm=FIRST)),
+    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None), algorithm=BOTH)),
     Sample("states dense", states, _dense(hessian=ExactHessian(regularization=None))),
     Sample("states partial", states, _partial()),
     Sample(
@@ -419,20 +421,20 @@ SAMPLES = (
     Sample("cycle interior", cycle, _interior(algorithm=PERIODIC)),
     Sample("free riccati", free, _riccati(hessian=ExactHessian())),
     Sample("free interior", free, _interior(hessian=ExactHessian())),
-    Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=RESAMPLE, online=NODE)),
+    Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=AHEAD, online=NODE)),
     Sample("everything interior", everything, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("everything looped", everything, _interior(integrator=LOOPED, online=FIXED, precision="single")),
-    Sample("arrival dense", arrival, _dense(hessian=ExactHessian(), solve=False)),
+    Sample("arrival dense", arrival, _dense(hessian=ExactHessian(), solve=False, algorithm=LEVELS)),
     Sample("arrival riccati", arrival, _riccati(hessian=ExactHessian(), integrator=LOOPED, solve=False)),
     Sample("arrival on path dense", arrival_on_path, _dense()),
     Sample("arrival on path interior", arrival_on_path, _interior()),
     Sample("arrival rows interior", arrival_rows, _interior(hessian=ExactHessian())),
     Sample("ring dense", ring, _dense(hessian=ExactHessian(), algorithm=RELAXED)),
-    Sample("ring in time", ring, _dense(algorithm=RealTimeIteration(relaxation=100.0, budget=10**8))),
+    Sample("ring in time", ring, _dense(algorithm=RealTimeIteration(relaxation=100.0, budget=10**8, levels=True))),
     Sample("cycle riccati", cycle, _riccati(algorithm=PERIODIC)),
     Sample("ring interior", ring, _interior(hessian=ExactHessian())),
     Sample("closing interior", closing, _interior()),
-    Sample("target dense", target, _dense(solve=False, algorithm=FIRST)),
+    Sample("target dense", target, _dense(solve=False, algorithm=BOTH)),
     Sample("target riccati", target, _riccati(solve=False, online=FIXED)),
     Sample("target interior", target, _interior(solve=False, online=FIXED)),
     Sample("target partial", target, _partial(solve=False, online=FIXED)),

@@ -264,6 +264,11 @@ class Algorithm(Component, Protocol):
         """How the plan is shifted before every prepare; None: it is not."""
         ...
 
+    @property
+    def pulls_back(self) -> bool:
+        """True if it needs the adjoint of an interval besides its core."""
+        ...
+
     def default(self, seam: Seam) -> str | None:
         """The name of its default component for a seam that it needs; None: the compiler chooses for the problem."""
         ...
@@ -332,6 +337,10 @@ class Defaults:
 
     def check_parts(self, parts: Parts) -> None:
         return None
+
+    @property
+    def pulls_back(self) -> bool:
+        return False
 
     def unset(self, seam: Seam) -> tuple[str, ...]:
         return ()

@@ -135,6 +135,8 @@ def _functions(
             replace(stage, product=cost.product_kernel())
             for stage, cost in ((path, costs.path), (terminal, costs.terminal))
         )
+    elif algorithm.pulls_back:
+        interval = replace(interval, adjoint=integrator.directional(problem)[1])
     blocks = HessianModel(None, Block(), Block()) if hessian is None else hessian.blocks(problem, costs, integrator)
     slope = _elements(start.gradient)
     return ModelFunctions(

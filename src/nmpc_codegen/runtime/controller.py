@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.compiled import COUNTERS, NEWTON, CompiledPackage, aligned, restored
-from nmpc_codegen.runtime.given import checked_array, checked_weight, is_integer, ndim
+from nmpc_codegen.runtime.given import checked_array, checked_bound, is_integer, level_number, ndim, stored_weight
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
 from nmpc_codegen.runtime.status import KKT_PARTS, Kkt, Stats, Status, diagnosis
@@ -89,12 +89,27 @@ class Controller:
             self._judge(status, "step", on_failure)
         return self._u0.copy()
 
-    def prepare(self, on_failure: OnFailure = "status") -> Status:
-        """Perform all operations that do not depend on the measured state: linearise, condense, factorise."""
+    def prepare(self, on_failure: OnFailure = "status", level: str = "A") -> Status:
+        """Perform all operations that do not depend on the measured state: linearise, condense, factorise.
+
+        Args:
+            on_failure: as in step().
+            level: "A", all of them; "B", "C" and "D" need RealTimeIteration(levels=True) and keep the derivatives and
+                factors of the last level A. "B": dynamics, rows and the gradient of the cost are evaluated; "C": also
+                the gradient of the Lagrangian; "D": nothing. After a failure and after solve() the level is A.
+        """
         start = perf_counter_ns()
-        status = self._call("prepare", self._s)
+        number = level_number(level)
+        status = self._call("prepare_level", self._s, number) if number else self._call("prepare", self._s)
         self._prepare_ns = perf_counter_ns() - start
         return self._judge(status, "prepare", on_failure)
+
+    def iterate(self, level: str = "A", on_failure: OnFailure = "status") -> Status:
+        """One iteration at the state x_0 of the plan: a preparation at that level, the QP and its full step.
+
+        It needs RealTimeIteration(levels=True). The plan changes only if the status is OK or RELAXED.
+        """
+        return self._judge(self._call("iterate", self._s, level_number(level)), "iterate", on_failure)
 
     def feedback(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
         """Solve the prepared problem for the measured state (nx,); return the control (nu,) as step() does."""
@@ -207,17 +222,17 @@ class Controller:
         dense = self._view("W").ndim == 3
         if node is None and each and ndim(W) == 3:
             matrices = self._array("weight", W, (self.dims.N, ny, ny))
-            checked = [self._weight(f"weight of node {k}", w, ny, dense) for k, w in enumerate(matrices)]
+            checked = [stored_weight(w, f"weight of node {k}", self._real, ny, dense) for k, w in enumerate(matrices)]
             for k, one in enumerate(checked):
                 self._send("set_weight", one, k)
         else:
-            self._send("set_weight", self._weight("weight", W, ny, dense), node)
+            self._send("set_weight", stored_weight(W, "weight", self._real, ny, dense), node)
 
     def set_terminal_weight(self, W: ArrayLike) -> None:
         """Set the weight of the terminal residual: (ny_N,) or (ny_N, ny_N)."""
         self._each_node("weight", "the terminal weight")
         self._expect_some(self.dims.ny_N, "terminal residual")
-        value = self._weight("terminal weight", W, self.dims.ny_N, self._view("W_N").ndim == 2)
+        value = stored_weight(W, "terminal weight", self._real, self.dims.ny_N, self._view("W_N").ndim == 2)
         self._expect(self._call("set_terminal_weight", self._s, self._pointer(value)), "set_terminal_weight")
 
     def set_parameter(self, name: str, value: ArrayLike, node: int | None = None) -> None:
@@ -252,7 +267,10 @@ class Controller:
         """
         rows = self._rows(name)
         self._each_node("bounds", f"the bounds of {name!r}", node, terminal=True)
-        low, high = (self._bound(name, which, v, len(rows)) for which, v in (("lower", lower), ("upper", upper)))
+        low, high = (
+            checked_bound(value, f"{which} bound of {name!r}", self._real, len(rows))
+            for which, value in (("lower", lower), ("upper", upper))
+        )
         if np.any(low > high):
             raise ControllerError(f"bounds of {name!r}: lower {low.tolist()} above upper {high.tolist()}")
         k = self._node(node)
@@ -519,27 +537,6 @@ class Controller:
     def _expect_some(self, size: int, what: str) -> None:
         if not size:
             raise ControllerError(f"{self._package.name} has no {what}")
-
-    def _weight(self, what: str, W: ArrayLike, size: int, matrix: bool) -> Array:
-        """The checked weight in the form that the struct stores: diagonal (size,) or matrix (size, size)."""
-        given = self._array(what, W, (size,) if ndim(W) == 1 else (size, size))
-        square = np.diag(given) if given.ndim == 1 else given
-        dense = checked_weight(square, what, ControllerError, float(np.finfo(self._real).eps))
-        diagonal = np.diag(dense)
-        if matrix:
-            return dense
-        if np.any(dense != np.diag(diagonal)):
-            raise ControllerError(
-                f"{what} has entries off its diagonal, which only Online(dense_weight=True) stores for this weight"
-            )
-        return diagonal
-
-    def _bound(self, name: str, which: str, value: ArrayLike, count: int) -> NDArray[np.float64]:
-        expanded = np.broadcast_to(value, (count,)) if ndim(value) == 0 else value
-        array = self._array(f"{which} bound of {name!r}", expanded, (count,), finite=False)
-        if np.any(np.isnan(array)):
-            raise ControllerError(f"{which} bound of {name!r} is NaN")
-        return array.astype(np.float64)
 
     def _node(self, node: int | None) -> int:
         """Node number for C; None: every node. The C code checks whether data of this node can be set."""

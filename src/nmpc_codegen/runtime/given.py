@@ -67,6 +67,41 @@ def checked_array(
     return array
 
 
+def stored_weight(W: ArrayLike, what: str, real: np.dtype[Any], size: int, matrix: bool) -> NDArray[Any]:
+    """The checked weight in the form that a struct stores: diagonal (size,) or matrix (size, size)."""
+    given = checked_array(W, what, real, (size,) if ndim(W) == 1 else (size, size))
+    square = np.diag(given) if given.ndim == 1 else given
+    dense = checked_weight(square, what, ControllerError, float(np.finfo(real).eps))
+    diagonal = np.diag(dense)
+    if matrix:
+        return dense
+    if np.any(dense != np.diag(diagonal)):
+        raise ControllerError(
+            f"{what} has entries off its diagonal, which only Online(dense_weight=True) stores for this weight"
+        )
+    return diagonal
+
+
+def checked_bound(value: ArrayLike, what: str, real: np.dtype[Any], count: int) -> NDArray[np.float64]:
+    """``count`` bounds, or one for all of them; they may be infinite."""
+    expanded = np.broadcast_to(value, (count,)) if ndim(value) == 0 else value
+    array = checked_array(expanded, what, real, (count,), finite=False)
+    if np.any(np.isnan(array)):
+        raise ControllerError(f"{what} is NaN")
+    return array.astype(np.float64)
+
+
+#: Levels of an iteration in the order of their numbers in C.
+LEVELS = "ABCD"
+
+
+def level_number(level: object) -> int:
+    """Number of a level of an iteration; ControllerError if there is no such level."""
+    if not isinstance(level, str) or len(level) != 1 or level not in LEVELS:
+        raise ControllerError(f"level is {level!r}; allowed: {', '.join(map(repr, LEVELS))}")
+    return LEVELS.index(level)
+
+
 def is_positive(value: object) -> bool:
     """True for a finite positive number."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):

@@ -118,6 +118,8 @@ class AugmentedLagrangian(Defaults):
             "RELAX": 0,
             "BUDGET": 0,
             "FIRST": 0,
+            "LEVELS": 0,
+            "ADVANCED": 0,
             "HAS_INITIAL_HESSIAN": 0,
             "START_IS_MEASURED": 1,
         }

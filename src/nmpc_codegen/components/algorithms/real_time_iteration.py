@@ -69,6 +69,22 @@ FIRST = (
         "difference between its control and that of the first part.",
     ),
 )
+_LEVEL = Argument("level", "int")
+LEVELS = (
+    EntryPoint(
+        "prepare_level",
+        "Preparation phase at a level: A evaluates everything, as prepare does; B, C and D keep the derivatives and "
+        "factors of the last level A. B: dynamics, rows and gradient of the cost; C: also the gradient of the "
+        "Lagrangian; D: nothing, the data follow the model of the QP. A after a failure, a reset and solve.",
+        (_LEVEL,),
+    ),
+    EntryPoint(
+        "iterate",
+        "One iteration at the state x_0 of the plan: prepare_level without a shift, the QP and its full step. A call "
+        "that fails leaves the plan unchanged. Prepare before the next feedback.",
+        (_LEVEL,),
+    ),
+)
 _WITH_FIRST = "RealTimeIteration(first_control=True) (--set algorithm.first_control=True)"
 
 MAX_TRIALS = 30
@@ -96,6 +112,13 @@ class RealTimeIteration(Defaults):
 
     ``first_control``: splits the feedback phase. feedback_first() returns the control of the minimiser on the predicted
     working set, clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
+
+    ``levels``: adds prepare_level() and iterate(), which keep derivatives and factors and evaluate part of the rest.
+    ``advance``: level, "B" or "C", of the ``advance_iterations`` iterations that prepare() itself runs at the predicted
+    state, after a linearisation there; it needs a shift, which predicts the state.
+
+    Levels: Bock et al., in Assessment and Future Directions of NMPC (2007), multi-level iterations; Nurkanovic et al.,
+    CDC 2019, advanced step real-time iteration. There, D is the level that evaluates everything; here it is A.
     """
 
     shift: str | None = option(None, Words(SHIFTS))
@@ -103,6 +126,9 @@ class RealTimeIteration(Defaults):
     relaxation: float | None = option(None, Number(optional=True))
     budget: int | None = option(None, Whole(optional=True))
     first_control: bool = option(False, Flag())
+    levels: bool = option(False, Flag())
+    advance: str | None = option(None, Words((None, "B", "C")))
+    advance_iterations: int = option(1, Whole(most=100))
 
     seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
@@ -116,6 +142,20 @@ class RealTimeIteration(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
         check_sampling_time("RealTimeIteration", self.shift, self.sampling_time)
+        if self.advance is not None and self.shift is None:
+            raise OptionError(
+                f'RealTimeIteration.advance: "{self.advance}" clashes with shift=None, which predicts no state; '
+                'expected shift="repeat", "periodic" or "resample" (--set algorithm.shift=repeat)'
+            )
+        if self.advance is not None and self.first_control:
+            raise OptionError(
+                f"{_WITH_FIRST} clashes with advance: its law belongs to a new linearisation; expected advance=None"
+            )
+        if self.advance is None and self.advance_iterations != 1:
+            raise OptionError(
+                f"RealTimeIteration.advance_iterations: {self.advance_iterations} clashes with advance=None; expected "
+                'advance="B" or "C" (--set algorithm.advance=C)'
+            )
 
     def default(self, seam: Seam) -> str | None:
         """Gauss-Newton; the compiler chooses integrator, condensing and QP solver for the problem."""
@@ -123,7 +163,18 @@ class RealTimeIteration(Defaults):
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
-        return (*PHASES, *(FIRST if self.first_control else ()), *((SOLVE,) if solve else ()))
+        optional = (*(FIRST if self.first_control else ()), *(LEVELS if self.leveled else ()))
+        return (*PHASES, *optional, *((SOLVE,) if solve else ()))
+
+    @property
+    def leveled(self) -> bool:
+        """True if the package has levels of an iteration."""
+        return self.levels or self.advance is not None
+
+    @property
+    def pulls_back(self) -> bool:
+        """Level C needs the adjoint of an interval."""
+        return self.leveled
 
     @property
     def switches(self) -> Mapping[str, int]:
@@ -133,6 +184,8 @@ class RealTimeIteration(Defaults):
             "RELAX": int(self.relaxation is not None),
             "BUDGET": int(self.budget is not None),
             "FIRST": int(self.first_control),
+            "LEVELS": int(self.leveled),
+            "ADVANCED": int(self.advance is not None),
         }
 
     def check(self, problem: Problem) -> None:
@@ -168,7 +221,19 @@ class RealTimeIteration(Defaults):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         budget = (("MAX_OPERATIONS", self.budget or 0, "operations of a sample at most"),)
+        levels = (
+            *(("LEVEL_A", 0, "level of an iteration: everything is evaluated"),),
+            *(("LEVEL_B", 1, "derivatives of dynamics and rows are kept"),),
+            *(("LEVEL_C", 2, "matrices and factors are kept; the gradient of the Lagrangian is exact"),),
+            *(("LEVEL_D", 3, "nothing is evaluated"),),
+        )
+        ahead = (
+            ("ADVANCE_LEVEL", {"B": 1, "C": 2}.get(self.advance or "", 0), "level of the iterations of prepare"),
+            ("ADVANCE", self.advance_iterations, "their number"),
+        )
         return (
+            *(levels if self.leveled else ()),
+            *(ahead if self.advance is not None else ()),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
             *(budget if self.budget is not None else ()),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
@@ -189,6 +254,7 @@ class RealTimeIteration(Defaults):
             ),
             *_watched(dims),
             Field("first", (), "first control", "keep", "first", only="FIRST"),
+            Field("levels", (), "levels of an iteration", "keep", "levels", only="LEVELS"),
             Field("late", (), "samples since the last success that the budget ended", "keep", "int32", only="BUDGET"),
         )
         results = (
@@ -202,6 +268,7 @@ class RealTimeIteration(Defaults):
         )
         return (
             *((_first(dims),) if self.first_control else ()),
+            *((_levels(dims),) if self.leveled else ()),
             _stats(),
             _step(dims),
             _measures(),
@@ -242,6 +309,21 @@ def _first(dims: Dims) -> Struct:
             Field("control", (dims.nu,), "control that feedback_first() has returned", "scratch"),
             Field("valid", (), "1: the law belongs to the last preparation", "scratch", "int32"),
             Field("call", (), "what the last feedback_first() has done", "scratch", "int32"),
+        ),
+    )
+
+
+def _levels(dims: Dims) -> Struct:
+    """What the levels of an iteration keep besides the linearisation."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    return Struct(
+        "levels",
+        "levels of an iteration",
+        (
+            Field("x", (nodes, dims.nx), "states of the plan at the last evaluation", "scratch"),
+            Field("u", (dims.N, dims.nu), "its controls", "scratch"),
+            Field("valid", (), "1: there are derivatives and factors to keep", "keep", "int32"),
+            Field("last", (), "level of the last evaluation", "keep", "int32"),
         ),
     )
 

@@ -1,0 +1,230 @@
+/* Levels of an iteration: what is evaluated anew while matrices and factors of the last level A are kept.
+ * A: everything. B: dynamics, rows and the gradient of the cost. C: what level B evaluates, and the gradient of the
+ * Lagrangian, by one adjoint sweep of every interval. D: nothing, the data follow the model of the QP. */
+
+/* z_k - z_k of the last evaluation; the terminal node has no controls. */
+static void plan_change(const solver_t *s, int k, real_t *dz)
+{
+    for (int i = 0; i < NX; i++) {
+        dz[i] = s->x[k][i] - s->levels.x[k][i];
+    }
+    for (int j = 0; j < NU; j++) {
+        dz[NX + j] = (k < N) ? s->u[k][j] - s->levels.u[k][j] : R(0);
+    }
+}
+
+#if NH || NH_N || NE
+/* h += J dz, n entries of dz. */
+static void follow_rows(real_t *h, const real_t *J, const real_t *dz, int rows, int n)
+{
+    for (int j = 0; j < rows; j++) {
+        for (int i = 0; i < n; i++) {
+            h[j] += J[j * n + i] * dz[i];
+        }
+    }
+}
+
+/* g += (J - J_A)' mu, n entries of g. */
+static void correct_rows(real_t *g, const real_t *J, const real_t *J_A, const real_t *mu, int rows, int n)
+{
+    for (int j = 0; j < rows; j++) {
+        for (int i = 0; i < n; i++) {
+            g[i] += (J[j * n + i] - J_A[j * n + i]) * mu[j];
+        }
+    }
+}
+
+#endif
+/* g += Q dz, n entries; only the lower triangle of Q is stored, in rows of ld numbers. */
+static void follow_gradient(real_t *g, const real_t *Q, const real_t *dz, int n, int ld)
+{
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < n; j++) {
+            g[i] += Q[(i < j) ? j * ld + i : i * ld + j] * dz[j];
+        }
+    }
+}
+
+/* Level D of node k: b, g and h as the model of the QP predicts them. */
+static void follow_node(solver_t *s, int k)
+{
+    node_t *node = &s->node[k];
+    real_t dz[NZ], next[NZ];
+    plan_change(s, k, dz);
+    plan_change(s, k + 1, next);
+    for (int i = 0; i < NX; i++) {
+        node->b[i] -= next[i];
+        for (int j = 0; j < NZ; j++) {
+            node->b[i] += node->S[i][j] * dz[j];
+        }
+    }
+    follow_gradient(node->g, HESSIAN(s, k)[0], dz, NZ, NZ);
+#if NH
+    follow_rows(node->h, node->J[0], dz, NH, NZ);
+#endif
+}
+
+/* Level D: the changes of the plan since the last evaluation, in the model of the QP. */
+static void follow_plan(solver_t *s)
+{
+    real_t dz[NZ];
+    for (int k = 0; k < N; k++) {
+        follow_node(s, k);
+    }
+    plan_change(s, N, dz);
+    follow_gradient(s->terminal.g, s->hessian.Q_N[0], dz, NX, NX);
+#if NH_N
+    follow_rows(s->terminal.h, s->terminal.J[0], dz, NH_N, NX);
+#endif
+#if NE
+    follow_rows(s->coupled.r, s->coupled.J_N[0], dz, NE, NX);
+    plan_change(s, 0, dz);
+    follow_rows(s->coupled.r, s->coupled.J_0[0], dz, NE, NX);
+#endif
+}
+
+/* g += ([A B]_k - S)' lam_{k+1}: what the derivatives of level A miss in the gradient of the Lagrangian. */
+static void correct_gradient(solver_t *s, int k)
+{
+    node_t *node = &s->node[k];
+    real_t pulled[NZ];
+    INTEGRATOR_ADJOINT(s, k, s->lam[k + 1], pulled);
+    for (int i = 0; i < NZ; i++) {
+        for (int j = 0; j < NX; j++) {
+            pulled[i] -= node->S[j][i] * s->lam[k + 1][j];
+        }
+        node->g[i] += pulled[i];
+    }
+}
+
+/* Level B or C of node k. */
+static void refresh_node(solver_t *s, int k, int level)
+{
+    node_t *node = &s->node[k];
+    real_t x_next[NX];
+    interval_value(s, k, x_next);
+    for (int i = 0; i < NX; i++) {
+        node->b[i] = x_next[i] - s->x[k + 1][i];
+    }
+    memset(node->g, 0, sizeof node->g);
+#if HAS_PATH_GRADIENT
+    PATH_GRADIENT(s, k, node->g);
+#endif
+    if (level == LEVEL_C) {
+        correct_gradient(s, k);
+    }
+#if NH
+    real_t J[NH][NZ] = {{R(0)}};
+    PATH_ROWS(s, k, node->h, &J[0][0]);
+    if (level == LEVEL_C) {
+        correct_rows(node->g, J[0], node->J[0], s->mu[k], NH, NZ);
+    }
+#endif
+}
+
+/* Level B or C of the terminal node. */
+static void refresh_terminal(solver_t *s, int level)
+{
+    terminal_t *terminal = &s->terminal;
+    memset(terminal->g, 0, sizeof terminal->g);
+#if HAS_TERMINAL_GRADIENT
+    TERMINAL_GRADIENT(s, terminal->g);
+#endif
+#if NH_N
+    real_t J[NH_N][NX] = {{R(0)}};
+    TERMINAL_ROWS(s, terminal->h, &J[0][0]);
+    if (level == LEVEL_C) {
+        correct_rows(terminal->g, J[0], terminal->J[0], s->mu_N, NH_N, NX);
+    }
+#else
+    (void)level;
+#endif
+}
+
+#if NE
+/* Level B or C of the coupled rows. */
+static void refresh_coupled(solver_t *s, int level)
+{
+    real_t J_0[NE][NX] = {{R(0)}}, J_N[NE][NX] = {{R(0)}};
+    COUPLED_ROWS(s, s->coupled.r, &J_0[0][0], &J_N[0][0]);
+    if (level == LEVEL_C) {
+        correct_rows(s->node[0].g, J_0[0], s->coupled.J_0[0], s->eta, NE, NX);
+        correct_rows(s->terminal.g, J_N[0], s->coupled.J_N[0], s->eta, NE, NX);
+    }
+}
+#endif
+
+/* Level B or C of all nodes. */
+static void refresh(solver_t *s, int level)
+{
+    for (int k = 0; k < N; k++) {
+        refresh_node(s, k, level);
+    }
+    refresh_terminal(s, level);
+#if HAS_START_GRADIENT
+    add_start_gradient(s, s->node[0].g);
+#endif
+#if NE
+    refresh_coupled(s, level);
+#endif
+}
+
+/* Level A. It stores only the entries of the gradients that the model has, level C every one. */
+static status_t evaluate_everything(solver_t *s)
+{
+    for (int k = 0; k < N; k++) {
+        memset(s->node[k].g, 0, sizeof s->node[k].g);
+    }
+    memset(s->terminal.g, 0, sizeof s->terminal.g);
+    return prepare_here(s);
+}
+
+/* Preparation at a level. It is A if there is nothing to keep: at first, after a failure, and after a reset. */
+static status_t evaluate(solver_t *s, int level)
+{
+    status_t status = OK;
+    s->levels.last = (s->levels.valid && s->failing <= FINE) ? level : LEVEL_A;
+    if (s->levels.last == LEVEL_A) {
+        status = evaluate_everything(s);
+        s->levels.valid = (status == OK);
+    } else {
+        if (s->levels.last == LEVEL_D) {
+            follow_plan(s);
+        } else {
+            refresh(s, s->levels.last);
+        }
+#if SET_REFERENCE
+        s->renewal = UP_TO_DATE;
+#endif
+        condense_rows(s);
+    }
+    memcpy(s->levels.x, s->x, sizeof s->levels.x);
+    memcpy(s->levels.u, s->u, sizeof s->levels.u);
+    return status;
+}
+
+static status_t feedback_here(solver_t *s);
+
+/* The QP and its step at the state of the plan in place of a measured one. */
+static status_t step_at_plan(solver_t *s)
+{
+    real_t measured[NX];
+    status_t status;
+    memcpy(measured, s->xhat, sizeof measured);
+    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    status = feedback_here(s);
+    memcpy(s->xhat, measured, sizeof s->xhat);
+    return status;
+}
+
+#if ADVANCED
+/* Iterations at the predicted state, until the QP has no solution. */
+static status_t advance(solver_t *s)
+{
+    status_t status = OK;
+    for (int n = 0; n < ADVANCE && status == OK && step_at_plan(s) == OK; n++) {
+        status = evaluate(s, ADVANCE_LEVEL);
+    }
+    return status;
+}
+#endif

@@ -1,0 +1,286 @@
+"""Levels of an iteration: what is evaluated anew while the derivatives and factors of an earlier one are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from nmpc_codegen import (
+    OCP,
+    Controller,
+    ControllerError,
+    DenseActiveSet,
+    ExactHessian,
+    FullCondensing,
+    NoCondensing,
+    OptionError,
+    Options,
+    Osqp,
+    PartialCondensing,
+    RealTimeIteration,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+    Status,
+    build,
+    export,
+)
+
+LEVELS = RealTimeIteration(levels=True)
+ROUTES = {
+    "dense": Options(condensing=FullCondensing(), qp=DenseActiveSet(), algorithm=LEVELS),
+    "exact": Options(condensing=FullCondensing(), qp=DenseActiveSet(), hessian=ExactHessian(), algorithm=LEVELS),
+    "stages": Options(condensing=NoCondensing(), qp=RiccatiActiveSet(), algorithm=LEVELS),
+    "interior": Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint(), algorithm=LEVELS),
+    "blocks": Options(condensing=PartialCondensing(block=2), qp=RiccatiActiveSet(), algorithm=LEVELS),
+    "osqp": Options(qp=Osqp(), algorithm=LEVELS),
+}
+ROWS = ["", "soft", "hard", "closed", "end", "integrated"]
+START = [0.8, 0.2]
+
+
+def pendulum(rows: str = "") -> OCP:
+    """A pendulum with two actuators, whose dynamics, cost and rows are curved."""
+    ocp = OCP("pendulum", T=1.2, N=6)
+    angle, rate = ocp.state("angle"), ocp.state("rate")
+    torque, brake = ocp.control("torque"), ocp.control("brake")
+    weight = ocp.parameter("weight", value=1.0)
+    ocp.dynamics({angle: rate, rate: ca.sin(angle) - 0.3 * rate * (1 + brake) + torque})
+    ocp.least_squares(ca.vertcat(angle, weight * rate, torque, brake), weight=[10, 1, 0.1, 0.2])
+    ocp.terminal_least_squares(ca.vertcat(angle, rate), weight=[20, 2])
+    ocp.subject_to(-2, torque, 2)
+    ocp.subject_to(-0.5, brake, 0.5)
+    if rows in ("soft", "hard"):
+        speed = rate + 0.1 * angle**2
+        ocp.subject_to(-0.7, speed, 0.7, name="speed", soft=(1.0, 5.0) if rows == "soft" else None)
+    if rows == "closed":
+        ocp.boundary(-0.05, ca.sin(ocp.at_end(angle)) - 0.5 * ocp.at_start(angle) ** 2, 0.05, name="closed")
+    if rows == "end":
+        ocp.subject_to(-0.45, ca.sin(angle) + rate**2, 0.45, at="end", name="end")
+    if rows == "integrated":
+        ocp.stage_cost(0.1 * rate**4, integrate=True)
+    return ocp
+
+
+@pytest.fixture(scope="module")
+def made() -> Callable[[str, str], Controller]:
+    """Controllers by route and rows, each built once."""
+    known: dict[tuple[str, str], Controller] = {}
+
+    def make(route: str, rows: str = "") -> Controller:
+        if (route, rows) not in known:
+            options = replace(ROUTES[route], hessian=ExactHessian()) if rows == "integrated" else ROUTES[route]
+            known[route, rows] = build(pendulum(rows), options, "test")
+        return known[route, rows].copy()
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("route", "rows"), [(route, rows) for route in ROUTES for rows in ROWS if route != "osqp" or not rows]
+)
+def test_level_c_converges_to_the_optimum(made: Any, route: str, rows: str) -> None:
+    """With the derivatives of one linearisation, far from the optimum: the KKT point is that of solve()."""
+    solved, ctrl = made(route, rows), made(route, rows)
+    optimum = solved.solve(START, tol=1e-6 if route == "osqp" else 1e-10)
+    assert optimum.status is Status.OK
+    ctrl.step(START)
+    ctrl.step(START)
+    assert ctrl.iterate("A") is Status.OK
+    errors = []
+    for _ in range(60):
+        assert ctrl.iterate("C") is Status.OK
+        errors.append(np.abs(ctrl.u - optimum.u).max())
+    accuracy = 1e-4 if route == "osqp" else 1e-7
+    assert errors[-1] < accuracy
+    np.testing.assert_allclose(ctrl.x, optimum.x, atol=10 * accuracy)
+
+
+@pytest.mark.parametrize("route", [r for r in ROUTES if r != "osqp"])
+def test_level_b_satisfies_rows_and_dynamics_alone(made: Any, route: str) -> None:
+    ctrl = made(route, "hard")
+    ctrl.step(START)
+    for _ in range(30):
+        assert ctrl.iterate("B") is Status.OK
+    plan = ctrl.copy()
+    plan.prepare()
+    np.testing.assert_allclose(plan.view("node")["b"], 0, atol=1e-12)
+    assert np.abs(plan.view("node")["h"]).max() <= 0.7 + 1e-9
+    optimum = made(route, "hard").solve(START, tol=1e-10)
+    assert np.abs(ctrl.u - optimum.u).max() > 1e-6
+
+
+@pytest.mark.parametrize("rows", ["", "soft"])
+@pytest.mark.parametrize("route", [r for r in ROUTES if r != "osqp"])
+def test_level_d_is_the_qp_of_the_last_linearisation(made: Any, route: str, rows: str) -> None:
+    """Its plan for another state is that of the same QP, and does not depend on the states in between."""
+    ctrl, direct = made(route, rows), made(route, rows)
+    for c in (ctrl, direct):
+        c.prepare()
+    expected = direct.feedback([0.31, -0.1])
+    ctrl.feedback([0.2, 0.1])
+    for x in ([0.4, 0.0], [0.1, 0.3], [0.31, -0.1]):
+        assert ctrl.prepare(level="D") is Status.OK
+        u = ctrl.feedback(x)
+    np.testing.assert_allclose(u, expected, atol=1e-9)
+    np.testing.assert_allclose(ctrl.x, direct.x, atol=1e-9)
+    before = ctrl.u.copy()
+    assert ctrl.iterate("D") is Status.OK
+    np.testing.assert_allclose(ctrl.u, before, atol=1e-9)
+
+
+@pytest.mark.parametrize("level", "BCD")
+def test_there_is_a_linearisation_first(made: Any, level: str) -> None:
+    """At first, after reset(), after solve() and after a failure every level is A."""
+    ctrl, whole = made("dense"), made("dense")
+
+    def same() -> None:
+        ctrl.prepare(level=level)
+        whole.prepare()
+        np.testing.assert_array_equal(ctrl.feedback(START), whole.feedback(START))
+
+    same()
+    for c in (ctrl, whole):
+        c.reset()
+    same()
+    for c in (ctrl, whole):
+        c.solve(START, max_iterations=2)
+    same()
+    for c in (ctrl, whole):
+        c.prepare()
+        c.u[1] = np.nan
+        c.step(START)
+        assert c.status is not Status.OK
+    same()
+
+
+@pytest.mark.parametrize("level", "ABCD")
+@pytest.mark.parametrize("route", ["dense", "stages"])
+def test_references_after_the_preparation_are_heeded(made: Any, route: str, level: str) -> None:
+    ctrl, before = made(route, "soft"), made(route, "soft")
+    for c in (ctrl, before):
+        c.step(START)
+    ctrl.prepare(level=level)
+    for c in (ctrl, before):
+        c.set_reference([0.2, 0, 0, 0])
+    before.prepare(level="B" if level == "D" else level)
+    np.testing.assert_allclose(ctrl.feedback(START), before.feedback(START), atol=1e-12)
+
+
+def test_parameters_act_at_level_c(made: Any) -> None:
+    """Parameters that the kept derivatives do not know change the optimum to which level C converges."""
+    ctrl, solved = made("stages"), made("stages")
+    ctrl.step(START)
+    for c in (ctrl, solved):
+        c.set_parameter("weight", 2.0)
+    for _ in range(60):
+        ctrl.iterate("C")
+    np.testing.assert_allclose(ctrl.u, solved.solve(START, tol=1e-10).u, atol=1e-7)
+
+
+def test_a_failed_iteration_changes_no_plan(made: Any) -> None:
+    ctrl = made("dense")
+    ctrl.step(START)
+    good, status = ctrl.x.copy(), ctrl.status
+    assert status is Status.OK
+    ctrl.lam[2] = np.inf
+    assert ctrl.iterate("C") is not Status.OK
+    np.testing.assert_array_equal(ctrl.x, good)
+    ctrl.lam[2] = 0
+    assert ctrl.iterate("C") is Status.OK
+
+
+def test_after_an_iteration_a_preparation_is_due(made: Any) -> None:
+    ctrl = made("dense")
+    ctrl.prepare()
+    ctrl.iterate("A")
+    ctrl.feedback(START)
+    assert ctrl.status is Status.NOT_PREPARED
+
+
+@pytest.mark.parametrize("level", ["E", "a", "AB", "", 0, None])
+def test_levels_that_do_not_exist(made: Any, level: Any) -> None:
+    with pytest.raises(ControllerError, match=r"level is .*; allowed: 'A', 'B', 'C', 'D'"):
+        made("dense").prepare(level=level)
+    with pytest.raises(ControllerError, match=r"level is .*; allowed"):
+        made("dense").iterate(level)
+
+
+def test_levels_that_do_not_exist_in_c(made: Any) -> None:
+    ctrl = made("dense")
+    for call in ("prepare_level", "iterate"):
+        for level in (-1, 4):
+            assert ctrl._call(call, ctrl._s, level) == Status.BAD_ARGUMENT
+
+
+def test_a_package_without_levels_says_so() -> None:
+    ctrl = build(pendulum(), Options(), "test")
+    ctrl.prepare(level="A")
+    with pytest.raises(ControllerError, match="without prepare_level"):
+        ctrl.prepare(level="C")
+    with pytest.raises(ControllerError, match="without iterate"):
+        ctrl.iterate()
+
+
+def distance(algorithm: RealTimeIteration) -> float:
+    """Largest distance of a control from the optimal one of its sample, once the torque has left its bound."""
+    ctrl, optimal = (build(pendulum(), Options(algorithm=a), "test") for a in (algorithm, RealTimeIteration()))
+    x, worst = np.array([1.4, 0.0]), 0.0
+    for k in range(12):
+        u = ctrl.step(x)
+        assert ctrl.status is Status.OK
+        if k >= 5:
+            worst = max(worst, float(np.abs(u - optimal.copy().solve(x).u[0]).max()))
+        x = ctrl.integrate(x, u, 0.2)
+    return worst
+
+
+def test_iterations_at_the_predicted_state_bring_the_control_closer() -> None:
+    """By level C; the gradient of level B is no more exact than that of the real-time iteration."""
+    plain = RealTimeIteration(shift="repeat")
+    alone, feasible, ahead = (distance(a) for a in (plain, replace(plain, advance="B"), replace(plain, advance="C")))
+    further = distance(replace(plain, advance="C", advance_iterations=3))
+    assert alone > 1e-4
+    assert feasible == pytest.approx(alone, rel=0.05)
+    assert ahead < 0.05 * alone
+    assert further < 0.05 * ahead
+
+
+def test_options_that_clash() -> None:
+    with pytest.raises(OptionError, match=r'advance: "C" clashes with shift=None'):
+        RealTimeIteration(advance="C")
+    with pytest.raises(OptionError, match="advance_iterations: 2 clashes with advance=None"):
+        RealTimeIteration(advance_iterations=2)
+    with pytest.raises(OptionError, match=r"first_control=True.* clashes with advance"):
+        RealTimeIteration(shift="repeat", advance="C", first_control=True)
+    with pytest.raises(OptionError, match="advance"):
+        RealTimeIteration(shift="repeat", advance="A")
+
+
+def test_the_law_of_the_first_control_belongs_to_level_a() -> None:
+    """After other levels feedback_first() is the whole feedback phase."""
+    algorithm = RealTimeIteration(levels=True, first_control=True)
+    for route in ("dense", "stages"):
+        ctrl = build(pendulum(), replace(ROUTES[route], algorithm=algorithm), "test")
+        whole = ctrl.copy()
+        for c in (ctrl, whole):
+            c.step(START)
+            c.prepare(level="C")
+        np.testing.assert_array_equal(ctrl.feedback_first([0.5, 0.1]), whole.feedback([0.5, 0.1]))
+        assert ctrl.feedback_finish() is Status.OK
+        np.testing.assert_array_equal(ctrl.x, whole.x)
+
+
+@pytest.mark.parametrize("advance", [None, "B"])
+def test_the_worst_case_is_stated(advance: str | None, tmp_path: Any) -> None:
+    """Iterations of prepare() are part of the worst case of the preparation phase."""
+    algorithm = RealTimeIteration(shift="repeat", levels=True, advance=advance)
+    report = export(pendulum(), replace(ROUTES["stages"], algorithm=algorithm), tmp_path).report
+    plain = replace(ROUTES["stages"], algorithm=RealTimeIteration(shift="repeat"))
+    alone = export(pendulum(), plain, tmp_path / "plain").report
+    more = report["worst_operations"]["prepare"] / alone["worst_operations"]["prepare"]
+    assert (more > 3) if advance else (more < 1.5)
