@@ -13,12 +13,13 @@ from collections.abc import Callable
 
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
-from benchmarks.lib.speed import accuracy, before, loops, own_math, recursion, where
+from benchmarks.lib.speed import accuracy, before, choice, loops, own_math, recursion, where
 
 PARTS: dict[str, Callable[[Report], None]] = {
     "loops": loops.measure,
     "first": loops.first_control,
     "levels": loops.levels,
+    "choice": choice.measure,
     "recursion": recursion.measure,
     "lanes": accuracy.measure,
     "math": own_math.measure,

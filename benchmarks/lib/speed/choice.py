@@ -1,0 +1,63 @@
+"""Regret of the automatic choice of condensing and QP solver: its time over that of the best route, in one run."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks.lib.closed_loop import compile_driver
+from benchmarks.lib.house.ratios import in_turn
+from benchmarks.lib.report import Report
+from benchmarks.lib.speed.loops import LOOPS, Loop, units
+from nmpc_codegen import (
+    DenseActiveSet,
+    FullCondensing,
+    NoCondensing,
+    Options,
+    PartialCondensing,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+)
+from nmpc_codegen.compiler import compiled
+from nmpc_codegen.components.base import Condensing, QpSolver
+
+LIMIT = 1.15
+ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
+    "dense": (FullCondensing(), DenseActiveSet()),
+    "stages": (NoCondensing(), RiccatiActiveSet()),
+    "interior point": (NoCondensing(), RiccatiInteriorPoint()),
+    "blocks of 2": (PartialCondensing(block=2), RiccatiActiveSet()),
+    "blocks of 5": (PartialCondensing(block=5), RiccatiActiveSet()),
+}
+#: A condensed QP with more controls takes minutes to compile and is no candidate.
+MOST_CONTROLS = 200
+
+
+def measure(report: Report, runs: int = 5) -> None:
+    """choice_regret: median time of a sample with default options over that of the fastest route, in host units."""
+    for loop in LOOPS:
+        routes = dict(_routes(loop))
+        with ExitStack() as stack:
+            programs = []
+            for options in routes.values():
+                prefix, _, hosted, lanes = units(replace(loop, options=options))
+                folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+                programs.append(compile_driver(hosted, prefix, folder))
+            times = in_turn(programs, loop.scenario, runs, loop.steps // 2)
+        found = {name: min(t.total for t in each) for name, each in zip(routes, times, strict=True)}
+        best = min(found, key=lambda name: found[name])
+        case, n = f"{loop.name}, best: {best}", runs * loop.steps // 2
+        report.add("choice_regret", found["chosen"] / found[best], case=case, n=n, limit=LIMIT, lanes=lanes)
+        for name, value in found.items():
+            report.add(f"{loop.name}_{name.replace(' ', '_')}_us", value, "us", n=n, lanes=lanes)
+
+
+def _routes(loop: Loop) -> Iterator[tuple[str, Options]]:
+    yield "chosen", loop.options
+    module = compiled(loop.make(), loop.options)
+    for name, (condensing, qp) in ROUTES.items():
+        if name != "dense" or module.value("N") * module.value("NU") <= MOST_CONTROLS:
+            yield name, replace(loop.options, condensing=condensing, qp=qp)
