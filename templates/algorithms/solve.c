@@ -117,7 +117,7 @@ static int raise_scale(real_t *scale, real_t size)
  * one of them changes. */
 static int update_row_scales(solver_t *s, const real_t *size)
 {
-    int changed = 0;
+    int grew = 0;
     for (int m = 0; m < NG; m++) {
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
@@ -125,11 +125,11 @@ static int update_row_scales(solver_t *s, const real_t *size)
         }
 #endif
         real_t *scale = &s->sqp.row_scale[row_id[m]];
-        changed |= raise_scale(scale, row_terms(s, m, size));
-        changed |= raise_scale(scale, FABS(ROW_LOWER(s, m)));
-        changed |= raise_scale(scale, FABS(ROW_UPPER(s, m)));
+        grew |= raise_scale(scale, row_terms(s, m, size));
+        grew |= raise_scale(scale, FABS(ROW_LOWER(s, m)));
+        grew |= raise_scale(scale, FABS(ROW_UPPER(s, m)));
     }
-    return changed;
+    return grew;
 }
 #endif
 
@@ -145,7 +145,7 @@ static void update_scales(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     real_t size[NZ] = {0};
-    int changed = 0;
+    int grew = 0;
     q->cost_unit = R(1);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < nz_at(k); i++) {
@@ -155,12 +155,12 @@ static void update_scales(solver_t *s)
         }
     }
     for (int i = 0; i < NX; i++) {
-        changed |= raise_scale(&q->state_scale[i], size[i]);
+        grew |= raise_scale(&q->state_scale[i], size[i]);
     }
 #if HARD_ROWS
-    changed |= update_row_scales(s, size);
+    grew |= update_row_scales(s, size);
 #endif
-    if (changed) {
+    if (grew) {
         q->entries = 0;
         q->most_violation = INF;
     }
@@ -211,18 +211,19 @@ static void correct_constraints(solver_t *s)
 /* Returns 1 if a point is no worse than the filter allows. */
 static int passes_filter(const sqp_t *q, const measures_t *at)
 {
-    int passes = at->violation <= q->most_violation && at->cost < INF;
+    int ok = at->violation <= q->most_violation && at->cost < INF;
     for (int n = 0; n < q->entries; n++) {
-        passes &= at->violation < q->filter[n].violation || at->cost < q->filter[n].cost;
+        ok &= at->violation < q->filter[n].violation || at->cost < q->filter[n].cost;
     }
-    return passes;
+    return ok;
 }
 
-/* The filter rejects from now on what is not better than the base; the last of FILTER entries gives way. */
+/* The filter rejects from now on what is not better than the base, up to rounding of the violation; the last of FILTER
+ * entries gives way. */
 static void extend_filter(sqp_t *q)
 {
     measures_t *entry = &q->filter[(q->entries < FILTER) ? q->entries++ : FILTER - 1];
-    entry->violation = (R(1) - R(1e-5)) * q->base.violation;
+    entry->violation = (R(1) - R(1e-5)) * q->base.violation + TOL_MERIT_ROUNDING;
     entry->cost = q->base.cost - R(1e-5) * q->base.violation * q->cost_scale;
 }
 
