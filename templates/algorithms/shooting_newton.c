@@ -6,10 +6,10 @@
 static int products_allowed(const solver_t *s)
 {
 #if SOLVE
-    return s->shooting.solving ? PRODUCTS_OF_SOLVE : PRODUCTS;
+    return s->shooting.solving ? PRODUCTS_OF_SOLVE : MAX_PRODUCTS;
 #else
     (void)s;
-    return PRODUCTS;
+    return MAX_PRODUCTS;
 #endif
 }
 

@@ -35,7 +35,7 @@ static inline real_t own_sqrt(real_t x)
 
 /* r = x - n pi / 2,  |r| <= pi / 4, its rest, and n in the lowest bits. The argument itself is what the general formula
  * gives for the smallest angles. */
-static inline real_t own_reduce_moderate(real_t x, real_t *rest, bits_t *n);
+static inline real_t own_reduce_moderate(real_t x, real_t *rest, bits_t *quadrant);
 static inline real_t own_reduce(real_t x, real_t *rest, bits_t *n)
 {
     if (FABS(x) < R(0.75)) {

@@ -19,20 +19,22 @@ static void riccati_entries(
 static void riccati_product(
     real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n, int rows, int width)
 {
-    const int whole = rows / 4 * 4, fours = width / 4 * 4;
+    const int whole = rows / 4 * 4, fours = width / 4 * 4, last = whole * ldc;
     for (int i = 0; i < whole; i += 4) {
-        riccati_rows(c + i * ldc, ldc, a + i, lda, b, ldb, n, fours);
-        riccati_entries(c + i * ldc, ldc, a + i, lda, b, ldb, n, 4, fours, width);
+        const int row = i * ldc;
+        riccati_rows(c + row, ldc, a + i, lda, b, ldb, n, fours);
+        riccati_entries(c + row, ldc, a + i, lda, b, ldb, n, 4, fours, width);
     }
-    riccati_entries(c + whole * ldc, ldc, a + whole, lda, b, ldb, n, rows - whole, 0, width);
+    riccati_entries(c + last, ldc, a + whole, lda, b, ldb, n, rows - whole, 0, width);
 }
 
 /* The same for a square matrix c: its lower triangle, and some entries above its diagonal. */
 static void riccati_lower(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n, int rows)
 {
-    const int whole = rows / 4 * 4;
+    const int whole = rows / 4 * 4, last = whole * ldc;
     for (int i = 0; i < whole; i += 4) {
-        riccati_rows(c + i * ldc, ldc, a + i, lda, b, ldb, n, i + 4);
+        const int row = i * ldc;
+        riccati_rows(c + row, ldc, a + i, lda, b, ldb, n, i + 4);
     }
-    riccati_entries(c + whole * ldc, ldc, a + whole, lda, b, ldb, n, rows - whole, 0, rows);
+    riccati_entries(c + last, ldc, a + whole, lda, b, ldb, n, rows - whole, 0, rows);
 }

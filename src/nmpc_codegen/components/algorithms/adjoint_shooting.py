@@ -252,7 +252,7 @@ class AdjointShooting(Defaults):
         controls, followed = dims.N.value * dims.nu.value, self.rows in FOLLOWED
         steps = FOLLOWED_STEPS if followed and self.second_order else ITERATIONS[self.method]
         newton = (
-            ("PRODUCTS", self.products or PRODUCTS, "products with the Hessian of a step at most"),
+            ("MAX_PRODUCTS", self.products or PRODUCTS, "products with the Hessian of a step at most"),
             ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
             ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
         )
