@@ -76,7 +76,7 @@ def blocks(controller: Controller) -> Iterator[tuple[str, np.ndarray]]:
     state = controller._struct
     names = state.dtype.names or ()
     if "node" in names:
-        for member in state["node"].dtype.names:
+        for member in state["node"].dtype.names or ():
             yield f"node.{member}", np.asarray(state["node"][member], dtype=float)
     if "hessian" in names and "Q" in (state["hessian"].dtype.names or ()):
         yield "hessian.Q", np.asarray(state["hessian"]["Q"], dtype=float)

@@ -106,7 +106,7 @@ def measure(report: Report, runs: int = RUNS) -> None:
 def first_control(report: Report, runs: int = 5) -> None:
     """feedback_first_us: the first part of the feedback phase, which returns the control of the predicted set."""
     for loop in LOOPS:
-        prefix, _, hosted, lanes = units(_with(loop, first_control=True))
+        prefix, _, hosted, lanes = units(_with(loop, replace(_algorithm(loop), first_control=True)))
         with tempfile.TemporaryDirectory() as folder:
             program = compile_driver(hosted, prefix, Path(folder), (*PROFILES["fast"].flags, "-DFIRST"))
             times = run_driver(program, loop.scenario, runs=runs, steps=loop.steps)
@@ -117,8 +117,7 @@ def first_control(report: Report, runs: int = 5) -> None:
 def levels(report: Report, runs: int = 5) -> None:
     """<name>_level_b_us, _level_c_us, _level_d_us: a sample whose preparation keeps derivatives and factors."""
     for loop in LOOPS:
-        leveled = _with(loop, levels=True)
-        prefix, _, hosted, lanes = units(leveled)
+        prefix, _, hosted, lanes = units(_with(loop, replace(_algorithm(loop), levels=True)))
         for number, level in ((1, "b"), (2, "c"), (3, "d")):
             with tempfile.TemporaryDirectory() as folder:
                 program = compile_driver(hosted, prefix, Path(folder), (*PROFILES["fast"].flags, f"-DLEVEL={number}"))
@@ -126,11 +125,14 @@ def levels(report: Report, runs: int = 5) -> None:
             report.add(f"{loop.name}_level_{level}_us", times.total, "us", n=times.samples, lanes=lanes)
 
 
-def _with(loop: Loop, **options: bool) -> Loop:
-    """The loop with options of the real-time iteration."""
-    algorithm = loop.options.algorithm
-    assert isinstance(algorithm, RealTimeIteration)
-    return replace(loop, options=replace(loop.options, algorithm=replace(algorithm, **options)))
+def _algorithm(loop: Loop) -> RealTimeIteration:
+    assert isinstance(loop.options.algorithm, RealTimeIteration)
+    return loop.options.algorithm
+
+
+def _with(loop: Loop, algorithm: RealTimeIteration) -> Loop:
+    """The loop with other options of the real-time iteration."""
+    return replace(loop, options=replace(loop.options, algorithm=algorithm))
 
 
 def _add(report: Report, loop: Loop, times: list[Timing], suffix: str, lanes: int, reference: float) -> None:

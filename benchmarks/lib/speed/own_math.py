@@ -33,8 +33,8 @@ from nmpc_codegen.firmware.delivery import recorded
 from nmpc_codegen.firmware.targets import TARGETS
 from nmpc_codegen.firmware.toolchain import EMULATOR, PREFIX
 from nmpc_codegen.firmware.verify import verify
-from nmpc_codegen.options import Precision
 from nmpc_codegen.runtime.build import PROFILES, host
+from nmpc_codegen.runtime.package_description import Precision
 
 BOARDS: tuple[tuple[str, Precision], ...] = (("cortex-m4f", "single"), ("cortex-m7", "double"))
 LOOPS = {"crane": crane, "cstr": cstr, "quadrotor": quadrotor}
