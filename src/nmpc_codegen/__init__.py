@@ -18,6 +18,7 @@ from nmpc_codegen.errors import (
     ProblemError,
     ProblemWarning,
 )
+from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.package import open_package
 from nmpc_codegen.runtime.simulate import Log, simulate
@@ -129,11 +130,14 @@ def build(
 
     It is defined here and not loaded on first use, because the module nmpc_codegen.runtime.build would hide it.
     """
-    controller: Controller = import_module(f"{__name__}.compiler").build(ocp, options, profile, lanes, name)
+    with COMPILING:
+        compiler = import_module(f"{__name__}.compiler")
+    controller: Controller = compiler.build(ocp, options, profile, lanes, name)
     return controller
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    with COMPILING:
+        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

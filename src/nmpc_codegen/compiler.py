@@ -11,7 +11,6 @@ CasADi is used up to linearize, jinja2 only in render, and cffi only in build.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 
 from nmpc_codegen.bounds.package import settled
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
@@ -46,9 +46,6 @@ class Package:
     report: Mapping[str, Any]
 
 
-_ONE_AT_A_TIME = threading.RLock()
-
-
 def generate(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:
     """Run the pipeline up to text; return path -> contents of every file of the package.
 
@@ -56,8 +53,9 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
         ProblemError: the problem is stated wrongly.
         OptionError: options clash, or a component does not support the problem.
     """
-    module = compiled(ocp, options, name)
-    return sealed(render(module), module.name)
+    with COMPILING:
+        module = compiled(ocp, options, name)
+        return sealed(render(module), module.name)
 
 
 def for_every_goal(ocp: OCP, options: Options, name: str | None = None) -> dict[str, Sources]:
@@ -66,13 +64,10 @@ def for_every_goal(ocp: OCP, options: Options, name: str | None = None) -> dict[
 
 
 def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
-    """Run the pipeline up to the CModule, the last value before text. It raises the errors of generate().
-
-    One call at a time: CasADi counts references to its objects without locks.
-    """
+    """Run the pipeline up to the CModule, the last value before text. It raises the errors of generate()."""
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
-    with _ONE_AT_A_TIME:
+    with COMPILING:
         return settled(linearize(stated(ocp, options), options or Options()), name)
 
 
@@ -124,7 +119,8 @@ def export(
             f"qp {foreign[0]!r} adds foreign code with globals, which export() refuses; "
             "choose another solver, or export(..., allow_foreign=True) (--allow-foreign)"
         )
-    sources = sealed(render(module), module.name)
+    with COMPILING:
+        sources = sealed(render(module), module.name)
     if more is not None:
         sources |= sealed_beside(more(sources), sources[f"{module.name}.c"])
     folder = write(directory, sources, force=force)
@@ -146,7 +142,7 @@ def build(
         BuildError: there is no compiler, or it rejected the code.
     """
     target = host(lanes, profile)
-    with _ONE_AT_A_TIME:
+    with COMPILING:
         module = compiled(ocp, options, name)
         sources = sealed(render(module), module.name)
         if target.lanes > 1:

@@ -17,7 +17,8 @@ static inline void riccati_solve_controls(const riccati_t *r, int k, real_t *y)
 /* Entry (i, j) of the control block of M_k, from its lower triangle. */
 static inline real_t riccati_control_entry(const riccati_t *r, int k, int i, int j)
 {
-    return (i < j) ? r->M[k][j][NXS + i] : r->M[k][i][NXS + j];
+    const int row = (i < j) ? j : i, column = (i < j) ? i : j;
+    return r->M[k][row][NXS + column];
 }
 
 /* w += M_f du_f, where f are the fixed controls. */

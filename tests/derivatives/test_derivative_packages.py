@@ -235,7 +235,7 @@ def test_statements_are_refused() -> None:
     with pytest.raises(ProblemError, match="must be 2 strings"):
         derivatives.generate(ocp, ocp.x[:2], output_names=["one"])
     with pytest.raises(ProblemError, match="name"):
-        derivatives.generate(ocp, name="int")
+        derivatives.generate(ocp, name="math")
     ocp.free_initial("p")
     with pytest.raises(OptionError, match="p is free_initial"):
         derivatives.generate(ocp)

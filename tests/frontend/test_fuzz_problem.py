@@ -151,7 +151,7 @@ def speaks(error: ProblemError) -> None:
 def random_ocp(draw: Any) -> OCP:
     T = draw(st.sampled_from([1.0, None, 0.0, np.nan, "1", [1]]))
     count = draw(st.sampled_from([3, 1, 3, 0, None, 2.0]))
-    return OCP(draw(st.sampled_from(["a", "int", "a b"])), T=T, N=count)
+    return OCP(draw(st.sampled_from(["a", "time", "a b"])), T=T, N=count)
 
 
 @settings(max_examples=140, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))

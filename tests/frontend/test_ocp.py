@@ -45,10 +45,9 @@ def lookup_table() -> Any:
 
 MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     # the OCP itself
-    "name not a string": (lambda g: OCP(7, T=1, N=2), "name must be a string, got int '7'"),  # type: ignore[arg-type]
-    "name no identifier": (lambda g: OCP("my plant", T=1, N=2), "'my plant' is no C identifier"),
-    "name reserved": (lambda g: OCP("_plant", T=1, N=2), "'_plant' is no C identifier"),
-    "name keyword": (lambda g: OCP("double", T=1, N=2), "'double' is a keyword of C or C++"),
+    "name not a string": (lambda g: OCP(7, T=1, N=2), "OCP: name: 7; expected a string"),  # type: ignore[arg-type]
+    "name no identifier": (lambda g: OCP("my plant", T=1, N=2), "name 'my plant': expected a C identifier"),
+    "name reserved": (lambda g: OCP("_plant", T=1, N=2), "name '_plant': expected a C identifier"),
     "N zero": (lambda g: OCP("a", T=1, N=0), "OCP 'a': N must be an integer >= 1, got 0"),
     "N float": (lambda g: OCP("a", T=1, N=2.0), "N must be an integer >= 1, got float '2.0'"),  # type: ignore[arg-type]
     "N bool": (lambda g: OCP("a", T=1, N=True), "N must be an integer >= 1, got bool"),
@@ -311,10 +310,6 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
         lambda g: (g.ocp.subject_to(0, g.r, 1), g.ocp.subject_to(0, g.x, 1, name="r_1")),
         "the row name 'r_1' clashes with 'r[1]'",
     ),
-    "row twice but for case": (
-        lambda g: (g.ocp.subject_to(0, g.x, 1), g.ocp.subject_to(0, g.u, 1, name="X")),
-        "the row name 'X' clashes with 'x' (both are ROW_X in C)",
-    ),
     "row foreign": (
         lambda g: g.ocp.subject_to(0, foreign(), 1),
         "subject_to: expression contains the unknown symbol 'w'",
@@ -356,10 +351,6 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     "assigned discrete": (lambda g: setattr(g.ocp, "discrete", 1), "the attribute discrete cannot be assigned"),
     "nothing": (lambda g: classify(OCP("a", T=1, N=1)), "OCP 'a' has no state"),
     "no control": (lambda g: (lambda o: (o.state("x"), classify(o)))(OCP("a", T=1, N=1)), "OCP 'a' has no control"),
-    "parameters in C": (
-        lambda g: (g.ocp.parameter("Q"), classify(g.complete())),
-        "parameter names 'q' and 'Q' are both Q in C",
-    ),
 }
 
 

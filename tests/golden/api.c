@@ -2,7 +2,7 @@
 
 /* Settings, results and integration: the functions that the application calls besides those of the algorithm. */
 
-const char *golden_status_string(status_t status)
+const char *API(status_string)(status_t status)
 {
     static const char *const text[] = {
         "ok",
@@ -24,7 +24,7 @@ const char *golden_status_string(status_t status)
 }
 
 /* Restores the initial iterate; the settings (references, weights, parameters, bounds) are kept. */
-status_t golden_reset(solver_t *s)
+status_t API(reset)(solver_t *s)
 {
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
@@ -43,16 +43,16 @@ static void fill_copies(real_t *to, int copies, const real_t *from, int n)
 }
 
 /* Initialises all members to their declared values. */
-status_t golden_init(solver_t *s)
+status_t API(init)(solver_t *s)
 {
     memset(s, 0, sizeof *s);
-    fill_copies(&s->p[0][0], GOLDEN_N + 1, default_parameter, GOLDEN_NP);
-    fill_copies(&s->yref[0][0], GOLDEN_N, default_reference, GOLDEN_NY);
-    fill_copies(&s->yref_N[0], 1, default_terminal_reference, GOLDEN_NY_N);
-    fill_copies(&s->W[0][0], 1, default_weight, GOLDEN_NW);
-    fill_copies(&s->W_N[0], 1, default_terminal_weight, GOLDEN_NW_N);
-    fill_copies(&s->lower[0][0], 2, default_lower, GOLDEN_NR);
-    fill_copies(&s->upper[0][0], 2, default_upper, GOLDEN_NR);
+    fill_copies(&s->p[0][0], N + 1, default_parameter, NP);
+    fill_copies(&s->yref[0][0], N, default_reference, NY);
+    fill_copies(&s->yref_N[0], 1, default_terminal_reference, NY_N);
+    fill_copies(&s->W[0][0], 1, default_weight, NW);
+    fill_copies(&s->W_N[0], 1, default_terminal_weight, NW_N);
+    fill_copies(&s->lower[0][0], 2, default_lower, NR);
+    fill_copies(&s->upper[0][0], 2, default_upper, NR);
     s->magic = MAGIC;
     algorithm_reset(s);
     return OK;
@@ -70,7 +70,7 @@ static int locate(int k, int lowest, int highest, int copies, int *first, int *e
 
 /* Sets the reference of the path residual y. Takes effect in the next feedback, after a change of weights or
  * parameters in the next prepare. */
-status_t golden_set_reference(solver_t *s, int k, const real_t yref[GOLDEN_NY])
+status_t API(set_reference)(solver_t *s, int k, const real_t yref[NY])
 {
     int first, end;
     if (s->magic != MAGIC) {
@@ -89,7 +89,7 @@ status_t golden_set_reference(solver_t *s, int k, const real_t yref[GOLDEN_NY])
     return OK;
 }
 
-status_t golden_set_terminal_reference(solver_t *s, const real_t yref[GOLDEN_NY_N])
+status_t API(set_terminal_reference)(solver_t *s, const real_t yref[NY_N])
 {
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
@@ -115,7 +115,7 @@ static int weight_is_valid(const real_t *W, int n, int entries)
 
 /* Sets the weight of the path residual, given by its diagonal.
  * Takes effect in the next prepare. */
-status_t golden_set_weight(solver_t *s, int k, const real_t W[GOLDEN_NW])
+status_t API(set_weight)(solver_t *s, int k, const real_t W[NW])
 {
     int first, end;
     if (s->magic != MAGIC) {
@@ -134,7 +134,7 @@ status_t golden_set_weight(solver_t *s, int k, const real_t W[GOLDEN_NW])
     return OK;
 }
 
-status_t golden_set_terminal_weight(solver_t *s, const real_t W[GOLDEN_NW_N])
+status_t API(set_terminal_weight)(solver_t *s, const real_t W[NW_N])
 {
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
@@ -148,7 +148,7 @@ status_t golden_set_terminal_weight(solver_t *s, const real_t W[GOLDEN_NW_N])
 }
 
 /* Sets one parameter (PARAM_...). Takes effect in the next prepare. */
-status_t golden_set_parameter(solver_t *s, int param, int k, const real_t *values)
+status_t API(set_parameter)(solver_t *s, int param, int k, const real_t *values)
 {
     int first, end;
     if (s->magic != MAGIC) {
@@ -187,7 +187,7 @@ static int row_holds(int row, int k)
 
 /* Sets the bounds of one scalar row (ROW_...) at one of its nodes. Crossed or undefined bounds are refused and the
  * previous ones kept. Takes effect in the next feedback. */
-status_t golden_set_bounds(solver_t *s, int row, int k, real_t lower, real_t upper)
+status_t API(set_bounds)(solver_t *s, int row, int k, real_t lower, real_t upper)
 {
     int first, end;
     if (s->magic != MAGIC) {
@@ -207,7 +207,7 @@ status_t golden_set_bounds(solver_t *s, int row, int k, real_t lower, real_t upp
 }
 
 /* Cost of the present iterate: sum_k l_k + l_N and the penalties of soft rows. */
-real_t golden_cost(const solver_t *s)
+real_t API(cost)(const solver_t *s)
 {
     return nodal_cost(s);
 }

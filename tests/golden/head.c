@@ -69,6 +69,7 @@ typedef golden_status_t status_t;
 #define NX GOLDEN_NX
 #define NU GOLDEN_NU
 #define NZ GOLDEN_NZ
+#define NP GOLDEN_NP
 #define NY GOLDEN_NY
 #define NY_N GOLDEN_NY_N
 #define NW GOLDEN_NW

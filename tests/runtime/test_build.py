@@ -216,6 +216,12 @@ def test_named_compiler_does_not_exist(toy_files: Files, monkeypatch: pytest.Mon
         load(toy_files, "toy")
 
 
+def test_named_compiler_is_no_command(toy_files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "gcc 'x")
+    with pytest.raises(BuildError, match=r"CC is \"gcc 'x\", which is no command: No closing quotation"):
+        load(toy_files, "toy")
+
+
 def test_compiler_that_fails_on_its_flags(toy_files: Files) -> None:
     with pytest.raises(BuildError, match="no-such-flag"):
         load(toy_files, "toy", Profile("odd", ("-fno-such-flag",)))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import pytest
 
-from benchmarks.lib.house.samples import SAMPLES
 from nmpc_codegen import (
     OCP,
     RK4,
@@ -33,7 +31,6 @@ from nmpc_codegen import (
     generate,
 )
 from nmpc_codegen.components.base import SEAMS
-from nmpc_codegen.ir.cmodule import TAKEN_PREFIXES
 from nmpc_codegen.options import REGISTRIES
 
 
@@ -175,29 +172,12 @@ def test_choices_are_reported() -> None:
     assert '"choices": []' in generate(integrator_ocp(), given)["cart.json"]
 
 
-@pytest.mark.parametrize("name", [*TAKEN_PREFIXES, "Crane", "1st", "a-b", ""])
+@pytest.mark.parametrize("name", ["Crane", "1st", "a-b", ""])
 def test_prefix_of_the_package(name: str) -> None:
-    """A prefix whose API would have the names of internal functions, or that is no lower-case identifier."""
+    """A prefix that is no lower-case identifier."""
     ocp = integrator_ocp()
     with pytest.raises(ProblemError, match=repr(name)):
         generate(ocp, name=name)
-
-
-@pytest.mark.parametrize(
-    "name", ["crane", "crane riccati single", "controls interior", "everything dense", "mixed dense", "controls OSQP"]
-)
-def test_taken_prefixes_are_all_that_clash(name: str) -> None:
-    """<prefix>_<API function> for every prefix of an internal function of the emitted C."""
-    sample = next(s for s in SAMPLES if s.name == name)
-    source = generate(sample.make(), sample.options, name="zz")["zz.c"]
-    api = re.findall(r"^\S.*\b(?:zz_|API\()(\w+)", source, flags=re.MULTILINE)
-    internal = re.findall(r"^static [^=;]*?\b(\w+)\(", source, flags=re.MULTILINE)
-    assert "step" in api
-    assert "integrator_step" in internal
-    clashing = {
-        f.removesuffix(f"_{a}") for f in internal for a in api if f.endswith(f"_{a}") and not f.startswith("zz_")
-    }
-    assert clashing <= set(TAKEN_PREFIXES)
 
 
 # Features that some components lack --------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
-from threading import Lock
 
 from nmpc_codegen.bounds.c_source import Type, constants, functions, macros, struct_members, tables
 from nmpc_codegen.bounds.names import Unit
@@ -25,8 +24,8 @@ from nmpc_codegen.lowering.render import unit_text
 _KNOWN: dict[Hashable, tuple[dict[str, int], dict[str, int]]] = {}
 MOST_KNOWN = 100
 
-#: Held during an analysis: syntax trees of functions that packages share are made once, also for threads.
-_TREES = Lock()
+#: The operations do not depend on the name of the package.
+ANY_NAME = "package"
 
 #: The phases of a sample.
 PHASES = ("prepare", "feedback")
@@ -111,6 +110,7 @@ def bounded(module: CModule) -> CModule:
 
 def _bounds(module: CModule) -> tuple[dict[str, int], dict[str, int]]:
     """Operations of the phases and of what is charged, computed once for equal texts with equal data."""
+    module = replace(module, description=replace(module.description, name=ANY_NAME))
     text = unit_text(module)
     key = (
         text,
@@ -121,14 +121,13 @@ def _bounds(module: CModule) -> tuple[dict[str, int], dict[str, int]]:
         tuple((r.name, r.count.total) for r in (*module.routines, *module.called_products)),
         tuple(sorted(module.ranges.items())),
     )
-    with _TREES:
-        if key not in _KNOWN:
-            found = WorstCase(_unit(module, text))
-            worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
-            if len(_KNOWN) == MOST_KNOWN:
-                _KNOWN.pop(next(iter(_KNOWN)))
-            _KNOWN[key] = worst, found.charges
-        return _KNOWN[key]
+    if key not in _KNOWN:
+        found = WorstCase(_unit(module, text))
+        worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
+        if len(_KNOWN) == MOST_KNOWN:
+            _KNOWN.pop(next(iter(_KNOWN)))
+        _KNOWN[key] = worst, found.charges
+    return _KNOWN[key]
 
 
 def _stated(module: CModule, worst: Mapping[str, int], more: Mapping[str, tuple[int, str]]) -> CModule:

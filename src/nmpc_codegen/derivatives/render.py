@@ -12,6 +12,7 @@ from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.lowering.inner_names import names_in, rename, renamed_words
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import (
     REAL_CONSTANT,
@@ -19,8 +20,7 @@ from nmpc_codegen.lowering.preamble import (
     Definition,
     arithmetic,
     definitions,
-    names_in,
-    spelled,
+    preamble,
     unit_style,
 )
 from nmpc_codegen.lowering.render import GCC_12, Sources, block_comment, context, environment, table_values, tidy
@@ -57,27 +57,30 @@ def render(model: DerivativeModel, name: str) -> Sources:
     """All files of the package ``name``."""
     style = unit_style(model.precision)
     names = _names(model, name)
-    body = environment().get_template(f"{FOLDER}/body.c.jinja").render(names)
+    header = tidy(environment().get_template(f"{FOLDER}/header.h.jinja").render(names))
+    body = environment().get_template(f"{FOLDER}/body.c.jinja").render(names).strip("\n")
     known, words = _definitions(model, name), names_in(body)
-    found, used = definitions(known, words)
-    tables = [table for table in _tables(model) if table.name in used]
+    used = definitions(known, words)[1]
+    printed = {"tables": [t for t in _tables(model) if t.name in used], "values": lambda t: table_values(t, style)}
+    tables = environment().get_template("tables.c.jinja").render(names | printed).strip("\n")
+    members = {member.name for struct in structs(model) for member in struct.members}
+    renamed = renamed_words(used | names_in(tables), header, name, members)
     names |= {
-        "body": body.strip("\n"),
-        "preamble": spelled(name, TYPES, found, used),
-        "tables": environment()
-        .get_template("tables.c.jinja")
-        .render(names | {"tables": tables, "values": lambda table: table_values(table, style)})
-        .strip("\n"),
+        "body": rename(body, renamed),
+        "preamble": preamble(name, TYPES, known, words, renamed),
+        "tables": rename(tables, renamed),
         "system_headers": ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else [])],
     }
     files = {
-        f"{name}.h": "header.h.jinja",
         f"{name}.c": "unit.c.jinja",
         "main.c": "main.c.jinja",
         "CMakeLists.txt": "CMakeLists.txt.jinja",
         "README.md": "README.md.jinja",
     }
-    return {path: tidy(environment().get_template(f"{FOLDER}/{t}").render(names)) for path, t in files.items()}
+    sources = {f"{name}.h": header}
+    return sources | {
+        path: tidy(environment().get_template(f"{FOLDER}/{t}").render(names)) for path, t in files.items()
+    }
 
 
 def _names(model: DerivativeModel, name: str) -> dict[str, Any]:

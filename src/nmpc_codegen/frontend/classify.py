@@ -11,7 +11,7 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import element_names
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, c_identifier, symbols
+from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, symbols
 from nmpc_codegen.frontend.statement import At, Element, Soft, StageName
 
 
@@ -91,18 +91,6 @@ def _require(ocp: OCP) -> None:
     both = sorted(ocp.free & ocp.accumulators)
     if both:
         raise ProblemError(f"state '{names[both[0]]}' cannot be both free_initial and accumulator (reset to 0)")
-    parameters = [s.name for s in _signals(ocp.parameters)]
-    _no_macro_clash("parameter", parameters)
-
-
-def _no_macro_clash(what: str, names: list[str]) -> None:
-    """Raise ProblemError if two names differ in case only: C enumerators are written in upper case."""
-    seen: dict[str, str] = {}
-    for name in names:
-        key = c_identifier(name).upper()
-        if key in seen:
-            raise ProblemError(f"{what} names '{seen[key]}' and '{name}' are both {key} in C; rename one")
-        seen[key] = name
 
 
 def _signals(declared: list[Any]) -> tuple[Signal, ...]:

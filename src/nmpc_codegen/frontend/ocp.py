@@ -56,8 +56,8 @@ class OCP:
               lower <= h(x_k, u_k, p_k) <= upper,   lower <= r(x_0, x_N) <= upper
 
     Args:
-        name: C identifier of at most 60 characters; prefix of the generated C, and name of its files. Keywords,
-            standard headers (string, math), main, README and the like are refused, in upper or lower case.
+        name: C identifier of at most 60 characters; prefix of the generated C, and name of its files. Standard
+            headers (string, math), main, README and the like are refused, in upper or lower case.
         T: length of the horizon (s), divided into N equal intervals.
         N: number of intervals. If neither T nor intervals is given, the dynamics are a discrete map with dt = 1.
         intervals: lengths of the intervals (s), instead of T.
@@ -67,8 +67,8 @@ class OCP:
     """
 
     def __init__(self, name: str, *, T: float | None = None, N: int | None = None, intervals: Any = None) -> None:
-        self.name = identifier(name, "OCP")
         check_package_name(name, "OCP: name")
+        self.name = name
         self.N, self.dt = grid(name, T, N, intervals)
         self.states: list[Declared] = []
         self.controls: list[Declared] = []
@@ -497,12 +497,13 @@ class OCP:
 
     def _refuse_clashes(self, names: list[str], what: str) -> None:
         """Raise ProblemError if the name of a new row is already in use."""
-        taken = {c_identifier(row).upper(): row for s in self.statements for row in s.names}
+        taken = {c_identifier(row): row for s in self.statements for row in s.names}
         for row in names:
-            key = c_identifier(row).upper()
+            key = c_identifier(row)
             if key in taken:
                 raise ProblemError(
-                    f"{what}: the row name '{row}' clashes with '{taken[key]}' (both are ROW_{key} in C); give name="
+                    f"{what}: the row name '{row}' clashes with '{taken[key]}' (both are ROW_{key.upper()} in C); "
+                    "give name="
                 )
             taken[key] = row
 

@@ -20,13 +20,9 @@ from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.runtime.package_description import Row as Row
 from nmpc_codegen.runtime.package_description import RowKind as RowKind
 from nmpc_codegen.runtime.package_description import Signal as Signal
+from nmpc_codegen.runtime.package_description import c_identifier as c_identifier
 
 Array = NDArray[np.float64]
-
-
-def c_identifier(name: str) -> str:
-    """C spelling of an element name: ``r[0]`` becomes ``r_0``."""
-    return name.replace("[", "_").replace("]", "")
 
 
 @dataclass(frozen=True, eq=False)

@@ -225,36 +225,8 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
     return layout
 
 
-#: Package names with which an API function would get the name of an internal one: integrator_step, path_cost, qp_init.
-TAKEN_PREFIXES = (
-    "adjoint",
-    "algorithm",
-    "condense",
-    "integrator",
-    "ipm",
-    "ipm_adjoint",
-    "ipm_damping",
-    "ipm_inverse",
-    "ipm_violation",
-    "nodal",
-    "path",
-    "ql",
-    "qp",
-    "qp_conjugate",
-    "qp_full",
-    "riccati",
-    "riccati_smallest",
-    "start",
-    "state",
-    "take",
-    "terminal",
-)
-
-
 def check_prefix(name: str) -> None:
-    """Raise ProblemError unless the package name is valid for files, in lower case, and free of name clashes in C."""
+    """Raise ProblemError unless the package name is valid for files and in lower case."""
     check_package_name(name, "name")
-    if name in TAKEN_PREFIXES:
-        raise ProblemError(f"name {name!r}: taken by functions of the package itself; choose another")
     if name != name.lower():
         raise ProblemError(f"name {name!r}: expected a C identifier of lower-case letters, digits and underscores")

@@ -31,9 +31,9 @@ NEIGHBOURS = frozenset({"main", "readme", "cmakelists", "makefile", "license", "
 #: Windows opens a device instead of <name>.c.
 DEVICES = frozenset({"con", "prn", "aux", "nul"} | {f"{port}{i}" for port in ("com", "lpt") for i in range(10)})
 
-#: <unistd.h>, which Python.h includes, defines X_OK, the name that status OK of a package x would have; <sys/stat.h>
-#: defines STATX_ALL.
-MACROS = frozenset({"f", "r", "w", "x", "statx"})
+#: <unistd.h>, which Python.h includes, defines X_OK, the name that status OK of a package x would have; <locale.h>
+#: defines LC_ALL, <sys/stat.h> STATX_ALL, <sys/wait.h> P_ALL, <signal.h> SIG_BLOCK.
+MACROS = frozenset({"f", "r", "w", "x", "lc", "p", "sig", "statx"})
 
 LONGEST = 60
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -43,8 +43,8 @@ def check_package_name(name: object, what: str) -> None:
     """Refuse a name whose files would hide or replace others; case is ignored, as some file systems ignore it.
 
     Raises:
-        ProblemError: the name is not a string, not an ASCII identifier of at most 60 characters, or it is a keyword of
-            C or C++, a header, a file next to the package's, a device, or the prefix of a macro of the system.
+        ProblemError: the name is not a string, not an ASCII identifier of at most 60 characters, or it is a header, a
+            file next to the package's, a device, or the prefix of a macro of the system.
     """
     if not isinstance(name, str):
         raise ProblemError(f"{what}: {name!r}; expected a string")
@@ -54,11 +54,10 @@ def check_package_name(name: object, what: str) -> None:
         raise ProblemError(f"{what} {name!r}: expected a C identifier: an ASCII letter, then letters, digits and _")
     word = name.lower()
     reasons = (
-        (C_KEYWORDS, "a keyword of C or C++"),
         (HEADERS, f"a header, <{word}.h>, which {name}.h would hide"),
         (NEIGHBOURS, "taken by a file or folder beside the package's"),
         (DEVICES, "a device of Windows"),
-        (MACROS, "the prefix of macros of the system (X_OK, STATX_ALL)"),
+        (MACROS, "the prefix of macros of the system (X_OK, LC_ALL)"),
     )
     for words, reason in reasons:
         if word in words:

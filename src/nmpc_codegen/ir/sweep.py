@@ -337,14 +337,23 @@ def _without_unread(sweep: Sweep) -> Sweep:
     """The sweep without empty loops, and without results in local buffers that no later node reads."""
     read = {p.name for p in sweep.outputs}
     body: list[Node] = []
-    for node in reversed(sweep.body):
-        if isinstance(node, For) and node.count == 0:
-            continue
+    for node in reversed(_without_empty(sweep.body)):
         kept = _read_results(node, read) if isinstance(node, Call) else node
         if kept is not None:
             body.append(kept)
             read |= {s.buffer for call in calls((kept,)) for s in call.ins}
     return replace(sweep, body=tuple(reversed(body)))
+
+
+def _without_empty(nodes: tuple[Node, ...]) -> tuple[Node, ...]:
+    """The nodes without blocks that run no call."""
+    kept: list[Node] = []
+    for node in nodes:
+        if isinstance(node, Call):
+            kept.append(node)
+        elif not (isinstance(node, For) and node.count == 0) and (body := _without_empty(node.body)):
+            kept.append(replace(node, body=body))
+    return tuple(kept)
 
 
 def _read_results(call: Call, read: Collection[str]) -> Call | None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.components.core import PARTS, core_structs
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage, c_identifier
+from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 from nmpc_codegen.ir.cmodule import (
     CModule,
     Enum,
@@ -35,7 +35,7 @@ from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.lowering.generated import own_names
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.placement import placed
-from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report
+from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report, c_constants
 from nmpc_codegen.runtime.status import Status
 
 # Maximum value of counters, and maximum number of steps of integrate().
@@ -258,7 +258,9 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in model.problem.rows), "rows with a penalty"))
     macros.append(Macro("PARAMS", len(model.problem.parameters), "parameters by name"))
-    macros += [Macro(f"SIZE_{s.name.upper()}", s.size, f"elements of {s.name}") for s in model.problem.parameters]
+    parameters = model.problem.parameters
+    names = c_constants([s.name for s in parameters])
+    macros += [Macro(f"SIZE_{c}", s.size, f"elements of {s.name}") for c, s in zip(names, parameters, strict=True)]
     for component in model.parts.components:
         macros += [Macro(*entry) for entry in component.sizes(dims)]
     parts = model.parts
@@ -272,8 +274,8 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
 
 
 def _enums(problem: Problem) -> tuple[Enum, ...]:
-    rows = tuple(c_identifier(r.name) for r in problem.rows)
-    parameters = tuple(s.name for s in problem.parameters)
+    rows = c_constants([r.name for r in problem.rows])
+    parameters = c_constants([s.name for s in problem.parameters])
     enums = []
     if rows:
         enums.append(Enum("ROW", rows, "scalar rows, for set_bounds"))

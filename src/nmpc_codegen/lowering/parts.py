@@ -69,7 +69,7 @@ def needed(text: str, names: Collection[str]) -> str:
     found = {defined[name] for name in names if name in defined}
     while found:
         kept |= found
-        words = {word for i in found for word in _WORD.findall(_code(paragraphs[i]))}
+        words = {word for i in found for word in _WORD.findall(without_comments(paragraphs[i]))}
         found = {defined[word] for word in words if word in defined} - kept
     return "\n\n".join(paragraphs[i].strip("\n") for i in sorted(kept))
 
@@ -130,14 +130,14 @@ def resolve(text: str, sizes: Mapping[str, int]) -> str:
 @lru_cache
 def _scanned(text: str) -> tuple[_Line, ...]:
     """The lines of a part; most parts are the same in every package."""
-    pairs = zip(text.splitlines(), _code(text).splitlines(), strict=True)
+    pairs = zip(text.splitlines(), without_comments(text).splitlines(), strict=True)
     return tuple(
         _Line(line, code if _ANY_DIRECTIVE.match(code) else "", tuple(_BRACES.findall(code))) for line, code in pairs
     )
 
 
-def _code(text: str) -> str:
-    """The text without comments, strings and characters, line by line."""
+def without_comments(text: str) -> str:
+    """C text without comments, strings and characters, line by line."""
     return _NO_CODE.sub(lambda found: " " + "\n" * found[0].count("\n"), text)
 
 

@@ -1,12 +1,11 @@
 """The preamble of a package's .c: short names for declarations of the header, access to run-time data, kernel calls.
 
 Inside the one translation unit everything is static, so names need no prefix: NX is CRANE_NX, solver_t is
-crane_solver_t. Only names that the unit uses are defined.
+crane_solver_t (inner_names.py: unless the header declares the short name). Only names that the unit uses are defined.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Mapping, Sequence
 from textwrap import wrap
 
@@ -14,7 +13,9 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_framed import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
+from nmpc_codegen.lowering.inner_names import names_in, rename
 from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
+from nmpc_codegen.lowering.unused import Definition as Definition
 from nmpc_codegen.runtime.package_description import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
@@ -28,12 +29,6 @@ WIDTH = 114
 REAL_CONSTANT = ("R", "x", "((real_t)(x))")
 
 
-_IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
-
-# (name, arguments or None, text)
-Definition = tuple[str, str | None, str]
-
-
 def unit_style(precision: str, own: bool = False) -> CStyle:
     """Spelling of numbers and functions inside the translation unit."""
     return CStyle("real_t", precision == "single", own=own)
@@ -44,18 +39,23 @@ def module_style(module: CModule) -> CStyle:
     return unit_style(module.precision, bool(module.switches["OWN_MATH"]))
 
 
-def preamble(module: CModule, known: Sequence[Definition], body: Collection[str]) -> str:
-    """Type definitions and those macros of ``known`` that a text with the identifiers ``body`` uses."""
+def preamble(
+    name: str,
+    types: Sequence[str],
+    known: Sequence[Definition],
+    body: Collection[str],
+    renamed: Mapping[str, str],
+) -> str:
+    """Short names of those types of the package ``name``, and those macros of ``known``, that a text with the
+    identifiers ``body`` uses; ``renamed``: inner name -> new name."""
     found, used = definitions(known, body)
-    return spelled(module.name, [*(s.name for s in module.structs), "status"], found, used)
-
-
-def spelled(name: str, types: Sequence[str], found: Sequence[Definition], used: Collection[str]) -> str:
-    """The short names of those types of the package ``name`` that are used, and the macros."""
-    lines = [f"typedef {name}_real real_t;"]
-    lines += [f"typedef {name}_{short}_t {short}_t;" for short in types if f"{short}_t" in used]
+    inner = [rename(f"{short}_t", renamed) for short in types]
+    lines = [f"typedef {name}_real {rename('real_t', renamed)};"]
+    lines += [f"typedef {name}_{t}_t {short};" for t, short in zip(types, inner, strict=True) if f"{t}_t" in used]
     for macro, arguments, text in found:
-        define = f"#define {macro}{'' if arguments is None else f'({arguments})'} {text}"
+        declared = arguments is None and text == f"{name.upper()}_{macro}"  # by the header
+        head = rename(macro if arguments is None else f"{macro}({arguments})", renamed)
+        define = f"#define {head} {text if declared else rename(text, renamed)}"
         lines.append(" \\\n    ".join(wrap(define, WIDTH, break_long_words=False, break_on_hyphens=False)))
     return "\n".join(lines)
 
@@ -68,11 +68,6 @@ def definitions(known: Sequence[Definition], body: Collection[str]) -> tuple[lis
         found |= more
         used |= names_in(*(text for name, _, text in known if name in more))
     return [definition for definition in known if definition[0] in found], used
-
-
-def names_in(*texts: str) -> set[str]:
-    """The identifiers of C texts."""
-    return {name for text in texts for name in _IDENTIFIER.findall(text)}
 
 
 def all_definitions(module: CModule) -> list[Definition]:

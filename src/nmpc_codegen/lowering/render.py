@@ -18,6 +18,7 @@ from nmpc_codegen.ir.cmodule import PURPOSES, WORK, CModule, Field, Struct, Tabl
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.lowering.generated import GENERATED, own_math
+from nmpc_codegen.lowering.inner_names import names_in, rename, renamed_words, with_members_apart
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
 from nmpc_codegen.lowering.preamble import (
     Definition,
@@ -25,10 +26,10 @@ from nmpc_codegen.lowering.preamble import (
     conditions,
     definitions,
     module_style,
-    names_in,
     preamble,
     unit_style,
 )
+from nmpc_codegen.lowering.unused import without_unused
 from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
 
 #: Maximum length of a comment line in the header without its margin.
@@ -67,38 +68,52 @@ Generators = Mapping[str, Callable[[CModule, CStyle], str]]
 
 def render(module: CModule, resolved: bool = True) -> Sources:
     """All files of the package. Unless ``resolved``, the `#if`s of the parts are left to the compiler, for tests."""
+    module = with_members_apart(module)
     names = _filled(module, GENERATED, resolved)
     files = {
-        f"{module.name}.h": "solver.h.jinja",
         f"{module.name}.c": "solver.c.jinja",
         "main.c": "main.c.jinja",
         "CMakeLists.txt": "CMakeLists.txt.jinja",
         "README.md": "README.md.jinja",
     }
-    sources = {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
+    sources = {f"{module.name}.h": names["header"]}
+    sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return {**sources, **module.foreign}
 
 
 def render_c(module: CModule, more: Generators) -> str:
     """The package's .c alone, whose parts may include what ``more`` writes."""
-    names = _filled(module, {**GENERATED, **more}, True)
+    names = _filled(with_members_apart(module), {**GENERATED, **more}, True)
     return tidy(environment().get_template("solver.c.jinja").render(names))
 
 
 def _filled(module: CModule, generators: Generators, resolved: bool) -> dict[str, Any]:
-    """The names of the templates, with the body of the unit, its tables and short names."""
+    """The names of the templates, with the header, the body of the unit, its tables and short names."""
     names = _names(module)
+    header = tidy(environment().get_template("solver.h.jinja").render(names))
     body, known = render_unit(module, names, resolved, generators), all_definitions(module)
+    if resolved:
+        body = without_unused(body, known)
     words = names_in(body)
     math = own_math(module, definitions(known, words)[1], resolved)
     words |= names_in(math)
     used = words if resolved else names_in(render_unit(module, names))
     tables = render_tables(module, names, known, used)
-    short_names = preamble(module, known, words | names_in(tables))
-    names["system_headers"] = ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"]
-    short_names = short_names if resolved else short_names + conditions(module)
-    return {**names, "body": body, "math": math, "tables": tables, "preamble": short_names}
+    words |= names_in(tables)
+    members = {member.name for struct in module.structs for member in struct.fields}
+    renamed = renamed_words(definitions(known, words)[1], header, module.name, members)
+    types = [*(s.name for s in module.structs), "status"]
+    short_names = preamble(module.name, types, known, words, renamed)
+    short_names += "" if resolved else rename(conditions(module), renamed)
+    texts = {"body": body, "math": math, "tables": tables}
+    return {
+        **names,
+        **{place: rename(text, renamed) for place, text in texts.items()},
+        "header": header,
+        "system_headers": ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"],
+        "preamble": short_names,
+    }
 
 
 def unit_text(module: CModule) -> str:

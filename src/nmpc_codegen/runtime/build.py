@@ -35,6 +35,7 @@ from typing import Any
 import cffi
 
 from nmpc_codegen.errors import BuildError, OptionError
+from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.runtime.cache import PRODUCT, cached, keep_failed
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.controller import Controller
@@ -239,8 +240,12 @@ def find_compiler() -> tuple[str, ...]:
 
 
 def with_required_options(command: tuple[str, ...]) -> tuple[str, ...]:
-    """The compiler with UNALIGNED_MOVES, if it is gcc and its assembler knows this option."""
-    return _with_required_options(command, os.environ.get("PATH", ""))
+    """The compiler with UNALIGNED_MOVES, if it is gcc and its assembler knows this option.
+
+    Under the lock: the first temporary folder of a process takes a lock of Python's, which a fork would copy.
+    """
+    with COMPILING:
+        return _with_required_options(command, os.environ.get("PATH", ""))
 
 
 @lru_cache
@@ -254,10 +259,14 @@ def _with_required_options(command: tuple[str, ...], path: str) -> tuple[str, ..
 
 
 def _compiler_on_path() -> tuple[str, ...]:
-    wanted = shlex.split(os.environ.get("CC", ""))
+    given = os.environ.get("CC", "")
+    try:
+        wanted = shlex.split(given)
+    except ValueError as error:
+        raise BuildError(f"CC is {given!r}, which is no command: {error}") from error
     if wanted:
         if shutil.which(wanted[0]) is None:
-            raise BuildError(f"CC is {os.environ['CC']!r}, but there is no program {wanted[0]!r} on the path")
+            raise BuildError(f"CC is {given!r}, but there is no program {wanted[0]!r} on the path")
         return tuple(wanted)
     for command in ("gcc", "cc", "clang"):
         if shutil.which(command):

@@ -6,7 +6,7 @@ The description is compared with the compiled code before it determines the layo
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NoReturn
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.package_description import Kind, PackageDescription, Struct
+from nmpc_codegen.runtime.package_description import Kind, PackageDescription, Struct, c_constants
 from nmpc_codegen.runtime.status import KKT_PARTS, Status
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
@@ -126,9 +126,10 @@ class CompiledPackage:
         """Compare the macros, and the lengths of all parameters, which no array shape shows."""
         for name, value in self.description.sizes.items():
             self._same(f"the size {name}", value, self._constant(name))
-        for parameter in self.description.parameters:
-            macro = f"SIZE_{parameter.name.upper()}"
-            self._same(f"the size of the parameter {parameter.name!r}", parameter.size, self._constant(macro))
+        parameters = self.description.parameters
+        for name, parameter in zip(c_constants([p.name for p in parameters]), parameters, strict=True):
+            found = self._constant(f"SIZE_{name}")
+            self._same(f"the size of the parameter {parameter.name!r}", parameter.size, found)
 
     def _check_enumerations(self) -> None:
         """Compare the numbers of statuses, rows and parameters."""
@@ -141,10 +142,9 @@ class CompiledPackage:
         self._check_numbers("ROW", "row", [row.name for row in self.description.rows])
         self._check_numbers("PARAM", "parameter", [p.name for p in self.description.parameters])
 
-    def _check_numbers(self, stem: str, kind: str, names: Iterable[str]) -> None:
-        for number, name in enumerate(names):
-            constant = f"{stem}_{name.replace('[', '_').replace(']', '').upper()}"
-            self._same(f"the number of the {kind} {name!r}", number, self._constant(constant))
+    def _check_numbers(self, stem: str, kind: str, names: Sequence[str]) -> None:
+        for number, (name, constant) in enumerate(zip(names, c_constants(names), strict=True)):
+            self._same(f"the number of the {kind} {name!r}", number, self._constant(f"{stem}_{constant}"))
 
     def _check_entry_points(self) -> None:
         """Check that every entry point exists, with arguments of the described types."""

@@ -66,6 +66,18 @@ class OpCount:
         return dict(vars(self))
 
 
+def c_identifier(name: str) -> str:
+    """C spelling of an element name: ``r[0]`` becomes ``r_0``."""
+    return name.replace("[", "_").replace("]", "")
+
+
+def c_constants(names: Sequence[str]) -> tuple[str, ...]:
+    """Last words of the C constants of user names: upper case; names that differ by case alone keep their spelling."""
+    spelled = [c_identifier(name) for name in names]
+    upper = [name.upper() for name in spelled]
+    return tuple(big if upper.count(big) == 1 else name for name, big in zip(spelled, upper, strict=True))
+
+
 @dataclass(frozen=True)
 class Dimensions:
     """Sizes of a controller, in the notation of the project."""

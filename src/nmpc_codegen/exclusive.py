@@ -1,0 +1,15 @@
+"""The lock of the compiler: one call at a time, since CasADi counts references to its objects without locks.
+
+A process that is forked while another thread compiles would inherit a lock that nobody releases, and half-loaded
+modules. So a fork waits for the end of the call.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+
+COMPILING = threading.RLock()
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=COMPILING.acquire, after_in_parent=COMPILING.release, after_in_child=COMPILING.release)
