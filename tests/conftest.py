@@ -57,6 +57,8 @@ TOOLS = {
     "cmake": ("cmake",),
     "unifdef": ("unifdef",),
     "arm": ("arm-none-eabi-gcc",),
+    "aarch64": ("aarch64-linux-gnu-gcc",),
+    "qemu-aarch64": ("qemu-aarch64",),
     "make": ("make",),
     "qemu": ("qemu-system-arm",),
     "valgrind": ("valgrind",),

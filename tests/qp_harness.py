@@ -20,7 +20,7 @@ from nmpc_codegen.ir.cmodule import Size, Struct
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.tolerances import TOLERANCES
-from nmpc_codegen.runtime.build import find_compiler, with_required_options
+from nmpc_codegen.runtime.build import MARCH, find_compiler, with_required_options
 from nmpc_codegen.runtime.package_description import union_dtype
 
 STATUSES = (
@@ -28,7 +28,7 @@ STATUSES = (
     "NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED",
 )  # fmt: skip
 WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
-FAST = ("-O1", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
+FAST = ("-O1", MARCH, "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
 SCALARS = {"double": np.float64, "single": np.float32}
 
 

@@ -100,7 +100,7 @@ def draw(number: int, attempts: int = 40) -> Draw:
 
 def pick(rng: Rng, values: Sequence[Any]) -> Any:
     """One of the values."""
-    return values[rng.integers(len(values))]
+    return values[int(rng.integers(len(values)))]
 
 
 def chance(rng: Rng, share: float) -> bool:
@@ -210,10 +210,12 @@ class _Problem:
             "equal": (0.2, 0.2) if chance(self.rng, 0.3) else (low, high),
         }[kind]
 
+    def _soft(self, share: float) -> tuple[float, float] | None:
+        return (float(self.rng.random() + 0.5), pick(self.rng, (0.0, 1.0))) if chance(self.rng, share) else None
+
     def _rows(self) -> None:
         """Rows of every kind, each of them present or not."""
         rng, ocp, N = self.rng, self.ocp, self.ocp.N
-        soft = lambda share: (float(rng.random() + 0.5), pick(rng, (0.0, 1.0))) if chance(rng, share) else None  # noqa: E731
         if chance(rng, 0.6):
             u = self.u if chance(rng, 0.6) else self.u[:1]
             low, high = self._bounds(len(u))
@@ -221,17 +223,21 @@ class _Problem:
         for at, share in (("path", 0.3), ("end", 0.25), ("start", 0.05), (sorted({N, max(1, N // 2)}), 0.1)):
             if chance(rng, share):
                 low, high = self._bounds(1)
-                ocp.subject_to(low, pick(rng, self.x), high, at=at, soft=soft(0.3), name=f"bound_{len(ocp.statements)}")
+                ocp.subject_to(
+                    low, pick(rng, self.x), high, at=at, soft=self._soft(0.3), name=f"bound_{len(ocp.statements)}"
+                )
         for at, share in (("path", 0.3), ("end", 0.2), (sorted({0, N - 1}), 0.1)):
             signals = self.x if at == "end" else [*self.x, *self.u]
             if chance(rng, share):
                 n = int(rng.integers(1, 3))
                 low, high = self._bounds(n)
                 h = [self._sum([*signals, *self.p]) + pick(rng, signals) for _ in range(n)]
-                ocp.subject_to(low, ca.vertcat(*h), high, at=at, soft=soft(0.3), name=f"row_of_{len(ocp.statements)}")
+                ocp.subject_to(
+                    low, ca.vertcat(*h), high, at=at, soft=self._soft(0.3), name=f"row_of_{len(ocp.statements)}"
+                )
         if chance(rng, 0.1):
             s = pick(rng, self.x)
-            ocp.boundary(-1, ocp.at_end(s) - (ocp.at_start(s) if chance(rng, 0.7) else 0), 1, soft=soft(0.3))
+            ocp.boundary(-1, ocp.at_end(s) - (ocp.at_start(s) if chance(rng, 0.7) else 0), 1, soft=self._soft(0.3))
         if chance(rng, 0.06):
             ocp.accumulator(self._state())
         if chance(rng, 0.06):
@@ -257,15 +263,18 @@ def random_options(rng: Rng) -> Options:
         given["condensing"], given["qp"] = _route(rng)
     return Options(
         **given,
-        online=Online(*(pick(rng, LAYOUTS) for _ in range(4)), dense_weight=chance(rng, 0.1))
-        if chance(rng, 0.4)
-        else Online(),
+        online=_online(rng) if chance(rng, 0.4) else Online(),
         precision=pick(rng, ("double", "double", "single")),
         solve=chance(rng, 0.7),
         math=pick(rng, ("libm", "libm", "own")),
         goal=pick(rng, ("speed", "speed", "size")),
         processor=pick(rng, (None, None, "scalar")),
     )
+
+
+def _online(rng: Rng) -> Online:
+    reference, weight, bounds, parameter = (pick(rng, LAYOUTS) for _ in range(4))
+    return Online(reference, weight, bounds, parameter, dense_weight=chance(rng, 0.1))
 
 
 def _algorithm(rng: Rng) -> Any:

@@ -13,7 +13,19 @@ SOURCE = ROOT / "src" / "nmpc_codegen"
 
 #: A room imports only the rooms before it; the modules of the package itself are checked one by one.
 ORDER = (
-    *("errors", "runtime", "ir", "frontend", "components", "options", "lowering", "host", "bounds", "oracle"),
+    *(
+        "errors",
+        "exclusive",
+        "runtime",
+        "ir",
+        "frontend",
+        "components",
+        "options",
+        "lowering",
+        "host",
+        "bounds",
+        "oracle",
+    ),
     *("economic", "compiler", "derivatives", "firmware", "cli"),
 )
 RANK = {room: rank for rank, room in enumerate(ORDER)}

@@ -2,6 +2,10 @@
 #include <immintrin.h>
 #endif
 
+/* On a processor with shorter registers compilers warn that vectors are passed in memory; all functions that take them
+ * are inlined. */
+#pragma GCC diagnostic ignored "-Wpsabi"
+
 /* A call saves no vector register, so that one between two operations would store all of them. */
 #define LANES_INLINE static inline __attribute__((always_inline))
 

@@ -1,6 +1,10 @@
 /* Packs: GNU C vectors of HOST_LANES numbers. Loads and stores need no alignment, and a part of n < HOST_LANES numbers
  * touches no other memory. All sizes are constants after inlining, so that conditions on them vanish. */
 
+/* On a processor with shorter registers compilers warn that vectors are passed in memory; all functions that take them
+ * are inlined. */
+#pragma GCC diagnostic ignored "-Wpsabi"
+
 #define PACK_INLINE static inline __attribute__((always_inline, unused))
 
 typedef real_t pack_t __attribute__((vector_size(HOST_LANES * sizeof(real_t))));

@@ -85,7 +85,11 @@ MAX_C_FUNCTION = 50
 HEAD = 12  # lines of a template that state its contract
 DRAWERS = {"util", "utils", "helper", "helpers", "manager", "managers", "misc", "common"}
 
-PYTHON = sorted(path for folder in ("src", "tests", "examples", "benchmarks") for path in (ROOT / folder).rglob("*.py"))
+PYTHON = sorted(
+    path
+    for folder in ("src", "verification", "tests", "examples", "benchmarks")
+    for path in (ROOT / folder).rglob("*.py")
+)
 COMPONENTS = [cls for registry in REGISTRIES.values() for cls in registry.values()]
 
 
@@ -112,6 +116,11 @@ def test_an_upward_import_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path.parent.mkdir()
     path.write_text("def f():\n    from nmpc_codegen.lowering.lower import lower\nimport nmpc_codegen.runtime.status\n")
     assert upward_imports(path) == {"lowering.lower"}
+
+
+def test_verification_imports_neither_tests_nor_benchmarks() -> None:
+    for path in (ROOT / "verification").rglob("*.py"):
+        assert not {name for name in imports(path) if name.split(".")[0] in ("tests", "benchmarks")}, path
 
 
 def test_rooms_are_small() -> None:

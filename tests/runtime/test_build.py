@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen.errors import BuildError, ControllerError, OptionError
-from nmpc_codegen.runtime.build import PROFILES, Profile, compile_module, load
+from nmpc_codegen.runtime.build import MARCH, PROFILES, Profile, compile_module, load
 from nmpc_codegen.runtime.cache import cache_directory
 
 Files = dict[str, str]
@@ -44,7 +44,7 @@ def modules(folder: Path) -> list[Path]:
 def test_profiles_are_those_of_the_architecture() -> None:
     assert {name: " ".join(p.flags) for name, p in PROFILES.items()} == {
         "test": "-std=c99 -O0 -ffp-contract=off",
-        "fast": "-O2 -fno-math-errno -fno-trapping-math -march=native -ffp-contract=fast",
+        "fast": f"-O2 -fno-math-errno -fno-trapping-math {MARCH} -ffp-contract=fast",
         "verify": "-O2 -fno-math-errno -fno-trapping-math -ffp-contract=off",
     }
 

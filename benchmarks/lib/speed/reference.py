@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.lib.closed_loop import pinned_core
+from nmpc_codegen.runtime.build import MARCH
 
 SOURCE = Path(__file__).parents[2] / "reference_kernel.c"
 
@@ -17,7 +18,7 @@ def reference_kernel_us() -> float:
     core = pinned_core()
     with tempfile.TemporaryDirectory() as folder:
         program = Path(folder, "kernel")
-        subprocess.run(["gcc", "-O2", "-march=native", str(SOURCE), "-o", str(program), "-lm"], check=True)
+        subprocess.run(["gcc", "-O2", MARCH, str(SOURCE), "-o", str(program), "-lm"], check=True)
         run = subprocess.run(
             [str(program)],
             check=True,

@@ -12,7 +12,6 @@ from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.lowering.inner_names import names_in, rename, renamed_words
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import (
     REAL_CONSTANT,
@@ -24,6 +23,7 @@ from nmpc_codegen.lowering.preamble import (
     unit_style,
 )
 from nmpc_codegen.lowering.render import GCC_12, Sources, block_comment, context, environment, table_values, tidy
+from nmpc_codegen.lowering.unit.names import names_in, rename, renamed_words
 from nmpc_codegen.runtime.status import Status
 
 FOLDER = "derivatives"

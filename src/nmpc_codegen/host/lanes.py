@@ -18,9 +18,9 @@ from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.generated import MATH_IN_LANES, own_names, own_text
-from nmpc_codegen.lowering.inner_names import names_in
 from nmpc_codegen.lowering.parts import needed
 from nmpc_codegen.lowering.preamble import PLACES
+from nmpc_codegen.lowering.unit.names import names_in
 from nmpc_codegen.runtime.package_description import Kind
 
 SUFFIX = "_lanes"

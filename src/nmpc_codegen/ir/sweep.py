@@ -341,7 +341,7 @@ def _without_unread(sweep: Sweep) -> Sweep:
         kept = _read_results(node, read) if isinstance(node, Call) else node
         if kept is not None:
             body.append(kept)
-            read |= {s.buffer for call in calls((kept,)) for s in call.ins}
+            read |= {s.buffer for call in calls((kept,)) for s in _operands(call)}
     return replace(sweep, body=tuple(reversed(body)))
 
 
@@ -354,6 +354,15 @@ def _without_empty(nodes: tuple[Node, ...]) -> tuple[Node, ...]:
         elif not (isinstance(node, For) and node.count == 0) and (body := _without_empty(node.body)):
             kept.append(replace(node, body=body))
     return tuple(kept)
+
+
+def _operands(call: Call) -> Iterator[Slice]:
+    """The slices on whose elements the results of a call depend."""
+    symbols = call.leaf.sx_in()
+    used = {e.element_hash() for e in ca.symvar(ca.veccat(ca.SX(0, 1), *call.leaf.call(symbols)))}
+    for s, symbol in zip(call.ins, symbols, strict=True):
+        if any(symbol[i].element_hash() in used for i in range(symbol.numel())):
+            yield s
 
 
 def _read_results(call: Call, read: Collection[str]) -> Call | None:

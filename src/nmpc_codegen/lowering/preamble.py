@@ -1,7 +1,7 @@
 """The preamble of a package's .c: short names for declarations of the header, access to run-time data, kernel calls.
 
 Inside the one translation unit everything is static, so names need no prefix: NX is CRANE_NX, solver_t is
-crane_solver_t (inner_names.py: unless the header declares the short name). Only names that the unit uses are defined.
+crane_solver_t (unit/names.py: unless the header declares the short name). Only names that the unit uses are defined.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_framed import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.inner_names import names_in, rename
 from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
-from nmpc_codegen.lowering.unused import Definition as Definition
+from nmpc_codegen.lowering.unit.names import names_in, rename
+from nmpc_codegen.lowering.unit.unused import Definition as Definition
 from nmpc_codegen.runtime.package_description import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.

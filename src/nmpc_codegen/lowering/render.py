@@ -18,7 +18,6 @@ from nmpc_codegen.ir.cmodule import PURPOSES, WORK, CModule, Field, Struct, Tabl
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.lowering.generated import GENERATED, own_math
-from nmpc_codegen.lowering.inner_names import names_in, rename, renamed_words, with_members_apart
 from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
 from nmpc_codegen.lowering.preamble import (
     Definition,
@@ -29,7 +28,8 @@ from nmpc_codegen.lowering.preamble import (
     preamble,
     unit_style,
 )
-from nmpc_codegen.lowering.unused import without_unused
+from nmpc_codegen.lowering.unit.names import names_in, rename, renamed_words, with_members_apart
+from nmpc_codegen.lowering.unit.unused import without_unused
 from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
 
 #: Maximum length of a comment line in the header without its margin.

@@ -71,13 +71,18 @@ class Profile:
     wrapper: bool = True
 
 
+#: Processor of the profile "fast": the word of -march, read when this module is loaded. x86-64-v3 hides AVX-512,
+#: x86-64-v2 also AVX2.
+PROCESSOR_VARIABLE = "NMPC_CODEGEN_MARCH"
+MARCH = f"-march={os.environ.get(PROCESSOR_VARIABLE) or 'native'}"
+
 _FAST = ("-O2", "-fno-math-errno", "-fno-trapping-math")
 
 PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
         Profile("test", ("-std=c99", "-O0", "-ffp-contract=off"), wrapper=False),
-        Profile("fast", (*_FAST, "-march=native", "-ffp-contract=fast")),
+        Profile("fast", (*_FAST, MARCH, "-ffp-contract=fast")),
         Profile("verify", (*_FAST, "-ffp-contract=off")),
     )
 }
@@ -125,7 +130,7 @@ def host(lanes: int | None, profile: str | Profile) -> Host:
     if lanes is not None and (isinstance(lanes, bool) or lanes not in LANES):
         raise OptionError(f"lanes is {lanes!r}; expected None (chosen), 1 (plain C), 2, 4 or 8 shooting nodes at once")
     chosen = get_profile(profile)
-    if lanes == 1 or (lanes is None and "-march=native" not in chosen.flags):
+    if lanes == 1 or (lanes is None and not any(flag.startswith("-march=") for flag in chosen.flags)):
         return Host(1, False, False)
     compiler = find_compiler()
     macros = _macros(compiler, tuple(chosen.flags), os.environ.get("PATH", ""))

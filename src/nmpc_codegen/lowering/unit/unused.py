@@ -11,13 +11,13 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from nmpc_codegen.lowering.inner_names import names_in
 from nmpc_codegen.lowering.parts import without_comments
 
 # (name, arguments or None, text)
 Definition = tuple[str, str | None, str]
 
-_IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
+#: An identifier that is no member of a struct.
+_IDENTIFIER = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
 _ATTRIBUTE = re.compile(r"__attribute__\(\(\w+\)\) ")
 _SIGNATURE = re.compile(r"(?P<name>API\(\w+\)|\b\w+)\((?P<parameters>.*)\)(?:\)\[\w+\])?$")
 _DECLARATION = re.compile(
@@ -68,7 +68,7 @@ class _Macros:
 
     def words(self, code: str) -> set[str]:
         """Identifiers of a text without comments; those in arguments that a macro drops do not count."""
-        found = names_in(code)
+        found = set(_IDENTIFIER.findall(code))
         if found.isdisjoint(self.parametric):
             return found.union(*(self._of_macro(name, self.plain[name]) for name in found & self.plain.keys()))
         found = set()
@@ -157,7 +157,8 @@ def _comment(lines: Sequence[str], end: int, start: int) -> int:
 
 def _declared(parameter: str) -> str:
     """The name in the declaration of a parameter: const real_t *x, real_t (*Q)[NZ], real_t u[NU]."""
-    return _IDENTIFIER.findall(re.sub(r"\[[^\]]*\]", "", parameter))[-1]
+    names: list[str] = _IDENTIFIER.findall(re.sub(r"\[[^\]]*\]", "", parameter))
+    return names[-1]
 
 
 def _without_locals(function: _Function, macros: _Macros) -> _Function:
@@ -187,7 +188,7 @@ def _pass(block: Sequence[str], macros: _Macros) -> list[str]:
             if (plain := _VARIABLE.fullmatch(declarator)) is None
             or _CALL.search(declarator)
             or any(plain["name"] in words[later] for later in scope)
-            or plain["name"] in names_in(*declarators[i + 1 :])
+            or plain["name"] in _IDENTIFIER.findall(",".join(declarators[i + 1 :]))
         ]
         if len(needed) == len(declarators):
             kept.append(line)

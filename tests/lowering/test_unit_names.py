@@ -16,9 +16,9 @@ from benchmarks.lib import quality
 from benchmarks.lib.house.samples import SAMPLES
 from nmpc_codegen import OCP, ProblemError, build, generate
 from nmpc_codegen.ir.naming import check_package_name
-from nmpc_codegen.lowering.inner_names import names_in, rename, renamed_words
 from nmpc_codegen.lowering.parts import without_comments
 from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.lowering.unit.names import names_in, rename, renamed_words
 from nmpc_codegen.runtime.package_description import c_constants
 
 #: A name that no text of a package contains.

@@ -1,0 +1,1 @@
+"""The text of a translation unit: its own names, and what it does not need."""

@@ -1,0 +1,50 @@
+"""Exported C of random problems, options and names compiles without a warning."""
+
+from __future__ import annotations
+
+import pytest
+from conftest import require_tool
+
+from benchmarks.lib import quality
+from verification.random_problems import Draw, draw
+
+LEVELS = ("-O2", "-Os", "-O3", "-O1")
+
+
+def check(found: Draw, levels: tuple[str, ...]) -> None:
+    """gcc's optimiser, and the front ends of all compilers as C99 and C++17."""
+    assert quality.warnings_of(found.sources, levels, ("C99",), "gcc") == "", found
+    assert quality.warnings_of(found.sources, ("-fsyntax-only",), ("C++17",), "gcc") == "", found
+    assert quality.warnings_of(found.sources, ("-fsyntax-only",), ("C99", "C++17"), "clang") == "", found
+
+
+@pytest.mark.parametrize("number", range(30))
+def test_some_packages(number: int) -> None:
+    for tool in ("gcc", "g++", "clang"):
+        require_tool(tool)
+    check(draw(number), (LEVELS[number % 4],))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hundred", range(4))
+def test_400_packages(hundred: int) -> None:
+    """Most of the findings need the optimiser, whose levels find different ones."""
+    for tool in ("gcc", "g++", "clang"):
+        require_tool(tool)
+    for number in range(100 * hundred, 100 * (hundred + 1)):
+        check(draw(number), ("-O2", LEVELS[1 + number % 3]))
+
+
+def test_draws_differ_and_repeat() -> None:
+    """A number stands for one package; together they have every algorithm, number of states and kind of row."""
+    draws = [draw(number) for number in range(40)]
+    assert draws[3].sources == draw(3).sources
+    assert {d.options.algorithm.name for d in draws} == {
+        "real_time_iteration",
+        "augmented_lagrangian",
+        "adjoint_shooting",
+    }
+    assert len({d.name for d in draws}) > 20
+    headers = [d.sources[f"{d.name}.h"] for d in draws]
+    for size in ("NX 1 ", "NX 3 ", "NU 1 ", "N 1 ", "NR 0 ", "NR 1 ", "NY 0 ", "NY_N 0 ", "NP 0 ", "NH_N 1 "):
+        assert any(f"_{size}" in header for header in headers), size
