@@ -179,7 +179,7 @@ static void schur_add_free(solver_t *s)
 /* C = L D L', with 1 / D on the diagonal; it is 0 for a member whose gradient is a combination of those before. */
 static void schur_decompose(schur_t *c)
 {
-    real_t least[QP_MAX_JOINT];
+    real_t least[QP_MAX_JOINT] = {R(0)};
     for (int l = 0; l < c->joint; l++) {
         least[l] = TOL_RICCATI_DEPENDENT * c->complement[l][l];
     }
@@ -256,20 +256,16 @@ static void schur_set_origin(solver_t *s)
 /* d = C^{-1} d, 0 for members that depend on others. */
 static void schur_substitute(const schur_t *c, real_t *d)
 {
-#if QP_MAX_JOINT > 1
     for (int i = 1; i < c->joint; i++) {
         for (int j = 0; j < i; j++) {
             d[i] -= c->complement[i][j] * d[j];
         }
     }
-#endif
     for (int i = c->joint - 1; i >= 0; i--) {
         d[i] *= c->complement[i][i];
-#if QP_MAX_JOINT > 1
         for (int j = i + 1; j < c->joint; j++) {
             d[i] -= c->complement[j][i] * d[j];
         }
-#endif
     }
 }
 

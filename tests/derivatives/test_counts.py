@@ -16,7 +16,7 @@ CASES = {
     "map": (discrete_map, Options()),
     "reactor, straight-line": (lambda: problem_of("reactor"), Options(ExplicitRungeKutta(steps=2))),
     "tanks, loops": (lambda: problem_of("tanks", uniform=False), Options(ExplicitRungeKutta(steps=3, unroll="none"))),
-    "costs of every kind": (lambda: pendulum_of_everything("p", [0.2, 0.3]), Options(ExplicitRungeKutta(steps=2))),
+    "costs of every kind": (lambda: pendulum_of_everything("pend", [0.2, 0.3]), Options(ExplicitRungeKutta(steps=2))),
     "single": (lambda: problem_of("crane"), Options(precision="single")),
 }
 

@@ -45,8 +45,11 @@ _FALLBACKS: dict[str, RiccatiInteriorPoint | None] = {"riccati_interior_point": 
 
 
 def _joint(dims: Dims) -> int:
-    """Cap on the rows in the Schur complement: more of them than states are rarely independent, and cost memory."""
-    return min(dims.ng.value, dims.qp.nxs.value)
+    """Cap on the rows in the Schur complement: more of them than states are rarely independent, and cost memory.
+
+    At least 2: in loops over pairs of rows GCC 11 and 12 warn of the second element of arrays with one.
+    """
+    return max(2, min(dims.ng.value, dims.qp.nxs.value)) if dims.ng.value else 0
 
 
 def _schur_struct(dims: Dims) -> Struct:
