@@ -290,7 +290,7 @@ NAMES = (
     *("\u0430bc", "kran\u00fc", "\uff41bc", "a\u200b", "1st", "_x", "-o", "x" * 61, "x" * 5000),
     *("main", "Main", "MAIN", "readme", "README", "cmakelists", "CMakeLists", "osqp", "OSQP", "wrapper", "makefile"),
     *("math", "Math", "string", "stdint", "stdio", "stdlib", "errno", "assert", "complex", "float", "limits", "time"),
-    *("con", "CON", "nul", "aux", "prn", "com1", "LPT9", "p", "P", "lc", "sig"),
+    *("con", "CON", "nul", "aux", "prn", "com1", "LPT9", "p", "P", "lc", "sig", "clean"),
     *("x", "X", "r", "statx"),
 )
 

@@ -28,6 +28,9 @@ HEADERS = frozenset(_HEADERS.split())
 #: Files and folders next to <name>.c, and those that a build creates.
 NEIGHBOURS = frozenset({"main", "readme", "cmakelists", "makefile", "license", "osqp", "wrapper"})
 
+#: Targets that every CMake build has.
+TARGETS = frozenset({"all", "clean", "help", "install"})
+
 #: Windows opens a device instead of <name>.c.
 DEVICES = frozenset({"con", "prn", "aux", "nul"} | {f"{port}{i}" for port in ("com", "lpt") for i in range(10)})
 
@@ -44,7 +47,7 @@ def check_package_name(name: object, what: str) -> None:
 
     Raises:
         ProblemError: the name is not a string, not an ASCII identifier of at most 60 characters, or it is a header, a
-            file next to the package's, a device, or the prefix of a macro of the system.
+            file next to the package's, a target of CMake, a device, or the prefix of a macro of the system.
     """
     if not isinstance(name, str):
         raise ProblemError(f"{what}: {name!r}; expected a string")
@@ -56,6 +59,7 @@ def check_package_name(name: object, what: str) -> None:
     reasons = (
         (HEADERS, f"a header, <{word}.h>, which {name}.h would hide"),
         (NEIGHBOURS, "taken by a file or folder beside the package's"),
+        (TARGETS, "a target of every CMake build"),
         (DEVICES, "a device of Windows"),
         (MACROS, "the prefix of macros of the system (X_OK, LC_ALL)"),
     )

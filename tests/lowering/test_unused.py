@@ -1,0 +1,150 @@
+"""What a package does not need is not in its unit; what it needs stays."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import require_tool
+
+from benchmarks.lib import quality
+from nmpc_codegen import (
+    OCP,
+    RK4,
+    AugmentedLagrangian,
+    Euler,
+    ExactHessian,
+    ExplicitRungeKutta,
+    ForwardOverAdjoint,
+    Options,
+    RealTimeIteration,
+    Symmetric,
+    build,
+    generate,
+)
+from nmpc_codegen.components.integrators import ButcherTableau
+from nmpc_codegen.lowering.unit.unused import without_unused
+
+#: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.
+KNOWN = [
+    ("N", None, "P_N"),
+    ("ROW", "s, h", "(s)->x[N]"),
+    ("OUTER", "a, b", "ROW(a, b) + 1"),
+    ("BOTH", "a, b", "a * b"),
+]
+
+
+def kept(text: str) -> str:
+    """The text after the pass, without the lines that every case has."""
+    return without_unused(text, KNOWN).strip("\n")
+
+
+def function(*block: str, head: str = "void API(f)(solver_t *s, int *out)") -> str:
+    """A function of the package's interface."""
+    return "\n".join([head, "{", *(f"    {line}" for line in block), "}"])
+
+
+@pytest.mark.parametrize(
+    "block",
+    [
+        ("out[0] = s->a;",),
+        ("const int h = 2;", "out[0] = s->a + h;"),
+        ("const int h = 2;", "out[0] = BOTH(s->a, h);"),
+        ("const int h = next(s);", "out[0] = s->a;"),  # a call may have effects
+        ("int h[2] = {0}, i = 1;", "out[h[i]] = s->a;"),
+        ("int (*h)[N] = s->a;", "out[0] = s->a;"),  # no plain variable
+        ("const int h = 1, i = h + 1;", "out[i] = s->a;"),
+        ("for (int h = 0; h < 2; h++) {", "    out[h] = s->a;", "}"),
+    ],
+)
+def test_what_is_read_stays(block: tuple[str, ...]) -> None:
+    assert kept(function(*block)) == function(*block)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (("const int h = 2;", "out[0] = s->h;"), ("out[0] = s->h;",)),
+        (("const int h = 2;", "out[0] = ROW(s, h);"), ("out[0] = ROW(s, h);",)),
+        (("const int h = 2;", "out[0] = OUTER(s, h + 1);"), ("out[0] = OUTER(s, h + 1);",)),
+        (("int g[N], h[N * 2] = {0}, i;", "out[g[0]] = s->a;"), ("int g[N];", "out[g[0]] = s->a;")),
+        (("const int g = 1;", "const int h = g;", "out[0] = s->a;"), ("out[0] = s->a;",)),
+        (("const int h = 1; /* length */", "out[0] = s->a; /* h */"), ("out[0] = s->a; /* h */",)),
+        (
+            ("if (s->a) {", "    const int h = 1;", "}", "for (int h = 0; h < 2; h++) {", "    out[h] = 1;", "}"),
+            ("if (s->a) {", "}", "for (int h = 0; h < 2; h++) {", "    out[h] = 1;", "}"),
+        ),
+    ],
+)
+def test_what_nothing_reads_goes(before: tuple[str, ...], after: tuple[str, ...]) -> None:
+    assert kept(function(*before)) == function(*after)
+
+
+def test_directives_end_no_block() -> None:
+    """#pragma stands at the margin."""
+    text = "int f(int n)\n{\n    int h = n;\n#pragma GCC unroll 4\n    for (int i = 0; i < h; i++) {\n    }\n}"
+    assert kept(text) == text
+
+
+def test_unread_parameters_get_a_statement() -> None:
+    head = "int API(f)(const real_t (*Q)[N], const real_t u[N], real_t *x, int k)"
+    found = kept(function("return ROW(x, u) + Q[0][0];", head=head))
+    assert found == function("(void)u;", "(void)k;", "return ROW(x, u) + Q[0][0];", head=head)
+    assert kept(function("return 1;", head="int API(f)(void)")) == function("return 1;", head="int API(f)(void)")
+
+
+def test_functions_that_nothing_reaches_go_with_their_comments() -> None:
+    static = "static int {}(int n)"
+    called = function("return deeper(n);", head=static.format("called"))
+    deeper = function("return n;", head=static.format("deeper"))
+    spare = "/* For other problems:\n * returns 1. */\n" + function("return spare(n);", head=static.format("spare"))
+    table = "/* functions */\nstatic int (*const table[1])(int) = { listed };"
+    listed = function("return n;", head=static.format("listed"))
+    root = function("out[0] = called(s->a);")
+    found = kept("\n\n".join([deeper, spare, called, listed, table, root]))
+    assert "spare" not in found
+    assert "For other problems" not in found
+    assert all(text in found for text in (deeper, called, listed, table, root))
+
+
+def test_pointers_to_arrays_are_returned() -> None:
+    head = "static inline real_t (*block(solver_t *s, int k))[N]"
+    found = kept(f"{function('return s->Q;', head=head)}\n\n{function('out[0] = block(s, 1)[0][0];')}")
+    assert "(void)k;" in found
+    assert head in found
+
+
+def integrator(f: str, name: str = "pk") -> OCP:
+    """x' = f(x, u) with control bounds."""
+    ocp = OCP(name, T=1.0, N=3)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: {"u": u, "u - x": u - x, "0": ca.SX(0), "-x": -x, "0.1": ca.SX(0.1)}[f]})
+    ocp.least_squares(ca.vertcat(x, u), weight=1)
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+@pytest.mark.parametrize("sweep", [Symmetric(), ForwardOverAdjoint()])
+@pytest.mark.parametrize("tableau", [Euler, RK4])
+@pytest.mark.parametrize("f", ["u", "u - x"])
+def test_loops_over_no_columns(f: str, tableau: ButcherTableau, sweep: Symmetric | ForwardOverAdjoint) -> None:
+    """Dynamics without second derivatives: the looped sweep gives the control of the straight one."""
+    controls = []
+    for unroll in ("none", "all"):
+        integrators = ExplicitRungeKutta(tableau, steps=2, unroll=unroll)
+        options = Options(integrator=integrators, hessian=ExactHessian(sweep=sweep))
+        controls.append(build(integrator(f), options, profile="test").step([1.0]))
+    np.testing.assert_allclose(controls[0], controls[1], rtol=1e-13)
+
+
+@pytest.mark.parametrize("f", ["0", "0.1", "-x"])
+@pytest.mark.parametrize("algorithm", [RealTimeIteration(), AugmentedLagrangian()], ids=lambda a: a.name)
+def test_dynamics_without_a_control(f: str, algorithm: RealTimeIteration | AugmentedLagrangian) -> None:
+    """No warning, and the model is integrated: x(dt) of the linear equation."""
+    require_tool("gcc")
+    options = Options(algorithm=algorithm)
+    text = generate(integrator(f), options)
+    assert quality.warnings_of(text, ("-O2",), ("C99",), "gcc") == ""
+    assert "(void)u;" in text["pk.c"]
+    x = build(integrator(f), options, profile="test").integrate([1.0], [0.5], 0.2)
+    np.testing.assert_allclose(x, {"0": 1.0, "0.1": 1.02, "-x": np.exp(-0.2)}[f], rtol=1e-6)
