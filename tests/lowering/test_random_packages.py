@@ -6,6 +6,7 @@ import pytest
 from conftest import require_tool
 
 from benchmarks.lib import quality
+from nmpc_codegen import OCP, RK4, ExactHessian, ExplicitRungeKutta, Options, build
 from verification.random_problems import Draw, draw
 
 LEVELS = ("-O2", "-Os", "-O3", "-O1")
@@ -48,3 +49,19 @@ def test_draws_differ_and_repeat() -> None:
     headers = [d.sources[f"{d.name}.h"] for d in draws]
     for size in ("NX 1 ", "NX 3 ", "NU 1 ", "N 1 ", "NR 0 ", "NR 1 ", "NY 0 ", "NY_N 0 ", "NP 0 ", "NH_N 1 "):
         assert any(f"_{size}" in header for header in headers), size
+
+
+def test_leaves_of_a_looped_sweep_have_names_of_their_own() -> None:
+    """A state on which the integrated cost depends linearly: its slope in closed form is not the slope of stage 0."""
+    controls = []
+    for unroll in ("none", "all"):
+        ocp = OCP("linear", T=1.0, N=4)
+        x, v, u = ocp.state("x", initial=1.0), ocp.state("v", initial=0.5), ocp.control("u")
+        ocp.dynamics({x: v**2 + u, v: -(v**3) + u})
+        ocp.stage_cost(x + v**2 + u**2, integrate=True)
+        ocp.subject_to(-1, u, 1)
+        options = Options(integrator=ExplicitRungeKutta(RK4, steps=2, unroll=unroll), hessian=ExactHessian())
+        controller = build(ocp, options, profile="test")
+        controls.append([float(controller.step([1.0, 0.5])[0]) for _ in range(4)])
+    assert controls[0] == pytest.approx(controls[1], rel=1e-12)
+    assert -1 < controls[0][-1] < 0

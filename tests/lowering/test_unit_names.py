@@ -85,7 +85,23 @@ def pendulum(name: str) -> OCP:
     return ocp
 
 
-NAMES = ("ny", "nh", "nw", "weight", "yref", "param", "first", "bend", "longest", "project", "qp", "q", "long", "goto")
+NAMES = (
+    "ny",
+    "nh",
+    "nw",
+    "weight",
+    "yref",
+    "param",
+    "first",
+    "bend",
+    "longest",
+    "project",
+    "qp",
+    "q",
+    "long",
+    "goto",
+    "int32",
+)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -31,6 +31,7 @@ KNOWN = [
     ("ROW", "s, h", "(s)->x[N]"),
     ("OUTER", "a, b", "ROW(a, b) + 1"),
     ("BOTH", "a, b", "a * b"),
+    ("KERNEL", "s", "kernel((s)->x)"),
 ]
 
 
@@ -51,6 +52,8 @@ def function(*block: str, head: str = "void API(f)(solver_t *s, int *out)") -> s
         ("const int h = 2;", "out[0] = s->a + h;"),
         ("const int h = 2;", "out[0] = BOTH(s->a, h);"),
         ("const int h = next(s);", "out[0] = s->a;"),  # a call may have effects
+        ("const int h = KERNEL(s);", "out[0] = s->a;"),
+        ("const int h = API(step)(s), i = s->a++;", "out[0] = s->a;"),
         ("int h[2] = {0}, i = 1;", "out[h[i]] = s->a;"),
         ("int (*h)[N] = s->a;", "out[0] = s->a;"),  # no plain variable
         ("const int h = 1, i = h + 1;", "out[i] = s->a;"),

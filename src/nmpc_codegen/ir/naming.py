@@ -29,7 +29,7 @@ HEADERS = frozenset(_HEADERS.split())
 NEIGHBOURS = frozenset({"main", "readme", "cmakelists", "makefile", "license", "osqp", "wrapper"})
 
 #: Targets that every CMake build has.
-TARGETS = frozenset({"all", "clean", "help", "install"})
+TARGETS = frozenset({"all", "clean", "help", "install", "preinstall", "edit_cache", "rebuild_cache"})
 
 #: Windows opens a device instead of <name>.c.
 DEVICES = frozenset({"con", "prn", "aux", "nul"} | {f"{port}{i}" for port in ("com", "lpt") for i in range(10)})

@@ -325,6 +325,8 @@ def looped(sweep: Sweep) -> LoopedRoutine:
     leaves: dict[str, Kernel] = {}
     for call in calls(sweep.body):
         name = call.leaf.name()
+        if name in leaves and [s.size for s in call.ins] != [p.size for p in leaves[name].inputs]:
+            raise ValueError(f"{sweep.name}: two leaves are called {name}")
         if name not in leaves:
             inputs = [Port(call.leaf.name_in(i), s.size) for i, s in enumerate(call.ins)]
             outputs = [Port(call.leaf.name_out(i), s.size) for i, s in enumerate(call.outs)]

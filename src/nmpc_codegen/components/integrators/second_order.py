@@ -361,7 +361,7 @@ class Builder:
         nodes: list[Node] = [Call(leaf, (h_slice,), (Slice("S", self.nx, Affine(j), self.nz),))]
         if self.nF > self.nx and not s[self.nx].is_zero():
             g, here = ca.SX.sym("g"), Slice("g", 1, Affine(j))
-            nodes.append(Call(ca.Function(f"slope_{j}", [g, h], [g + s[self.nx]]), (here, h_slice), (here,)))
+            nodes.append(Call(ca.Function(f"gradient_{j}", [g, h], [g + s[self.nx]]), (here, h_slice), (here,)))
         return nodes
 
     def add_block(self, buffer: str, row: int, run_rows: tuple[int, int], columns: tuple[int, int, int]) -> Node:

@@ -17,6 +17,9 @@ from nmpc_codegen.lowering.parts import without_comments
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
 _INNER = re.compile(r"\bAPI\(\w+\)|[A-Za-z_]\w*")
 
+#: Types of <stdint.h> in the header, which are not the package's even if it is called "int32".
+STANDARD = frozenset({"int32_t"})
+
 
 def names_in(*texts: str) -> set[str]:
     """The identifiers of C texts."""
@@ -41,7 +44,7 @@ def renamed_words(words: Collection[str], header: str, name: str, members: Colle
     ``members``: words of the header that belong to its structs alone.
     """
     prefixes = (f"{name}_", f"{name.upper()}_")
-    declared = {w for w in names_in(without_comments(header)) if w.startswith(prefixes)} - set(members)
+    declared = {w for w in names_in(without_comments(header)) if w.startswith(prefixes)} - set(members) - STANDARD
     found: dict[str, str] = {}
     for word in sorted(declared.intersection(words)):
         inner = f"{word}_"

@@ -24,7 +24,8 @@ _DECLARATION = re.compile(
     r"(?P<indent> +)(?P<type>(?:static )?(?:const )?(?:int|int32_t|ptrdiff_t|\w+_t) )(?P<rest>.*);"
 )
 _VARIABLE = re.compile(r" ?\**(?P<name>\w+)(?:\[[^\]]*\])*(?: = .*)?")
-_CALL = re.compile(r"\b[a-z_]\w*\(")
+#: What an initial value may do besides giving a number: call a function, count.
+_EFFECT = re.compile(r"\b[a-z_]\w*\(|\bAPI\(|\+\+|--")
 #: Heads of functions that only this unit calls.
 _INNER = ("static ", "LANES_INLINE ")
 
@@ -87,6 +88,11 @@ class _Macros:
                     if argument in inside:
                         found |= self.words(value)
         return found
+
+    def have_effects(self, code: str) -> bool:
+        """A text, or a macro in it, may do more than give a number."""
+        texts = [self.parametric[name][1] for name in _IDENTIFIER.findall(code) if name in self.parametric]
+        return bool(_EFFECT.search(code)) or any(map(self.have_effects, texts))
 
     def _of_macro(self, name: str, text: str) -> frozenset[str]:
         if name not in self._expanded:
@@ -186,7 +192,7 @@ def _pass(block: Sequence[str], macros: _Macros) -> list[str]:
             declarator
             for i, declarator in enumerate(declarators)
             if (plain := _VARIABLE.fullmatch(declarator)) is None
-            or _CALL.search(declarator)
+            or macros.have_effects(declarator)
             or any(plain["name"] in words[later] for later in scope)
             or plain["name"] in _IDENTIFIER.findall(",".join(declarators[i + 1 :]))
         ]
