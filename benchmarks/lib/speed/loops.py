@@ -14,7 +14,7 @@ from benchmarks.lib.hessian import bioreactor as bioreactor_loops
 from benchmarks.lib.house.ratios import in_turn
 from benchmarks.lib.house.timed import TIMED
 from benchmarks.lib.report import Report
-from benchmarks.lib.speed.reference import reference_kernel_us
+from benchmarks.lib.speed.reference import REFERENCE, reference_kernel_us
 from examples import chain
 from nmpc_codegen import OCP, Options, RealTimeIteration
 from nmpc_codegen.compiler import compiled
@@ -22,8 +22,6 @@ from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.runtime.build import PROFILES, host
 
-#: Time of the reference kernel (us) on the machine of the limits.
-REFERENCE = 24.0
 RUNS = 15
 
 
