@@ -2,8 +2,8 @@
 
     python -m benchmarks.speed [--json FILE] [--only PART,...] [--where NAME]
 
-Limits belong to a machine on which the reference kernel (benchmarks/lib/speed/reference.c) takes 27.3 us; keys with _scaled
-are times carried to it.
+Limits belong to a machine on which the reference kernel (benchmarks/lib/speed/reference.c) takes 27.3 us; keys with
+_scaled are times carried to it.
 With --where the only output is a table: which functions the time of a sample of this loop goes to.
 """
 
