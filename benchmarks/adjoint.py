@@ -13,13 +13,8 @@ from pathlib import Path
 
 from benchmarks.lib import command
 from benchmarks.lib.adjoint import (
-    accuracy,
-    choice,
     crane,
     cstr,
-    horizon,
-    integration,
-    penalties,
     reactor,
     rod,
     vandevusse,
@@ -34,15 +29,7 @@ def without_pictures(measure: Callable[[Report], None]) -> Callable[[Report, Pat
 
 #: Part -> its function, which adds records and writes its pictures to the folder.
 PARTS: dict[str, Callable[[Report, Path], None]] = {
-    "accuracy": accuracy.measure,
-    "choice": choice.measure,
-    "gradient": horizon.measure_gradient,
-    "impulse_response": horizon.measure_impulse_response,
     "reactor": reactor.measure,
-    "scenarios": integration.measure_scenarios,
-    "rod": integration.measure_rod,
-    "states": integration.measure_states,
-    "penalties": penalties.measure,
     "crane": without_pictures(crane.measure),
     "cstr": without_pictures(cstr.measure),
     "vandevusse": vandevusse.measure,

@@ -10,15 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.lib import command
-from benchmarks.lib.economic import artificial, driving, evaporation, figure3, figure4, figures, rotation, timing
+from benchmarks.lib.economic import driving, evaporation, figure3, figure4, figures, timing
 from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report], None]] = {
     "tuning": evaporation.measure_tuning,
     "theory": evaporation.measure_theory,
-    "rotation": rotation.measure,
     "figure1": evaporation.measure_figure1,
-    "figure2": artificial.measure,
     "figure3": figure3.measure,
     "figure4": figure4.measure,
     "driving": driving.measure,
@@ -29,7 +27,7 @@ PARTS: dict[str, Callable[[Report], None]] = {
 def main() -> None:
     """All parts, or some."""
     parser = command.parser(__doc__, PARTS)
-    parser.add_argument("--draw", metavar="FOLDER", help="draw Figures 1 to 4, with their data as CSV")
+    parser.add_argument("--draw", metavar="FOLDER", help="draw Figures 1, 3 and 4, with their data as CSV")
     options = parser.parse_args()
     names, report = command.chosen(parser, options, PARTS), Report("economic_gn")
     command.measure(report, names, lambda name: PARTS[name](report), options.json)

@@ -1,4 +1,4 @@
-"""Exact Hessians: sensitivities against oracles, the bioreactor, convergence, closed loops, times, [Q14] Tables I, III.
+"""Exact Hessians: the bioreactor, convergence, closed loops, times, [Q14] Tables I, III.
 
     python -m benchmarks.exact_hessian [--json FILE] [--only PART,...]
 
@@ -18,9 +18,9 @@ from rich.table import Table
 from benchmarks.lib import command
 from benchmarks.lib.hessian import bioreactor, second_order
 from benchmarks.lib.report import Report
-from benchmarks.lib.scenarios import CSTR, QUADROTOR
 from examples import cstr, quadrotor
 from nmpc_codegen import Controller, ExactHessian, GaussNewton, Options, build
+from verification.scenarios import CSTR, QUADROTOR
 
 TOLERANCE = 1e-10
 LONG = 1000
@@ -71,7 +71,6 @@ PARTS: dict[str, Callable[[Report], None]] = {
     "convergence": convergence,
     "orbits": bioreactor.orbits,
     "loops": bioreactor.loops,
-    "errors": second_order.errors,
 }
 
 

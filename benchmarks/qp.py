@@ -1,4 +1,4 @@
-"""The QP solvers: random QPs, time over N and against CasADi's plugins, complete iterations, torture tests.
+"""The QP solvers: time over N and against CasADi's plugins, complete iterations.
 
     python -m benchmarks.qp [--json FILE] [--only random,plugins,...] [--picture FILE]
 
@@ -7,10 +7,7 @@ All parts together take about twenty minutes on two cores.
 
 from __future__ import annotations
 
-import multiprocessing
-import warnings
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,9 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.lib import command
-from benchmarks.lib.closed_loop import closed_loop
-from benchmarks.lib.peers import available, pinned, silent
-from benchmarks.lib.qp import qp_times, stage_qps
+from benchmarks.lib.qp import qp_times
 from benchmarks.lib.qp.qp_times import (
     BY_NAME,
     SLOW,
@@ -35,18 +30,18 @@ from benchmarks.lib.qp.qp_times import (
     plugin_times,
     record,
 )
-from benchmarks.lib.qp.torture import Outcome, Torture, trials
 from benchmarks.lib.report import Report
 from nmpc_codegen import FullCondensing, Options, generate
 from nmpc_codegen.components.qp import DenseActiveSet
-from tests.stage_qp import solvers
+from verification.closed_loop import closed_loop
+from verification.peers import available, pinned, silent
+from verification.qp.stage_solvers import solvers
 
 EXAMPLES = ("chain3", "quadrotor", "chain5", "chain7")  # in order of size
 N_PLUGINS = 40
 HORIZONS = (20, 40, 80, 160)
 PATIENT = 80  # repeats of our solvers over N, because exponents are sensitive to cache disturbances
 SCALED = ("chain5", "quadrotor")
-STEPS = 100_000  # of the torture tests, all trials together
 
 #: Curves of the figure, in the order of their colours.
 CURVES = (*solvers(), "hpipm", "osqp", "daqp", "qpoases (condensed)", "daqp (condensed)")
@@ -62,24 +57,6 @@ LOOPS: dict[str, tuple[str, int | None, float | None, float | None]] = {
 
 
 # Random QPs -----------------------------------------------------------------------------------------------------------
-
-
-def random(report: Report, tuples: int = 300) -> None:
-    """Random tuples of dimensions for all solvers."""
-    tally = stage_qps.run(tuples)
-    n = tally.problems
-    report.add("qp_disagreements", sum(tally.wrong.values()), limit=0, n=n, profile="test")
-    report.add("qp_tuples", tally.tuples, limit=300, at_least=True, profile="test")
-    report.add("qp_distance", tally.distance, case="well-conditioned, from the optimum", n=n, profile="test")
-    report.add("qp_osqp_error", tally.osqp_error, limit=1e-5, n=tally.osqp_compared, profile="casadi")
-    for name, count in tally.solved.items():
-        report.add("qp_wrong", tally.wrong[name], case=name, n=count, profile="test")
-        report.add("qp_semidefinite_unsolved", tally.given_up[name], case=name, n=count, profile="test")
-        mean = tally.iterations[name] / count
-        report.add("qp_iterations_mean", mean, case=name, n=count, profile="test")
-        report.add("qp_iterations_max", tally.most[name], case=name, n=count, profile="test")
-    for line in tally.examples[:20]:
-        print(line)
 
 
 # Plugins --------------------------------------------------------------------------------------------------------------
@@ -287,43 +264,10 @@ def loops(report: Report, runs: int = 15) -> None:
 # Torture --------------------------------------------------------------------------------------------------------------
 
 
-def _tortured(job: tuple[int, int]) -> Outcome:
-    warnings.simplefilter("ignore")  # numbers overflow on purpose
-    number, steps = job
-    return Torture(trials()[number]).run(steps)
-
-
-def torture(report: Report, steps: int = STEPS) -> None:
-    """Closed loops with infeasible QPs, NaN and moving bounds."""
-    every = trials()
-    unit = steps / sum(t.share for t in every)
-    # The solvers of the parts before may have left threads, which a forked process would be without.
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        outcomes = list(pool.map(_tortured, [(i, int(np.ceil(unit * t.share))) for i, t in enumerate(every)]))
-    report.add("torture_steps", sum(o.samples for o in outcomes), limit=steps, at_least=True)
-    for trial, out in zip(every, outcomes, strict=True):
-        n, failed = out.samples, sum(out.status.values()) - out.status["OK"]
-        report.add("torture_recovery_samples", out.recovery, case=trial.name, limit=2, n=n)
-        report.add("torture_longest_failure", out.longest, case=trial.name, n=n)
-        report.add("torture_rescues", out.rescues, case=trial.name, n=n)
-        report.add("torture_failed_samples", failed, case=trial.name, n=n)
-        report.add("torture_certified", sum(out.certified.values()), case=trial.name, n=n)
-        for what, count in out.violations.items():
-            report.add("torture_violation", count, case=f"{trial.name}: {what}; {out.first[what]}", n=n)
-    count = sum(sum(o.violations.values()) for o in outcomes)
-    report.add("torture_violations", count, limit=0, n=sum(o.samples for o in outcomes))
-    infeasible = sum(o.certified["infeasible, INFEASIBLE"] for o in outcomes)
-    report.add("torture_infeasible_qps", infeasible, limit=1, at_least=True)
-    unproven = sum(n for o in outcomes for key, n in o.certified.items() if key.startswith("infeasible")) - infeasible
-    report.add("torture_infeasible_without_proof", unproven, n=infeasible + unproven)
-
-
 PARTS: dict[str, Callable[..., None]] = {
     "loops": loops,
     "plugins": plugins,
     "scaling": scaling,
-    "torture": torture,
-    "random": random,
 }
 
 

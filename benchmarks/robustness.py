@@ -12,6 +12,8 @@ from collections.abc import Callable
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness import episodes, near_rest, qps, returns, violations, work, worst
+from verification.qp.verdicts import replay as replay_qp
+from verification.robustness.episodes import replay as replay_episode
 
 PARTS: dict[str, Callable[[Report, float], None]] = {
     "qps": qps.measure,
@@ -33,7 +35,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     if options.replay:
-        (qps.replay if options.replay.count("/") == 3 else episodes.replay)(options.replay)
+        (replay_qp if options.replay.count("/") == 3 else replay_episode)(options.replay)
         return
     names, report = command.chosen(parser, options, PARTS), Report("robustness")
     command.measure(report, names, lambda name: PARTS[name](report, options.scale), options.json)

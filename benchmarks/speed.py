@@ -1,4 +1,4 @@
-"""Times of a sample on this machine: lanes, exported C, the recursion, accuracy of lanes, elementary functions.
+"""Times of a sample on this machine: lanes, exported C, the recursion, elementary functions.
 
     python -m benchmarks.speed [--json FILE] [--only PART,...] [--where NAME]
 
@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
-from benchmarks.lib.speed import accuracy, before, choice, loops, own_math, recursion, where
+from benchmarks.lib.speed import choice, loops, own_math, recursion, where
 
 PARTS: dict[str, Callable[[Report], None]] = {
     "loops": loops.measure,
@@ -21,9 +21,7 @@ PARTS: dict[str, Callable[[Report], None]] = {
     "levels": loops.levels,
     "choice": choice.measure,
     "recursion": recursion.measure,
-    "lanes": accuracy.measure,
     "math": own_math.measure,
-    "before": before.measure,
 }
 
 

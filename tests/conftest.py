@@ -1,4 +1,4 @@
-"""Fixtures shared by all tests: the hand-written toy package, and tools that may be missing on a machine."""
+"""Fixtures shared by all tests: a small package, and tools that may be missing on a machine."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import gc
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 # The matrices of the tests are small: further threads of NumPy's BLAS would only spin, at the expense of other workers.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -20,6 +19,7 @@ from hypothesis import settings
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.build import find_compiler, load
 from nmpc_codegen.runtime.controller import Controller
+from verification.problems import toy_sources
 
 # Expressions and texts live as long as the session: a search for garbage after every 700 new objects finds nothing.
 gc.set_threshold(100_000)
@@ -30,8 +30,6 @@ settings.register_profile("repeatable", derandomize=True)
 settings.register_profile("random", derandomize=False)
 settings.load_profile("repeatable")
 
-
-DATA = Path(__file__).parent / "data"
 
 Files = dict[str, str]
 
@@ -116,18 +114,14 @@ def _all_compilers_run(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def toy_files() -> Files:
-    """Texts of the hand-written toy package."""
-    return {path.name: path.read_text(encoding="utf-8") for path in (DATA / "toy").iterdir()}
+    """Texts of a small package."""
+    return dict(toy_sources())
 
 
 @pytest.fixture(scope="session")
-def toy_single_files(toy_files: Files) -> Files:
-    """The toy package in single precision."""
-    return {
-        **toy_files,
-        "toy.h": toy_files["toy.h"].replace("typedef double toy_real", "typedef float toy_real"),
-        "toy.json": toy_files["toy.json"].replace('"precision": "double"', '"precision": "single"'),
-    }
+def toy_single_files() -> Files:
+    """The same in single precision."""
+    return dict(toy_sources("single"))
 
 
 @pytest.fixture(scope="session")
@@ -155,5 +149,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """--update-golden: rewrite the golden files instead of comparing with them."""
-    parser.addoption("--update-golden", action="store_true", help="write tests/golden anew")
+    """Options that rewrite a file instead of comparing with it."""
+    parser.addoption("--update-golden", action="store_true", help="write tests/golden/header.h anew")
+    parser.addoption("--update-baseline", action="store_true", help="write tests/data/baseline.json anew")

@@ -14,13 +14,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from qp_harness import FAST, SCALARS, STATUSES, SWITCHES, WARNINGS, build_directory, part_text, struct_text, unit_head
 
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs
 from nmpc_codegen.ir.cmodule import Field, Size, Struct
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.runtime.build import find_compiler, with_required_options
 from nmpc_codegen.runtime.package_description import union_dtype
+from verification.qp.harness import (
+    FAST,
+    SCALARS,
+    STATUSES,
+    SWITCHES,
+    WARNINGS,
+    build_directory,
+    part_text,
+    struct_text,
+    unit_head,
+)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ from nmpc_codegen import (
     FullCondensing,
     GaussNewton,
     Heun,
-    IdentityHessian,
     Midpoint,
     Mirror,
     NoCondensing,
@@ -291,7 +290,6 @@ def _algorithm(rng: Rng) -> Any:
         shift=shift,
         sampling_time=time,
         relaxation=pick(rng, (None, 100.0)),
-        budget=pick(rng, (None, None, None, 100_000)),
         first_control=chance(rng, 0.15),
         levels=levels,
         advance=pick(rng, ("B", "C")) if shift and chance(rng, 0.2) else None,
@@ -304,7 +302,7 @@ def _hessian(rng: Rng) -> Any:
     damping = pick(rng, (0.0, 0.1))
     exact = ExactHessian(regularization, sweep, levenberg_marquardt=damping)
     plain = GaussNewton(convex_rows=chance(rng, 0.5), levenberg_marquardt=damping)
-    return pick(rng, (exact, exact, plain, plain, IdentityHessian()))
+    return pick(rng, (exact, plain))
 
 
 def _route(rng: Rng) -> Any:

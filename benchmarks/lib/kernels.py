@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.closed_loop import pinned_core
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.runtime.build import PROFILES, find_compiler
+from verification.closed_loop import pinned_core
 
 MAIN = """
 static double now(void)

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
         ExactHessian,
         ForwardOverAdjoint,
         GaussNewton,
-        IdentityHessian,
         Mirror,
         Project,
         Symmetric,
@@ -57,7 +56,7 @@ _HOMES = {
     "compiler": ("Package", "export", "generate"),
     "components.condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
     "components.hessians": (
-        *("EconomicGaussNewton", "ExactHessian", "ForwardOverAdjoint", "GaussNewton", "IdentityHessian", "Mirror"),
+        *("EconomicGaussNewton", "ExactHessian", "ForwardOverAdjoint", "GaussNewton", "Mirror"),
         *("Project", "Symmetric"),
     ),
     "components.integrators": (
@@ -90,7 +89,6 @@ __all__ = [
     "FullCondensing",
     "GaussNewton",
     "Heun",
-    "IdentityHessian",
     "Log",
     "Midpoint",
     "Mirror",

@@ -96,13 +96,13 @@ def export(
     force: bool = False,
     more: Callable[[Sources], Sources] | None = None,
 ) -> Package:
-    """Write the C package of the problem into a folder, which is created if needed; all files are written, or none.
+    """Write the C package of the problem into a folder, which is created if needed.
 
     Files that export() wrote and that have not been edited since are replaced; the seal at their end identifies them.
     So exporting again is safe, and several packages can share a folder: its main.c, CMakeLists.txt and README.md are
-    those of the last export. A file of other origin, an edited file or a read-only file is replaced only with
-    ``force=True``. Links, folders and devices in the place of a file are never replaced or followed; ``directory``
-    itself may be a link to a folder.
+    those of the last export. A main.c that you have edited stays, and a warning says so. Any other file that is edited,
+    read-only or of other origin is replaced only with ``force=True``, which keeps copies (.bak). Links, folders and
+    devices in the place of a file are never replaced or followed; ``directory`` itself may be a link to a folder.
 
     ``more``: called with the files before any is written; it returns further ones, or raises an error to refuse all.
 
@@ -110,7 +110,7 @@ def export(
 
     Raises:
         ProblemError, OptionError: see generate(); OptionError also for foreign code that is not allowed.
-        ExportError: a file must not be replaced, or it cannot be written; the folder is left unchanged.
+        ExportError: a file must not be replaced, and nothing is written; or a file cannot be written.
     """
     module = compiled(ocp, options, name)
     foreign = module.folders

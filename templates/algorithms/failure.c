@@ -74,11 +74,6 @@ static void name_violation(solver_t *s)
  * options. */
 static status_t give_way(solver_t *s)
 {
-#if BUDGET
-    if (!qp_afford(&s->qp, COST_RELAXATION)) {
-        return ITERATION_LIMIT;
-    }
-#endif
     status_t status;
     s->relaxation = relaxation_weight[0];
     status = run_qp(s);
@@ -94,20 +89,6 @@ static status_t give_way(solver_t *s)
     return INFEASIBLE;
 }
 #endif
-#endif
-
-#if BUDGET
-/* Called after a sample that its budget ended: plan and working set are kept, from which the next sample goes on. After
- * every PATIENCE such samples without a success in between the plan restarts at the measured state with its controls at
- * their references. */
-static void be_late(solver_t *s)
-{
-    if (++s->late % PATIENCE == 0) {
-        forget_plan(s);
-        start_at_measured(s);
-        s->late = 0;
-    }
-}
 #endif
 
 #include "algorithms/recover.c"

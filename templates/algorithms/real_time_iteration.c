@@ -19,10 +19,6 @@ static void algorithm_reset(solver_t *s)
     s->unsettled = 0;
     memset(s->lam_before, 0, sizeof s->lam_before);
 #endif
-#if BUDGET
-    s->late = 0;
-    s->qp.allowance = 0;
-#endif
     s->status = (int32_t)OK;
 #if RELAXATION
     s->relaxation = INF;
@@ -82,14 +78,6 @@ static void hold_gradients(solver_t *s)
 
 #include "algorithms/finish.c"
 
-#if BUDGET
-/* ITERATION_LIMIT in place of a failure of a sample whose budget is used up. */
-static status_t within_budget(const solver_t *s, status_t status)
-{
-    return (status != OK && status != RELAXED && s->qp.allowance == 0) ? ITERATION_LIMIT : status;
-}
-
-#endif
 /* Preparation phase: linearises, evaluates the Hessian, condenses and factorises. */
 static status_t prepare_here(solver_t *s)
 {
@@ -136,9 +124,6 @@ status_t API(prepare)(solver_t *s)
 #if LAGRANGIAN
     settle(s);
 #endif
-#if BUDGET
-    s->qp.allowance = ALLOWANCE;
-#endif
 #if LEVELS
     status = evaluate(s, level);
 #else
@@ -146,9 +131,6 @@ status_t API(prepare)(solver_t *s)
 #endif
 #if ADVANCED
     status = (status == OK) ? advance(s) : status;
-#endif
-#if BUDGET
-    status = within_budget(s, status);
 #endif
     s->prepared = 1;
 #if FIRST
@@ -336,9 +318,6 @@ static status_t feedback_here(solver_t *s)
         status = give_way(s);
     }
 #endif
-#if BUDGET
-    status = within_budget(s, status);
-#endif
     if (status != OK && status != RELAXED) {
         return status;
     }
@@ -379,15 +358,9 @@ status_t API(iterate)(solver_t *s, int level)
     if (level < LEVEL_A || level > LEVEL_D) {
         return BAD_ARGUMENT;
     }
-#if BUDGET
-    s->qp.allowance = ALLOWANCE;
-#endif
     forget_violation(s);
     status = evaluate(s, level);
     status = (status == OK) ? step_at_plan(s) : status;
-#if BUDGET
-    status = within_budget(s, status);
-#endif
     s->levels.valid &= (status == OK || status == RELAXED);
     s->prepared = 0;
     return finish(s, status);

@@ -10,13 +10,6 @@ static int plan_is_finite(const solver_t *s)
  * after a restart. A plan that is not finite is given up at the first failure. */
 static void recover(solver_t *s, status_t status, int broken)
 {
-#if BUDGET
-    if (status == ITERATION_LIMIT && s->qp.allowance == 0) {
-        be_late(s);
-        return;
-    }
-    s->late = (status == OK || status == RELAXED) ? 0 : s->late;
-#endif
     if (status == OK || status == RELAXED) {
         s->failing = (s->failing >= TWICE) ? -PATIENCE : (s->failing < FINE) ? s->failing + 1 : FINE;
     } else if (status != NOT_FINITE && status != NOT_PREPARED) {

@@ -591,9 +591,6 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
 #if LEVELS
     s->levels.valid = 0;
 #endif
-#if BUDGET
-    s->qp.allowance = -1;
-#endif
     if (!(tol > R(0)) || max_iterations < 0) {
         return finish(s, BAD_ARGUMENT);
     }

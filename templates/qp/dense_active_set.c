@@ -51,10 +51,6 @@
 
 #include "linear_algebra.c"
 
-#if BUDGET
-#include "qp/budget.c"
-#endif
-
 #include "qp/dense_active_set_factors.c"
 
 #include "qp/dense_active_set_working_set.c"
@@ -89,11 +85,6 @@ static int qp_predict(qp_t *q, int equality, int again, real_t fraction)
         }
 #endif
         if (qp_is_equality(q, c) == equality && (qp_is_member(q, c) ? !again : equality && q->side[c] == INACTIVE)) {
-#if BUDGET
-            if (!qp_afford(q, COST_PREDICTION)) {
-                break;
-            }
-#endif
             if (!qp_predict_active(q, c, fraction)) {
                 return -1;
             }
@@ -141,11 +132,6 @@ static status_t qp_solve(qp_t *q)
         return qp_fail(q, status);
     }
     for (q->strict = 0; q->strict < 3; ++q->strict) { /* at most 3 passes */
-#if BUDGET
-        if (!qp_afford(q, COST_ATTEMPT)) {
-            return qp_fail(q, ITERATION_LIMIT);
-        }
-#endif
         status = q->semidefinite ? qp_iterate_proximal(q) : qp_iterate(q);
         if (status == OK && qp_accept(q)) {
             return OK;

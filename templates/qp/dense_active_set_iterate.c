@@ -29,11 +29,6 @@ static int qp_wrong_multiplier(const qp_t *q)
 static status_t qp_restore_dual_feasibility(qp_t *q)
 {
     for (;;) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
-#if BUDGET
-        if (!qp_afford(q, COST_RELEASE)) {
-            return ITERATION_LIMIT;
-        }
-#endif
         qp_minimize_on_working_set(q);
         const int k = qp_wrong_multiplier(q);
         if (k < 0) {
@@ -233,11 +228,6 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
     left = R(1 + (q->side[c] != INACTIVE && qp_is_equality(q, c))) * q->penalty[c]; /* 2: from one limit to the other */
 #endif
     while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
-#if BUDGET
-        if (!qp_afford(q, COST_STEP)) {
-            return ITERATION_LIMIT;
-        }
-#endif
         const real_t vv = qp_split(q, r, mm);
         if (!(moved > R(0)) && qp_is_rounding(q, c, r, side, mm, vv, violation)) {
             return OK;
@@ -319,11 +309,6 @@ static status_t qp_take_bounds(qp_t *q)
     }
     for (int k = q->nw - 1; k >= 0; --k) {
         if (!isfinite(qp_bound(q, q->row[k]))) {
-#if BUDGET
-            if (!qp_afford(q, COST_REMOVAL)) {
-                return ITERATION_LIMIT;
-            }
-#endif
             qp_remove(q, k);
         }
     }
@@ -419,11 +404,6 @@ static status_t qp_iterate(qp_t *q)
     qp_set_origin(q);
     status_t status = isfinite(q->scale) ? qp_restore_dual_feasibility(q) : NUMERICAL_FAILURE;
     while (status == OK) { /* at most QP_MAX_SEARCHES passes in qp_solve */
-#if BUDGET
-        if (!qp_afford(q, COST_SEARCH)) {
-            return ITERATION_LIMIT;
-        }
-#endif
         if (q->searches++ >= QP_MAX_SEARCHES) {
             return ITERATION_LIMIT;
         }

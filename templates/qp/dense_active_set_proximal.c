@@ -112,11 +112,6 @@ static status_t qp_iterate_proximal(qp_t *q)
     q->total = R(0);
     q->step = INF;
     for (int step = 0; step < QP_MAX_PROXIMAL_STEPS && status == ITERATION_LIMIT; ++step) {
-#if BUDGET
-        if (!qp_afford(q, COST_PROXIMAL)) {
-            return ITERATION_LIMIT;
-        }
-#endif
         status = qp_iterate(q);
         if (status != OK) {
             return status;

@@ -25,10 +25,6 @@
  * Kunisch 2003). The recursion is repeated from the last stage with a change down to stage 0.
  * ------------------------------------------------------------------------------------------------------------------ */
 
-#if BUDGET
-#include "qp/budget.c"
-#endif
-
 #include "riccati/kernel.c"
 
 #include "qp/stage_qp.c"
@@ -187,11 +183,6 @@ static status_t qp_settle_with_complement(solver_t *s)
 /* Active-set iterations from the present working set with the scales of this QP. */
 static status_t qp_settle_in_own_scales(solver_t *s)
 {
-#if BUDGET
-    if (!qp_afford(&s->qp, COST_SCALES)) {
-        return ITERATION_LIMIT;
-    }
-#endif
     qp_scale_rows(s);
     qp_enter(s);
     return qp_settle(s, QP_MAX_POLISH);

@@ -207,11 +207,6 @@ static int schur_renew(solver_t *s)
         if (qp_is_raised(s)) {
             return 0;
         }
-#if BUDGET
-        if (!qp_afford(&s->qp, COST_COMPLEMENT)) {
-            return 0;
-        }
-#endif
         schur_sweep(s);
 #if NXS > NX
         schur_fold(c);

@@ -74,11 +74,6 @@ static status_t qp_fall_back(solver_t *s)
 #if NG
     s->schur.active = 0;
 #endif
-#if BUDGET
-    if (!qp_afford(q, COST_RESTART)) {
-        return ITERATION_LIMIT;
-    }
-#endif
     status = qp_cross_over(s);
     q->iterations += before;
     if (status != OK && status != INFEASIBLE) {

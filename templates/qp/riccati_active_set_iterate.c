@@ -260,11 +260,6 @@ static status_t qp_iterate(solver_t *s, int most)
 #endif
     qp_seen(q, 0);
     for (int tried = 1; tried <= most; tried++) {
-#if BUDGET
-        if (!qp_afford(&s->qp, COST_WORKING_SET)) {
-            return ITERATION_LIMIT;
-        }
-#endif
         int changed;
         const status_t status = qp_minimize(s, &changed);
         if (status == NUMERICAL_FAILURE || (status == OK && changed == 0)) {

@@ -248,11 +248,6 @@ static status_t qp_refine(solver_t *s)
     q->refined = 1;
     q->residual = INF;
     for (int i = 0; i <= QP_MAX_REFINEMENTS; i++) {
-#if BUDGET
-        if (!qp_afford(q, COST_REFINEMENT)) {
-            return STALLED;
-        }
-#endif
         const real_t before = q->residual;
         int at_members;
         if (!qp_take_residuals(s, &at_members)) {

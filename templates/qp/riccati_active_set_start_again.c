@@ -4,11 +4,6 @@
  * exists; NUMERICAL_FAILURE. */
 static status_t qp_fall_back(solver_t *s)
 {
-#if BUDGET
-    if (!qp_afford(&s->qp, COST_RESTART)) {
-        return ITERATION_LIMIT;
-    }
-#endif
     qp_start_empty(s);
     const status_t status = qp_settle(s, QP_MAX_ITERATIONS);
     return status == STALLED ? ITERATION_LIMIT : status;

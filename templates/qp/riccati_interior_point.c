@@ -10,10 +10,6 @@
  *   qp_shift_controls, qp_shift_rows  shift the warm start by n controls, and its rows as given by source[].
  * ------------------------------------------------------------------------------------------------------------------ */
 
-#if BUDGET
-#include "qp/budget.c"
-#endif
-
 #include "riccati/recursion.c"
 
 #include "qp/stage_qp.c"

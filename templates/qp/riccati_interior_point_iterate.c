@@ -530,11 +530,6 @@ static status_t ipm_iterate(solver_t *s)
     ipm_forget_progress(q);
     q->begun = s->qp.iterations;
     for (;;) { /* at most IPM_MAX_ITERATIONS passes in ipm_solve */
-#if BUDGET
-        if (!qp_afford(&s->qp, COST_INTERIOR)) {
-            return ITERATION_LIMIT;
-        }
-#endif
         const real_t before = q->primal, gradient_before = q->slope;
         int changed;
         ipm_measure(s);

@@ -14,11 +14,6 @@ static int ipm_factorize(solver_t *s)
     r->regularize = 1;
     r->regularize_zero = s->ipm.least_pivot;
     for (int attempt = 0; attempt < 5; attempt++) {
-#if BUDGET
-        if (!qp_afford(&s->qp, COST_FACTORIZATION)) {
-            return 0;
-        }
-#endif
         if (riccati_factorize(s, NS)) {
             return 1;
         }

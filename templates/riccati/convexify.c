@@ -83,11 +83,6 @@ static int riccati_is_held(const qp_t *q, int m)
  * is not positive. */
 static int riccati_try(solver_t *s, real_t hold, real_t shift)
 {
-#if BUDGET
-    if (!qp_afford(&s->qp, COST_SHIFT)) {
-        return 0;
-    }
-#endif
     riccati_t *r = &s->riccati;
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS && k * NUS + j < N * NU; j++) {

@@ -21,7 +21,7 @@ from nmpc_codegen.lowering.lower import _dims, lower
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import REGISTRIES, Online
-from tests.models import discrete_map, problem_of
+from verification.models import discrete_map, problem_of
 
 COMPONENTS = [cls for seam in SEAMS for cls in REGISTRIES[seam].values()]
 every_component = pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls.__name__)

@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.qp import (
+
+from nmpc_codegen.components.qp import REGISTRY, DenseActiveSet
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.runtime.build import PROFILES
+from verification.oracles.qp import (
     QuadraticProgram,
     by_enumeration,
     from_solution,
@@ -19,13 +23,9 @@ from oracles.qp import (
     infeasible,
     residuals,
 )
-from qp_harness import ENTRY_POINTS, FAST, QP, WARNINGS, qp_dims, source
-
-from benchmarks.lib.qp import qp_random
-from benchmarks.lib.qp.qp_random import wrong_answer, wrong_certificate
-from nmpc_codegen.components.qp import REGISTRY, DenseActiveSet
-from nmpc_codegen.errors import OptionError
-from nmpc_codegen.runtime.build import PROFILES
+from verification.qp import random_dense as qp_random
+from verification.qp.harness import ENTRY_POINTS, FAST, QP, WARNINGS, qp_dims, source
+from verification.qp.random_dense import wrong_answer, wrong_certificate
 
 SIZES = [(1, 0), (4, 2), (10, 4), (23, 9), (60, 20)]
 KINDS = {

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib.robustness.draw import SHAPES, draw
-from benchmarks.lib.robustness.qps import solve, verdict_of
-from benchmarks.lib.robustness.stage_package import options, stage_ocp
 from nmpc_codegen import Controller, Status, build
-from tests.oracles.stage_qp import Shape, distance
-from tests.oracles.stage_qp_random import random_qp
-from tests.stage_qp import StageSolver, solvers
+from verification.oracles.stage_qp import Shape, distance
+from verification.oracles.stage_qp_random import random_qp
+from verification.qp.draw import SHAPES, draw
+from verification.qp.stage_package import options, stage_ocp
+from verification.qp.stage_solvers import StageSolver, solvers
+from verification.qp.verdicts import solve, verdict_of
 
 SHAPE = SHAPES[2]
 

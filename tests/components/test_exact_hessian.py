@@ -17,7 +17,6 @@ from nmpc_codegen import (
     ExplicitRungeKutta,
     ForwardOverAdjoint,
     FullCondensing,
-    IdentityHessian,
     Mirror,
     OptionError,
     Options,
@@ -30,8 +29,8 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.oracle.trajectory import Point, node_data
-from tests.models import couple, pendulum_of_everything
-from tests.oracles.exact_hessian import blocks, regularized, regularized_reduced
+from verification.models import couple, pendulum_of_everything
+from verification.oracles.exact_hessian import blocks, regularized, regularized_reduced
 
 Array = np.ndarray
 MIRROR, PROJECT = Mirror(1e-8, "stage"), Project(1e-8, "stage")
@@ -268,27 +267,6 @@ def test_quadratic_convergence() -> None:
     assert len(residuals) <= 7
     order = np.log(residuals[-2] / residuals[-3]) / np.log(residuals[-3] / residuals[-4])
     assert order > 1.6
-
-
-def test_the_identity_is_steepest_descent() -> None:
-    """Blocks are the identity; the unconstrained step is minus the condensed gradient of the condensed identity."""
-    c = build(quadratic(3), Options(hessian=IdentityHessian(), condensing=FullCondensing()), "test").copy()
-    c.set_parameter("c", [1.0, -2.0, 3.0])
-    c.step([0.0])
-    np.testing.assert_allclose(c.u[0], [-1.0, 2.0, -3.0], rtol=1e-15)
-    np.testing.assert_array_equal(c.view("hessian.Q")[0], np.eye(4))
-
-
-def test_identity_with_all_costs() -> None:
-    """The gradient of an integrated cost is computed by its adjoint: equal to that of the exact Hessian's sweep."""
-    options = Options(hessian=IdentityHessian(), condensing=FullCondensing())
-    identity, exact = build(everything(), options, "test").copy(), _built(Symmetric(), None, "auto").copy()
-    for c in (identity, exact):
-        drawn(c)
-        c.prepare()
-    for name in ("node.g", "node.S", "node.b", "terminal.g"):
-        np.testing.assert_allclose(identity.view(name), exact.view(name), rtol=1e-13, atol=1e-14)
-    assert identity.cost == pytest.approx(exact.cost, rel=1e-15)
 
 
 @pytest.mark.parametrize(

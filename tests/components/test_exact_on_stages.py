@@ -35,10 +35,10 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.runtime.build import WARNINGS
-from tests.c_harness import shared_library
-from tests.models import couple, pendulum_of_everything
-from tests.oracles.stage_qp import Point, Shape, StageQP, recover_lam, residuals, rows_of
-from tests.stage_qp import (
+from verification.c_harness import shared_library
+from verification.models import couple, pendulum_of_everything
+from verification.oracles.stage_qp import Point, Shape, StageQP, recover_lam, residuals, rows_of
+from verification.qp.stage_solvers import (
     DYNAMICS,
     FEASIBILITY,
     ROWS,

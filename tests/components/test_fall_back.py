@@ -12,8 +12,8 @@ from examples import crane, quadrotor
 from nmpc_codegen import OCP, NoCondensing, Options, RiccatiActiveSet, RiccatiInteriorPoint, Status, build
 from nmpc_codegen.cli.settings import apply_setting
 from nmpc_codegen.lowering.render import render
-from tests.c_harness import module_of
-from tests.models import problem_of
+from verification.c_harness import module_of
+from verification.models import problem_of
 
 
 def test_without_fall_back_the_interior_point_method_is_not_in_the_package() -> None:

@@ -14,8 +14,8 @@ from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.lowering.linearize import Model, linearize
-from tests.c_harness import Package, Routines, module_of
-from tests.oracles.runge_kutta import complex_step
+from verification.c_harness import Package, Routines, module_of
+from verification.oracles.runge_kutta import complex_step
 
 Array = np.ndarray
 TOLERANCE = 1e-13

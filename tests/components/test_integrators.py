@@ -18,9 +18,9 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Slice, straight
-from tests.c_harness import Routines
-from tests.models import GRID, LENGTH, discrete_map, problem_of
-from tests.oracles.runge_kutta import MODELS, ORDERS, POINTS, SCHEMES, Array, complex_step, integrate
+from verification.c_harness import Routines
+from verification.models import GRID, LENGTH, discrete_map, problem_of
+from verification.oracles.runge_kutta import MODELS, ORDERS, POINTS, SCHEMES, Array, complex_step, integrate
 
 TOLERANCE = 1e-12
 STEPS = (1, 3)  # of three steps one is neither the first nor the last

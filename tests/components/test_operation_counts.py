@@ -13,8 +13,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from benchmarks.lib.counting import CLASSES, count_mismatches, counting_header, mismatches
-from benchmarks.lib.house import samples
 from nmpc_codegen import (
     OCP,
     DenseActiveSet,
@@ -33,10 +31,11 @@ from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import REGISTRIES
-from tests import problems
-from tests.c_harness import module_of
 from tests.components.test_condensing import PROBLEMS, SPELLINGS
-from tests.models import discrete_map, problem_of
+from verification import problems, samples
+from verification.c_harness import module_of
+from verification.counting import CLASSES, count_mismatches, counting_header, mismatches
+from verification.models import discrete_map, problem_of
 
 CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
     **{f"condensing {name}": (PROBLEMS[name], Options(hessian=GaussNewton())) for name in ("general", "sparse")},

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import problems
 import pytest
 
 from nmpc_codegen import OptionError, Options, Osqp, build, export, generate, open_package
 from nmpc_codegen.runtime.status import Status
+from verification import problems
 
 OPTIONS = Options(qp=Osqp())
 

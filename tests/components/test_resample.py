@@ -57,8 +57,3 @@ def test_the_worst_case_counts_the_steps_of_the_shift(sampling_time: float) -> N
     assert resampled["feedback"] == kept["feedback"]
     assert resampled["prepare"] > kept["prepare"]
     assert resampled["prepare"] > worst(shift="resample", sampling_time=sampling_time / 10)["prepare"]
-
-
-def test_a_budget_with_a_resampled_plan() -> None:
-    algorithm = RealTimeIteration(shift="resample", sampling_time=0.1, budget=10**7)
-    assert compiled(_ocp([0.1] * 5), Options(algorithm=algorithm)).sizes["MAX_OPERATIONS"] == 10**7

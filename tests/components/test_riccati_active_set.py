@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.riccati import StageProblem, StageQP, constructed, random_problem, residuals
-from qp_harness import FAST
 from riccati_harness import RiccatiQP, Shape, drawn_rows, solver_source
 
 from nmpc_codegen.components.qp import REGISTRY, RiccatiActiveSet
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.runtime.build import PROFILES
+from verification.oracles.riccati import StageProblem, StageQP, constructed, random_problem, residuals
+from verification.qp.harness import FAST
 
 SHAPES = {
     "smallest": Shape(1, 1, 1),

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.riccati import StageProblem, StageQP, equality_solution, random_problem, residuals
 from riccati_harness import RiccatiQP, Shape, drawn_rows
 
 from examples import crane
 from nmpc_codegen import Options, build
 from nmpc_codegen.components.qp import RiccatiActiveSet
 from nmpc_codegen.runtime.build import PROFILES
+from verification.oracles.riccati import StageProblem, StageQP, equality_solution, random_problem, residuals
 
 #: The last sample of a sequence comes after all for which the solver may have chosen weights.
 SETTLED = 10

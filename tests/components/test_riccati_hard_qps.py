@@ -11,12 +11,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.lib.robustness.draw import SHAPES, draw
-from benchmarks.lib.robustness.judge import LIMITS, judge
-from benchmarks.lib.robustness.stage_package import Answer, answer, options, rounded, stage_ocp
 from nmpc_codegen import Controller, Status, build
 from nmpc_codegen.lowering.tolerances import EPS, TOLERANCES, tolerance
-from tests.oracles.stage_qp import Shape
+from verification.oracles.stage_qp import Shape
+from verification.qp.draw import SHAPES, draw
+from verification.qp.judge import LIMITS, judge
+from verification.qp.stage_package import Answer, answer, options, rounded, stage_ocp
 
 #: The first two shapes; a QP has the shape of its number modulo the number of shapes.
 NUMBERS = tuple(n for n in range(60) if n % len(SHAPES) < 2)

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles.riccati import StageProblem, equality_solution, random_problem
 from riccati_harness import KERNEL, Shape, compiled, drawn_rows, memory_layout, source
+
+from verification.oracles.riccati import StageProblem, equality_solution, random_problem
 
 SHAPES = {
     "smallest": Shape(1, 1, 1),

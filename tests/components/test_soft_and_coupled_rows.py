@@ -9,7 +9,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import problems
 import pytest
 
 from nmpc_codegen import (
@@ -30,6 +29,7 @@ from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import kkt_residuals, node_data
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.status import Status
+from verification import problems
 
 
 def pendulum(name: str) -> OCP:

@@ -15,13 +15,21 @@ import pytest
 from hypothesis import example, given, note, settings
 from hypothesis import strategies as st
 
-from benchmarks.lib.peers import available, silent
-from benchmarks.lib.qp.plugins import Plugin, point_of, stage_form, violation
-from benchmarks.lib.qp.torture import certificate
 from nmpc_codegen import Options
-from tests.oracles.stage_qp import Point, Shape, condition, distance, natural_residual, objective_error, residuals
-from tests.oracles.stage_qp_random import INFEASIBLE, KINDS, SEMIDEFINITE, condensed_rows, kinds_of, random_qp
-from tests.stage_qp import StageSolver, build_all, solvers
+from verification.oracles.stage_qp import (
+    Point,
+    Shape,
+    condition,
+    distance,
+    natural_residual,
+    objective_error,
+    residuals,
+)
+from verification.oracles.stage_qp_random import INFEASIBLE, KINDS, SEMIDEFINITE, condensed_rows, kinds_of, random_qp
+from verification.peers import available, silent
+from verification.qp.certificate import certificate
+from verification.qp.plugins import Plugin, point_of, stage_form, violation
+from verification.qp.stage_solvers import StageSolver, build_all, solvers
 
 #: One of every structure, small enough for foreign solvers.
 SMALL = (

@@ -5,12 +5,12 @@ from __future__ import annotations
 import casadi as ca
 import pytest
 
-from benchmarks.lib.adjoint.counted import counted
-from benchmarks.lib.counting import CLASSES
 from nmpc_codegen import OCP, ExplicitRungeKutta, Options, derivatives
 from nmpc_codegen.derivatives.counts import Counts
 from nmpc_codegen.derivatives.model import derivative_model
-from tests.models import discrete_map, pendulum_of_everything, problem_of
+from verification.adjoint.counted import counted
+from verification.counting import CLASSES
+from verification.models import discrete_map, pendulum_of_everything, problem_of
 
 CASES = {
     "map": (discrete_map, Options()),

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib.adjoint import choice
-from benchmarks.lib.doors.snippets import ROOT, blocks
-from benchmarks.lib.house.coverage import conditions
 from nmpc_codegen import OCP, Discrete, ExplicitRungeKutta, GaussNewton, Online, Options, RealTimeIteration, derivatives
 from nmpc_codegen.derivatives.render import PARTS
 from nmpc_codegen.errors import BuildError, DerivativeError, ExportError, OptionError, ProblemError
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.runtime.build import WARNINGS
-from tests.models import discrete_map, pendulum_of_everything, problem_of
+from tests.snippets import ROOT, blocks
+from verification.adjoint import choice
+from verification.conditions import conditions
+from verification.models import discrete_map, pendulum_of_everything, problem_of
 
 
 def trivial() -> OCP:

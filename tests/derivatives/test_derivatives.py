@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.lib.adjoint.oracle import Model, complex_step, normwise
 from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, Options, derivatives
-from tests.models import discrete_map, pendulum_of_everything, problem_of
+from verification.adjoint.oracle import Model, complex_step, normwise
+from verification.models import discrete_map, pendulum_of_everything, problem_of
 
 EXACT = tuple(m for m in derivatives.GRADIENTS if m != "finite_differences")
 TOLERANCE = 1e-12

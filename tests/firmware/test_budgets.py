@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import problems
 import pytest
 
 from examples import crane
@@ -12,6 +11,7 @@ from nmpc_codegen import AugmentedLagrangian, OptionError, Options, generate
 from nmpc_codegen.firmware.budgets import Budgets, check, parsed
 from nmpc_codegen.firmware.certificate import Certificate
 from nmpc_codegen.runtime.package_description import PackageDescription
+from verification import problems
 
 
 def description() -> PackageDescription:
@@ -48,7 +48,7 @@ def test_kept_budgets() -> None:
         (Budgets(ram=15999), r"--max-ram 15999: crane takes 16,000 .*, 1 too many; try --set solve=False.*single"),
         (Budgets(flash=20000), r"--max-flash 20000: .*10,000 too many; try --level Os"),
         (Budgets(stack=1000), r"--max-stack 1000: .*1,500 bytes \(step > sin\), 500 too many; try "),
-        (Budgets(operations=1000), r"--max-operations 1000: .*try --set algorithm.budget=1000"),
+        (Budgets(operations=1000), r"--max-operations 1000: .*try a smaller --set qp.max_iterations="),
     ],
 )
 def test_exceeded_budgets(budgets: Budgets, says: str) -> None:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import problems
 import pytest
 from conftest import require_tool
 
@@ -21,6 +20,7 @@ from nmpc_codegen.firmware.targets import TARGETS
 from nmpc_codegen.firmware.toolchain import find
 from nmpc_codegen.firmware.verify import Verdict, compared, verify
 from nmpc_codegen.runtime.build import load
+from verification import problems
 
 SAMPLES = 12
 X0 = np.array([2.0, 0.0, 0.0, 0.0])

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib.house.samples import SAMPLES, Sample
-from benchmarks.lib.quality import ALLOWED
 from nmpc_codegen import generate
 from nmpc_codegen.firmware.targets import LEVELS, TARGETS, Level
+from verification.quality import ALLOWED
+from verification.samples import SAMPLES, Sample
 
 #: Samples that are compiled in every run: every QP solver and algorithm.
 FEW = ("crane", "crane scalar", "cart_pole size", "controls interior", "states augmented", "bare shooting")

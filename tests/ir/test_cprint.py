@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift
 from nmpc_codegen.ir.print_c import CStyle, Expressions, comment, print_kernel, signature
-from tests.c_harness import shared_library
+from verification.c_harness import shared_library
 
 DOUBLE, SINGLE = CStyle("real", False), CStyle("real", True)
 

@@ -10,7 +10,7 @@ import pytest
 
 from nmpc_codegen import ProblemError
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, OpCount, Port, _live, lift, opcode_name
-from tests.c_harness import Routines
+from verification.c_harness import Routines
 
 x, y = ca.SX.sym("x"), ca.SX.sym("y")
 

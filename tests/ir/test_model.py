@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from nmpc_codegen import ExactHessian, GaussNewton, IdentityHessian, Options
+from nmpc_codegen import ExactHessian, GaussNewton, Options
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.model import operations
 from nmpc_codegen.ir.stage_products import pattern
 from nmpc_codegen.lowering.linearize import Model, linearize
-from tests.models import problem_of
+from verification.models import problem_of
 
 INTERVAL = ("integrator_interval", "integrator_step")
 ROWS = ("path_rows", "terminal_rows", "coupled_rows")
@@ -34,7 +34,6 @@ ORDERS = {
         True,
         (*INTERVAL, *TERMINAL, *START, "start_hessian", "initial_hessian", *PATH, "path_exact", *ROWS),
     ),
-    "identity, integrated": (IdentityHessian(), True, (*INTERVAL, "path_hessian", *TERMINAL, *START, *PATH, *ROWS)),
     "linear rows": (
         GaussNewton(convex_rows=True),
         False,

@@ -22,7 +22,7 @@ from nmpc_codegen.ir.sweep import (
     straight,
     unroll,
 )
-from tests.c_harness import Routines
+from verification.c_harness import Routines
 
 N, M = 3, 4
 

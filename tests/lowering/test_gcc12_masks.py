@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib.house.samples import SAMPLES
-from benchmarks.lib.house.timed import TIMED, Sample
 from nmpc_codegen import generate
+from verification.samples import SAMPLES
+from verification.timed import TIMED, Sample
 
 FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-fno-trapping-math", "-march=x86-64-v3", "-ffp-contract=fast", "-w")
 #: Every family of solvers and algorithms once.

@@ -16,8 +16,8 @@ import pytest
 
 from nmpc_codegen import NoCondensing, Options, RiccatiActiveSet, generate
 from nmpc_codegen.lowering.render import GCC_12, Sources
-from tests import problems
 from tests.conftest import require_tool
+from verification import problems
 
 PROGRAM = """
 #include <stdio.h>

@@ -6,16 +6,15 @@ import re
 import subprocess
 from pathlib import Path
 
-import problems
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib import quality
 from nmpc_codegen import Options, RealTimeIteration, generate
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.cache import CACHE_VARIABLE
 from nmpc_codegen.runtime.status import Status
+from verification import problems, quality
 
 #: Cases whose C differs in structure; dense_changed differs from dense_weight only in its data.
 STRUCTURES = tuple(name for name in problems.CASES if name != "dense_changed")

@@ -12,9 +12,9 @@ from nmpc_codegen import OCP, ExplicitRungeKutta, GaussNewton, OptionError, Opti
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.lowering.linearize import linearize
-from tests.c_harness import Package, Routines, module_of
-from tests.models import GRID, LENGTH, problem_of
-from tests.oracles.runge_kutta import MODELS, POINTS, Array, complex_step, integrate
+from verification.c_harness import Package, Routines, module_of
+from verification.models import GRID, LENGTH, problem_of
+from verification.oracles.runge_kutta import MODELS, POINTS, Array, complex_step, integrate
 
 TOLERANCE = 1e-12
 

@@ -17,8 +17,8 @@ from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.runtime.package_description import PackageDescription
-from tests import problems
-from tests.c_harness import memory_layout, shared_library
+from verification import problems
+from verification.c_harness import memory_layout, shared_library
 
 CASES = ("crane", "path_rows", "parameters", "dense_weight", "discrete", "tiny", "single_nodes")
 

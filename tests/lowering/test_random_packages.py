@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib import quality
 from nmpc_codegen import OCP, RK4, ExactHessian, ExplicitRungeKutta, Options, build
+from verification import quality
 from verification.random_problems import Draw, draw
 
 LEVELS = ("-O2", "-Os", "-O3", "-O1")

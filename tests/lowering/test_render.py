@@ -16,7 +16,7 @@ from nmpc_codegen import Options, generate
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.preamble import arithmetic
 from nmpc_codegen.lowering.render import Sources, context, environment, tidy
-from tests import problems
+from verification import problems
 
 ROOT = Path(__file__).parents[2]
 CASES = ("crane", "path_rows", "parameters", "dense_weight", "tiny", "crane_looped")
@@ -36,7 +36,7 @@ def test_generated_twice_is_the_same(case: str) -> None:
 PROGRAM = """
 import sys
 sys.path[:0] = [{source!r}, {root!r}]
-from tests import problems
+from verification import problems
 from tests.lowering.test_render import digest
 from nmpc_codegen import generate
 for name in {cases!r}:

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib import quality
-from benchmarks.lib.house.samples import SAMPLES
 from nmpc_codegen import OCP, ProblemError, build, generate
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.lowering.parts import without_comments
 from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.lowering.unit.names import names_in, rename, renamed_words
 from nmpc_codegen.runtime.package_description import c_constants
+from verification import quality
+from verification.samples import SAMPLES
 
 #: A name that no text of a package contains.
 NEUTRAL = "zz"

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib import quality
 from nmpc_codegen import (
     OCP,
     RK4,
@@ -24,6 +23,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.components.integrators import ButcherTableau
 from nmpc_codegen.lowering.unit.unused import without_unused
+from verification import quality
 
 #: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.
 KNOWN = [

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 import importlib
 import inspect
 import json
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,25 +17,20 @@ from typing import Any
 import pytest
 
 import nmpc_codegen
-from benchmarks.lib import rooms, typing_figures
-from benchmarks.lib.rooms import (
-    MODULES,
-    RANK,
-    ROOT,
-    SOURCE,
-    imports,
-    modules_per_room,
-    own_imports,
-    place,
-    room,
-    upward_imports,
-)
-from nmpc_codegen.components.base import SEAMS, Component, Parts
-from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.linearize import Model
-from nmpc_codegen.options import REGISTRIES, Options
+from nmpc_codegen.components.base import SEAMS
+from nmpc_codegen.options import REGISTRIES
 
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "nmpc_codegen"
 TEMPLATES = ROOT / "templates"
+MODULES = sorted(SOURCE.rglob("*.py"))
+
+#: A room imports only the rooms before it; the modules of the package itself are checked one by one.
+ORDER = (
+    *("errors", "exclusive", "runtime", "ir", "frontend", "components", "options", "lowering", "host", "bounds"),
+    *("oracle", "economic", "compiler", "derivatives", "firmware", "cli"),
+)
+RANK = {room: rank for rank, room in enumerate(ORDER)}
 
 #: Seam -> folder, both in src and in templates.
 FOLDERS = {
@@ -93,79 +88,88 @@ PYTHON = sorted(
 COMPONENTS = [cls for registry in REGISTRIES.values() for cls in registry.values()]
 
 
-def test_every_module_is_in_a_room() -> None:
+def place(path: Path) -> str:
+    """Path of a module below nmpc_codegen without its suffix: "runtime/build"."""
+    return path.relative_to(SOURCE).with_suffix("").as_posix()
+
+
+def room(name: str) -> str:
+    """First part of a place or of a dotted name below nmpc_codegen."""
+    return re.split(r"[./]", name)[0]
+
+
+def imports(text: str) -> Iterator[str]:
+    """Dotted names of all modules that a text imports, inside functions and for type checking too."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "relative import"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names) if node.module else ()
+            yield node.module or ""
+
+
+def own_imports(path: Path) -> set[str]:
+    """Dotted names below nmpc_codegen that a source file imports."""
+    found = {
+        name.removeprefix("nmpc_codegen.")
+        for name in imports(path.read_text(encoding="utf-8"))
+        if name.startswith("nmpc_codegen.")
+    }
+    return {name for name in found if room(name) in RANK}
+
+
+def upward(here: str, names: set[str]) -> set[str]:
+    """Imported names of rooms after the room of the file; the package itself re-exports names of all rooms."""
+    return set() if here == "__init__" else {name for name in names if RANK[room(name)] > RANK[room(here)]}
+
+
+def test_every_module_is_in_a_room_and_rooms_are_small() -> None:
     assert {room(place(path)) for path in MODULES} - {"__init__"} == set(RANK)
+    counts = Counter(path.parent for path in MODULES if path.name != "__init__.py")
+    assert max(counts.values()) <= MODULES_PER_ROOM
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(SOURCE)))
-def test_imports_run_one_way(path: Path) -> None:
-    here = place(path)
-    assert not upward_imports(path), f"{here} stands before them"
-    for blind in BLIND.get(here, set()):
-        assert not {name for name in own_imports(path) if name == blind or name.startswith(f"{blind}.")}
-    if here.startswith("components/") and here.count("/") > 1:
-        others = {f"components.{folder}" for folder in FOLDERS.values()} - {".".join(here.split("/")[:2])}
-        seen = {name for name in own_imports(path) if any(name == o or name.startswith(f"{o}.") for o in others)}
-        assert not seen, "components see one another through contracts only"
+def test_imports_run_one_way() -> None:
+    """Between rooms, stages and components; runtime knows no stage of the compiler."""
+    found = []
+    for path in MODULES:
+        here, names = place(path), own_imports(path)
+        found += [f"{here} imports {name}" for name in upward(here, names)]
+        blind = BLIND.get(here, set())
+        if here.startswith("components/") and here.count("/") > 1:
+            blind = {f"components.{folder}" for folder in FOLDERS.values()} - {".".join(here.split("/")[:2])}
+        found += [f"{here} imports {n}" for n in names if any(n == b or n.startswith(f"{b}.") for b in blind)]
+    assert not found
+    assert {room(name) for path in (SOURCE / "runtime").glob("*.py") for name in own_imports(path)} <= {
+        *("runtime", "errors", "exclusive")
+    }
 
 
-def test_an_upward_import_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_upward_import_is_found() -> None:
     """Also imports inside functions and for type checking."""
-    monkeypatch.setattr(rooms, "SOURCE", tmp_path)
-    path = tmp_path / "ir" / "module.py"
-    path.parent.mkdir()
-    path.write_text("def f():\n    from nmpc_codegen.lowering.lower import lower\nimport nmpc_codegen.runtime.status\n")
-    assert upward_imports(path) == {"lowering.lower"}
+    text = "def f():\n    from nmpc_codegen.lowering.lower import lower\nimport nmpc_codegen.runtime.status\n"
+    names = {name.removeprefix("nmpc_codegen.") for name in imports(text)}
+    assert upward("ir/module", names) == {"lowering.lower", "lowering.lower.lower"}
 
 
-def test_verification_imports_neither_tests_nor_benchmarks() -> None:
-    for path in (ROOT / "verification").rglob("*.py"):
-        assert not {name for name in imports(path) if name.split(".")[0] in ("tests", "benchmarks")}, path
+def test_tests_and_benchmarks_meet_in_verification_only() -> None:
+    """verification imports neither of them, and they never import each other."""
+    seen: dict[str, set[str]] = {top: set() for top in ("tests", "benchmarks", "verification")}
+    for top, names in seen.items():
+        for path in (ROOT / top).rglob("*.py"):
+            names |= {name.split(".")[0] for name in imports(path.read_text(encoding="utf-8"))}
+    assert "benchmarks" not in seen["tests"]
+    assert "tests" not in seen["benchmarks"]
+    assert not {"tests", "benchmarks", "conftest"} & seen["verification"]
 
 
-def test_rooms_are_small() -> None:
-    assert max(modules_per_room().values()) <= MODULES_PER_ROOM
-
-
-def test_seams_and_values_are_typed() -> None:
-    """No Any, object or dict of strings in options, components, Model and CModule."""
-    assert {Options, Component, Parts, Model, CModule} <= set(typing_figures.classes())
-    assert typing_figures.untyped_options() == []
-
-
-@dataclasses.dataclass(frozen=True)
-class _Untyped:
-    field: Any
-    words: dict[str, int]
-    typed: dict[int, str]
-
-    def method(self, what: object) -> int:
-        return 0
-
-    @property
-    def member(self) -> tuple[Any, ...]:
-        return ()
-
-    def _private(self) -> Any:
-        return None
-
-
-def test_a_missing_type_is_found() -> None:
-    found = [place.split(":")[0] for place in typing_figures.untyped(_Untyped)]
-    assert found == [f"_Untyped.{name}" for name in ("field", "words", "method", "member")]
-
-
-@pytest.mark.parametrize("path", sorted((SOURCE / "runtime").glob("*.py")), ids=lambda p: p.name)
-def test_runtime_imports_no_stage_of_the_compiler(path: Path) -> None:
-    assert {room(name) for name in own_imports(path)} <= {"runtime", "errors", "exclusive"}
-
-
-@pytest.mark.parametrize("package", ONLY_IN)
-def test_foreign_packages_stay_in_their_modules(package: str) -> None:
-    users = {place(path) for path in MODULES if any(name.split(".")[0] == package for name in imports(path))}
-    assert users, f"nothing imports {package}: is the test blind?"
-    allowed = ONLY_IN[package]
-    assert not {user for user in users if not any(user == a or user.startswith(f"{a}/") for a in allowed)}
+def test_foreign_packages_stay_in_their_modules() -> None:
+    tops = {place(path): {n.split(".")[0] for n in imports(path.read_text(encoding="utf-8"))} for path in MODULES}
+    for package, allowed in ONLY_IN.items():
+        users = {user for user, names in tops.items() if package in names}
+        assert users, f"nothing imports {package}: is the test blind?"
+        assert not {user for user in users if not any(user == a or user.startswith(f"{a}/") for a in allowed)}, package
 
 
 def test_runtime_loads_neither_casadi_nor_jinja2(
@@ -245,30 +249,24 @@ def test_every_template_of_a_seam_is_used(seam: str) -> None:
 # Size and names ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", PYTHON, ids=lambda p: str(p.relative_to(ROOT)))
-def test_files_and_functions_fit(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= MAX_FILE
-    lengths = {
-        node.name: (node.end_lineno or 0) - node.lineno + 1
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.FunctionDef)
-    }
-    assert not {name: length for name, length in lengths.items() if length > MAX_FUNCTION}
+def test_files_and_functions_fit() -> None:
+    long = []
+    for path in PYTHON:
+        text = path.read_text(encoding="utf-8")
+        long += [str(path)] if len(text.splitlines()) > MAX_FILE else []
+        functions = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)]
+        long += [f"{path}: {f.name}" for f in functions if (f.end_lineno or 0) - f.lineno >= MAX_FUNCTION]
+    assert not long
 
 
-@pytest.mark.parametrize(
-    "path",
-    sorted((*TEMPLATES.rglob("*.c"), *TEMPLATES.rglob("*.c.jinja"))),
-    ids=lambda p: str(p.relative_to(TEMPLATES)),
-)
-def test_templates_and_their_functions_fit(path: Path) -> None:
-    lines = path.read_text(encoding="utf-8").splitlines()
-    assert len(lines) <= MAX_TEMPLATE
-    opening = [i for i, line in enumerate(lines) if line == "{"]
-    closing = [i for i, line in enumerate(lines) if line == "}"]
-    assert len(opening) == len(closing)
-    assert all(end - start <= MAX_C_FUNCTION for start, end in zip(opening, closing, strict=True))
+def test_templates_and_their_functions_fit() -> None:
+    long = []
+    for path in (*TEMPLATES.rglob("*.c"), *TEMPLATES.rglob("*.c.jinja")):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        long += [str(path)] if len(lines) > MAX_TEMPLATE else []
+        opening, closing = ([i for i, line in enumerate(lines) if line == brace] for brace in "{}")
+        long += [f"{path}:{a}" for a, b in zip(opening, closing, strict=True) if b - a > MAX_C_FUNCTION]
+    assert not long
 
 
 def test_no_drawers() -> None:
@@ -278,7 +276,7 @@ def test_no_drawers() -> None:
 
 def texts() -> Iterator[tuple[Path, str]]:
     """Every text of the tree but this file, which has to contain the forbidden words."""
-    folders = ("src", "templates", "tests", "examples", "benchmarks", "docs", ".ci")
+    folders = ("src", "templates", "verification", "tests", "examples", "benchmarks", "docs", ".ci")
     files = [path for path in ROOT.iterdir() if path.is_file()]
     files += [path for folder in folders for path in (ROOT / folder).rglob("*") if path.is_file()]
     for path in files:

@@ -12,11 +12,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from benchmarks.lib.doors.snippets import ROOT, blocks, changed, copy_tree, documents, install_command, run
 from examples.crane import build_ocp
 from nmpc_codegen import OCP, GaussNewton, OptionError, Options, build, generate
 from nmpc_codegen.cli import main
 from nmpc_codegen.runtime.build import WARNINGS
+from tests.snippets import ROOT, blocks, changed, copy_tree, documents, install_command, run
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 

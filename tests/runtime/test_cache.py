@@ -1,4 +1,4 @@
-"""cache.py: damage, other users, killed and simultaneous builds. The faults are those of the benchmark."""
+"""cache.py: damage, other users, killed and simultaneous builds."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.lib.doors import cache_faults
 from nmpc_codegen import open_package
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime import cache
+from nmpc_codegen.runtime.folder import write
+from tests.runtime import cache_faults
+from verification.problems import toy_sources
 
 pytestmark = pytest.mark.usefixtures("compiler")
-
-TOY = Path(__file__).parents[1] / "data" / "toy"
 
 
 @pytest.mark.parametrize("case", sorted(set(cache_faults.FAULTS) - {"8 processes at once"}))
@@ -77,8 +77,7 @@ def test_a_link_is_no_entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     ids=["not UTF-8", "100 MB"],
 )
 def test_a_file_that_cannot_be_read(tmp_path: Path, content: bytes, message: str) -> None:
-    for path in TOY.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
+    write(tmp_path, toy_sources())
     (tmp_path / "toy.json").write_bytes(content)
     with pytest.raises(BuildError, match=rf"toy\.json .*{message}"):
         open_package(tmp_path)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-import problems
 import pytest
 
 from nmpc_codegen import OCP, GaussNewton, Options, build
 from nmpc_codegen.runtime.controller import Status
+from verification import problems
 
 
 def test_nothing_to_say() -> None:

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.lib.house import samples
 from examples import crane, cstr
 from nmpc_codegen import (
     OCP,
@@ -35,6 +34,7 @@ from nmpc_codegen.components.integrators.directional import Directional
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.sweep import unroll
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, interval_map, node_data
+from verification import samples
 
 TWO_STEPS = ExplicitRungeKutta(RK4, steps=2)
 METHODS = ("gauss_newton", "quasi_newton")

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.lib.house import samples
 from examples import bioreactor, crane, cstr, quadrotor
 from nmpc_codegen import (
     OCP,
@@ -34,6 +33,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
+from verification import samples
 
 THREE_STEPS = ExplicitRungeKutta(RK4, steps=3)
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import problems
 import pytest
 
 from nmpc_codegen import OCP, DenseActiveSet, GaussNewton, Options, RealTimeIteration, build
@@ -17,6 +16,7 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.status import Status
+from verification import problems
 
 FAR = np.array([2.0, 0.0, 0.0, 0.0])  # feasible, six controls at bounds
 INFEASIBLE = np.array([1.0, 0.0, 0.5, 0.0])

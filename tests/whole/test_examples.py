@@ -16,7 +16,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-import problems
 import pytest
 from conftest import require_tool
 
@@ -37,6 +36,7 @@ from nmpc_codegen import OCP, Options, Status, build, cli, export, open_package
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map
+from verification import problems
 
 matplotlib.use("Agg")
 

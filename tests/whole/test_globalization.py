@@ -8,9 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.lib.convergence.problems import problems
-from benchmarks.lib.convergence.starts import ROUTES
-from benchmarks.lib.convergence.units import Units, in_units
 from examples import crane
 from nmpc_codegen import (
     OCP,
@@ -28,7 +25,10 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, kkt_residuals, node_data
 from nmpc_codegen.runtime.controller import Controller
-from tests import problems as cases
+from verification import problems as cases
+from verification.convergence.problems import problems
+from verification.convergence.starts import ROUTES
+from verification.convergence.units import Units, in_units
 
 KNOWN = {p.name: p for p in problems()}
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib.counting import count_mismatches
 from examples import cart_pole, chain, crane, quadrotor
 from nmpc_codegen import (
     OCP,
@@ -30,6 +29,7 @@ from nmpc_codegen import (
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.package_description import PackageDescription
+from verification.counting import count_mismatches
 
 DENSE = Options(qp=DenseActiveSet(), condensing=FullCondensing())
 CASES: dict[str, tuple[Callable[[], OCP], Options]] = {

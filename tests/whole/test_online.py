@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib.quality import warnings_of
 from nmpc_codegen import (
     OCP,
     ControllerError,
@@ -34,6 +33,7 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, ReferenceSolution, node_data
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.status import Status
+from verification.quality import warnings_of
 
 LAYOUTS = ("fixed", "shared", "node")
 KINDS = ("reference", "weight", "bounds", "parameter")

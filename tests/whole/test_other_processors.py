@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib.house.samples import SAMPLES
-from benchmarks.lib.house.timed import TIMED
 from nmpc_codegen.compiler import compiled
 from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.runtime.build import PROCESSOR_VARIABLE, WARNINGS, host
+from verification.samples import SAMPLES
+from verification.timed import TIMED
 
 KNOWN = {sample.name: sample for sample in (*TIMED, *SAMPLES)}
 #: Dense and stage solvers, exact Hessians, single precision, loops.

@@ -17,8 +17,15 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from benchmarks.lib import quality
-from benchmarks.lib.speed.functions import (
+from examples import crane, cstr, quadrotor
+from nmpc_codegen import OCP, Controller, OptionError, Options, Osqp, ProblemWarning, build, derivatives, generate
+from nmpc_codegen.cli.command import main
+from nmpc_codegen.lowering.generated import own_names
+from nmpc_codegen.lowering.parts import needed
+from nmpc_codegen.runtime.build import PROFILES
+from nmpc_codegen.runtime.package_description import Precision
+from verification import quality
+from verification.own_functions import (
     EXACT_OF_TWO,
     LIMIT,
     SCALAR_ONLY,
@@ -31,13 +38,6 @@ from benchmarks.lib.speed.functions import (
     special,
     ulps,
 )
-from examples import crane, cstr, quadrotor
-from nmpc_codegen import OCP, Controller, OptionError, Options, Osqp, ProblemWarning, build, derivatives, generate
-from nmpc_codegen.cli.command import main
-from nmpc_codegen.lowering.generated import own_names
-from nmpc_codegen.lowering.parts import needed
-from nmpc_codegen.runtime.build import PROFILES
-from nmpc_codegen.runtime.package_description import Precision
 
 EXAMPLES: dict[str, ModuleType] = {"crane": crane, "cstr": cstr, "quadrotor": quadrotor}
 TYPES = {False: np.float32, True: np.float64}

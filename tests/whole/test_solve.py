@@ -6,9 +6,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import problems
 import pytest
-from problems import CASES
 
 from nmpc_codegen import OCP, ExactHessian, GaussNewton, Options, RealTimeIteration, build, simulate
 from nmpc_codegen.frontend.classify import classify
@@ -17,6 +15,8 @@ from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.solving import Solution
 from nmpc_codegen.runtime.status import Status
+from verification import problems
+from verification.problems import CASES
 
 #: Terminal equalities, dense weights and general rows, optimised.
 FAST = ("crane", "dense_weight", "path_rows")

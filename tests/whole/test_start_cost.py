@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from benchmarks.lib.house.samples import arrival, arrival_on_path
 from nmpc_codegen import (
     OCP,
     Controller,
@@ -29,6 +28,7 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import ReferenceSolution, node_data, solve_reference
 from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
 from nmpc_codegen.runtime.solving import Solution
+from verification.samples import arrival, arrival_on_path
 
 ROUTES = {
     "dense": Options(condensing=FullCondensing(), qp=DenseActiveSet()),

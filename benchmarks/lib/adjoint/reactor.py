@@ -8,9 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from benchmarks.lib.adjoint import drawing, problems
+from benchmarks.lib.adjoint import drawing
 from benchmarks.lib.report import Report
 from nmpc_codegen import derivatives
+from verification.adjoint import problems
 
 STATES = ("cA [mol/m$^3$]", "cB [mol/m$^3$]", "T [degC]", "Tc [degC]")
 CONTROLS = ("u$_1$ [1/h]", "u$_2$ [MJ/h]")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from benchmarks.lib.augmented.loop import AUGMENTED
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness.work import Loop, closed_loops
 from benchmarks.lib.robustness.worst import worst_case
 from nmpc_codegen import AugmentedLagrangian, Options
+from verification.robustness.work import Loop, closed_loops
 
 
 def loops() -> list[Loop]:

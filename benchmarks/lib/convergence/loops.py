@@ -11,10 +11,10 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from benchmarks.lib.convergence.problems import swing_up
-from benchmarks.lib.convergence.starts import is_explained
 from benchmarks.lib.report import Report
 from nmpc_codegen import OCP, build, simulate
+from verification.convergence.problems import swing_up
+from verification.convergence.starts import is_explained
 
 SAMPLES = 200
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.lib.convergence.problems import problems
 from benchmarks.lib.report import Report
 from examples import bioreactor
 from nmpc_codegen import ExplicitRungeKutta, Options, build
 from nmpc_codegen.frontend.classify import classify
+from verification.convergence.problems import problems
 
 LIMIT = 20
 

@@ -13,11 +13,11 @@ from functools import cache
 import numpy as np
 
 from benchmarks.lib.economic import schemes
-from benchmarks.lib.economic.evaporation import N, shooting, tuning
 from benchmarks.lib.economic.schemes import CONVERGED, EXACT, IDENTITY, LETEMPC, TRACK, TUNED, Loop, Scheme
-from benchmarks.lib.economic.sqp import Array, Plan, quadratic_program, steady_plan, stepped
 from benchmarks.lib.report import Report
 from nmpc_codegen.economic import kkt_step
+from verification.economic.evaporation import N, shooting, tuning
+from verification.economic.sqp import Array, Plan, quadratic_program, steady_plan, stepped
 
 SAMPLES, SHORT = 400, 30
 DISTURBANCES = (1.0, 2.0, 4.0, 7.0, 10.0)  # kPa

@@ -1,4 +1,4 @@
-"""Figures 1 to 4 of [Z20] with their data: <folder>/figure1.png, figure1.csv and so on."""
+"""Figures 1, 3 and 4 of [Z20] with their data: <folder>/figure1.png, figure1.csv and so on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.lib.economic import artificial, evaporation, figure3, figure4
+from benchmarks.lib.economic import figure3, figure4
+from verification.economic import evaporation
 
 LOSS_COLOURS = {
     "exact": "#1f5fa8",
@@ -28,10 +29,8 @@ def draw(folder: str | Path) -> list[Path]:
     where = Path(folder)
     where.mkdir(parents=True, exist_ok=True)
     residuals = {name: run[2] for name, run in evaporation.figure1().items()}
-    errors = {"original": artificial.run(False).errors[:-1], "rotated": artificial.run(True).errors[:-1]}
     return [
         *_curves(where / "figure1", residuals, "residual of the optimality conditions"),
-        *_curves(where / "figure2", errors, "distance from the solution"),
         *_losses(where / "figure3", {"": _figure3()}, "initial distance of P2 from the steady state [kPa]"),
         *_losses(where / "figure4", _figure4(), "side step [m]"),
     ]

@@ -16,13 +16,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.lib.built import build_all
 from examples import driving, evaporation
 from nmpc_codegen import (
     OCP,
     Controller,
+    EconomicGaussNewton,
     GaussNewton,
-    IdentityHessian,
     Options,
     RealTimeIteration,
     Status,
@@ -30,6 +29,7 @@ from nmpc_codegen import (
 from nmpc_codegen.economic import Tuning, letempc_cost, letempc_terminal_cost, lqr_terminal_cost, tracking_cost
 from nmpc_codegen.economic.stage import SteadyStage, steady_stage
 from nmpc_codegen.frontend.classify import classify
+from verification.built import build_all
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ class Subject:
         hessian: Any = {
             "exact": None,
             "tuned": self.tuning.hessian(),
-            "identity": IdentityHessian(),
+            "identity": EconomicGaussNewton(np.eye(self.tuning.M.shape[0]), np.eye(self.tuning.M_f.shape[0])),
             "least squares": GaussNewton(),
         }[scheme.hessian]
         found: Options = replace(self.example.options(hessian), algorithm=RealTimeIteration(shift="repeat"))

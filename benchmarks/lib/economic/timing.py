@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.lib.closed_loop import Scenario, Timing, closed_loop
 from benchmarks.lib.report import Report
 from examples import driving, evaporation
 from nmpc_codegen import OCP, Options, generate
 from nmpc_codegen.economic import Tuning
+from verification.closed_loop import Scenario, Timing, closed_loop
 
 RUNS, STEPS = 9, 400
 

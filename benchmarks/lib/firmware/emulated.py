@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.lib.counting import count_mismatches
 from benchmarks.lib.firmware.loops import SAMPLES, loops, package, recorded, with_precision
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness.work import Loop, count, record
 from nmpc_codegen.firmware.certificate import Certificate, certify
 from nmpc_codegen.firmware.targets import TARGETS
 from nmpc_codegen.firmware.verify import Verdict, verify
 from nmpc_codegen.options import Precision
 from nmpc_codegen.runtime.package_description import PackageDescription
+from verification.counting import count_mismatches
+from verification.robustness.work import Loop, count, record
 
 BOARDS: tuple[tuple[str, Precision], ...] = (("cortex-m4f", "single"), ("cortex-m7", "double"))
 

@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 
-from benchmarks.lib.closed_loop import Scenario, disturbed
-from benchmarks.lib.robustness.work import Loop, closed_loops
 from nmpc_codegen import Controller, ExplicitRungeKutta, Options, RiccatiActiveSet, build, generate
 from nmpc_codegen.firmware.recording import Array, Disturbed, Event, Recording, record
 from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.options import Precision
+from verification.closed_loop import Scenario, disturbed
+from verification.robustness.work import Loop, closed_loops
 
 #: Loops that run on the boards; the others only have their single precision judged.
 ON_BOARDS = ("crane", "cstr", "bioreactor", "quadrotor", "cart_pole", "chain3")

@@ -7,10 +7,10 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.lib.firmware.loops import loops, package, small
-from benchmarks.lib.quality import ALLOWED
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness.work import Loop
 from nmpc_codegen.firmware.targets import ARITHMETIC, LEVELS, SECTIONS, Level
+from verification.quality import ALLOWED
+from verification.robustness.work import Loop
 
 PREFIX = "riscv64-unknown-elf-"
 #: A core with a floating-point unit for single precision, and picolibc.

@@ -9,7 +9,6 @@ import numpy as np
 
 from benchmarks.lib.firmware.loops import SAMPLES, disturbances, events
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness.work import Loop, closed_loops
 from examples import driving, evaporation
 from nmpc_codegen import OCP, Controller, ExplicitRungeKutta, Options, Status, build
 from nmpc_codegen.economic import steady_state
@@ -17,6 +16,7 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.options import PRECISIONS, Precision
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map, node_cost, node_data, scaled_weight
+from verification.robustness.work import Loop, closed_loops
 
 GAP = 1e-3
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from benchmarks.lib.firmware.loops import loops, package, small, smallest, with_precision
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness.work import Loop
 from nmpc_codegen import Options
 from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, certify
 from nmpc_codegen.firmware.targets import LEVELS, TARGETS
+from verification.robustness.work import Loop
 
 #: Loop -> limits on bytes of flash memory and of the solver struct.
 LIMITS = {"crane": (20_000, 6_500), "quadrotor": (44_000, 60_000)}

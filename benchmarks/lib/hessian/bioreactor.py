@@ -14,7 +14,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.lib.closed_loop import Scenario, closed_loop, compile_driver, pinned_core
 from benchmarks.lib.report import Report
 from examples import bioreactor as example
 from nmpc_codegen import (
@@ -34,6 +33,8 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, ReferenceSolution
 from nmpc_codegen.oracle.trajectory import CLASSICAL, node_data
 from nmpc_codegen.runtime.build import PROFILES
+from verification.closed_loop import closed_loop, compile_driver, pinned_core
+from verification.scenarios import BIOREACTOR_LOOP
 
 RK4 = replace(CLASSICAL, steps=example.STEPS)
 EXPECTED = {"a": 3.074, "b": 3.054852}  # g/(L h)
@@ -51,8 +52,6 @@ PEERS: dict[str, tuple[float | None, ...]] = {
     "acados, usual setting": (None, 74, 14, None, None, 102),
     "acados, best found": (None, 33, 14, None, None, 59.7),
 }
-
-TIMING = Scenario(example.START, example.SAMPLING, 50, restart=1e-2)
 
 
 def condensed(hessian: ExactHessian, shift: str | None = "repeat", unroll: str = "auto") -> Options:
@@ -177,7 +176,7 @@ def times(report: Report, runs: int = 15, steps: int = 1000) -> None:
     for setting in settings():
         ocp = example.build_ocp(setting.reading, periodic=False)
         count = (runs, steps) if setting.limited else (5, steps // 2)
-        t = closed_loop(generate(ocp, setting.options), "bioreactor", TIMING, runs=count[0], steps=count[1])
+        t = closed_loop(generate(ocp, setting.options), "bioreactor", BIOREACTOR_LOOP, runs=count[0], steps=count[1])
         other = "" if setting.limited else "_other"
         key, n = f"bioreactor{other}", t.samples
         report.add(f"{key}_total_us", t.total, "us", case=setting.case, limit=25 if setting.limited else None, n=n)
@@ -196,7 +195,14 @@ def phases(options: Options, reading: str = "a", runs: int = 9, steps: int = 500
         at_stages = "\nstatic void hessian(solver_t" in sources["bioreactor.c"]
         flags = (*PROFILES["fast"].flags, f"-DAT_STAGES={int(at_stages)}")
         program = compile_driver(sources, "bioreactor", Path(folder), flags, Path(__file__).with_name("phases.c"))
-        numbers = [runs, steps, TIMING.dt, TIMING.period, TIMING.restart, *map(float, TIMING.x0)]
+        numbers = [
+            runs,
+            steps,
+            BIOREACTOR_LOOP.dt,
+            BIOREACTOR_LOOP.period,
+            BIOREACTOR_LOOP.restart,
+            *map(float, BIOREACTOR_LOOP.x0),
+        ]
         core = pinned_core()
         text = subprocess.run(
             [str(program), *map(str, numbers)],

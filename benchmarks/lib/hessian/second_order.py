@@ -1,8 +1,8 @@
-"""Second-order sensitivities: errors against two oracles; operations, memory, time of both schemes; [Q14] Table I."""
+"""Second-order sensitivities: operations, memory, time of both schemes; [Q14] Table I."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,17 +17,11 @@ from benchmarks.lib.kernels import code_bytes, times
 from benchmarks.lib.report import Report
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import OCP, RK4, ExplicitRungeKutta
-from nmpc_codegen.components.integrators import TABLEAUS, Discrete
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel, lift
 from nmpc_codegen.ir.sweep import Call, For, LoopedRoutine, Node, Routine, Slice, unroll
 from nmpc_codegen.ir.tuning import PANEL
-from nmpc_codegen.oracle.trajectory import Tableau, interval_map
-from tests.c_harness import Routines
-from tests.models import discrete_map, problem_of
-from tests.oracles.jets import Jet, interval, run
-from tests.oracles.runge_kutta import SCHEMES
 
 SWEEPS = {"tsp": "symmetric", "foa": "forward_over_adjoint"}
 
@@ -82,112 +76,6 @@ def points(problem: Problem, n: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 # Errors --------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ErrorCase:
-    """One interval map: its problem, tableau and steps ("", 0: discrete map), and its code style."""
-
-    name: str
-    problem: Problem
-    tableau: str = ""
-    steps: int = 0
-    unroll: tuple[str, ...] = ("map",)
-    dt: float | None = None
-
-    @property
-    def components(self) -> dict[str, Any]:
-        if not self.tableau:
-            return {"map": Discrete()}
-        return {n: ExplicitRungeKutta(TABLEAUS[self.tableau], self.steps, n) for n in self.unroll}  # type: ignore[arg-type]
-
-
-def error_cases() -> Iterator[ErrorCase]:
-    """All examples, tableaus, several numbers of steps, parameters, intervals of different lengths, discrete maps."""
-    for name, model in MODELS.items():
-        problem = classify(model.make())
-        chains = name.startswith("chain")  # one of their steps as a single leaf takes the compiler too long
-        for tableau in TABLEAUS:
-            full = ("all", "step", "none") if tableau == "RK4" else ("all", "none")
-            unroll = ("none",) if chains else full
-            for steps in sorted({1, 2, 3, model.steps}) if name in ("crane", "bioreactor") else (model.steps,):
-                yield ErrorCase(f"{name}, {tableau}, {steps} steps", problem, tableau, steps, unroll)
-    for name in ("reactor", "tanks"):
-        problem = classify(problem_of(name, uniform=False))
-        for tableau in TABLEAUS:
-            for dt in problem.dt[:2]:
-                yield ErrorCase(f"{name}, {tableau}, parameters, dt = {dt}", problem, tableau, 2, ("all", "none"), dt)
-    yield ErrorCase("map with a parameter", classify(discrete_map()))
-    yield ErrorCase("map, economic", classify(economic_map()))
-
-
-def economic_map() -> OCP:
-    """x+ = (0.9 x_0 + 0.1 x_1 u, x_1 - 0.2 sin(x_0) u): a map with a mixed derivative in state and control."""
-    ocp = OCP("economic_map", N=3)
-    x, u = ocp.state("x", size=2), ocp.control("u")
-    ocp.dynamics(ca.vertcat(0.9 * x[0] + 0.1 * x[1] * u, x[1] - 0.2 * ca.sin(x[0]) * u), discrete=True)
-    ocp.stage_cost(x[0] * u)
-    return ocp
-
-
-def errors(report: Report) -> None:
-    """Largest normwise error of S, g and Q per case, against CasADi and against Taylor arithmetic."""
-    for case in error_cases():
-        data = points(case.problem, 3)
-        if case.dt is not None:
-            data["dt"][:] = case.dt
-        routines = {f"{s}_{n}": curved(case.problem, c, s) for s in SWEEPS for n, c in case.components.items()}
-        call = Routines(routines)
-        worst = dict.fromkeys(SWEEPS, 0.0)
-        for k in range(3):
-            arguments = [data[name][k] for name in ("x", "u", "p", "dt", "lam")]
-            for oracle in (_by_casadi, _by_jets):
-                exact = oracle(case.problem, case.tableau, case.steps, *arguments)
-                for key in routines:
-                    _, S, g, Q = call(key, *arguments)
-                    found = float(np.max(list(map(normwise, (S, g, np.tril(Q)), exact))))
-                    worst[key[:3]] = max(worst[key[:3]], found) if np.isfinite(found) else np.inf
-        for scheme, error in worst.items():
-            n = 2 * 3 * len(case.components)
-            report.add(f"{scheme}_error", error, case=case.name, limit=1e-12, n=n, profile="test")
-
-
-def normwise(value: np.ndarray, exact: np.ndarray) -> float:
-    """|value - exact| / |exact|; |value| if exact is zero."""
-    return float(np.linalg.norm(value - exact) / (np.linalg.norm(exact) or 1.0))
-
-
-def _by_casadi(
-    problem: Problem, tableau: str, steps: int, x: Any, u: Any, p: Any, dt: Any, lam: Any
-) -> tuple[Any, ...]:
-    X, U = ca.SX.sym("x", problem.nx), ca.SX.sym("u", problem.nu)
-    scheme = Tableau(*(np.array(v, dtype=float) for v in SCHEMES[tableau]), steps) if tableau else Tableau((), ())
-    end, q = interval_map(problem, scheme)(X, U, p, float(dt[0]))
-    z = ca.vertcat(X, U)
-    values = [ca.jacobian(end, z), ca.gradient(q, z), ca.tril(ca.hessian(ca.dot(lam, end) + q, z)[0])]
-    found = ca.Function("exact", [X, U], values)(x, u)
-    return np.array(found[0]), np.array(found[1]).ravel(), np.array(found[2])
-
-
-def _by_jets(problem: Problem, tableau: str, steps: int, x: Any, u: Any, p: Any, dt: Any, lam: Any) -> tuple[Any, ...]:
-    stage = problem.path
-    rate = None
-    if stage.cost_rate is not None:
-        rate = ca.Function("rate", [stage.x, stage.u, stage.p], [stage.cost_rate])
-    if problem.discrete:
-        size = len(x) + len(u)
-        end, q = run(problem.dynamics, _jets(x, u, p), size), Jet(0.0, np.zeros(size), np.zeros((size, size)))
-    else:
-        end, q = interval(problem.dynamics, rate, SCHEMES[tableau], steps, float(dt[0]), x, u, p)
-    S = np.array([jet.g for jet in end])
-    return S, q.g, np.tril(sum((weight * jet.H for weight, jet in zip(lam, end, strict=True)), q.H))
-
-
-def _jets(x: Any, u: Any, p: Any) -> tuple[list[Any], ...]:
-    size = len(x) + len(u)
-    unit, flat = np.eye(size), np.zeros((size, size))
-    z = [Jet(float(v), unit[i], flat) for i, v in enumerate((*x, *u))]
-    return z[: len(x)], z[len(x) :], [Jet(float(v), np.zeros(size), flat) for v in p]
 
 
 # The promise ---------------------------------------------------------------------------------------------------------

@@ -17,10 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.lib.closed_loop import Scenario
-from benchmarks.lib.qp.plugins import Formulation, Plugin, condensed_form, point_of, stage_form, without_start
 from benchmarks.lib.qp.recorded import read_qp
-from benchmarks.lib.scenarios import EXAMPLES, Example
 from nmpc_codegen import OCP, Options, build
 from nmpc_codegen.components.condensing import NoCondensing
 from nmpc_codegen.components.qp import RiccatiActiveSet
@@ -30,9 +27,12 @@ from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.runtime.build import PROFILES, find_compiler
 from nmpc_codegen.runtime.status import Status
-from tests.c_harness import memory_layout
-from tests.oracles.stage_qp import Array, Point, StageQP, distance, residuals
-from tests.stage_qp import write_qp
+from verification.c_harness import memory_layout
+from verification.closed_loop import Scenario
+from verification.oracles.stage_qp import Array, Point, StageQP, distance, residuals
+from verification.qp.plugins import Formulation, Plugin, condensed_form, point_of, stage_form, without_start
+from verification.qp.stage_solvers import write_qp
+from verification.scenarios import EXAMPLES, Example
 
 DRIVER = Path(__file__).with_name("qp_times.c")
 BY_NAME = {example.name: example for example in EXAMPLES}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.frontend.problem import Problem
-from tests.oracles.stage_qp import Array, Rows, Shape, StageQP
+from verification.oracles.stage_qp import Array, Rows, Shape, StageQP
 
 
 def rows_of_problem(problem: Problem) -> Rows:

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.optimize import linprog
 
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness.draw import draw
-from benchmarks.lib.robustness.stage_package import SOLVERS, answer, options, rounded, stage_ocp
 from nmpc_codegen import Controller, RealTimeIteration, Status, build
-from tests.oracles.stage_qp import Array, Point, Shape, StageQP, row_values
+from verification.oracles.stage_qp import Array, Point, Shape, StageQP, row_values
+from verification.qp.draw import draw
+from verification.qp.stage_package import SOLVERS, answer, options, rounded, stage_ocp
 
 QPS = 1500  # per solver
 WEIGHT = 1e6

@@ -8,9 +8,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.lib.closed_loop import compile_driver
-from benchmarks.lib.house.ratios import in_turn
 from benchmarks.lib.report import Report
+from benchmarks.lib.speed.in_turn import in_turn
 from benchmarks.lib.speed.loops import LOOPS, Loop, units
 from nmpc_codegen import (
     DenseActiveSet,
@@ -23,6 +22,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.compiler import compiled
 from nmpc_codegen.components.base import Condensing, QpSolver
+from verification.closed_loop import compile_driver
 
 LIMIT = 1.15
 ROUTES: dict[str, tuple[Condensing, QpSolver]] = {

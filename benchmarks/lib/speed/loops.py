@@ -8,12 +8,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks.lib import scenarios
-from benchmarks.lib.closed_loop import Scenario, Timing, compile_driver, run_driver
-from benchmarks.lib.hessian import bioreactor as bioreactor_loops
-from benchmarks.lib.house.ratios import in_turn
-from benchmarks.lib.house.timed import TIMED
 from benchmarks.lib.report import Report
+from benchmarks.lib.speed.in_turn import in_turn
 from benchmarks.lib.speed.reference import REFERENCE, reference_kernel_us
 from examples import chain
 from nmpc_codegen import OCP, Options, RealTimeIteration
@@ -21,6 +17,9 @@ from nmpc_codegen.compiler import compiled
 from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.runtime.build import PROFILES, host
+from verification import scenarios
+from verification.closed_loop import Scenario, Timing, compile_driver, run_driver
+from verification.timed import TIMED
 
 RUNS = 15
 
@@ -46,7 +45,7 @@ def _loops() -> tuple[Loop, ...]:
 
     def known(name: str, total: float, feedback: float, worst: float | None = None) -> Loop:
         sample = timed[name]
-        own = {"crane": scenarios.CRANE_LOOP, "bioreactor": bioreactor_loops.TIMING}
+        own = {"crane": scenarios.CRANE_LOOP, "bioreactor": scenarios.BIOREACTOR_LOOP}
         scenario = own[name] if name in own else examples[name].scenario()
         steps = 400 if name.startswith("chain") else 1000
         return Loop(name, sample.make, sample.options, scenario, total, feedback, steps, worst)

@@ -10,11 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.lib.closed_loop import compile_driver
-from benchmarks.lib.house.ratios import in_turn, scenario_of
-from benchmarks.lib.house.timed import TIMED
 from benchmarks.lib.report import Report
-from benchmarks.lib.speed.functions import (
+from benchmarks.lib.speed.in_turn import in_turn
+from examples import crane, cstr, quadrotor
+from nmpc_codegen import Options, generate
+from nmpc_codegen.firmware.delivery import recorded
+from nmpc_codegen.firmware.targets import TARGETS
+from nmpc_codegen.firmware.toolchain import EMULATOR, PREFIX
+from nmpc_codegen.firmware.verify import verify
+from nmpc_codegen.runtime.build import PROFILES, host
+from nmpc_codegen.runtime.package_description import Precision
+from verification.closed_loop import compile_driver
+from verification.own_functions import (
     EXACT_OF_TWO,
     LIMIT,
     SAMPLES,
@@ -27,14 +34,8 @@ from benchmarks.lib.speed.functions import (
     pairs,
     ulps,
 )
-from examples import crane, cstr, quadrotor
-from nmpc_codegen import Options, generate
-from nmpc_codegen.firmware.delivery import recorded
-from nmpc_codegen.firmware.targets import TARGETS
-from nmpc_codegen.firmware.toolchain import EMULATOR, PREFIX
-from nmpc_codegen.firmware.verify import verify
-from nmpc_codegen.runtime.build import PROFILES, host
-from nmpc_codegen.runtime.package_description import Precision
+from verification.scenarios import of_sample
+from verification.timed import TIMED
 
 BOARDS: tuple[tuple[str, Precision], ...] = (("cortex-m4f", "single"), ("cortex-m7", "double"))
 LOOPS = {"crane": crane, "cstr": cstr, "quadrotor": quadrotor}
@@ -92,6 +93,6 @@ def times(report: Report, runs: int, steps: int) -> None:
             folders = [Path(stack.enter_context(tempfile.TemporaryDirectory())) for _ in range(2)]
             pair = [generate(sample.make(), replace(options, math=math)) for math in ("libm", "own")]
             programs = [compile_driver(files, prefix, folder) for files, folder in zip(pair, folders, strict=True)]
-            found = in_turn(programs, scenario_of(sample), runs, steps)
+            found = in_turn(programs, of_sample(sample), runs, steps)
         libm, own = (min(t.total for t in timings) for timings in found)
         report.add("own_math_ratio", own / libm, "to libm", case=prefix, limit=RATIO_LIMIT, n=runs * steps)

@@ -7,11 +7,11 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from benchmarks.lib.closed_loop import compile_driver, pinned_core
 from benchmarks.lib.report import Report
 from benchmarks.lib.speed.loops import LOOPS, Loop, units
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.runtime.build import PROFILES, find_compiler, host
+from verification.closed_loop import compile_driver, pinned_core
 
 HERE = Path(__file__).parent
 #: Example -> least fraction.

@@ -7,7 +7,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from benchmarks.lib.closed_loop import pinned_core
+from verification.closed_loop import pinned_core
 
 SOURCE = Path(__file__).with_name("reference.c")
 

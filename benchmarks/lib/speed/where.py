@@ -16,9 +16,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.lib.closed_loop import Scenario, compile_driver, run_driver
 from benchmarks.lib.speed.loops import LOOPS, Loop, units
 from nmpc_codegen.runtime.build import PROFILES
+from verification.closed_loop import Scenario, compile_driver, run_driver
 
 NAMES = tuple(loop.name for loop in LOOPS)
 RUNS = 40

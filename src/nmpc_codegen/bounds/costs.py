@@ -74,14 +74,6 @@ class Expected(Cost):
 
 
 @dataclass(frozen=True, eq=False)
-class Charge(Cost):
-    """The rest of a block, which charges for itself."""
-
-    price: str
-    rest: Operations
-
-
-@dataclass(frozen=True, eq=False)
 class Stated:
     """Most passes of a loop as its first line states them: in one run, or in one run of ``function``."""
 
@@ -92,7 +84,7 @@ class Stated:
 
 @dataclass(frozen=True, eq=False)
 class Loop(Cost):
-    """A loop over the values of ``slot``, or one whose passes are stated or charge for themselves (``charges``).
+    """A loop over the values of ``slot``, or one whose passes are stated.
 
     ``function``: where it stands; ``test``: operations before every pass and once more; ``body``: those of a pass.
     """
@@ -103,7 +95,6 @@ class Loop(Cost):
     test: Operations
     body: Operations
     stated: Stated | None
-    charges: bool
 
 
 def total(parts: Iterable[Operations]) -> Operations:

@@ -1,19 +1,15 @@
-"""Worst case of a sample: CModule -> CModule with bounds on its operations in the report, and the budget checked.
-
-With a budget B, a sample computes what charges for itself only as long as ALLOWANCE = B - (bound on all other
-operations of prepare and feedback) lasts, so that it never takes more than B operations.
-"""
+"""Worst case of a sample: CModule -> CModule with bounds on its operations in the report."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from dataclasses import replace
 
 from nmpc_codegen.bounds.c_source import Type, constants, functions, macros, struct_members, tables
 from nmpc_codegen.bounds.names import Unit
 from nmpc_codegen.bounds.worst_case import UnboundedError, WorstCase
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.ir.cmodule import CModule, Macro
+from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.choose import CLOSE, Choice
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.lower import lower
@@ -21,7 +17,7 @@ from nmpc_codegen.lowering.preamble import all_definitions
 from nmpc_codegen.lowering.render import unit_text
 
 #: Results of the last analyses: an export and a build of one problem, or another printed style, ask the same.
-_KNOWN: dict[Hashable, tuple[dict[str, int], dict[str, int]]] = {}
+_KNOWN: dict[Hashable, dict[str, int]] = {}
 MOST_KNOWN = 100
 
 #: The operations do not depend on the name of the package.
@@ -72,44 +68,20 @@ def _because(module: CModule, reason: str) -> CModule:
 
 
 def bounded(module: CModule) -> CModule:
-    """The module with the worst case of its phases in the report; with a budget, also the costs that are charged.
-
-    Raises:
-        OptionError: the budget is less than what every sample may need, or its QP solver has no budget.
-    """
+    """The module with the worst case of its phases in the report, if it is known."""
     if not {entry.name for entry in module.entry_points}.issuperset(PHASES):
         return module
-    budget = module.sizes.get("MAX_OPERATIONS")
-    if budget is not None and not module.iteration:
-        raise OptionError(
-            f"RealTimeIteration(budget={budget}) (--set algorithm.budget={budget}) clashes with a QP solver whose "
-            f"operations are not counted: {', '.join(module.folders)}; choose another one, or no budget"
-        )
     try:
-        worst, charges = _bounds(module)
-    except UnboundedError as error:
-        if budget is not None:
-            raise OptionError(
-                f"RealTimeIteration(budget={budget}) (--set algorithm.budget={budget}) clashes with options whose "
-                f"worst case is unknown: {error}"
-            ) from error
-        return module  # without a statement on its worst case
-    if budget is None:
-        return _stated(module, worst | {"sample": sum(worst.values())}, {})
-    fixed = sum(worst.values())
-    needed = fixed + sum(charges[name] for name in module.iteration)
-    if budget < needed:
-        raise OptionError(
-            f"RealTimeIteration.budget: {budget} operations; a sample needs up to {needed} for linearisation, "
-            "condensing, factorisation, one iteration and checks; expected at least that (--set algorithm.budget=...)"
-        )
-    costs = {name: (count, "operations that are charged at once") for name, count in sorted(charges.items())}
-    costs["ALLOWANCE"] = (budget - fixed, "operations of a sample that may be charged")
-    return _stated(module, {"sample": budget}, costs)
+        worst = _bounds(module)
+    except UnboundedError:
+        return module
+    description = module.description
+    report = replace(description.report, worst_operations=worst | {"sample": sum(worst.values())})
+    return replace(module, description=replace(description, report=report))
 
 
-def _bounds(module: CModule) -> tuple[dict[str, int], dict[str, int]]:
-    """Operations of the phases and of what is charged, computed once for equal texts with equal data."""
+def _bounds(module: CModule) -> dict[str, int]:
+    """Operations of the phases, computed once for equal texts with equal data."""
     module = replace(module, description=replace(module.description, name=ANY_NAME))
     text = unit_text(module)
     key = (
@@ -126,19 +98,8 @@ def _bounds(module: CModule) -> tuple[dict[str, int], dict[str, int]]:
         worst = {phase: found.operations(f"api_{phase}") for phase in PHASES}
         if len(_KNOWN) == MOST_KNOWN:
             _KNOWN.pop(next(iter(_KNOWN)))
-        _KNOWN[key] = worst, found.charges
+        _KNOWN[key] = worst
     return _KNOWN[key]
-
-
-def _stated(module: CModule, worst: Mapping[str, int], more: Mapping[str, tuple[int, str]]) -> CModule:
-    """The module with this worst case and further size macros."""
-    description = module.description
-    sizes = {**description.sizes, **{name: value for name, (value, _) in more.items()}}
-    added = tuple(Macro(name, value, doc) for name, (value, doc) in more.items())
-    report = replace(description.report, worst_operations=worst)
-    return replace(
-        module, macros=(*module.macros, *added), description=replace(description, sizes=sizes, report=report)
-    )
 
 
 def _unit(module: CModule, text: str) -> Unit:

@@ -13,13 +13,10 @@ from functools import lru_cache
 from pycparser import c_ast
 
 from nmpc_codegen.bounds.c_source import CFunction, CMacro, assigned_names, declared
-from nmpc_codegen.bounds.costs import Charge, Expected, Loop, Operations, Return, Stated, branched, total
+from nmpc_codegen.bounds.costs import Expected, Loop, Operations, Return, Stated, branched, total
 from nmpc_codegen.bounds.expressions import UNKNOWN, Between, Expression, Passes, Slot, joined, made, number
 from nmpc_codegen.bounds.measure import POINTER, Measure, Scope, Variable
 from nmpc_codegen.bounds.names import INT, Names
-
-#: The function that charges operations to the budget of a sample.
-AFFORD = "qp_afford"
 
 _EXIT = c_ast.Return | c_ast.Break | c_ast.Continue
 
@@ -78,9 +75,7 @@ class _Translator:
         parts: list[Operations] = []
         for i, item in enumerate(items):
             if isinstance(item, c_ast.If):
-                price, rest = _charge(item.cond), items[i + 1 :]
-                after = self._branch(item, rest, scope) if price is None else Charge(price, self._block(rest, scope))
-                return total((*parts, after))
+                return total((*parts, self._branch(item, items[i + 1 :], scope)))
             parts.append(self._statement(item, scope))
             if isinstance(item, _EXIT):
                 break
@@ -172,12 +167,11 @@ class _Translator:
     ) -> Operations:
         if test == 0 and body == 0:
             return 0
-        items, comment, stated = _items(node.stmt), _stated(node), None
+        comment, stated = _stated(node), None
         if comment is not None:
             text, _, function = comment.partition(" in ")
             stated = Stated(self._stated_value(text, scope), text, function)
-        charges = bool(items) and isinstance(items[0], c_ast.If) and _charge(items[0].cond) is not None
-        return Loop(self._function.name, slot, passes, test, body, stated, charges)
+        return Loop(self._function.name, slot, passes, test, body, stated)
 
     def _counter(self, node: c_ast.For, scope: Scope) -> tuple[str, Expression, Expression, bool] | None:
         """Name, first value and size of the steps of a counter, and whether it counts up."""
@@ -241,14 +235,6 @@ def _stated(loop: c_ast.Node) -> str | None:
     body = _items(loop.stmt)
     first = body[0].string if body and isinstance(body[0], c_ast.Pragma) else None
     return first if first is not None and ":" not in first else None
-
-
-def _charge(cond: c_ast.Node) -> str | None:
-    """COST in ``!qp_afford(q, COST)``."""
-    match cond:
-        case c_ast.UnaryOp(op="!", expr=c_ast.FuncCall(name=c_ast.ID(name=called), args=arguments)) if called == AFFORD:
-            return str(arguments.exprs[1].name)
-    return None
 
 
 def _conjuncts(node: c_ast.Node | None) -> Iterator[c_ast.Node]:

@@ -7,9 +7,6 @@ Integers are intervals. Sizes, entries of constant tables and counters of loops 
 members or an index have declared ranges; all else is unknown. A branch whose condition is known is taken, a loop that
 may end early runs to its end, and a loop of unknown length is an error: its first line must then bound its passes.
 
-In a package with a budget a statement ``if (!qp_afford(q, COST)) ...`` charges all that follows it in its block. The
-block costs its caller nothing then, and COST is the bound on what follows, where blocks inside charge for themselves.
-
 What is asked about the values of arguments and counters is kept: the bound of a function (of a pass of a loop) is that
 for other arguments (another value of the counter) to which all expressions that were asked have the same values.
 """
@@ -24,7 +21,6 @@ from nmpc_codegen.bounds.c_source import parse
 from nmpc_codegen.bounds.costs import (
     Branch,
     Call,
-    Charge,
     Cost,
     Counted,
     Expected,
@@ -81,11 +77,10 @@ class _Constants:
 
 
 class WorstCase:
-    """Bounds of the functions of one unit; ``charges``: COST of every charge that has been met -> its operations."""
+    """Bounds of the functions of one unit."""
 
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
-        self.charges: dict[str, int] = {}
         self._names = Names(unit)
         self._constants = _Constants(unit, self._names)
         self._programs: dict[str, Program] = {}
@@ -100,7 +95,6 @@ class WorstCase:
             Counted: lambda cost, frame: unit.counts[cost.function],
             Loop: self._loop,
             Return: self._return,
-            Charge: self._charge,
             Expected: self._expected,
             Impossible: self._impossible,
         }
@@ -194,10 +188,6 @@ class WorstCase:
         frame.returned.append(self._ask(cost.value, frame))
         return 0
 
-    def _charge(self, cost: Charge, frame: _Frame) -> int:
-        self.charges[cost.price] = max(self.charges.get(cost.price, 0), self._cost(cost.rest, frame))
-        return 0
-
     def _expected(self, cost: Expected, frame: _Frame) -> int:
         if self._ask(cost.value, frame) is None:
             raise UnboundedError(cost.otherwise)
@@ -261,6 +251,4 @@ class WorstCase:
             shared = self._shared.setdefault(loop.stated.function, {})
             shared[loop.stated.text] = max(shared.get(loop.stated.text, 0), stated[1] * one_pass)
             return one_pass
-        if loop.charges:
-            return one_pass  # every pass charges for itself before it computes
         raise UnboundedError(f"{loop.function}: the passes of a loop are unknown; expected /* at most ... passes */")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from nmpc_codegen.cli.arguments import check_usage, parser
 from nmpc_codegen.cli.messages import message, one_line
-from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, own_streams, undisturbed
+from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, own_streams, saying_warnings, undisturbed
 
 if TYPE_CHECKING:
     from nmpc_codegen.compiler import Package
@@ -64,7 +64,8 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     folder = Path(arguments.output or Path("out") / name)
     firmware = Firmware(arguments, name, lambda: for_every_goal(ocp, options, name))
     given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": firmware.more}
-    package = export(ocp, options, str(folder), name=name, **given)
+    with saying_warnings(printer):
+        package = export(ocp, options, str(folder), name=name, **given)
     _print_package(printer, package, folder, arguments.verbose)
     passed = firmware.report(printer)
     if arguments.check:

@@ -123,6 +123,14 @@ def undisturbed(printer: Printer, file: str, verbose: bool) -> Iterator[None]:
         sys.setrecursionlimit(limit)
 
 
+@contextlib.contextmanager
+def saying_warnings(printer: Printer) -> Iterator[None]:
+    """Print the text of each warning of the package on one line."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda text, *_, **__: printer.error(f"warning: {text}", style="yellow")
+        yield
+
+
 def _show_warning(printer: Printer) -> Any:
     def show(text: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
         printer.error(f"{os.path.basename(filename)}, line {lineno}: {category.__name__}: {text}", style="yellow")

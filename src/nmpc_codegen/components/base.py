@@ -244,7 +244,6 @@ class QpSolver(Component, Protocol):
     takes: ClassVar[str]  # "condensed" or "stages"
     automatic: ClassVar[bool]  # qp=None may choose it
     predicts: ClassVar[bool]  # its preparation yields the law of the first control on the predicted working set
-    iteration: ClassVar[tuple[str, ...]]  # macros of what one iteration charges to a budget; none: it has no budget
 
     def search(self, dims: Dims) -> OpCount:
         """Estimate of the further operations of a sample whose working set is far from the predicted one."""

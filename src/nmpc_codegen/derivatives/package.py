@@ -84,7 +84,7 @@ def export(
 
     Raises:
         ProblemError, OptionError: see generate().
-        ExportError: a file must not be replaced, or it cannot be written; the folder is left unchanged.
+        ExportError: a file must not be replaced, and nothing is written; or a file cannot be written.
     """
     model = derivative_model(ocp, outputs, output_names, options)
     prefix = _prefix(model, name)

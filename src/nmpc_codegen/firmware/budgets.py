@@ -127,7 +127,6 @@ def _stack_advice(description: PackageDescription, limit: int) -> Iterator[str]:
 
 def _operations_advice(description: PackageDescription, limit: int) -> Iterator[str]:
     if any(s.name == "qp" for s in description.structs):
-        yield f"--set algorithm.budget={limit}, after which a sample returns the plan's control"
         yield "a smaller --set qp.max_iterations=..."
     else:
         yield "a smaller --set algorithm.iterations=..."

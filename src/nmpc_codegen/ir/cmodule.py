@@ -129,7 +129,6 @@ class CModule:
     diagonal_weight: bool
     diagonal_weight_N: bool
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # integer member -> least and largest value
-    iteration: tuple[str, ...] = ()  # macros of what one iteration of the QP solver charges to a budget
     one_step: Callable[[], Kernel] | None = None  # an integration step with its Jacobian, for units of a host
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 

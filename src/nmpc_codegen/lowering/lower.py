@@ -98,7 +98,6 @@ def lower(model: Model, name: str | None = None) -> CModule:
         diagonal_weight_N=problem.terminal.diagonal_weight,
         ranges={name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()},
         one_step=model.interval.one_step,
-        iteration=() if model.parts.qp is None else model.parts.qp.iteration,
         foreign={
             path: text
             for c in model.parts.components

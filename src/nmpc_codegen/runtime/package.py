@@ -10,7 +10,7 @@ from pathlib import Path
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.seal import package_of
+from nmpc_codegen.runtime.seal import has_seal, intact, package_of
 
 MAX_BYTES = 2**26  # of one file
 
@@ -45,6 +45,9 @@ def open_package(
             f"{folder}: {', '.join(p.name for p in paths[:3])} come from different exports (one was interrupted, or "
             "files were copied one by one): export the package again"
         )
+    data = files[paths[2].name].encode()
+    if has_seal(data) and not intact(data):
+        raise BuildError(f"{paths[2]}: edited since export() wrote it: export the package again")
     return load(files, prefix, profile, lanes=lanes)
 
 

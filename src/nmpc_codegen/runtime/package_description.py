@@ -9,14 +9,15 @@ from __future__ import annotations
 import json
 import math
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.runtime.parse import FORMAT, MAX_INTEGER, Entry, read
+from nmpc_codegen.errors import ControllerError
 
 Precision = Literal["double", "single"]
 Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
@@ -30,8 +31,8 @@ Layouts = Mapping[Kind, Layout]
 REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 INTEGERS: dict[str, type[np.integer[Any]]] = {"int32": np.int32, "int64": np.int64}
 
-#: Largest number of operations that is accepted.
-MAX_COUNT = 2**63 - 1
+#: Version of the layout of <name>.json.
+FORMAT = 1
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -237,7 +238,7 @@ class Report:
     ``ram_bytes``: size of the solver struct; ``ram_bytes_by_struct``: sizes of the structs in it; ``operations``: of
     one call of every C function for which they do not depend on data; ``linearization_operations``: of all nodes
     together; ``worst_operations``: at most, of "prepare" and "feedback" at the caps on iterations and of the "sample"
-    that calls both, or of the sample alone if it has a budget; empty if unknown; ``choices``: the chosen components and
+    that calls both; empty if unknown; ``choices``: the chosen components and
     the reasons; ``looped``: functions with loops instead of straight-line code.
     """
 
@@ -353,35 +354,27 @@ class PackageDescription:
 
     @classmethod
     def from_json(cls, text: str) -> PackageDescription:
-        """Read the text of <name>.json. As its origin is unknown, type, range and consistency of all entries are
-        checked here; compiled.py also compares them with the compiled code.
+        """Read the text of <name>.json; compiled.py compares the layout with that of the compiled code.
 
         Raises:
-            ControllerError: the text is not a package description, has another format, or contradicts itself.
+            ControllerError: the text is not a package description, or has another format.
         """
-        raw = read(text).members(("format", *(f.name for f in fields(cls))), ("seal",))
-        sizes = raw["sizes"].members(DIMENSIONS, raw["sizes"].object())
-        dims = _dimensions(sizes)
-        return cls(
-            name=raw["name"].identifier(),
-            precision=raw["precision"].word(get_args(Precision)),
-            sizes={name: size.integer(-MAX_INTEGER) for name, size in sizes.items()},
-            structs=_structs(raw["structs"]),
-            states=_signals(raw["states"], dims.nx),
-            controls=_signals(raw["controls"], dims.nu),
-            parameters=_signals(raw["parameters"], dims.np),
-            rows=_rows(raw["rows"], dims),
-            y_names=tuple(name.text() for name in raw["y_names"].items(dims.ny)),
-            y_names_N=tuple(name.text() for name in raw["y_names_N"].items(dims.ny_N)),
-            dt=tuple(_interval(dt) for dt in raw["dt"].items(dims.N)),
-            discrete=raw["discrete"].flag(),
-            statuses=_unique(raw["statuses"], Entry.identifier),
-            shift=None if raw["shift"].value is None else raw["shift"].text(),
-            entry_points=tuple(_entry_point(entry, sizes) for entry in raw["entry_points"].items()),
-            online=_layouts(raw["online"]),
-            options=raw["options"].text(),
-            report=_report(raw["report"]),
-        )
+        try:
+            raw = msgspec.json.decode(text)
+            found = msgspec.convert({"format": None, **raw}["format"], int | None)
+            if found != FORMAT:
+                raise ControllerError(f"the package description has format {found}, not {FORMAT}: export it again")
+            for struct in raw["structs"]:
+                struct["fields"] = [_field_of(member) for member in struct["fields"]]
+            for row in raw["rows"]:
+                row |= {side: float(row[side]) for side in ("lower", "upper")}
+            described = msgspec.convert(raw, cls)
+            described.dims  # noqa: B018 - all sizes are there
+        except (msgspec.MsgspecError, TypeError, KeyError, ValueError, RecursionError) as error:
+            what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+            raise ControllerError(f"the package description is not one that export() writes: {what}") from error
+        shapes = {member.ctype: member.shape for member in described.structs[-1].fields}
+        return replace(described, structs=tuple(replace(s, shape=shapes.get(s.name, ())) for s in described.structs))
 
 
 def union_dtype(members: Sequence[tuple[str, np.dtype[Any], tuple[int, ...]]]) -> np.dtype[Any]:
@@ -426,171 +419,7 @@ def _number(value: float) -> float | str:
 # -- from JSON ---------------------------------------------------------------------------------------------------------
 
 
-def _dimensions(sizes: Mapping[str, Entry]) -> Dimensions:
-    return Dimensions(
-        N=sizes["N"].integer(1),
-        nx=sizes["NX"].integer(1),
-        nu=sizes["NU"].integer(),
-        np=sizes["NP"].integer(),
-        ny=sizes["NY"].integer(),
-        ny_N=sizes["NY_N"].integer(),
-        nh=sizes["NH"].integer(),
-        nh_N=sizes["NH_N"].integer(),
-        nr=sizes["NR"].integer(),
-    )
-
-
-def _interval(entry: Entry) -> float:
-    dt = entry.number()
-    return dt if dt > 0 else entry.fail("a positive number")
-
-
-def _unique(entry: Entry, read: Callable[[Entry], str], count: int | None = None) -> tuple[str, ...]:
-    """The names in a list, which must be distinct."""
-    names: dict[str, None] = {}
-    for item in entry.items(count):
-        if read(item) in names:
-            item.fail("a name that no other entry has")
-        names[read(item)] = None
-    return tuple(names)
-
-
-def _structs(entry: Entry) -> tuple[Struct, ...]:
-    """The structs. The type of a member must be defined before, so that no struct contains itself; the shape of a
-    struct is that of its member in the solver."""
-    structs: dict[str, Struct] = {}
-    for item in entry.items():
-        raw = item.members(("name", "doc", "fields"), ("union",))
-        name = raw["name"].identifier()
-        if name in structs or name in ("real", *INTEGERS):
-            raw["name"].fail("a name that no other type has")
-        types = ("real", *INTEGERS, *structs)
-        members = tuple(_member(item, types) for item in raw["fields"].items())
-        if len({member.name for member in members}) != len(members):
-            raw["fields"].fail("members of different names")
-        union = "union" in raw and raw["union"].flag()
-        structs[name] = Struct(name, raw["doc"].text(), members, union=union)
-    if "solver" not in structs:
-        entry.fail("a struct solver among them")
-    shapes = {member.ctype: member.shape for member in structs["solver"].fields}
-    return tuple(replace(s, shape=shapes.get(s.name, ())) for s in structs.values())
-
-
-def _member(entry: Entry, types: Iterable[str]) -> Field:
-    raw = entry.members(("name", "type", "shape", "padded", "role", "doc"))
-    shape = tuple(size.integer() for size in raw["shape"].items())
-    padded = tuple(size.integer(1) for size in raw["padded"].items(len(shape)))
-    if padded != tuple(max(1, size) for size in shape):
-        raw["padded"].fail(f"the shape {list(shape)} with 1 for 0")
-    return Field(
-        ctype=raw["type"].word(tuple(types)),
-        name=raw["name"].identifier(),
-        shape=tuple(Size(str(size), size) for size in shape),
-        doc=raw["doc"].text(),
-        role=raw["role"].word(get_args(Role)),
-    )
-
-
-def _signals(entry: Entry, total: int) -> tuple[Signal, ...]:
-    """Signals that fill a vector of ``total`` elements one after the other."""
-    signals: list[Signal] = []
-    offset = 0
-    for item in entry.items():
-        raw = item.members(("name", "size", "unit", "value", "offset", "scalar"))
-        size, scalar = raw["size"].integer(1), raw["scalar"].flag()
-        if scalar and size != 1:
-            raw["size"].fail("1, as it is a scalar")
-        if raw["offset"].integer() != offset:
-            raw["offset"].fail(f"{offset}, where the previous signal ends")
-        if any(s.name == raw["name"].identifier() for s in signals):
-            raw["name"].fail("a name that no other one has")
-        value = tuple(v.number() for v in raw["value"].items(size))
-        signals.append(Signal(raw["name"].identifier(), size, raw["unit"].text(), value, offset, scalar))
-        offset += size
-    if offset != total:
-        entry.fail(f"{total} elements in all, not {offset}")
-    return tuple(signals)
-
-
-def _rows(entry: Entry, dims: Dimensions) -> tuple[Row, ...]:
-    rows = tuple(_row(item, dims) for item in entry.items(dims.nr))
-    if len({row.name for row in rows}) != len(rows):
-        entry.fail("rows of different names")
-    return rows
-
-
-def _row(entry: Entry, dims: Dimensions) -> Row:
-    raw = entry.members(("name", "kind", "index", "index_terminal", "nodes", "lower", "upper"), ("soft",))
-    kind = raw["kind"].word(get_args(RowKind))
-    limits: dict[RowKind, int] = {"control": dims.nu, "state": dims.nx, "general": dims.nh, "coupled": dims.nr}
-    limit_N = {"general": dims.nh_N, "state": dims.nx}.get(kind, 0)
-    lower, upper = raw["lower"].bound(), raw["upper"].bound()
-    if lower > upper:
-        raw["lower"].fail(f"at most the upper bound {upper}")
-    return Row(
-        name=raw["name"].element(),
-        kind=kind,
-        index=raw["index"].integer(-1 if kind == "general" else 0, limits[kind] - 1),
-        index_terminal=raw["index_terminal"].integer(-1, limit_N - 1),
-        nodes=_nodes(raw["nodes"], kind, dims.N),
-        lower=lower,
-        upper=upper,
-        soft=_penalties(raw["soft"]) if "soft" in raw and raw["soft"].value is not None else None,
-    )
-
-
-def _penalties(entry: Entry) -> tuple[float, float]:
-    l1, l2 = (penalty.bound() for penalty in entry.items(2))
-    return l1, l2
-
-
-def _nodes(entry: Entry, kind: str, N: int) -> tuple[int, ...]:
-    """Nodes of a row; the kinds "control" and "coupled" determine them."""
-    nodes = tuple(node.integer(0, N) for node in entry.items())
-    expected = {"control": tuple(range(N)), "coupled": (0, N)}.get(kind, tuple(sorted(set(nodes))))
-    if nodes != expected:
-        entry.fail(
-            "all nodes but the last for a control, the first and the last for a coupled row, else ascending ones"
-        )
-    return nodes
-
-
-def _entry_point(entry: Entry, sizes: Mapping[str, Entry]) -> EntryPoint:
-    raw = entry.members(("name", "doc", "inputs", "outputs"))
-    inputs, outputs = (tuple(_argument(item, sizes) for item in raw[side].items()) for side in ("inputs", "outputs"))
-    return EntryPoint(raw["name"].identifier(), raw["doc"].text(), inputs, outputs)
-
-
-def _argument(entry: Entry, sizes: Mapping[str, Entry]) -> Argument:
-    raw = entry.members(("name", "ctype", "shape"))
-    shape = tuple(size.word(tuple(sizes)) for size in raw["shape"].items())
-    return Argument(raw["name"].identifier(), raw["ctype"].word(("real", "int")), shape)
-
-
-def _layouts(entry: Entry) -> Layouts:
-    raw, kinds = entry.members(get_args(Kind)), get_args(Kind)
-    return {kind: raw[kind].word(get_args(Layout)) for kind in kinds}
-
-
-def _report(entry: Entry) -> Report:
-    """The report; the description of a hand-written package may leave out any of its entries."""
-    raw = entry.members((), [f.name for f in fields(Report)])
-    empty = Entry("", {})
-    sizes = raw.get("ram_bytes_by_struct", empty).object()
-    operations = raw.get("operations", empty).object()
-    total = raw.get("linearization_operations", Entry("", 0))
-    worst = raw.get("worst_operations", empty).object()
-    return Report(
-        ram_bytes=raw.get("ram_bytes", Entry("", 0)).integer(),
-        ram_bytes_by_struct={name: size.integer() for name, size in sizes.items()},
-        operations={name: _operations(count) for name, count in operations.items()},
-        linearization_operations=total.integer(high=MAX_COUNT),
-        worst_operations={phase: count.integer(high=MAX_COUNT) for phase, count in worst.items()},
-        choices=tuple(choice.text() for choice in raw.get("choices", Entry("", [])).items()),
-        looped=tuple(name.identifier() for name in raw.get("looped", Entry("", [])).items()),
-    )
-
-
-def _operations(entry: Entry) -> OpCount:
-    raw = entry.members([f.name for f in fields(OpCount)])
-    return OpCount(**{name: count.integer(high=MAX_COUNT) for name, count in raw.items()})
+def _field_of(member: Mapping[str, Any]) -> dict[str, Any]:
+    """The members of a Field from those of its entry."""
+    shape = [{"text": str(size), "value": size} for size in member["shape"]]
+    return {**member, "ctype": member["type"], "shape": shape}

@@ -116,7 +116,6 @@ class AugmentedLagrangian(Defaults):
         return {
             **shift_switches(self.shift),
             "RELAX": 0,
-            "BUDGET": 0,
             "FIRST": 0,
             "LEVELS": 0,
             "ADVANCED": 0,

@@ -104,9 +104,6 @@ class RealTimeIteration(Defaults):
     0. "resample": the old plan is evaluated ``sampling_time`` (s) later, on any grid. "repeat" and "periodic" are
     right only if the sampling time equals the first interval.
 
-    ``budget``: floating-point operations that one sample, prepare and feedback, may take; past it the sample ends with
-    ITERATION_LIMIT and the control of the plan. It does not concern solve().
-
     ``relaxation``: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
     is then RELAXED. None: the status is INFEASIBLE, and the plan does not change.
 
@@ -124,7 +121,6 @@ class RealTimeIteration(Defaults):
     shift: str | None = option(None, Words(SHIFTS))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
     relaxation: float | None = option(None, Number(optional=True))
-    budget: int | None = option(None, Whole(optional=True))
     first_control: bool = option(False, Flag())
     levels: bool = option(False, Flag())
     advance: str | None = option(None, Words((None, "B", "C")))
@@ -178,11 +174,10 @@ class RealTimeIteration(Defaults):
 
     @property
     def switches(self) -> Mapping[str, int]:
-        """How shift() moves the plan (all 0: by one interval); whether hard rows are relaxed, operations limited."""
+        """How shift() moves the plan (all 0: by one interval); whether hard rows are relaxed."""
         return {
             **shift_switches(self.shift),
             "RELAX": int(self.relaxation is not None),
-            "BUDGET": int(self.budget is not None),
             "FIRST": int(self.first_control),
             "LEVELS": int(self.leveled),
             "ADVANCED": int(self.advance is not None),
@@ -220,7 +215,6 @@ class RealTimeIteration(Defaults):
         return resample_reach(self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        budget = (("MAX_OPERATIONS", self.budget or 0, "operations of a sample at most"),)
         levels = (
             *(("LEVEL_A", 0, "level of an iteration: everything is evaluated"),),
             *(("LEVEL_B", 1, "derivatives of dynamics and rows are kept"),),
@@ -235,7 +229,6 @@ class RealTimeIteration(Defaults):
             *(levels if self.leveled else ()),
             *(ahead if self.advance is not None else ()),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
-            *(budget if self.budget is not None else ()),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
             ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of solve() where rows cannot be satisfied, at most"),
@@ -255,7 +248,6 @@ class RealTimeIteration(Defaults):
             *_watched(dims),
             Field("first", (), "first control", "keep", "first", only="FIRST"),
             Field("levels", (), "levels of an iteration", "keep", "levels", only="LEVELS"),
-            Field("late", (), "samples since the last success that the budget ended", "keep", "int32", only="BUDGET"),
         )
         results = (
             Field("step", (), "solution of the QP", "data", "step"),

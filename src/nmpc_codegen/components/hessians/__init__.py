@@ -11,14 +11,12 @@ from nmpc_codegen.components.base import Hessian
 from nmpc_codegen.components.hessians.economic_gauss_newton import EconomicGaussNewton
 from nmpc_codegen.components.hessians.exact import ExactHessian, ForwardOverAdjoint, Symmetric
 from nmpc_codegen.components.hessians.gauss_newton import GaussNewton
-from nmpc_codegen.components.hessians.identity import IdentityHessian
 from nmpc_codegen.components.hessians.regularization import Mirror, Project
 
 REGISTRY: Mapping[str, type[Hessian]] = {
     GaussNewton.name: GaussNewton,
     ExactHessian.name: ExactHessian,
     EconomicGaussNewton.name: EconomicGaussNewton,
-    IdentityHessian.name: IdentityHessian,
 }
 
 __all__ = [
@@ -27,7 +25,6 @@ __all__ = [
     "ExactHessian",
     "ForwardOverAdjoint",
     "GaussNewton",
-    "IdentityHessian",
     "Mirror",
     "Project",
     "Symmetric",

@@ -39,7 +39,6 @@ class DenseActiveSet(Defaults):
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = True
     predicts: ClassVar[bool] = True
-    iteration: ClassVar[tuple[str, ...]] = ("COST_ATTEMPT", "COST_SEARCH")
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -105,7 +104,6 @@ class DenseActiveSet(Defaults):
                     Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
                     Field("searches", (), "searches for violated rows in that call", "scratch", "int32"),
-                    Field("allowance", (), "operations left; -1: no limit", "scratch", "int32", only="BUDGET"),
                     Field("changes", (), "rows that entered or left the working set in that call", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "elastic rows that are violated", "result", "int32"),

@@ -40,7 +40,6 @@ class Osqp(Defaults):
     takes: ClassVar[str] = "condensed"
     automatic: ClassVar[bool] = False
     predicts: ClassVar[bool] = False
-    iteration: ClassVar[tuple[str, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "coupled rows"}
     )

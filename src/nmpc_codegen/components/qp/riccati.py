@@ -185,7 +185,6 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         Field("least", (), "least magnitude of a row in units of its reach", "scratch", only="INTERIOR_POINT"),
         Field("side", (rows,), "+-1: at the upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"),
         Field("iterations", (), "iterations, or changes of the working set, of the last qp_solve", "result", "int32"),
-        Field("allowance", (), "operations left; -1: no limit", "scratch", "int32", only="BUDGET"),
         Field("changes", (), "rows that became active or inactive in that call", "result", "int32"),
         Field("dropped", (), "equalities left out as redundant", "result", "int32"),
         Field("relaxed", (), "soft rows that are violated", "result", "int32"),

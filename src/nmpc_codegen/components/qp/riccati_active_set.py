@@ -93,7 +93,6 @@ class RiccatiActiveSet(Defaults):
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = True
     predicts: ClassVar[bool] = True
-    iteration: ClassVar[tuple[str, ...]] = ("COST_WORKING_SET",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )

@@ -128,7 +128,6 @@ class RiccatiInteriorPoint(Defaults):
     takes: ClassVar[str] = "stages"
     automatic: ClassVar[bool] = False
     predicts: ClassVar[bool] = False
-    iteration: ClassVar[tuple[str, ...]] = ("COST_INTERIOR",)
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )

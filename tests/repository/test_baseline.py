@@ -1,0 +1,51 @@
+"""Exact numbers of packages may grow by 2 % beyond tests/data/baseline.json; ``pytest --update-baseline`` rewrites it."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from nmpc_codegen import Options, RiccatiActiveSet
+from nmpc_codegen.compiler import compiled
+from nmpc_codegen.lowering.render import render
+from verification.timed import TIMED, Sample
+
+BASELINE = Path(__file__).parents[1] / "data" / "baseline.json"
+SLACK = 1.02
+SAMPLES = (
+    *TIMED,
+    Sample("crane without solve", TIMED[0].make, Options(solve=False)),
+    Sample("quadrotor without solve", TIMED[2].make, Options(solve=False, qp=RiccatiActiveSet(fallback=None))),
+)
+_COMMENT = re.compile(r"/\*.*?\*/", re.S)
+
+
+def numbers(sample: Sample) -> dict[str, int]:
+    """Bytes of the struct and of the source without comments and indentation; operations of the linearisation."""
+    module = compiled(sample.make(), sample.options)
+    lines = (line.strip() for line in _COMMENT.sub("", render(module)[f"{module.name}.c"]).splitlines())
+    report = module.description.report
+    return {
+        "struct_bytes": report.ram_bytes,
+        "source_bytes": sum(len(line.encode()) + 1 for line in lines if line),
+        "linearization_operations": report.linearization_operations,
+        "worst_operations": report.worst_operations["sample"],
+    }
+
+
+def test_numbers_do_not_grow(request: pytest.FixtureRequest) -> None:
+    found = {sample.name.removeprefix("timed "): numbers(sample) for sample in SAMPLES}
+    if request.config.getoption("--update-baseline"):
+        BASELINE.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    known = json.loads(BASELINE.read_text(encoding="utf-8"))
+    assert {name: set(values) for name, values in known.items()} == {name: set(v) for name, v in found.items()}
+    grown = [
+        f"{name}: {key} {known[name][key]} -> {value}"
+        for name, values in found.items()
+        for key, value in values.items()
+        if value > SLACK * known[name][key]
+    ]
+    assert not grown

@@ -1,0 +1,45 @@
+"""gcc and clang, from -O0 to -O3, produce the same controller; contracted products differ by rounding."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import require_tool
+
+from nmpc_codegen import build, generate
+from verification import disagreement, scenarios
+from verification.disagreement import LIMIT, replays
+from verification.samples import SAMPLES
+from verification.timed import TIMED, Sample
+from verification.unresolved import texts
+
+CASES = {sample.name.removeprefix("timed "): sample for sample in TIMED}
+CASES["cart_pole"] = Sample("cart_pole", scenarios.CART_POLE.make, scenarios.CART_POLE.options)
+
+
+@pytest.mark.parametrize(
+    "name", ["crane", *(pytest.param(name, marks=pytest.mark.slow) for name in CASES if name != "crane")]
+)
+def test_builds_agree(name: str) -> None:
+    for tool in ("gcc", "clang"):
+        require_tool(tool)
+    sample = CASES[name]
+    x = disagreement.record(build(sample.make(), sample.options), scenarios.of_sample(sample), 60)
+    u, status = replays(generate(sample.make(), sample.options), x)
+    assert disagreement.disagreement(u) <= LIMIT
+    assert (status == status[0]).all()
+
+
+def test_a_wrong_build_is_seen() -> None:
+    """A package without the bounds does not agree; NaN is no agreement."""
+    require_tool("gcc")
+    named = {sample.name: sample for sample in SAMPLES}
+    x = np.random.default_rng(1).uniform(-1, 1, (6, 2))
+    builds = [("gcc", "-O0"), ("gcc", "-O1")]
+    u, status = replays(texts(named["controls dense"]), x, builds)
+    assert u.shape == (2, 6, 1)
+    assert status.shape == (2, 6)
+    assert disagreement.disagreement(u) <= 1e-5  # single precision
+    other, _ = replays(texts(named["bare dense"]), x, builds[:1])
+    assert disagreement.disagreement(np.concatenate([u[:1], other])) > 1e-3
+    assert np.isnan(disagreement.disagreement(np.array([[[1.0]], [[np.nan]]])))

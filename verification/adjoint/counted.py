@@ -1,0 +1,55 @@
+"""Operations of the functions of a package of derivatives, counted at run time; and of one that ignores structure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.lowering.render import Sources
+from verification.counting import CLASSES, run_program
+
+#: Arguments of every function after the data.
+ARGUMENTS = {
+    "simulate": "&t",
+    "sensitivities": "&m",
+    "sensitivities_alternative": "0, &s",
+    "gradient_finite_differences": "&t, 1e-3, out",
+    "gradient_forward": "&m, out",
+    "gradient_adjoint": "&n, out",
+    "gradient_adjoint_matrices": "&m, out",
+    "gradient_alternative": "&s, out",
+    "impulse_response_finite_differences": "&t, 1e-3, Xi",
+    "impulse_response_forward": "&m, Xi",
+    "impulse_response_adjoint": "&n, rows, PREFIX_N * PREFIX_NOUT, Xi",
+    "impulse_response_adjoint_matrices": "&m, rows, PREFIX_N * PREFIX_NOUT, Xi",
+    "impulse_response_alternative": "&s, Xi",
+}
+
+#: The product of all matrices of every block, one by one: what forward and adjoint methods avoid.
+IGNORING_STRUCTURE = Path(__file__).with_name("structure_ignored.c")
+
+
+def counted(sources: Sources, name: str, functions: list[str], more: str = "") -> dict[str, OpCount]:
+    """Operations of one run of each function at the declared data; ``more`` is C text that defines further ones."""
+    declarations = [
+        *(f"static {name}_{struct}_t {v};" for v, struct in zip("dtnms", STRUCTS, strict=True)),
+        *OUTPUTS[any(f.startswith("impulse_response") for f in functions)],
+        more,
+    ]
+    start = [f"    {name}_init(&d);", f"    {name}_sensitivities(&d, &m);"]
+    calls = {f: f"{name}_{f}(&d, {ARGUMENTS.get(f, '&m, Xi')})" for f in functions}
+    found = run_program(sources, name, declarations, start, {}, calls)
+    return {f: OpCount(**dict(zip(CLASSES, found[f].values(), strict=True))) for f in functions}
+
+
+STRUCTS = ("data", "trajectory", "nodes", "linearization", "response")
+OUTPUTS = {
+    False: ["static real_t out[PREFIX_N][PREFIX_NU];"],
+    True: [
+        "static int rows[PREFIX_N * PREFIX_NOUT];",
+        "static int numbered() { for (int i = 0; i < PREFIX_N * PREFIX_NOUT; i++) { rows[i] = i; } return 0; }",
+        "static int ready = numbered();",
+        "static real_t out[PREFIX_N][PREFIX_NU];",
+        "static real_t Xi[PREFIX_N * PREFIX_NOUT][PREFIX_N][PREFIX_NU];",
+    ],
+}

@@ -1,0 +1,358 @@
+"""Small optimal control problems, one per structure that the generated code must support, with their data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from examples import crane
+from nmpc_codegen import OCP, Controller, ExplicitRungeKutta, Online, Options, RiccatiActiveSet, build, generate
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.oracle.reference import Reference, ReferenceSolution
+from nmpc_codegen.oracle.trajectory import (
+    CLASSICAL,
+    Data,
+    Point,
+    Tableau,
+    interval_map,
+    multiplier_of,
+    node_data,
+    node_rows,
+    row_nodes,
+)
+from nmpc_codegen.runtime.package_description import Precision
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A problem, its options, the measured state, and run-time data that differ from the declared ones.
+
+    ``data``: arguments of node_data(); yref (N, ny), yref_N, W, W_N, p (N+1, np), bounds {row: (lower, upper)}.
+    ``active``: kinds of rows that are active at the solution, as required by the purpose of the case.
+    """
+
+    make: Callable[[], OCP]
+    x0: tuple[float, ...]
+    options: Options = field(default_factory=Options)
+    data: Mapping[str, Any] = field(default_factory=dict)
+    active: frozenset[str] = frozenset()
+    tableau: Tableau = CLASSICAL
+
+
+def pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
+    """A damped pendulum with a torque: (ocp, angle, rate, torque)."""
+    ocp = OCP(name, **(grid or {"T": 2.0, "N": 8}))
+    q, w, u = ocp.state("q", initial=1.0), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w + u})
+    return ocp, q, w, u
+
+
+def state_bounds() -> OCP:
+    ocp, q, w, u = pendulum("state_bounds")
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.1])
+    ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
+    ocp.subject_to(-2, u, 2)
+    ocp.subject_to(-0.6, w, 0.6)
+    return ocp
+
+
+def one_sided() -> OCP:
+    ocp, q, w, u = pendulum("one_sided")
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.1])
+    ocp.subject_to(-0.5, w, np.inf)
+    ocp.subject_to(-np.inf, u, 0.7)
+    return ocp
+
+
+def path_rows() -> OCP:
+    """General rows with a control (nodes 0..N-1) and without (1..N)."""
+    ocp, q, w, u = pendulum("path_rows")
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.05])
+    ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
+    ocp.subject_to(-0.8, u + 0.5 * w * w, 0.9, name="effort")
+    ocp.subject_to(-0.3, w + 0.2 * q * q, np.inf, name="slow")
+    return ocp
+
+
+def terminal_rows() -> OCP:
+    ocp, q, w, u = pendulum("terminal_rows")
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[1.0, 0.1, 1.0])
+    ocp.subject_to(-3, u, 3)
+    ocp.subject_to(-0.1, ca.vertcat(q + 0.2 * q * w, ca.sin(w) + q), [0.1, 0.5], at="end", name="gate")
+    return ocp
+
+
+def disc() -> OCP:
+    """A terminal disc with a small weight: full Gauss-Newton steps, which ignore the row's curvature, cycle."""
+    ocp, q, w, u = pendulum("disc")
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[1.0, 0.1, 1.0])
+    ocp.subject_to(-np.inf, q * q + w * w, 0.04, at="end", name="disc")
+    return ocp
+
+
+def single_nodes() -> OCP:
+    """Bounds and general rows at some nodes only; node 0 with a control."""
+    ocp, q, w, u = pendulum("single_nodes")
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.1])
+    ocp.subject_to(-0.2, w, 0.2, at=(3,), name="slow")
+    ocp.subject_to(-0.3, u, 0.3, at=(0, 5), name="gentle")
+    ocp.subject_to(-np.inf, q + 0.2 * q * q, 0.3, at=(4, 8), name="gate")
+    return ocp
+
+
+def parameters() -> OCP:
+    ocp = OCP("parameters", T=2.0, N=8)
+    r, v = ocp.state("r", size=2, initial=[1.0, -0.5]), ocp.state("v", size=2)
+    a = ocp.control("a", size=2)
+    k, g = ocp.parameter("k", value=1.0), ocp.parameter("g", size=2, value=[0.0, -0.3])
+    ocp.dynamics({"r": v, "v": a + g - k * v * ca.sqrt(1 + ca.dot(v, v))})
+    ocp.least_squares(ca.vertcat(r, v, a), weight=[5, 5, 0.5, 0.5, 0.1, 0.1])
+    ocp.terminal_least_squares(r, weight=[20.0, 20.0])
+    ocp.subject_to(-1.2, a, 1.2)
+    ocp.subject_to(-np.inf, v[0] + k * v[1], 0.25, name="mix")
+    return ocp
+
+
+def dense_weight() -> OCP:
+    ocp, q, w, u = pendulum("dense_weight")
+    W = np.array([[2.0, 0.3, 0.1], [0.3, 0.5, -0.05], [0.1, -0.05, 0.2]])
+    ocp.least_squares(ca.vertcat(ca.sin(q), w, u), weight=W)
+    ocp.terminal_least_squares(ca.vertcat(q + q**3 / 5, w), weight=[[8.0, 1.0], [1.0, 2.0]])
+    ocp.subject_to(-0.8, u, 0.8)
+    return ocp
+
+
+def scaled() -> OCP:
+    """Weights scaled by dt on a nonuniform grid, one of the two dense."""
+    ocp, q, w, u = pendulum("scaled", intervals=[0.1, 0.1, 0.2, 0.2, 0.4, 0.4])
+    ocp.least_squares(ca.vertcat(q, w), weight=[[4.0, 1.0], [1.0, 2.0]], scale_with_dt=True)
+    ocp.least_squares(u, weight=[0.3])
+    ocp.subject_to(-0.7, u, 0.7)
+    return ocp
+
+
+def nonuniform() -> OCP:
+    ocp, q, w, u = pendulum("nonuniform", intervals=[0.05, 0.1, 0.15, 0.3, 0.5])
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[3.0, 0.2, 0.1], scale_with_dt=True)
+    ocp.terminal_least_squares(ca.vertcat(q, w), weight=[2.0, 1.0])
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def discrete() -> OCP:
+    """The map of [T09 6.6] at k = 1, in two controls."""
+    ocp = OCP("discrete", N=6)
+    x, u = ocp.state("x", size=2, initial=[0.6, 0.5]), ocp.control("u", size=2)
+    nxt = ca.vertcat(x[0] + 0.5 * x[1] ** 2 + u[0], 0.84 * x[1] - x[0] + u[1])
+    ocp.dynamics(nxt, discrete=True)
+    ocp.least_squares(ca.vertcat(x, u), weight=np.ones(4))
+    ocp.terminal_least_squares(x, weight=np.ones(2))
+    ocp.subject_to(-0.2, u, 0.2)
+    return ocp
+
+
+def tiny() -> OCP:
+    """nx = nu = N = 1 and no constraints."""
+    ocp = OCP("tiny", T=0.5, N=1)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: -(x**3) + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    ocp.terminal_least_squares(ca.vertcat(x, ca.sin(x)), weight=[1.0, 0.5])
+    return ocp
+
+
+def references() -> OCP:
+    ocp, q, w, u = pendulum("references")
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[3.0, 0.1, 0.1], reference=[0.2, 0.0, 0.1])
+    ocp.terminal_least_squares(q, weight=[1.0])
+    ocp.subject_to(-0.9, u, 0.9)
+    return ocp
+
+
+def _looped_crane() -> OCP:
+    return crane.build_ocp(False)
+
+
+CASES: dict[str, Case] = {
+    "crane": Case(crane.build_ocp, (2.0, 0, 0, 0), active=frozenset({"control", "state"})),
+    "crane_weight": Case(lambda: crane.build_ocp(False), (2.0, 0, 0, 0), active=frozenset({"control"})),
+    "crane_looped": Case(
+        _looped_crane,
+        (2.0, 0, 0, 0),
+        Options(integrator=ExplicitRungeKutta(unroll="none")),
+        active=frozenset({"control"}),
+    ),
+    "state_bounds": Case(state_bounds, (1.0, 0.0), active=frozenset({"state"})),
+    "one_sided": Case(one_sided, (1.0, 0.0), active=frozenset({"state"})),
+    "path_rows": Case(path_rows, (1.0, 0.0), active=frozenset({"general"})),
+    "terminal_rows": Case(terminal_rows, (1.0, 0.0), active=frozenset({"general"})),
+    "single_nodes": Case(single_nodes, (1.0, 0.0), active=frozenset({"state", "general"})),
+    "parameters": Case(
+        parameters,
+        (1.0, -0.5, 0.0, 0.0),
+        data={"p": np.column_stack([np.linspace(0.5, 1.5, 9), np.linspace(0, 0.4, 9), np.linspace(-0.3, 0.1, 9)])},
+        active=frozenset({"control"}),
+    ),
+    "dense_weight": Case(dense_weight, (1.0, 0.0), active=frozenset({"control"})),
+    "dense_changed": Case(
+        dense_weight,
+        (1.0, 0.0),
+        data={
+            "W": np.array([[3.0, 0.1, 0.2], [0.1, 0.2, 0.05], [0.2, 0.05, 0.4]]),
+            "W_N": np.array([[2.0, 0.5], [0.5, 1.0]]),
+            "yref": np.linspace([0.3, 0.1, 0.0], [0.1, 0.0, 0.2], 8),
+        },
+    ),
+    "scaled": Case(scaled, (1.0, 0.5), active=frozenset({"control"})),
+    "nonuniform": Case(nonuniform, (1.0, 0.0), active=frozenset({"control"})),
+    "discrete": Case(discrete, (0.6, 0.5), active=frozenset({"control"})),
+    "tiny": Case(tiny, (1.0,)),
+    "references": Case(
+        references,
+        (1.0, 0.0),
+        data={
+            "yref": np.column_stack([np.linspace(0.8, -0.3, 8), np.zeros(8), np.linspace(0.1, -0.1, 8)]),
+            "yref_N": np.array([-0.4]),
+            "bounds": {"u": (-0.4, 0.6)},
+            "W": np.array([2.0, 0.2, 0.15]),
+        },
+        active=frozenset({"control"}),
+    ),
+}
+
+
+@cache
+def problem(name: str) -> Problem:
+    return classify(CASES[name].make())
+
+
+@cache
+def sources(name: str, precision: Precision = "double", prefix: str | None = None) -> Sources:
+    """The package of a case; its prefix is the name of the OCP unless given."""
+    case = CASES[name]
+    return generate(case.make(), _options(case, precision), prefix)
+
+
+def _options(case: Case, precision: Precision) -> Options:
+    o = case.options
+    return Options(o.integrator, o.hessian, o.condensing, o.qp, o.algorithm, o.online, precision)
+
+
+@cache
+def _built(name: str, profile: str, precision: Precision) -> Controller:
+    case = CASES[name]
+    return build(case.make(), _options(case, precision), profile)
+
+
+def controller(name: str, profile: str = "test", precision: Precision = "double") -> Controller:
+    """A fresh controller with the data of the case."""
+    fresh = _built(name, profile, precision).copy()
+    apply(fresh, CASES[name].data)
+    fresh.reset()
+    return fresh
+
+
+def apply(c: Controller, data: Mapping[str, Any]) -> None:
+    """Set the data in a controller that node_data() passes to the reference."""
+    if "yref" in data:
+        c.set_reference(data["yref"])
+    if "yref_N" in data:
+        c.set_terminal_reference(data["yref_N"])
+    if "W" in data:
+        c.set_weight(data["W"])
+    if "W_N" in data:
+        c.set_terminal_weight(data["W_N"])
+    if "p" in data:
+        for s in c.description.parameters:
+            c.set_parameter(s.name, data["p"][:, s.offset : s.offset + s.size])
+    for row, (lower, upper) in data.get("bounds", {}).items():
+        c.set_bounds(row, lower, upper)
+
+
+def case_data(name: str) -> Data:
+    return node_data(problem(name), x0=np.array(CASES[name].x0, dtype=float), **CASES[name].data)
+
+
+@cache
+def reference(name: str) -> ReferenceSolution:
+    """IPOPT's solution from the initial iterate."""
+    return Reference(problem(name), CASES[name].tableau).solve(case_data(name))
+
+
+def point(solution: Any) -> Point:
+    """Primal and dual variables of a Solution."""
+    return Point(**{name: np.array(getattr(solution, name), dtype=float) for name in Point.__dataclass_fields__})
+
+
+def is_regular(name: str, solution: Any) -> bool:
+    """LICQ and strict complementarity, numerically; only then are multipliers unique and comparable.
+
+    The gradients of all equalities and active rows have full rank; no active inequality has multiplier 0.
+    """
+    p, data = problem(name), case_data(name)
+    N, nx, nu = p.N, p.nx, p.nu
+    z = ca.SX.sym("z", (N + 1) * nx + N * nu)
+    x = [z[k * nx : (k + 1) * nx] for k in range(N + 1)]
+    u = [z[(N + 1) * nx + k * nu : (N + 1) * nx + (k + 1) * nu] for k in range(N)]
+    Phi, h, h_N = interval_map(p, CASES[name].tableau), node_rows(p.path), node_rows(p.terminal)
+    active = [x[0]] + [Phi(x[k], u[k], data.p[k], p.dt[k])[0] - x[k + 1] for k in range(N)]
+    multipliers = []
+    values = ca.vertcat(*(ca.DM(v) for v in (*solution.x, *solution.u)))
+    where = point(solution)
+    for i, row in enumerate(p.rows):
+        for k in row_nodes(row):
+            if row.kind == "general":
+                e = (
+                    h_N(x[k], ca.SX(0, 1), data.p[k])[row.index_terminal]
+                    if k == N
+                    else h(x[k], u[k], data.p[k])[row.index]
+                )
+            else:
+                e = (u if row.kind == "control" else x)[k][row.index]
+            value = float(ca.Function("e", [z], [e])(values))
+            low, high = data.lower[k, i], data.upper[k, i]
+            if min(value - low, high - value) < 1e-6:
+                array, index = multiplier_of(p, where, row, k)
+                active.append(e)
+                multipliers += [abs(float(array[index]))] if low < high else []
+    J = ca.Function("J", [z], [ca.jacobian(ca.vertcat(*active), z)])(values).full()
+    return bool(np.linalg.svd(J, compute_uv=False)[-1] > 1e-6 and min(multipliers, default=1.0) > 1e-6)
+
+
+def active_kinds(name: str, solution: Any) -> frozenset[str]:
+    """Kinds of rows that carry a multiplier."""
+    p, where = problem(name), point(solution)
+    found = set()
+    for row in p.rows:
+        for k in row_nodes(row):
+            array, index = multiplier_of(p, where, row, k)
+            if abs(float(array[index])) > 1e-4:
+                found.add(row.kind)
+    return frozenset(found)
+
+
+def toy(T: float = 0.4) -> OCP:
+    """A cart with mass m, a disturbance d, and bounds on its force and its state: x+ = A x + B a / m + d for 0.1 s."""
+    ocp = OCP("toy", T=T, N=4)
+    p, v, a = ocp.state("p", unit="m", initial=1.0), ocp.state("v", unit="m/s"), ocp.control("a", unit="m/s^2")
+    m, d = ocp.parameter("m", value=1.0), ocp.parameter("d", size=2, value=[0.0, 0.0])
+    ocp.dynamics({p: v + 10 * d[0] - d[1] / 2, v: a / m + 10 * d[1]})
+    ocp.least_squares(ca.vertcat(p, v, a), weight=[10.0, 1.0, 0.1], names=["p", "v", "a"])
+    ocp.terminal_least_squares(ca.vertcat(p, v), weight=[100.0, 10.0], names=["p", "v"])
+    ocp.subject_to(-5, a, 5)
+    ocp.subject_to(-np.inf, ca.vertcat(p, v), np.inf, name="box")
+    return ocp
+
+
+@cache
+def toy_sources(precision: Precision = "double", T: float = 0.4) -> Sources:
+    """Its package: a Riccati recursion, everything can be changed at run time."""
+    online = Online("node", "shared", "shared", "node")
+    return generate(toy(T), Options(qp=RiccatiActiveSet(fallback=None), online=online, precision=precision))

@@ -1,0 +1,264 @@
+"""A QP component in a shared library of its own: only the template and its struct.
+
+The header text comes from the component's own Struct, so no optimal control problem is needed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmpc_codegen.components.base import Dims, QpDims
+from nmpc_codegen.components.qp import DenseActiveSet
+from nmpc_codegen.ir.cmodule import Size, Struct
+from nmpc_codegen.lowering.parts import read_part, resolve
+from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
+from nmpc_codegen.lowering.tolerances import TOLERANCES
+from nmpc_codegen.runtime.build import MARCH, find_compiler, with_required_options
+from nmpc_codegen.runtime.package_description import union_dtype
+
+STATUSES = (
+    "OK", "ITERATION_LIMIT", "INFEASIBLE", "RELAXED", "NUMERICAL_FAILURE", "NOT_FINITE", "NOT_PREPARED",
+    "NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED",
+)  # fmt: skip
+WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
+FAST = ("-O1", MARCH, "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
+SCALARS = {"double": np.float64, "single": np.float32}
+
+
+#: A part that is tested separately has all kinds of rows, and the fallback of the active-set method.
+SWITCHES = {
+    "SCALAR": 0,
+    "SMALL": 0,
+    "SHIFT_RESAMPLE": 0,
+    "REGULARIZE_REDUCED": 0,
+    "SOLVE": 1,
+    "STATE_ROWS": 1,
+    "END_EQUATIONS": 1,
+    "GENERAL_ROWS": 1,
+    "BLOCK_ROWS": 1,
+    "HAS_COST_GRADIENT": 0,
+    "HAS_TERMINAL_ADJOINT": 0,
+    "INTERIOR_POINT": 1,
+    "SET_REFERENCE": 1,
+    "FIRST": 0,
+    "LEVELS": 0,
+    "HOST_LANES": 1,
+    "TILES": 0,
+}
+
+
+def qp_dims(nv: int, ng: int) -> Dims:
+    """Dims of a QP with nv variables and ng general rows; the other sizes are not used."""
+    zero = Size("0", 0)
+    named = dict.fromkeys((*Dims.__dataclass_fields__, *QpDims.__dataclass_fields__), zero)
+    named |= {
+        "ns": Size("NS", 1),
+        "nus": Size("NUS", nv),
+        "nv": Size("NV", nv),
+        "ng": Size("NG", ng),
+        "ld": Size("LDV", -(-nv // 4) * 4),
+        "ldh": Size("LDH", -(-nv // 4) * 4),
+        "nsl": Size("NSL", 0),
+    }
+    condensed = QpDims(**{name: named[name] for name in QpDims.__dataclass_fields__})
+    core = {name: named[name] for name in Dims.__dataclass_fields__ if name != "condensed"}
+    return Dims(**core, condensed=condensed)  # type: ignore[arg-type]
+
+
+def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSet | None = None) -> str:
+    """Self-contained C text of the component with exported entry points test_init, test_factorize, ..."""
+    component = component or DenseActiveSet()
+    dims = qp_dims(nv, ng)
+    sizes = {
+        "NS": 1,
+        "NUS": nv,
+        "NV": nv,
+        "NG": ng,
+        "LDV": dims.qp.ld.value,
+        "LDH": dims.qp.ldh.value,
+        "NSL": 0,
+        "ELASTIC": int(ng > 0),
+    }
+    sizes |= {name: value for name, value, _ in component.sizes(dims)}
+    text = [unit_head(sizes, precision)]
+    text += [struct_text(struct) for struct in component.structs(dims)]
+    return "\n".join([*text, part_text(component.template, sizes)])
+
+
+def unit_head(sizes: Mapping[str, int], precision: str) -> str:
+    """The text that a part needs before it besides its structs: includes, sizes, types, statuses, arithmetic."""
+    name, arguments, text = REAL_CONSTANT
+    lines = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
+    lines += [f"#define {macro} {value}" for macro, value in (*sizes.items(), *arithmetic(precision))]
+    lines += [
+        f"typedef {'float' if precision == 'single' else 'double'} real_t;",
+        f"#define {name}({arguments}) {text}",
+    ]
+    return "\n".join([*lines, "typedef enum { " + ", ".join(STATUSES) + " } status_t;", part_text("clip.c", sizes)])
+
+
+def struct_text(struct: Struct) -> str:
+    """The type definition of a struct."""
+    kind = "union" if struct.union else "struct"
+    return "\n".join([f"typedef {kind} {{", *(f"    {line}" for line in members(struct)), f"}} {struct.name}_t;"])
+
+
+def part_text(path: str, sizes: Mapping[str, int]) -> str:
+    """A part with its included parts and its conditions resolved."""
+    return resolve(read_part(path, no_generated_part), {**SWITCHES, **sizes})
+
+
+def no_generated_part(path: str) -> str:
+    """Parts that are tested separately include no generated text of a package."""
+    raise LookupError(path)
+
+
+def members(struct: Struct) -> list[str]:
+    """C member declarations of a struct; zero sizes are padded to 1."""
+    types = {"real": "real_t", "int32": "int32_t", "int64": "int64_t"}
+    return [
+        f"{types.get(f.ctype, f.ctype + '_t')} {f.name}{''.join(f'[{n}]' for n in f.padded)};" for f in struct.fields
+    ]
+
+
+ENTRY_POINTS = """
+#ifdef __cplusplus
+extern "C" {
+#endif
+void test_init(qp_t *q);
+int test_factorize(qp_t *q);
+int test_solve(qp_t *q);
+void test_shift(qp_t *q, int n, const int *source);
+int test_size(void);
+void test_init(qp_t *q) { qp_init(q); }
+int test_factorize(qp_t *q) { return (int)qp_factorize(q); }
+int test_solve(qp_t *q) { return (int)qp_solve(q); }
+void test_shift(qp_t *q, int n, const int *source)
+{
+    qp_shift_controls(q, n);
+#if NG
+    qp_shift_rows(q, source);
+#else
+    (void)source;
+#endif
+}
+int test_size(void) { return (int)sizeof(qp_t); }
+#ifdef __cplusplus
+}
+#endif
+"""
+
+
+@functools.cache
+def build_directory() -> tempfile.TemporaryDirectory[str]:
+    """One temporary directory per session; removed at exit."""
+    return tempfile.TemporaryDirectory(prefix="qp_harness_")
+
+
+@functools.cache
+def library(
+    nv: int,
+    ng: int,
+    precision: str = "double",
+    max_iterations: int | None = None,
+    flags: tuple[str, ...] = FAST,
+) -> ctypes.CDLL:
+    """Shared library of the component, built once per session and configuration, all warnings being errors."""
+    stem = (
+        Path(build_directory().name)
+        / f"qp_{nv}_{ng}_{precision}_{max_iterations}_{'fast' if flags == FAST else 'plain'}"
+    )
+    stem.with_suffix(".c").write_text(source(nv, ng, precision, DenseActiveSet(max_iterations)) + ENTRY_POINTS)
+    compiler = with_required_options(("gcc",)) if flags == FAST else find_compiler()
+    subprocess.run(
+        [*compiler, "-std=c99", *WARNINGS, *flags, "-shared", "-fPIC",
+         "-o", stem.with_suffix(".so"), stem.with_suffix(".c"), "-lm"],
+        check=True,
+    )  # fmt: skip
+    return ctypes.CDLL(str(stem.with_suffix(".so")))
+
+
+@functools.cache
+def memory_layout(nv: int, ng: int, precision: str) -> np.dtype[Any]:
+    """NumPy view of the C struct."""
+    types: dict[str, Any] = {"real": SCALARS[precision], "int32": np.int32, "int64": np.int64}
+    for struct in DenseActiveSet().structs(qp_dims(nv, ng)):
+        members = [(f.name, np.dtype(types[f.ctype]), f.padded) for f in struct.fields]
+        types[struct.name] = union_dtype(members) if struct.union else np.dtype(members, align=True)
+    found: np.dtype[Any] = types["qp"]
+    return found
+
+
+class QP:
+    """One instance of the C struct; ``self["z"]`` is the view on its member z."""
+
+    def __init__(
+        self,
+        nv: int,
+        ng: int,
+        precision: str = "double",
+        max_iterations: int | None = None,
+        flags: tuple[str, ...] = FAST,
+    ) -> None:
+        self.nv, self.ng = nv, ng
+        self.library = library(nv, ng, precision, max_iterations, flags)
+        self.memory = np.zeros((), memory_layout(nv, ng, precision))
+        assert self.library.test_size() == self.memory.nbytes
+        self.library.test_init(self._pointer)
+
+    @property
+    def _pointer(self) -> ctypes.c_void_p:
+        return ctypes.c_void_p(self.memory.ctypes.data)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return np.asarray(self.memory[name])
+
+    def load(self, H: Any, A: Any, lower: Any, upper: Any) -> None:
+        """Data of the preparation phase; only the lower triangle of H is written."""
+        inside = np.tril(np.ones((self.nv, self.nv), bool))
+        self["H"][: self.nv, : self.nv][inside] = np.asarray(H)[inside]
+        if self.ng:
+            self["A"][:, : self.nv] = A
+        self.load_bounds(lower, upper)
+
+    def load_bounds(self, lower: Any, upper: Any) -> None:
+        self["lower"][: self.nv + self.ng] = lower
+        self["upper"][: self.nv + self.ng] = upper
+
+    def factorize(self) -> str:
+        return STATUSES[self.library.test_factorize(self._pointer)]
+
+    def solve(self, g: Any) -> str:
+        self["g"][: self.nv] = g
+        return STATUSES[self.library.test_solve(self._pointer)]
+
+    def run(self, H: Any, g: Any, A: Any, lower: Any, upper: Any, penalty: Any = np.inf) -> str:
+        """Run both phases; returns the status of the phase that failed, else that of qp_solve."""
+        self.load(H, A, lower, upper)
+        self["penalty"][self.nv : self.nv + self.ng] = penalty
+        status = self.factorize()
+        return status if status != "OK" else self.solve(g)
+
+    def shift(self, n: int, source: Any = None) -> None:
+        """``source``: per general row the row whose prediction it takes; default: the row itself."""
+        rows = np.arange(self.ng) if source is None else source
+        self.library.test_shift(self._pointer, n, (ctypes.c_int * max(1, self.ng))(*rows))
+
+    @property
+    def z(self) -> np.ndarray:
+        return self["z"][: self.nv].astype(float)
+
+    @property
+    def mult(self) -> np.ndarray:
+        return self["mult"][: self.nv + self.ng].astype(float)
+
+
+__all__ = ["FAST", "QP", "TOLERANCES", "WARNINGS", "library", "qp_dims", "source"]

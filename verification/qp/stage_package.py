@@ -1,0 +1,160 @@
+"""Packages whose data are a stage QP: every matrix of the QP is a parameter of a real controller, one value per node.
+
+    x_{k+1} = S_k z_k + b_k,   cost sum_k 1/2 z_k'Q_k z_k + g_k'z_k,   rows lower <= c_k + C_k z_k <= upper,  z = (x, u)
+
+At the plan x = 0, u = 0 the linearisation of that problem is the problem itself, to the last bit. So the QP of a sample
+is known exactly, and its answer, the plan after the sample, is what an application gets: control, states, multipliers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen import (
+    OCP,
+    Controller,
+    DenseActiveSet,
+    ExactHessian,
+    FullCondensing,
+    NoCondensing,
+    Online,
+    Options,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+    Status,
+)
+from nmpc_codegen.runtime.package_description import Precision
+from verification.oracles.stage_qp import Array, Point, Shape, StageQP, rows_of
+
+#: Condensing and QP solver with their default options, by a name.
+SOLVERS: dict[str, tuple[Any, Any]] = {
+    "dense": (FullCondensing(), DenseActiveSet()),
+    "riccati": (NoCondensing(), RiccatiActiveSet()),
+    "interior": (NoCondensing(), RiccatiInteriorPoint()),
+}
+
+SCALARS: dict[Precision, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
+
+
+def options(solver: str, precision: Precision) -> Options:
+    """The QP reaches the solver as it is: nothing is regularised, every node has bounds of its own."""
+    condensing, qp = SOLVERS[solver]
+    return Options(
+        hessian=ExactHessian(regularization=None), condensing=condensing, qp=qp, online=Online(bounds="node"),
+        precision=precision,
+    )  # fmt: skip
+
+
+def parameter_sizes(shape: Shape) -> dict[str, int]:
+    """Parameters of a node, in their order."""
+    nx, nz = shape.nx, shape.nx + shape.nu
+    return {
+        "dynamics": nx * nz, "offset": nx, "hessian": nz * (nz + 1) // 2, "gradient": nz,
+        "rows": shape.path * nz, "values": shape.path, "end_rows": shape.end * nx, "end_values": shape.end,
+    }  # fmt: skip
+
+
+def stage_ocp(shape: Shape) -> OCP:
+    """The problem of a shape; all controls are bounded, the first ``states`` states at the nodes 1 .. N."""
+    nx, nz = shape.nx, shape.nx + shape.nu
+    ocp = OCP("stages", N=shape.N)
+    x, u = ocp.state("x", size=nx), ocp.control("u", size=shape.nu)
+    z = ca.vertcat(x, u)
+    p = {name: ocp.parameter(name, size=size) for name, size in parameter_sizes(shape).items() if size}
+    ocp.dynamics(ca.reshape(p["dynamics"], nz, nx).T @ z + p["offset"], discrete=True)
+    lower = ca.SX(ca.Sparsity.lower(nz), p["hessian"])
+    Q, g = lower + lower.T - ca.diag(ca.diag(lower)), p["gradient"]
+    ocp.stage_cost(ca.bilin(Q, z, z) / 2 + ca.dot(g, z))
+    ocp.terminal_cost(ca.bilin(Q[:nx, :nx], x, x) / 2 + ca.dot(g[:nx], x))
+    ocp.subject_to(-1, u, 1, name="control")
+    if shape.states:
+        ocp.subject_to(-1, x[: shape.states], 1, name="state")
+    if shape.path:
+        ocp.subject_to(-1, ca.reshape(p["rows"], nz, shape.path).T @ z + p["values"], 1, name="path")
+    if shape.end:
+        ocp.subject_to(-1, ca.reshape(p["end_rows"], nx, shape.end).T @ x + p["end_values"], 1, at="end", name="end")
+    return ocp
+
+
+def rounded(qp: StageQP, precision: Precision) -> StageQP:
+    """The QP in the numbers that a solver of this precision gets, as doubles."""
+    kind = SCALARS[precision]
+    data = ("S", "b", "Q", "Q_N", "g", "g_N", "C", "c", "lower", "upper", "lower_u", "upper_u", "dx0")
+    with np.errstate(over="ignore"):
+        return dataclasses.replace(qp, **{name: getattr(qp, name).astype(kind).astype(float) for name in data})
+
+
+def parameters(qp: StageQP) -> Array:
+    """Values of all parameters, (N + 1, np)."""
+    shape, rows = qp.shape, qp.rows
+    N, nx = shape.N, shape.nx
+    nz = nx + shape.nu
+    sizes = parameter_sizes(shape)
+    starts = dict(zip(sizes, np.cumsum([0, *sizes.values()]), strict=False))
+    p = np.zeros((N + 1, sum(sizes.values())))
+
+    def part(name: str, nodes: slice, value: Array) -> None:
+        p[nodes, starts[name] : starts[name] + value.shape[-1]] = value
+
+    path, end = slice(0, N), slice(N, N + 1)
+    columns, lines = np.triu_indices(nz)  # of the lower triangle, column by column
+    part("dynamics", path, qp.S.reshape(N, -1))
+    part("offset", path, qp.b)
+    part("hessian", path, qp.Q[:, lines, columns])
+    last = np.zeros((nz, nz))
+    last[:nx, :nx] = qp.Q_N
+    part("hessian", end, last[lines, columns])
+    part("gradient", path, qp.g)
+    part("gradient", end, qp.g_N)
+    general = rows.kind == 1
+    on_path, at_end = general & (rows.node < N), general & (rows.node == N)
+    if shape.path:
+        part("rows", path, qp.C[on_path].reshape(N, -1))  # rows are sorted by node, then by index
+        part("values", path, qp.c[on_path].reshape(N, -1))
+    if shape.end:
+        part("end_rows", end, qp.C[at_end, :nx].reshape(1, -1))
+        part("end_values", end, qp.c[at_end].reshape(1, -1))
+    return p
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Answer:
+    """What a sample left: its status, the plan, the multipliers of dynamics, QP iterations."""
+
+    status: Status
+    point: Point
+    lam: Array
+    iterations: int
+
+
+def write(controller: Controller, qp: StageQP) -> None:
+    """The QP into a controller, and the plan at which it is the QP of the next sample."""
+    shape, rows = qp.shape, rows_of(qp.shape)
+    controller.view("p")[...] = parameters(qp)
+    lower, upper = controller.view("lower"), controller.view("upper")
+    for bounds, of_u, of_rows in ((lower, qp.lower_u, qp.lower), (upper, qp.upper_u, qp.upper)):
+        bounds[:-1, : shape.nu] = of_u
+        bounds[rows.node, shape.nu + rows.user] = of_rows
+    controller.x[:] = 0.0
+    controller.u[:] = 0.0
+
+
+def answer(controller: Controller, qp: StageQP) -> Answer:
+    """One sample with this QP, from the working set of the sample before."""
+    write(controller, qp)
+    controller.step(qp.dx0)
+    rows, c = qp.rows, controller
+    mult = np.zeros(len(rows))
+    state, general = rows.kind == 0, rows.kind == 1
+    path, end = general & (rows.node < qp.shape.N), general & (rows.node == qp.shape.N)
+    mult[state] = c.mu_x[rows.node[state], rows.index[state]]
+    if path.any():
+        mult[path] = c.mu[rows.node[path], rows.index[path]]
+    if end.any():
+        mult[end] = c.mu_N[rows.index[end]]
+    point = Point(c.x.astype(float), c.u.astype(float), c.mu_u.astype(float), mult)
+    return Answer(c.status, point, c.lam.astype(float), c.stats.qp_iterations)

@@ -1,0 +1,215 @@
+"""Operations of the samples of closed loops: the worst against the median, and soft rows against none.
+
+A loop is recorded with the compiled controller, then its measured states and set points are played to the same package
+with a real type that counts. Counts are exact and repeatable. Recorded and counted controls are compared.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
+from nmpc_codegen import OCP, Controller, ExactHessian, Options, Project, Status, build, generate
+from verification.closed_loop import Scenario, disturbed
+from verification.counting import HEADER, counting_header
+from verification.scenarios import CRANE_LOOP, CSTR, EXAMPLES, FIGURE_6, FIGURE_6_STEPS, QUADROTOR
+
+Array = np.ndarray
+
+
+DRIVER = Path(__file__).with_name("counted_loop.cpp")
+
+
+STEPS = 1000  # of a loop at most
+
+
+LEAST = 60  # samples of a quick look
+
+
+IN_USE = 0.2  # share of samples in which soft rows carry multipliers, without which a loop shows nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A closed loop with default options, but for the integrator and Hessian of its example."""
+
+    name: str
+    make: Callable[[], OCP]
+    options: Options
+    scenario: Scenario
+    steps: int = STEPS
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Samples of a loop: (set point or None, measured state), controls (n, nu), whether a soft row had a multiplier.
+
+    ``opened``: numbers of the rows whose bounds were taken away before the first sample.
+    """
+
+    opened: list[int]
+    samples: list[tuple[Array | None, Array]]
+    u: Array
+    in_use: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """Operations (n,), those with comparisons, signs and magnitudes (n,), status (n,), controls (n, nu) of samples."""
+
+    operations: Array
+    every: Array
+    status: Array
+    u: Array
+
+
+def closed_loops() -> list[Loop]:
+    """Those of the other benchmarks."""
+    exact = bioreactor.options(ExactHessian(Project()), "repeat")
+    plain = Options(exact.integrator, exact.hessian, algorithm=exact.algorithm)
+    fermenter = Scenario(bioreactor.START, bioreactor.SAMPLING, 50, restart=1e-2)
+    return [
+        Loop("crane", crane.build_ocp, Options(), CRANE_LOOP),
+        *(Loop(e.name, e.make, e.options, e.scenario(), e.steps) for e in EXAMPLES),
+        Loop("cstr, three set points", CSTR.make, CSTR.options, FIGURE_6, FIGURE_6_STEPS),
+        Loop("bioreactor", lambda: bioreactor.build_ocp(soft=True), plain, fermenter, 200),
+    ]
+
+
+def _slow_crane() -> OCP:
+    """Speed of the trolley and angle of the load within limits that a jump of the load's place breaks."""
+    ocp = crane.build_ocp(False)
+    ocp.subject_to(-0.3, ocp.x[1], 0.3, name="speed", soft=(10.0, 0.0))
+    ocp.subject_to(-0.02, ocp.x[2], 0.02, name="angle", soft=(50.0, 10.0))
+    return ocp
+
+
+def _warm_reactor() -> OCP:
+    """Temperatures that the set point lies below."""
+    ocp = cstr.build_ocp(state_bounds=False)
+    ocp.subject_to(115.0, ocp.x[2], np.inf, name="warm", soft=(1.0, 0.0))
+    ocp.subject_to(-np.inf, ocp.x[3], 112.0, name="cool", soft=(1.0, 0.5))
+    return ocp
+
+
+def _gentle_quadrotor() -> OCP:
+    """Speed and tilt, general rows."""
+    ocp = quadrotor.build_ocp((0.0, 0.0, 0.0))
+    ocp.subject_to(-np.inf, ca.dot(ocp.x[3:6], ocp.x[3:6]), 0.05, name="speed", soft=(20.0, 0.0))
+    ocp.subject_to(0.999, ca.cos(ocp.x[6]) * ca.cos(ocp.x[7]), np.inf, name="tilt", soft=(100.0, 0.0))
+    return ocp
+
+
+def _walled_chain() -> OCP:
+    """A wall beside the chain that the pushes take it through."""
+    ocp = chain.build_ocp(3)
+    ocp.subject_to(-np.inf, ocp.x[1], 0.02, name="wall", soft=(5.0, 0.0))
+    ocp.subject_to(-np.inf, ocp.x[4], 0.02, name="hand_wall", soft=(5.0, 0.0))
+    return ocp
+
+
+def _cautious_pole() -> OCP:
+    """Place and force of the cart within soft limits."""
+    ocp = cart_pole.build_ocp()
+    ocp.subject_to(-0.02, ocp.x[0], 0.02, name="place", soft=(100.0, 0.0))
+    ocp.subject_to(-1.0, ocp.u[0], 1.0, name="force", soft=(1.0, 0.1))
+    return ocp
+
+
+def soft_loops() -> list[Loop]:
+    """Loops that run into soft rows, again and again."""
+    hover = np.array([*np.zeros(12), *np.full(4, quadrotor.HOVER)])
+    there = hover + np.array([1.0, 1.0, 1.0, *np.zeros(13)])
+    points = tuple((y, y[:12]) for y in (hover, there))
+    reactor, at_rest = CSTR.scenario(), EXAMPLES[3].scenario().x0
+    flights = Scenario(np.zeros(12), 0.05, 25, set_points=points)
+    pushed = Scenario(at_rest, 0.2, 25, push=(-1.0, 1.0, 1.0), pushes=5)
+    return [
+        Loop("crane", _slow_crane, Options(), Scenario((0.0, 0, 0, 0), 0.3, 20, amplitude=0.8), 400),
+        Loop("cstr", _warm_reactor, Options(), reactor, 400),
+        Loop("quadrotor", _gentle_quadrotor, QUADROTOR.options, flights, 200),
+        Loop("chain3", _walled_chain, Options(), pushed, 200),
+        Loop("cart_pole", _cautious_pole, Options(), Scenario((0.0, 0, 0, 0), 0.05, 20, amplitude=0.1), 400),
+    ]
+
+
+def record(loop: Loop, steps: int, opened: list[int]) -> Recorded:
+    """Run the loop with the compiled controller, these rows without bounds."""
+    c = build(loop.make(), loop.options, profile="fast")
+    for row in opened:
+        c.set_bounds(c.names.rows[row], -np.inf, np.inf)
+    s, random = loop.scenario, np.random.default_rng(1)
+    x, samples, u, in_use = np.array(s.x0, dtype=float), [], [], []
+    for k in range(steps):
+        point = None
+        if k % s.period == 0:
+            x = disturbed(s, x, random, c.integrate)
+            if s.set_points:
+                y, y_N = s.set_points[k // s.period % len(s.set_points)]
+                c.set_reference(y)
+                c.set_terminal_reference(y_N)
+                point = np.concatenate([y, y_N])
+        samples.append((point, x))
+        u.append(c.step(x))
+        in_use.append(_soft_rows_in_use(c))
+        x = np.asarray(c.integrate(x, u[-1], s.dt))
+    return Recorded(opened, samples, np.array(u), np.array(in_use))
+
+
+def _soft_rows_in_use(c: Controller) -> bool:
+    """A row other than a bound of a control has a multiplier; loops with soft rows have no hard ones of this kind."""
+    return c.status == Status.OK and any(np.any(v) for v in (c.mu_x, c.mu, c.mu_N, c.eta))
+
+
+def soft_rows(c: Controller) -> list[int]:
+    """Numbers of the soft rows."""
+    return [i for i, row in enumerate(c.description.rows) if row.soft]
+
+
+def count(loop: Loop, *played: Recorded, optimise: bool = True) -> list[Counted]:
+    """Play recordings to the package with the counting type.
+
+    Without optimiser the program is there four times as fast, and as much slower.
+    """
+    sources = generate(loop.make(), loop.options)
+    name = next(path[:-2] for path in sources if path.endswith(".h"))
+    with tempfile.TemporaryDirectory(prefix="counted-") as temporary:
+        folder = Path(temporary)
+        (folder / HEADER.name).write_text(HEADER.read_text(encoding="utf-8"), encoding="utf-8")
+        (folder / f"{name}.h").write_text(counting_header(sources[f"{name}.h"], name), encoding="utf-8")
+        (folder / f"{name}.c").write_text(sources[f"{name}.c"], encoding="utf-8")
+        define = [f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"']
+        compiler = ["g++", "-O1"] if optimise else [shutil.which("clang++") or "g++", "-O0"]
+        command = [*compiler, "-std=c++17", "-w", *define, f"-I{folder}", str(DRIVER), "-o", "loop", "-lm"]
+        subprocess.run(command, cwd=folder, check=True)
+        return [_play(folder / "loop", recorded) for recorded in played]
+
+
+def _play(program: Path, recorded: Recorded) -> Counted:
+    lines = [" ".join(map(str, [len(recorded.opened), *recorded.opened]))]
+    for point, x in recorded.samples:
+        given = [] if point is None else point.tolist()
+        lines.append(" ".join(map(repr, [int(point is not None), *map(float, given), *map(float, x)])))
+    text = "\n".join(lines) + "\n"
+    out = subprocess.run([program], input=text, capture_output=True, text=True, check=True).stdout
+    table = np.array([[float(v) for v in line.split()] for line in out.splitlines()])
+    return Counted(table[:, 1], table[:, 2], table[:, 0].astype(int), table[:, 3:])
+
+
+def steps_of(loop: Loop, scale: float) -> int:
+    """The share that is asked for, but enough for something to happen."""
+    return min(loop.steps, max(LEAST, round(1.2 * loop.scenario.period), round(scale * loop.steps)))
+
+
+def control_difference(recorded: Recorded, counted: Counted) -> float:
+    """Of the controls, relative to the largest of each."""
+    size = np.maximum(np.max(np.abs(recorded.u), axis=0), np.finfo(float).tiny)
+    return float(np.max(np.abs(recorded.u - counted.u) / size))

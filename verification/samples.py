@@ -1,0 +1,432 @@
+"""Samples of the compiler's output: examples with various options, and small problems with unusual structure.
+
+Together they use every C part and make every `#if` of a part true once and false once (coverage.py, test_samples.py).
+For every part or condition that no sample reaches, a sample has to be added here.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
+from nmpc_codegen import (
+    OCP,
+    RK4,
+    AdjointShooting,
+    AugmentedLagrangian,
+    DenseActiveSet,
+    EconomicGaussNewton,
+    ExactHessian,
+    ExplicitRungeKutta,
+    FullCondensing,
+    GaussNewton,
+    Mirror,
+    NoCondensing,
+    Online,
+    Options,
+    Osqp,
+    PartialCondensing,
+    ProblemWarning,
+    RealTimeIteration,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+)
+from verification.timed import Sample
+
+
+def _pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
+    """A damped pendulum with a torque and a quadratic cost: (ocp, angle, rate, torque)."""
+    ocp = OCP(name, **(grid or {"T": 1.0, "N": 5}))
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w + u})
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.1, 0.1])
+    return ocp, q, w, u
+
+
+def bare() -> OCP:
+    """Neither rows nor parameters nor a terminal cost."""
+    return _pendulum("bare")[0]
+
+
+def single() -> OCP:
+    """nx = nu = N = 1."""
+    ocp = OCP("single", T=0.5, N=1)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: -(x**3) + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    ocp.terminal_least_squares(ca.vertcat(x, ca.sin(x)), weight=[1.0, 0.5])
+    return ocp
+
+
+def controls() -> OCP:
+    """Control bounds only."""
+    ocp, _, _, u = _pendulum("controls")
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def states() -> OCP:
+    """Bounds on states, one of them at the end; none on controls."""
+    ocp, q, w, _ = _pendulum("states")
+    ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
+    ocp.subject_to(-0.6, w, 0.6)
+    ocp.subject_to(-1, q, 1, at="end")
+    return ocp
+
+
+def path() -> OCP:
+    """General path rows with and without controls, one of them with a parameter; none at the end."""
+    ocp, q, w, u = _pendulum("walls")
+    p = ocp.parameter("p", value=0.5)
+    ocp.subject_to(-0.8, u + p * w * w, 0.9, name="effort")
+    ocp.subject_to(-0.3, w + 0.2 * u * q, np.inf, name="slow")
+    return ocp
+
+
+def final() -> OCP:
+    """General rows only at the end."""
+    ocp, q, w, u = _pendulum("final")
+    ocp.subject_to(-3, u, 3)
+    ocp.subject_to(-0.1, ca.vertcat(q + 0.2 * q * w, ca.sin(w) + q), [0.1, 0.5], at="end", name="gate")
+    return ocp
+
+
+def ends() -> OCP:
+    """A state, a general and a coupled row at the end."""
+    ocp, q, w, u = _pendulum("ends")
+    ocp.subject_to(-3, u, 3)
+    ocp.subject_to(0.1, q, 0.1, at="end")
+    ocp.subject_to(-0.2, w + 0.1 * q * w, 0.2, at="end", name="gate")
+    ocp.boundary(-1, ocp.at_start(q) * ocp.at_end(w), 1)
+    return ocp
+
+
+def soft_states() -> OCP:
+    """Soft bounds on states."""
+    ocp, _, w, u = _pendulum("soft_states")
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-0.6, w, 0.6, soft=(10, 1))
+    return ocp
+
+
+def soft_rows() -> OCP:
+    """Soft general rows at some nodes, and a hard general row."""
+    ocp, q, w, u = _pendulum("soft_rows")
+    ocp.subject_to(-0.8, u + 0.5 * w * w, 0.9, name="effort", soft=(5, 0))
+    ocp.subject_to(-0.2, q * q + w, 0.7, at=(2, 4, 5), name="gate")
+    return ocp
+
+
+def cycle() -> OCP:
+    """Start and end are coupled, the start is free; there are no other bounds."""
+    ocp, q, w, _ = _pendulum("cycle")
+    ocp.boundary(0, ocp.at_start(q) - ocp.at_end(q), 0)
+    ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0)
+    ocp.free_initial(q, w)
+    return ocp
+
+
+def arrival() -> OCP:
+    """A free start with a separate cost."""
+    ocp, q, w, u = _pendulum("arrival")
+    ocp.subject_to(-1, u, 1)
+    ocp.free_initial(q, w)
+    ocp.start_least_squares(ca.vertcat(q, q * w), weight=[3.0, 1.0], reference=[0.5, 0.1])
+    ocp.start_cost(0.1 * w**4)
+    return ocp
+
+
+def arrival_on_path() -> OCP:
+    """A least-squares cost of x_0, together with a path cost of the state only."""
+    ocp = OCP("arrival_on_path", T=1.0, N=5)
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.least_squares(u, weight=0.1)
+    ocp.terminal_least_squares(q, weight=10)
+    ocp.free_initial(w)
+    ocp.start_least_squares(w, weight=2.0)
+    return ocp
+
+
+def bioreactor_in_loop() -> OCP:
+    """Soft coupled rows with a measured start, accumulators, an integrated cost."""
+    return bioreactor.build_ocp(soft=True)
+
+
+def ring() -> OCP:
+    """Nonlinear coupled rows and a general row."""
+    ocp, q, w, u = _pendulum("ring")
+    ocp.boundary(-1, ocp.at_start(q) * ocp.at_end(q) + ocp.at_end(w) ** 2 - ocp.at_start(w) ** 2, 1)
+    ocp.subject_to(-2, w + u * q, 2, name="row")
+    ocp.terminal_least_squares(w, weight=1.0)
+    return ocp
+
+
+def closing() -> OCP:
+    """A measured start and a coupled row only."""
+    ocp, _, w, _ = _pendulum("closing")
+    ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0)
+    return ocp
+
+
+def target() -> OCP:
+    """A cost at the end only, and bounds on the control."""
+    ocp = OCP("target", T=1.0, N=5)
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.terminal_least_squares(ca.vertcat(q, w), weight=[10.0, 1.0])
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def counted() -> OCP:
+    """A state that starts at 0 at every sample."""
+    ocp = OCP("counted", T=1.0, N=4)
+    q, work, u = ocp.state("q", initial=0.5), ocp.state("work"), ocp.control("u")
+    ocp.dynamics({q: -q + u, work: u**2})
+    ocp.least_squares(ca.vertcat(q, u), weight=[1.0, 0.1])
+    ocp.accumulator(work)
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-1, work, 0.5, at="end")
+    return ocp
+
+
+def free() -> OCP:
+    """A component of the start is free, and no row couples it to the end."""
+    ocp, _, w, u = _pendulum("loose")
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-0.6, w, 0.6)
+    ocp.free_initial(w)
+    return ocp
+
+
+def everything() -> OCP:
+    """Every kind of row and of data, on a nonuniform grid."""
+    ocp = OCP("everything", intervals=[0.1, 0.1, 0.2, 0.2])
+    x, u, p = ocp.state("x", size=2), ocp.control("u", size=2), ocp.parameter("p", size=2, value=[1, 2])
+    ocp.dynamics(ca.vertcat(x[1] * p[0], -x[0] + u[0] * u[1] + ca.sin(x[1]) * p[1]))
+    weight = np.diag([2.0, 1.0, 1.0, 1.0, 1.0])
+    weight[0, 1] = weight[1, 0] = 0.1
+    ocp.least_squares(ca.vertcat(x, u, x[0] * u[0]), weight=weight)
+    ocp.terminal_least_squares(ca.vertcat(x[0] ** 2 + x[1], x[0]), weight=[[3.0, 0.5], [0.5, 1.0]])
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-2, x[0] * x[1] + u[0], 2, soft=(10, 2), name="row")
+    ocp.subject_to(-3, x[1], 3, soft=(5, 0))
+    ocp.subject_to(-4, x[0] - u[1], 4, name="hard")
+    ocp.subject_to(-1, x[0] ** 2, 1, at="end", name="fin")
+    ocp.boundary(0, ocp.at_start(x[0]) - ocp.at_end(x[0]), 0)
+    ocp.free_initial(x[0])
+    return ocp
+
+
+def economic() -> OCP:
+    """No least squares: a general cost, integrated, and one at the end."""
+    ocp = OCP("economic", T=1.0, N=4)
+    q, w, u = ocp.state("q", initial=0.5), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.stage_cost(1 - ca.cos(q) + 0.1 * w**2 + 0.1 * u**2, integrate=True)
+    ocp.terminal_cost(w**2 + q**4)
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def tuned() -> OCP:
+    """General costs with all data that a constant Hessian depends on, and a free start with a cost."""
+    ocp, q, w, u = _pendulum("tuned")
+    p = ocp.parameter("p", value=0.5)
+    ocp.stage_cost(p * ca.exp(0.1 * q * u))
+    ocp.terminal_least_squares(q, weight=2.0)
+    ocp.subject_to(-1, u, 1)
+    ocp.free_initial(w)
+    ocp.start_least_squares(w, weight=2.0)
+    return ocp
+
+
+def tuned_end() -> OCP:
+    """A general cost and a fixed terminal state: the constant Hessian has no terminal block."""
+    ocp = OCP("tuned_end", T=1.0, N=5)
+    q, w, u = ocp.state("q", initial=0.1), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: -ca.sin(q) + u})
+    ocp.stage_cost(1 - ca.cos(q) + 0.1 * u**2 + 0.1 * w * u, integrate=True)
+    ocp.subject_to(0, ocp.x, 0, at="end", name="rest")
+    return ocp
+
+
+def mixed() -> OCP:
+    """Least squares and a general cost that is not integrated, a general row."""
+    ocp, q, w, u = _pendulum("mixed")
+    ocp.stage_cost(ca.exp(0.1 * q * u))
+    ocp.subject_to(-0.5, w + q * u, 0.5, name="row")
+    return ocp
+
+
+def discrete() -> OCP:
+    """A discrete map."""
+    ocp = OCP("discrete", N=6)
+    x, u = ocp.state("x", initial=0.5), ocp.control("u")
+    ocp.dynamics({x: 0.9 * x + u + 0.1 * x**2}, discrete=True)
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0])
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def discrete_rows() -> OCP:
+    """A discrete map with bounds on its state, a general row and a parameter."""
+    ocp = OCP("discrete_rows", N=3)
+    x, u, p = ocp.state("x", size=2, initial=[0.5, 0.1]), ocp.control("u"), ocp.parameter("p", value=0.9)
+    ocp.dynamics(ca.vertcat(p * x[0] + x[1], 0.5 * x[1] + u + 0.1 * x[0] ** 2), discrete=True)
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0, 1.0])
+    ocp.terminal_least_squares(x, weight=[1.0, 2.0])
+    ocp.subject_to(-1, x, 1)
+    ocp.subject_to(-1, x[0] * u, 1, name="power")
+    return ocp
+
+
+FIXED = Online("fixed", "fixed", "fixed", "fixed")
+REFERENCES = Online("node", "fixed", "fixed", "fixed")
+WEIGHTS = Online("fixed", "node", "fixed", "fixed")
+SHARED = Online("shared", "shared", "shared", "shared")
+NODE = Online("node", "node", "node", "node", dense_weight=True)
+RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
+RELAXED = RealTimeIteration(relaxation=100.0)
+FIRST, LEVELS = RealTimeIteration(first_control=True), RealTimeIteration(levels=True)
+BOTH = RealTimeIteration(first_control=True, levels=True)
+AHEAD = RealTimeIteration(shift="resample", sampling_time=0.05, advance="B", advance_iterations=2)
+REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
+STAGES = NoCondensing()
+QUASI_NEWTON: dict[str, Any] = {"method": "quasi_newton"}
+SMOOTH: dict[str, Any] = {"rows": "smooth_l1", "penalty": 100.0}
+LUMPED, BARRIER = {**SMOOTH, "rows": "lumped"}, {"rows": "barrier"}
+LOOPED = ExplicitRungeKutta(unroll="none")
+
+
+def _augmented(
+    shift: str | None = None, sampling_time: float | None = None, hessian: Any = None, **options: Any
+) -> Options:
+    return Options(algorithm=AugmentedLagrangian(shift=shift, sampling_time=sampling_time), hessian=hessian, **options)
+
+
+def _shooting(given: dict[str, Any] | None = None, **more: Any) -> Options:
+    return Options(algorithm=AdjointShooting(**(given or {})), **more)
+
+
+def _dense(**more: Any) -> Options:
+    return Options(qp=DenseActiveSet(), condensing=FullCondensing(), **more)
+
+
+def _riccati(**more: Any) -> Options:
+    return Options(qp=RiccatiActiveSet(), condensing=STAGES, **more)
+
+
+def _interior(**more: Any) -> Options:
+    return Options(qp=RiccatiInteriorPoint(), condensing=STAGES, **more)
+
+
+def _partial(block: int = 2, **more: Any) -> Options:
+    return Options(qp=RiccatiActiveSet(), condensing=PartialCondensing(block), **more)
+
+
+def _alone(qp: Any, condensing: Any = STAGES, **more: Any) -> Options:
+    """Real-time iterations without any optional part."""
+    return Options(qp=qp, condensing=condensing, solve=False, online=FIXED, **more)
+
+
+def functions() -> OCP:
+    """Functions and conditions that units for a host have in lanes."""
+    ocp = OCP("functions", T=1.0, N=9)
+    x, v, u = ocp.state("x", initial=0.5), ocp.state("v"), ocp.control("u")
+    drag = ca.if_else(v > 0, ca.exp(-v), 1.0) + ca.fmax(v, 0.1) * ca.log(1.0 + x**2) + ca.sqrt(1.0 + v**2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProblemWarning)  # the kinks are what the sample is for
+        ocp.dynamics({x: v, v: u - 0.1 * drag - ca.sin(x) * ca.cos(v) - ca.tanh(x)})
+    ocp.least_squares(ca.vertcat(x, v, u), weight=[1.0, 0.1, 0.1])
+    return ocp
+
+
+#: Examples with their default options.
+EXAMPLES = (
+    Sample("crane", crane.build_ocp),
+    Sample("cstr", cstr.build_ocp),
+    Sample("cart_pole", cart_pole.build_ocp),
+    Sample("quadrotor", quadrotor.build_ocp),
+    Sample("chain3", lambda: chain.build_ocp(3)),
+    Sample("bioreactor", bioreactor.build_ocp, Options(hessian=ExactHessian())),
+)
+
+SAMPLES = (
+    *EXAMPLES,
+    Sample("crane riccati single", crane.build_ocp, _riccati(precision="single", online=SHARED)),
+    Sample("crane without solve", crane.build_ocp, Options(solve=False)),
+    Sample("crane scalar", crane.build_ocp, Options(processor="scalar", precision="single")),
+    Sample("cart_pole size", cart_pole.build_ocp, Options(goal="size", precision="single")),
+    Sample("bare dense", bare, _dense(online=FIXED)),
+    Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
+    Sample("single dense", single, _dense(hessian=ExactHessian())),
+    Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single", processor="scalar")),
+    Sample("controls partial", controls, _partial(algorithm=RESAMPLE)),
+    Sample("controls interior", controls, _interior(algorithm=RESAMPLE)),
+    Sample("controls OSQP", controls, Options(qp=Osqp(), algorithm=RESAMPLE)),
+    Sample("controls riccati alone", controls, _alone(RiccatiActiveSet(fallback=None))),
+    Sample("controls partial alone", controls, _alone(RiccatiActiveSet(), PartialCondensing(2))),
+    Sample("controls interior alone", controls, _alone(RiccatiInteriorPoint())),
+    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None), algorithm=BOTH)),
+    Sample("states partial", states, _partial()),
+    Sample(
+        "states riccati",
+        states,
+        _riccati(algorithm=RESAMPLE, processor="scalar"),
+    ),
+    Sample("path dense", path, _dense(hessian=GaussNewton(convex_rows=True), integrator=LOOPED)),
+    Sample("path riccati", path, _riccati(hessian=GaussNewton(convex_rows=True), online=NODE)),
+    Sample("path OSQP", path, Options(qp=Osqp(), hessian=ExactHessian(regularization=Mirror(level="stage")))),
+    Sample("final dense", final, _dense(hessian=GaussNewton(convex_rows=True), algorithm=REPEAT)),
+    Sample("soft states dense", soft_states, _dense()),
+    Sample("soft rows dense", soft_rows, _dense(hessian=ExactHessian(), online=NODE, algorithm=FIRST)),
+    Sample("soft rows interior", soft_rows, _interior(hessian=GaussNewton(levenberg_marquardt=0.1))),
+    Sample("free riccati", free, _riccati(hessian=ExactHessian())),
+    Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=AHEAD, online=NODE)),
+    Sample("everything interior", everything, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
+    Sample("everything looped", everything, _interior(integrator=LOOPED, online=FIXED, precision="single")),
+    Sample("arrival dense", arrival, _dense(hessian=ExactHessian(), solve=False, algorithm=LEVELS)),
+    Sample("arrival riccati", arrival, _riccati(hessian=ExactHessian(), integrator=LOOPED, solve=False)),
+    Sample("arrival on path interior", arrival_on_path, _interior()),
+    Sample("ring dense", ring, _dense(hessian=ExactHessian(), algorithm=RELAXED)),
+    Sample("cycle riccati", cycle, _riccati(algorithm=PERIODIC)),
+    Sample("ring interior", ring, _interior(hessian=ExactHessian())),
+    Sample("target dense", target, _dense(solve=False, algorithm=BOTH)),
+    Sample("counted dense", counted, _dense(algorithm=PERIODIC, integrator=ExplicitRungeKutta(RK4, steps=1))),
+    Sample("tuned riccati", tuned, _riccati(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)))),
+    Sample("tuned dense", tuned, _dense(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)), online=FIXED)),
+    Sample("tuned weights", tuned, _riccati(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)), online=WEIGHTS)),
+    Sample("tuned end", tuned_end, _riccati(hessian=EconomicGaussNewton(np.eye(3)))),
+    Sample("mixed dense", mixed, _dense(hessian=ExactHessian(regularization=Mirror()))),
+    Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
+    Sample("quadrotor partial", quadrotor.build_ocp, _partial(algorithm=FIRST)),
+    Sample("functions dense", functions, _dense(online=SHARED)),
+    Sample("functions riccati", functions, _riccati(precision="single")),
+    Sample("bare augmented", bare, _augmented(online=FIXED, solve=False)),
+    Sample("states augmented", states, _augmented(shift="repeat", precision="single")),
+    Sample("final augmented", final, _augmented(online=REFERENCES)),
+    Sample("soft states augmented", soft_states, _augmented(online=WEIGHTS)),
+    Sample("soft rows augmented", soft_rows, _augmented(integrator=LOOPED, processor="scalar")),
+    Sample("arrival augmented", arrival, _augmented()),
+    Sample("loop augmented", bioreactor_in_loop, _augmented(shift="periodic")),
+    Sample("crane shooting", crane.build_ocp, _shooting({"shift": "repeat"}, online=SHARED, solve=False)),
+    Sample("bare shooting", bare, _shooting(online=FIXED)),
+    Sample("controls shooting", controls, _shooting({"shift": "resample", "sampling_time": 0.1})),
+    Sample("path shooting", path, _shooting({"rows": "quadratic"}, online=NODE)),
+    Sample("soft rows shooting", soft_rows, _shooting(integrator=LOOPED)),
+    Sample("ends shooting", ends, _shooting()),
+    Sample("closing shooting", closing, _shooting({"shift": "periodic"})),
+    Sample("target shooting", target, _shooting()),
+    Sample("economic quasi-Newton", economic, _shooting(QUASI_NEWTON, online=FIXED)),
+    Sample("ring shooting", ring, _shooting()),
+    Sample("counted quasi-Newton", counted, _shooting({**QUASI_NEWTON, **SMOOTH})),
+    Sample("soft rows lumped", soft_rows, _shooting(LUMPED)),
+    Sample("states lumped", states, _shooting({**QUASI_NEWTON, **LUMPED}, solve=False)),
+    Sample("path barrier", path, _shooting({**BARRIER, "shift": "repeat"})),
+)  # fmt: skip
