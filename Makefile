@@ -9,16 +9,14 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint lint-c format bench house clean distclean
+.PHONY: help setup demo test lint format bench clean distclean
 
 help:
 	@echo "make demo    crane: OCP -> C -> check against IPOPT -> closed loop -> picture, all in $(OUT)/"
 	@echo "make test    formatter, linter, type checker, tests"
 	@echo "make lint    formatter, linter, type checker"
-	@echo "make lint-c  clang-tidy, clang -Weverything and cppcheck on the generated C of three small samples"
 	@echo "make format  apply the formatters: ruff, and clang-format to the C parts if it is there"
 	@echo "make bench   benchmarks of the crane, into $(OUT)/crane.json"
-	@echo "make house   sizes, types, rendering, lint, compilers, times kept, CPU time of the tests, into $(OUT)/house.json"
 	@echo "make clean   remove $(OUT)/ and caches; make distclean also $(VENV)/"
 	@echo "Variables: PYTHON=$(PYTHON) VENV=$(VENV) OUT=$(OUT)"
 
@@ -44,9 +42,6 @@ lint: $(READY)
 	$(BIN)/ruff check
 	$(BIN)/mypy
 
-lint-c: $(READY)
-	$(BIN)/python -m benchmarks.lib.house.lint --tools clang,clang-tidy,cppcheck
-
 format: $(READY)
 	$(BIN)/ruff format
 	@! command -v clang-format >/dev/null || find templates -name '*.c' -exec clang-format -i {} +
@@ -57,10 +52,6 @@ test: lint
 bench: $(READY)
 	@mkdir -p $(OUT)
 	$(BIN)/python -m benchmarks.crane --json $(OUT)/crane.json
-
-house: $(READY)
-	@mkdir -p $(OUT)
-	$(BIN)/python -m benchmarks.house --json $(OUT)/house.json
 
 clean:
 	rm -rf $(OUT) .pytest_cache .mypy_cache .ruff_cache .hypothesis

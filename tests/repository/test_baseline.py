@@ -1,4 +1,4 @@
-"""Exact numbers of packages may grow by 2 % beyond tests/data/baseline.json; ``pytest --update-baseline`` rewrites it."""
+"""Exact numbers of packages grow by 2 % at most beyond tests/data/baseline.json; ``--update-baseline`` rewrites it."""
 
 from __future__ import annotations
 

@@ -204,7 +204,10 @@ def check_operations(expression: Any, what: str) -> set[int]:
     foreign = found - C_OPERATIONS
     if foreign:
         word = "a function call (interpolant, callback, external)" if ca.OP_CALL in foreign else "an operation"
-        raise ProblemError(f"{what} = {quote(expression)} contains {word} that has no C equivalent; use SX operations")
+        advice = "; a look-up table is ca.pw_lin(x, grid, values)" if ca.OP_CALL in foreign else ""
+        raise ProblemError(
+            f"{what} = {quote(expression)} contains {word} that has no C equivalent; use SX operations{advice}"
+        )
     return found
 
 
