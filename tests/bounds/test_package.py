@@ -13,31 +13,25 @@ from conftest import require_tool
 from examples import crane
 from nmpc_codegen import (
     OCP,
-    DenseActiveSet,
     ExactHessian,
     Options,
     PartialCondensing,
     Project,
     RealTimeIteration,
     RiccatiActiveSet,
-    RiccatiInteriorPoint,
     generate,
 )
 from nmpc_codegen.bounds import package
 from nmpc_codegen.compiler import compiled
-from nmpc_codegen.components.base import QpSolver
 from nmpc_codegen.runtime.package_description import PackageDescription
 from verification import problems
 from verification.closed_loop import Scenario
 from verification.robustness.work import Loop, count
 from verification.robustness.worst import hostile, package_of
+from verification.routes import ROUTES
 
-SOLVERS: dict[str, QpSolver] = {
-    "dense": DenseActiveSet(),
-    "riccati": RiccatiActiveSet(),
-    "riccati alone": RiccatiActiveSet(fallback=None),
-    "interior point": RiccatiInteriorPoint(),
-}
+SOLVERS = {name: ROUTES[name][1] for name in ("dense", "riccati", "interior")}
+SOLVERS["riccati alone"] = RiccatiActiveSet(fallback=None)
 
 
 def _soft_crane() -> OCP:

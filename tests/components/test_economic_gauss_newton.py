@@ -16,18 +16,13 @@ import scipy.sparse as sp
 from examples import driving, evaporation
 from nmpc_codegen import (
     OCP,
-    DenseActiveSet,
     EconomicGaussNewton,
     ExplicitRungeKutta,
-    FullCondensing,
     NoCondensing,
     Online,
     OptionError,
     Options,
-    Osqp,
-    PartialCondensing,
     RiccatiActiveSet,
-    RiccatiInteriorPoint,
     Status,
     build,
     generate,
@@ -39,6 +34,7 @@ from nmpc_codegen.frontend.problem import Problem, Row
 from nmpc_codegen.oracle import trajectory as oracle
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, kkt_residuals, node_data
 from nmpc_codegen.runtime.controller import Controller
+from verification.routes import ROUTES, on
 
 Array = np.ndarray
 
@@ -46,14 +42,6 @@ M = np.array([[0.9, 0.2, 0.05], [0.2, 0.6, 0.0], [0.05, 0.0, 0.4]])
 M_F = np.array([[1.2, 0.3], [0.3, 0.8]])
 X0 = np.array([0.9, -0.4])
 TWO_STEPS = dataclasses.replace(CLASSICAL, steps=2)
-
-ROUTES: dict[str, dict[str, Any]] = {
-    "dense": {"condensing": FullCondensing(), "qp": DenseActiveSet()},
-    "riccati": {"condensing": NoCondensing(), "qp": RiccatiActiveSet()},
-    "partial": {"condensing": PartialCondensing(2), "qp": RiccatiActiveSet()},
-    "interior": {"condensing": NoCondensing(), "qp": RiccatiInteriorPoint()},
-    "OSQP": {"condensing": FullCondensing(), "qp": Osqp()},
-}
 
 
 def pendulum(soft: bool = True, fixed_end: bool = False, **grid: Any) -> OCP:
@@ -82,9 +70,7 @@ def built(route: str, precision: Any = "double", **more: Any) -> Controller:
 
 
 def options(hessian: Any, route: str, precision: Any = "double", **more: Any) -> Options:
-    return Options(
-        integrator=ExplicitRungeKutta(steps=2), hessian=hessian, precision=precision, **ROUTES[route], **more
-    )
+    return on(route, integrator=ExplicitRungeKutta(steps=2), hessian=hessian, precision=precision, **more)
 
 
 def drawn(c: Controller, seed: int) -> None:
@@ -354,7 +340,9 @@ def test_equations_at_the_end_cost_no_refinement_loops(start: float) -> None:
     bound at all nodes besides, so that rows have weights, and one correction removes their error.
     """
     t = tuning(evaporation)
-    c = build(evaporation.build_ocp(60), evaporation_options(**ROUTES["riccati"]), "fast").copy()
+    c = build(
+        evaporation.build_ocp(60), evaporation_options(condensing=NoCondensing(), qp=RiccatiActiveSet()), "fast"
+    ).copy()
     assert max(refinements(c, t, t.x_s + np.array([0.0, start]), 1.0)[20:]) <= 2
     t, ocp = tuning(driving), driving.build_ocp(intervals=30)
     ocp.subject_to(t.x_s[1:], ocp.x[1:], t.x_s[1:], at="end", name="steady")

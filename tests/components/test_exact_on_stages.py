@@ -47,14 +47,11 @@ from verification.qp.stage_solvers import (
     build_all,
     solver_options,
 )
+from verification.routes import ROUTES
 
 Array = np.ndarray
 
-ROUTES: dict[str, tuple[Any, Any]] = {
-    "none, active set": (NoCondensing(), RiccatiActiveSet()),
-    "none, interior point": (NoCondensing(), RiccatiInteriorPoint()),
-    "partial, active set": (PartialCondensing(2), RiccatiActiveSet()),
-}
+ON_STAGES = ("riccati", "interior", "partial")
 DENSE = (FullCondensing(), DenseActiveSet())
 #: Odd N, so that the last of the blocks of two intervals is padded.
 SHAPES = {
@@ -203,7 +200,7 @@ def far_from_singular(qp: StageQP) -> tuple[bool, bool]:
 
 
 #: Two combinations of solvers in turn for every shape.
-IN_TURN = {s: [list(ROUTES)[(i + step) % len(ROUTES)] for step in (0, 1)] for i, s in enumerate(SHAPES)}
+IN_TURN = {s: [ON_STAGES[(i + step) % len(ON_STAGES)] for step in (0, 1)] for i, s in enumerate(SHAPES)}
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
@@ -243,7 +240,7 @@ def test_random_qps(shape: Shape) -> None:
 def test_the_check_sees_a_wrong_shift() -> None:
     """The same for a QP whose Hessian was changed after the preparation phase."""
     shape = Shape(3, 2, 5, states=1, coupled=1)
-    solver = StageSolver(shape, options_of(ROUTES["none, active set"], SHAPES[shape]))
+    solver = StageSolver(shape, options_of(ROUTES["riccati"], SHAPES[shape]))
     qp = random_nonconvex_qp(shape, 5, 1.0)
     assert solver.solve(qp) == Status.OK
     assert_convex_and_optimal(qp, solver)
@@ -256,7 +253,7 @@ def test_the_check_sees_a_wrong_shift() -> None:
 def test_size_of_the_shift(regularization: Any) -> None:
     """No bounds: H + shift D. The shift is 1 to 4 times 9/8 (Mirror: 2) of the one at which the Hessian is singular."""
     shape = Shape(3, 2, 5, controls=0)
-    solver = StageSolver(shape, options_of(ROUTES["none, active set"], regularization))
+    solver = StageSolver(shape, options_of(ROUTES["riccati"], regularization))
     factor = 2.0 if regularization.mirrors else 1.125
     for seed in range(30):
         qp = random_nonconvex_qp(shape, seed, 1.0)
@@ -280,9 +277,9 @@ def test_size_of_the_shift(regularization: Any) -> None:
 
 #: Every combination of solvers and both regularisations, but not all pairs.
 PAIRS = (
-    ("none, active set", Project()),
-    ("none, interior point", Mirror()),
-    ("partial, active set", Mirror()),
+    ("riccati", Project()),
+    ("interior", Mirror()),
+    ("partial", Mirror()),
 )
 
 
@@ -328,7 +325,7 @@ def test_controls_at_their_bounds_keep_the_step(route: str, regularization: Any)
     c.u[0, free] += 0.3 * (u[free] < 0.5)  # one step brings it back
     c.step([0.0])
     np.testing.assert_allclose(c.u[0], u, atol=1e-12)
-    if route != "partial, active set":
+    if route != "partial":
         change = np.diag(symmetric(np.array(c.view("hessian.Q"))[0])[1:, 1:] - H)
         assert np.all(change[free] == 0.0)
         assert np.any(change[~free] > 0.0)
@@ -368,7 +365,7 @@ def test_quadrotor_converges(route: str, regularization: Any) -> None:
 
 def test_closed_loop() -> None:
     """Real-time iterations through the nonconvex region: every QP is solved, and the quadrotor comes to rest."""
-    c = _built(quadrotor.build_ocp, "none, active set", Project()).copy()
+    c = _built(quadrotor.build_ocp, "riccati", Project()).copy()
     log = simulate(c, [1.0, 1.0, 1.0, *np.zeros(9)], steps=80, dt=quadrotor.SAMPLING)
     assert all(status == Status.OK for status in log.status)
     assert np.abs(log.x[-1]).max() <= 1e-2
@@ -388,11 +385,11 @@ def curved(free: bool, coupled: bool) -> OCP:
 @pytest.mark.parametrize(
     ("route", "regularization", "free", "coupled"),
     [
-        ("none, active set", Project(), True, False),
-        ("partial, active set", Project(), False, True),
-        ("none, interior point", Project(), True, False),
-        ("partial, active set", Mirror(), True, True),
-        ("none, interior point", Mirror(level="stage"), True, True),
+        ("riccati", Project(), True, False),
+        ("partial", Project(), False, True),
+        ("interior", Project(), True, False),
+        ("partial", Mirror(), True, True),
+        ("interior", Mirror(level="stage"), True, True),
     ],
     ids=str,
 )
@@ -408,13 +405,13 @@ def test_solutions_equal_those_of_ipopt(route: str, regularization: Any, free: b
     assert ours.cost == pytest.approx(ref.cost, rel=1e-8)
 
 
-@pytest.mark.parametrize("route", ROUTES)
+@pytest.mark.parametrize("route", ON_STAGES)
 def test_without_regularisation_an_indefinite_qp_is_refused(route: str) -> None:
     c = _built(quadratic, route, None, 2).copy()
     c.set_parameter("H", [1.0, 2.0, 2.0, 1.0])
     c.set_parameter("c", [1.0, -0.5])
     c.step([0.0])
-    refused = Status.ITERATION_LIMIT if route == "none, interior point" else Status.NUMERICAL_FAILURE
+    refused = Status.ITERATION_LIMIT if route == "interior" else Status.NUMERICAL_FAILURE
     assert c.status == refused
     c.set_parameter("H", [2.0, 1.0, 1.0, 1.0])
     c.set_parameter("c", [1.0, 1.0])
@@ -437,7 +434,7 @@ def linear_in_the_control() -> OCP:
 
 def test_shifts_of_the_sample_before_are_forgotten() -> None:
     """Also in entries that no kernel writes; the multipliers of a convex sample reveal it."""
-    c = _built(linear_in_the_control, "none, active set", Project()).copy()
+    c = _built(linear_in_the_control, "riccati", Project()).copy()
     c.step([0.3])
     assert c.status == Status.OK
     assert np.all(np.array(c.view("hessian.Q"))[:, 1, 1] > 0)
@@ -482,7 +479,7 @@ def test_qp_none_looks_at_stages() -> None:
 def test_multipliers_do_not_see_the_shift() -> None:
     """lam of the original QP equals that of the shifted one."""
     shape = Shape(3, 2, 5, states=1, coupled=1)
-    solver = StageSolver(shape, options_of(ROUTES["none, active set"], SHAPES[shape]))
+    solver = StageSolver(shape, options_of(ROUTES["riccati"], SHAPES[shape]))
     qp = random_nonconvex_qp(shape, 11, 1.0)
     assert solver.solve(qp) == Status.OK
     shift = assert_convex_and_optimal(qp, solver)

@@ -10,15 +10,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, DenseActiveSet, NoCondensing, Options, RiccatiActiveSet, RiccatiInteriorPoint, build
-from nmpc_codegen.components.base import QpSolver
+from nmpc_codegen import OCP, NoCondensing, Options, build
+from verification.routes import ROUTES
 
 PRECISIONS = ("double", "single")
-SOLVERS: dict[str, QpSolver] = {
-    "dense": DenseActiveSet(),
-    "riccati": RiccatiActiveSet(),
-    "interior point": RiccatiInteriorPoint(),
-}
+SOLVERS = {name: ROUTES[name][1] for name in ("dense", "riccati", "interior")}
 
 
 def _thrusters() -> OCP:
@@ -44,7 +40,7 @@ CASES = [
     *((name, "bounds", precision) for name, precision in itertools.product(SOLVERS, PRECISIONS)),
     ("dense", "terminal equality", "double"),
     ("riccati", "terminal equality", "double"),
-    ("interior point", "soft", "double"),
+    ("interior", "soft", "double"),
 ]
 
 
@@ -62,7 +58,7 @@ def test_one_part_moves_and_the_others_rest(name: str, rows: str, precision: Any
         assert set(found) <= {"OK", "RELAXED"}, (component, sign * size, found)
 
 
-@pytest.mark.parametrize("name", ["dense", "interior point"])
+@pytest.mark.parametrize("name", ["dense", "interior"])
 def test_numbers_whose_squares_underflow(name: str) -> None:
     """A plan at rest ends among the smallest numbers of single precision, where costs and products vanish."""
     ocp = OCP("settled", T=1.0, N=2)

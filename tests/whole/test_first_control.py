@@ -6,51 +6,25 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 
 from nmpc_codegen import (
-    OCP,
     Controller,
-    DenseActiveSet,
-    FullCondensing,
-    NoCondensing,
     OptionError,
     Options,
     Osqp,
-    PartialCondensing,
     RealTimeIteration,
-    RiccatiActiveSet,
     RiccatiInteriorPoint,
     Status,
     build,
     export,
 )
+from verification.problems import actuated_pendulum
+from verification.routes import on
 
 FIRST = RealTimeIteration(first_control=True)
-ROUTES = {
-    "dense": Options(condensing=FullCondensing(), qp=DenseActiveSet(), algorithm=FIRST),
-    "stages": Options(condensing=NoCondensing(), qp=RiccatiActiveSet(), algorithm=FIRST),
-    "blocks": Options(condensing=PartialCondensing(block=2), qp=RiccatiActiveSet(), algorithm=FIRST),
-}
-
-
-def pendulum(rows: str = "") -> OCP:
-    """A pendulum with two actuators; rows: "soft" and "hard" bound its rate, "closed" couples the end to the start."""
-    ocp = OCP("pendulum", T=1.2, N=6)
-    angle, rate = ocp.state("angle"), ocp.state("rate")
-    torque, brake = ocp.control("torque"), ocp.control("brake")
-    ocp.dynamics({angle: rate, rate: ca.sin(angle) - 0.3 * rate * (1 + brake) + torque})
-    ocp.least_squares(ca.vertcat(angle, rate, torque, brake), weight=[10, 1, 0.1, 0.2])
-    ocp.terminal_least_squares(ca.vertcat(angle, rate), weight=[20, 2])
-    ocp.subject_to(-2, torque, 2)
-    ocp.subject_to(-0.5, brake, 0.5)
-    if rows in ("soft", "hard"):
-        ocp.subject_to(-1.0, rate + 0.1 * angle, 1.0, name="speed", soft=(1.0, 5.0) if rows == "soft" else None)
-    if rows == "closed":
-        ocp.boundary(-0.5, ocp.at_end(angle) - 0.5 * ocp.at_start(angle), 0.5, name="closed")
-    return ocp
+ROUTES = {route: on(route, algorithm=FIRST) for route in ("dense", "riccati", "partial")}
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +34,9 @@ def made() -> Callable[[str, str], Controller]:
 
     def make(route: str, rows: str) -> Controller:
         if (route, rows) not in known:
-            known[route, rows] = build(pendulum(rows), ROUTES[route], "test")
+            known[route, rows] = build(actuated_pendulum(rows), ROUTES[route], "test")
+            if rows == "closed":
+                known[route, rows].set_bounds("closed", -0.5, 0.5)
         return known[route, rows].copy()
 
     return make
@@ -150,7 +126,7 @@ def test_calls_in_the_wrong_order(made: Any) -> None:
 
 
 def test_bounds_that_shrink_after_prepare_hold(made: Any) -> None:
-    ctrl = made("stages", "")
+    ctrl = made("riccati", "")
     ctrl.prepare()
     ctrl.set_bounds("torque", -0.01, 0.01)
     assert np.abs(ctrl.feedback_first([1.5, 0.0])[0]) <= 0.01
@@ -161,11 +137,11 @@ def test_bounds_that_shrink_after_prepare_hold(made: Any) -> None:
 @pytest.mark.parametrize("qp", [RiccatiInteriorPoint(), Osqp()])
 def test_qp_solvers_without_a_prediction_are_refused(qp: Any, tmp_path: Any) -> None:
     with pytest.raises(OptionError, match=r"first_control=True.*clashes with qp .*predicts no working set"):
-        export(pendulum(), replace(Options(), qp=qp, algorithm=FIRST), tmp_path)
+        export(actuated_pendulum(), replace(Options(), qp=qp, algorithm=FIRST), tmp_path)
 
 
 def test_a_free_initial_state_is_refused(tmp_path: Any) -> None:
-    ocp = pendulum()
+    ocp = actuated_pendulum()
     ocp.free_initial("angle")
     with pytest.raises(OptionError, match=r"first_control=True.*free_initial"):
         export(ocp, Options(algorithm=FIRST), tmp_path)

@@ -6,64 +6,28 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 
 from nmpc_codegen import (
-    OCP,
     Controller,
     ControllerError,
-    DenseActiveSet,
     ExactHessian,
-    FullCondensing,
-    NoCondensing,
     OptionError,
     Options,
-    Osqp,
-    PartialCondensing,
     RealTimeIteration,
-    RiccatiActiveSet,
-    RiccatiInteriorPoint,
     Status,
     build,
     export,
 )
+from verification import routes
+from verification.problems import actuated_pendulum
 
 LEVELS = RealTimeIteration(levels=True)
-ROUTES = {
-    "dense": Options(condensing=FullCondensing(), qp=DenseActiveSet(), algorithm=LEVELS),
-    "exact": Options(condensing=FullCondensing(), qp=DenseActiveSet(), hessian=ExactHessian(), algorithm=LEVELS),
-    "stages": Options(condensing=NoCondensing(), qp=RiccatiActiveSet(), algorithm=LEVELS),
-    "interior": Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint(), algorithm=LEVELS),
-    "blocks": Options(condensing=PartialCondensing(block=2), qp=RiccatiActiveSet(), algorithm=LEVELS),
-    "osqp": Options(qp=Osqp(), algorithm=LEVELS),
-}
+ROUTES = {route: routes.on(route, algorithm=LEVELS) for route in routes.ROUTES}
+ROUTES["exact"] = routes.on("dense", hessian=ExactHessian(), algorithm=LEVELS)
 ROWS = ["", "soft", "hard", "closed", "end", "integrated"]
 START = [0.8, 0.2]
-
-
-def pendulum(rows: str = "") -> OCP:
-    """A pendulum with two actuators, whose dynamics, cost and rows are curved."""
-    ocp = OCP("pendulum", T=1.2, N=6)
-    angle, rate = ocp.state("angle"), ocp.state("rate")
-    torque, brake = ocp.control("torque"), ocp.control("brake")
-    weight = ocp.parameter("weight", value=1.0)
-    ocp.dynamics({angle: rate, rate: ca.sin(angle) - 0.3 * rate * (1 + brake) + torque})
-    ocp.least_squares(ca.vertcat(angle, weight * rate, torque, brake), weight=[10, 1, 0.1, 0.2])
-    ocp.terminal_least_squares(ca.vertcat(angle, rate), weight=[20, 2])
-    ocp.subject_to(-2, torque, 2)
-    ocp.subject_to(-0.5, brake, 0.5)
-    if rows in ("soft", "hard"):
-        speed = rate + 0.1 * angle**2
-        ocp.subject_to(-0.7, speed, 0.7, name="speed", soft=(1.0, 5.0) if rows == "soft" else None)
-    if rows == "closed":
-        ocp.boundary(-0.05, ca.sin(ocp.at_end(angle)) - 0.5 * ocp.at_start(angle) ** 2, 0.05, name="closed")
-    if rows == "end":
-        ocp.subject_to(-0.45, ca.sin(angle) + rate**2, 0.45, at="end", name="end")
-    if rows == "integrated":
-        ocp.stage_cost(0.1 * rate**4, integrate=True)
-    return ocp
 
 
 @pytest.fixture(scope="module")
@@ -74,19 +38,19 @@ def made() -> Callable[[str, str], Controller]:
     def make(route: str, rows: str = "") -> Controller:
         if (route, rows) not in known:
             options = replace(ROUTES[route], hessian=ExactHessian()) if rows == "integrated" else ROUTES[route]
-            known[route, rows] = build(pendulum(rows), options, "test")
+            known[route, rows] = build(actuated_pendulum(rows), options, "test")
         return known[route, rows].copy()
 
     return make
 
 
 @pytest.mark.parametrize(
-    ("route", "rows"), [(route, rows) for route in ROUTES for rows in ROWS if route != "osqp" or not rows]
+    ("route", "rows"), [(route, rows) for route in ROUTES for rows in ROWS if route != "OSQP" or not rows]
 )
 def test_level_c_converges_to_the_optimum(made: Any, route: str, rows: str) -> None:
     """With the derivatives of one linearisation, far from the optimum: the KKT point is that of solve()."""
     solved, ctrl = made(route, rows), made(route, rows)
-    optimum = solved.solve(START, tol=1e-6 if route == "osqp" else 1e-10)
+    optimum = solved.solve(START, tol=1e-6 if route == "OSQP" else 1e-10)
     assert optimum.status is Status.OK
     ctrl.step(START)
     ctrl.step(START)
@@ -95,12 +59,12 @@ def test_level_c_converges_to_the_optimum(made: Any, route: str, rows: str) -> N
     for _ in range(60):
         assert ctrl.iterate("C") is Status.OK
         errors.append(np.abs(ctrl.u - optimum.u).max())
-    accuracy = 1e-4 if route == "osqp" else 1e-7
+    accuracy = 1e-4 if route == "OSQP" else 1e-7
     assert errors[-1] < accuracy
     np.testing.assert_allclose(ctrl.x, optimum.x, atol=10 * accuracy)
 
 
-@pytest.mark.parametrize("route", [r for r in ROUTES if r != "osqp"])
+@pytest.mark.parametrize("route", [r for r in ROUTES if r != "OSQP"])
 def test_level_b_satisfies_rows_and_dynamics_alone(made: Any, route: str) -> None:
     ctrl = made(route, "hard")
     ctrl.step(START)
@@ -115,7 +79,7 @@ def test_level_b_satisfies_rows_and_dynamics_alone(made: Any, route: str) -> Non
 
 
 @pytest.mark.parametrize("rows", ["", "soft"])
-@pytest.mark.parametrize("route", [r for r in ROUTES if r != "osqp"])
+@pytest.mark.parametrize("route", [r for r in ROUTES if r != "OSQP"])
 def test_level_d_is_the_qp_of_the_last_linearisation(made: Any, route: str, rows: str) -> None:
     """Its plan for another state is that of the same QP, and does not depend on the states in between."""
     ctrl, direct = made(route, rows), made(route, rows)
@@ -159,7 +123,7 @@ def test_there_is_a_linearisation_first(made: Any, level: str) -> None:
 
 
 @pytest.mark.parametrize("level", "ABCD")
-@pytest.mark.parametrize("route", ["dense", "stages"])
+@pytest.mark.parametrize("route", ["dense", "riccati"])
 def test_references_after_the_preparation_are_heeded(made: Any, route: str, level: str) -> None:
     ctrl, before = made(route, "soft"), made(route, "soft")
     for c in (ctrl, before):
@@ -173,7 +137,7 @@ def test_references_after_the_preparation_are_heeded(made: Any, route: str, leve
 
 def test_parameters_act_at_level_c(made: Any) -> None:
     """Parameters that the kept derivatives do not know change the optimum to which level C converges."""
-    ctrl, solved = made("stages"), made("stages")
+    ctrl, solved = made("riccati"), made("riccati")
     ctrl.step(START)
     for c in (ctrl, solved):
         c.set_parameter("weight", 2.0)
@@ -218,7 +182,7 @@ def test_levels_that_do_not_exist_in_c(made: Any) -> None:
 
 
 def test_a_package_without_levels_says_so() -> None:
-    ctrl = build(pendulum(), Options(), "test")
+    ctrl = build(actuated_pendulum(), Options(), "test")
     ctrl.prepare(level="A")
     with pytest.raises(ControllerError, match="without prepare_level"):
         ctrl.prepare(level="C")
@@ -228,7 +192,7 @@ def test_a_package_without_levels_says_so() -> None:
 
 def distance(algorithm: RealTimeIteration) -> float:
     """Largest distance of a control from the optimal one of its sample, once the torque has left its bound."""
-    ctrl, optimal = (build(pendulum(), Options(algorithm=a), "test") for a in (algorithm, RealTimeIteration()))
+    ctrl, optimal = (build(actuated_pendulum(), Options(algorithm=a), "test") for a in (algorithm, RealTimeIteration()))
     x, worst = np.array([1.4, 0.0]), 0.0
     for k in range(12):
         u = ctrl.step(x)
@@ -264,8 +228,8 @@ def test_options_that_clash() -> None:
 def test_the_law_of_the_first_control_belongs_to_level_a() -> None:
     """After other levels feedback_first() is the whole feedback phase."""
     algorithm = RealTimeIteration(levels=True, first_control=True)
-    for route in ("dense", "stages"):
-        ctrl = build(pendulum(), replace(ROUTES[route], algorithm=algorithm), "test")
+    for route in ("dense", "riccati"):
+        ctrl = build(actuated_pendulum(), replace(ROUTES[route], algorithm=algorithm), "test")
         whole = ctrl.copy()
         for c in (ctrl, whole):
             c.step(START)
@@ -279,8 +243,8 @@ def test_the_law_of_the_first_control_belongs_to_level_a() -> None:
 def test_the_worst_case_is_stated(advance: str | None, tmp_path: Any) -> None:
     """Iterations of prepare() are part of the worst case of the preparation phase."""
     algorithm = RealTimeIteration(shift="repeat", levels=True, advance=advance)
-    report = export(pendulum(), replace(ROUTES["stages"], algorithm=algorithm), tmp_path).report
-    plain = replace(ROUTES["stages"], algorithm=RealTimeIteration(shift="repeat"))
-    alone = export(pendulum(), plain, tmp_path / "plain").report
+    report = export(actuated_pendulum(), replace(ROUTES["riccati"], algorithm=algorithm), tmp_path).report
+    plain = replace(ROUTES["riccati"], algorithm=RealTimeIteration(shift="repeat"))
+    alone = export(actuated_pendulum(), plain, tmp_path / "plain").report
     more = report["worst_operations"]["prepare"] / alone["worst_operations"]["prepare"]
     assert (more > 3) if advance else (more < 1.5)

@@ -11,16 +11,10 @@ import pytest
 from nmpc_codegen import (
     OCP,
     Controller,
-    DenseActiveSet,
     ExactHessian,
-    FullCondensing,
     GaussNewton,
-    NoCondensing,
     Options,
-    PartialCondensing,
     ProblemError,
-    RiccatiActiveSet,
-    RiccatiInteriorPoint,
     Status,
     build,
 )
@@ -28,14 +22,10 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import ReferenceSolution, node_data, solve_reference
 from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
 from nmpc_codegen.runtime.solving import Solution
+from verification.routes import OURS, on
 from verification.samples import arrival, arrival_on_path
 
-ROUTES = {
-    "dense": Options(condensing=FullCondensing(), qp=DenseActiveSet()),
-    "riccati": Options(condensing=NoCondensing(), qp=RiccatiActiveSet()),
-    "interior": Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint()),
-    "partial": Options(condensing=PartialCondensing(2), qp=RiccatiActiveSet()),
-}
+ROUTES = {route: on(route) for route in OURS}
 CASES: dict[str, tuple[Callable[[], OCP], GaussNewton | ExactHessian]] = {
     "least squares": (arrival_on_path, GaussNewton()),
     "least squares, exact": (arrival_on_path, ExactHessian()),

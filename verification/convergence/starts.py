@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from nmpc_codegen import DenseActiveSet, FullCondensing, NoCondensing, OptionError, RiccatiActiveSet, build
-from nmpc_codegen.components.base import Condensing, QpSolver
+from nmpc_codegen import OptionError, build
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, kkt_residuals, node_data
 from nmpc_codegen.runtime.package_description import Names
 from verification.convergence.problems import problems
+from verification.routes import ROUTES
 
 STARTS = 100
 
@@ -27,10 +27,7 @@ WORSE = 1e-4  # of the cost, relative
 
 
 #: The QP solvers among which qp=None chooses.
-ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
-    "dense": (FullCondensing(), DenseActiveSet()),
-    "stages": (NoCondensing(), RiccatiActiveSet()),
-}
+NAMES = ("dense", "riccati")
 
 
 @dataclass
@@ -61,7 +58,7 @@ def run(job: tuple[str, int]) -> Outcome:
     tableau = replace(CLASSICAL, steps=max(1, problem.steps))
     oracle = Reference(ocp, tableau, tol=1e-8)
     out = Outcome(name)
-    for route, (condensing, qp) in ROUTES.items():
+    for route, (condensing, qp) in ((name, ROUTES[name]) for name in NAMES):
         try:
             ctrl = build(problem.make(), replace(problem.options(), condensing=condensing, qp=qp), profile="fast")
         except OptionError:  # refused, so it is not chosen, either

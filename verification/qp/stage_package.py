@@ -17,25 +17,17 @@ import numpy as np
 from nmpc_codegen import (
     OCP,
     Controller,
-    DenseActiveSet,
     ExactHessian,
-    FullCondensing,
-    NoCondensing,
     Online,
     Options,
-    RiccatiActiveSet,
-    RiccatiInteriorPoint,
     Status,
 )
 from nmpc_codegen.runtime.package_description import Precision
 from verification.oracles.stage_qp import Array, Point, Shape, StageQP, rows_of
+from verification.routes import ROUTES
 
 #: Condensing and QP solver with their default options, by a name.
-SOLVERS: dict[str, tuple[Any, Any]] = {
-    "dense": (FullCondensing(), DenseActiveSet()),
-    "riccati": (NoCondensing(), RiccatiActiveSet()),
-    "interior": (NoCondensing(), RiccatiInteriorPoint()),
-}
+SOLVERS = {name: ROUTES[name] for name in ("dense", "riccati", "interior")}
 
 SCALARS: dict[Precision, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 

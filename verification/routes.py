@@ -1,0 +1,33 @@
+"""The ways from stages to a solution of the QP: a condensing with a solver."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nmpc_codegen import (
+    DenseActiveSet,
+    FullCondensing,
+    NoCondensing,
+    Options,
+    Osqp,
+    PartialCondensing,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+)
+from nmpc_codegen.components.base import Condensing, QpSolver
+
+ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
+    "dense": (FullCondensing(), DenseActiveSet()),
+    "riccati": (NoCondensing(), RiccatiActiveSet()),
+    "interior": (NoCondensing(), RiccatiInteriorPoint()),
+    "partial": (PartialCondensing(2), RiccatiActiveSet()),
+    "OSQP": (FullCondensing(), Osqp()),
+}
+#: Those that write code of ours alone.
+OURS = tuple(route for route in ROUTES if route != "OSQP")
+
+
+def on(route: str, **more: Any) -> Options:
+    """Options of a route."""
+    condensing, qp = ROUTES[route]
+    return Options(condensing=condensing, qp=qp, **more)
