@@ -15,7 +15,6 @@ from benchmarks.lib import command
 from benchmarks.lib.adjoint import (
     crane,
     cstr,
-    reactor,
     rod,
     vandevusse,
 )
@@ -29,7 +28,6 @@ def without_pictures(measure: Callable[[Report], None]) -> Callable[[Report, Pat
 
 #: Part -> its function, which adds records and writes its pictures to the folder.
 PARTS: dict[str, Callable[[Report, Path], None]] = {
-    "reactor": reactor.measure,
     "crane": without_pictures(crane.measure),
     "cstr": without_pictures(cstr.measure),
     "vandevusse": vandevusse.measure,

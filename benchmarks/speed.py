@@ -1,4 +1,4 @@
-"""Times of a sample on this machine: lanes, exported C, the recursion, elementary functions.
+"""Times of a sample on this machine: lanes, exported C, elementary functions.
 
     python -m benchmarks.speed [--json FILE] [--only PART,...] [--where NAME]
 
@@ -13,14 +13,13 @@ from collections.abc import Callable
 
 from benchmarks.lib import command
 from benchmarks.lib.report import Report
-from benchmarks.lib.speed import choice, loops, own_math, recursion, where
+from benchmarks.lib.speed import choice, loops, own_math, where
 
 PARTS: dict[str, Callable[[Report], None]] = {
     "loops": loops.measure,
     "first": loops.first_control,
     "levels": loops.levels,
     "choice": choice.measure,
-    "recursion": recursion.measure,
     "math": own_math.measure,
 }
 

@@ -8,10 +8,7 @@ there are several optima, IPOPT started at our solution must return it.
 
 from __future__ import annotations
 
-import subprocess
-import tempfile
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -22,15 +19,11 @@ from examples import cstr
 from nmpc_codegen import Controller, Status, build, generate
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Array
-from nmpc_codegen.lowering.linearize import linearize
-from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.oracle.reference import Point, Reference
 from nmpc_codegen.oracle.trajectory import (
     kkt_residuals,
     node_data,
 )
-from nmpc_codegen.runtime.build import PROFILES, find_compiler
 from verification.closed_loop import closed_loop
 from verification.peers import QUIET, available, time_sqpmethod
 from verification.scenarios import CSTR, EXAMPLES, FIGURE_6, FIGURE_6_STEPS, Example
@@ -169,39 +162,11 @@ COUNTED = {
 }  # fmt: skip
 
 
-def sizes(report: Report, examples: Sequence[Example] = EXAMPLES) -> None:
-    """Exact figures: memory, size of the generated C, operations; and the size of the compiled code."""
-    for example in examples:
-        name = example.name
-        module = lower(linearize(classify(example.make()), example.options))
-        sources = render(module)
-        facts = module.description.report
-        report.add(f"{name}_ram_bytes", facts.ram_bytes, "bytes", profile="exact")
-        text = sum(len(sources[f"{name}.{ending}"].encode()) for ending in ("h", "c"))
-        report.add(f"{name}_source_bytes", text, "bytes", profile="exact")
-        for part in sorted(COUNTED & facts.operations.keys()):
-            operations = facts.operations[part].total
-            report.add(f"{name}_{part}_operations", operations, "operations", profile="exact")
-        report.add(f"{name}_code_bytes", code_bytes(sources, name), "bytes")
-
-
-def code_bytes(sources: Sources, name: str) -> int:
-    """Code and constants of the object file in profile "fast"."""
-    with tempfile.TemporaryDirectory() as folder:
-        for ending in ("h", "c"):
-            Path(folder, f"{name}.{ending}").write_text(sources[f"{name}.{ending}"], encoding="utf-8")
-        command = [*find_compiler(), *PROFILES["fast"].flags, "-std=c99", "-c", f"{name}.c", "-o", "package.o"]
-        subprocess.run(command, cwd=folder, check=True)
-        line = subprocess.run(["size", "package.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
-    return int(line.splitlines()[1].split()[0])
-
-
 PARTS: dict[str, Callable[[Report], None]] = {
     "times": times,
     "peers": peers,
     "figure_6": figure_6,
     "accuracy": accuracy,
-    "sizes": sizes,
 }
 
 

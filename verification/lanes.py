@@ -6,14 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nmpc_codegen import AugmentedLagrangian, Controller, RealTimeIteration
-from verification.timed import Sample
+from nmpc_codegen import Controller
 
 #: Numbers of lanes; the profile without optimisation compiles fastest and is the same arithmetic.
 LANES = (2, 4, 8)
-
-
-PROFILE = "test"
 
 
 #: In multiples of the rounding unit of the precision: 1e-13 in double.
@@ -21,12 +17,6 @@ LIMIT = 1e-13
 
 
 ROUNDING = {"double": 2.0**-52, "single": 2.0**-23}
-
-
-def prepares(sample: Sample) -> bool:
-    """True if prepare() linearises at the plan that it is given, and does nothing else."""
-    algorithm = sample.options.algorithm
-    return isinstance(algorithm, RealTimeIteration | AugmentedLagrangian) and not getattr(algorithm, "advance", None)
 
 
 def errors(one: Controller, other: Controller, random: np.random.Generator) -> Iterator[tuple[str, float]]:

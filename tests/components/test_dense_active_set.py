@@ -302,7 +302,7 @@ def test_semidefinite_hessians(nv: int, ng: int, seed: int, share: float, spread
 
 def test_semidefinite_hessian_with_degenerate_rows() -> None:
     """A feasible QP of rank below nv whose proximal weights decide whether a row looks like a contradiction."""
-    qp = qp_random.CLASSES["semidefinite"](np.random.default_rng([0, 2753]), 16, 40)
+    qp = qp_random.semidefinite(np.random.default_rng([0, 2753]), 16, 40)
     solver = QP(16, 40)
     assert solver.run(*qp.data) == "OK"
     assert wrong_answer(qp, solver.z, solver.mult, unique=False) == ""
@@ -408,15 +408,6 @@ def test_rows_take_the_prediction_they_are_told() -> None:
     solver["side"][:7] = [0, 1, -1, 1, -1, 2, 1]
     solver.shift(1, [1, 2, -1])
     assert list(solver["side"][:7]) == [1, -1, 1, 1, 2, 1, 0]
-
-
-def test_statistics_of_random_problems(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(qp_random, "DIMENSIONS", ((1, 0), (10, 4), (23, 9)))
-    found = qp_random.random_qp_statistics(n_feasible=180, n_infeasible=60, seed=1)
-    wrong = {key: found[f"qp_{key}"] for key in ("wrong_answers", "capped", "failed")}
-    wrong |= {key: found[f"qp_{key}"] for key in ("false_infeasible", "missed_infeasible")}
-    assert not any(wrong.values()), found["qp_examples"]
-    assert found["qp_problems"] == 240
 
 
 def test_the_judge_of_random_problems_sees_wrong_answers() -> None:

@@ -162,55 +162,6 @@ def test_a_shifted_working_set_is_the_prediction() -> None:
     np.testing.assert_array_equal(s["mult"], [-3, 0, 0, 6, 0, -8, 0, -8, 0, -11, 0, 0])
 
 
-@pytest.mark.parametrize("repeated", ["rows", "combinations", "bounds"])
-@few
-@given(seed=seeds, degenerate=st.sampled_from([0.0, 0.5]))
-def test_redundant_rows(repeated: str, seed: int, degenerate: float) -> None:
-    """No decision on the rank is needed: duplicate active rows share the multiplier."""
-    rng = np.random.default_rng(seed)
-    shape = Shape(4, 3, 2, tuple((k, -1) for k in range(5) for _ in range(4)))
-    rows = drawn_rows(rng, shape)
-    for k in range(5):
-        first, then = rows[4 * k : 4 * k + 2], rows[4 * k + 2 : 4 * k + 4]
-        if repeated == "rows":
-            then[...] = first * rng.choice([1, -1, 2, 0.3], size=(2, 1))
-        elif repeated == "combinations":
-            then[...] = rng.normal(size=(2, 2)) @ first
-        else:
-            then[...] = np.eye(5)[rng.integers(3, size=2)]
-    s = solver(shape)
-    for kind in ("mixed", "equations"):
-        qp = drawn(rng, shape, kind, rows=rows, degenerate=degenerate)
-        assert s.run(qp) == "OK"
-        optimal(qp, s, 1e-8)
-        near(qp, s, 1e-6)
-
-
-@few
-@given(seed=seeds, rank=st.sampled_from([0, 1, 3, 5]))
-def test_semidefinite_hessians(seed: int, rank: int) -> None:
-    """Any rank: optimality conditions and the objective of the solution; the solver may fail on a linear program."""
-    rng = np.random.default_rng(seed)
-    shape = SHAPES["state bounds"]
-    problem = random_problem(rng, shape.ns, shape.nx, shape.nus)
-    factor = rng.normal(size=(shape.ns, rank, shape.nx + shape.nus))
-    problem = dataclasses.replace(
-        problem, Q=np.einsum("kri,krj->kij", factor, factor), Q_N=np.zeros((shape.nx, shape.nx))
-    )
-    s = solver(shape)
-    qp = drawn(rng, shape, "equations", problem)
-    for _ in range(2):
-        status = s.run(qp)
-        assert status == "OK" or (rank == 0 and status in ("NUMERICAL_FAILURE", "ITERATION_LIMIT"))
-        if status != "OK":
-            continue
-        assert residuals(qp, s.x, s.u, s.mult).worst <= 1e-6
-        assert qp.x is not None
-        assert qp.u is not None
-        best = qp.objective(qp.x, qp.u)
-        assert abs(qp.objective(s.x, s.u) - best) <= 1e-6 * (1 + abs(best))
-
-
 @few
 @given(seed=seeds, radius=st.sampled_from([1.05, 1.3]))
 def test_unstable_dynamics(seed: int, radius: float) -> None:
@@ -225,31 +176,6 @@ def test_unstable_dynamics(seed: int, radius: float) -> None:
         gaps = [w.x[k + 1] - problem.S[k] @ np.append(w.x[k], w.u[k]) - problem.b[k] for k in range(60)]
         assert np.max(np.abs(gaps)) <= 1e-13 * np.abs(w.x).max()
         assert np.abs(w.x).max() < 1e3
-
-
-@few
-@given(seed=seeds, spread=st.sampled_from([1e1, 1e2]))
-def test_badly_scaled_components(seed: int, spread: float) -> None:
-    """States and controls in units of 1/spread to spread."""
-    rng = np.random.default_rng(seed)
-    shape = SHAPES["state bounds"]
-    qp = drawn(rng, shape)
-    p = qp.problem
-    units = np.exp(rng.uniform(-np.log(spread), np.log(spread), shape.nx + shape.nus))
-    x_unit, _u_unit = units[: shape.nx], units[shape.nx :]
-    S = p.S * x_unit[:, None] / units
-    problem = dataclasses.replace(
-        p,
-        S=S,
-        b=p.b * x_unit,
-        Q=p.Q / np.outer(units, units),
-        Q_N=p.Q_N / np.outer(x_unit, x_unit),
-        x_0=p.x_0 * x_unit,
-    )
-    scaled = constructed(rng, problem, qp.rows, qp.at)
-    s = solver(shape)
-    assert s.run(scaled) == "OK"
-    optimal(scaled, s, 1e-8)
 
 
 def contradiction(rng: np.random.Generator, shape: Shape) -> StageQP:

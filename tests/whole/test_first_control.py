@@ -43,7 +43,7 @@ def made() -> Callable[[str, str], Controller]:
 
 
 def disturbed_loop(ctrl: Controller, samples: int = 40) -> list[tuple[float, int]]:
-    """Deviation of the first part, and changes of the working set, of every sample that is OK; both parts against feedback()."""
+    """Deviation of the first part and changes of the working set of samples that are OK; both against feedback()."""
     random, found = np.random.default_rng(0), []
     x = np.array([1.5, 0.0])
     whole = ctrl.copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -111,9 +111,6 @@ def exponent(horizons: Sequence[float], values: Sequence[float], least: float = 
     pairs = [(N, v) for N, v in zip(horizons, values, strict=True) if least <= N]
     logs = np.log(np.array(pairs, float))
     return float(np.polyfit(logs[:, 0], logs[:, 1], 1)[0])
-
-
-Curves = Mapping[str, Sequence[float]]
 
 
 def integration(case: Case) -> tuple[int, int]:

@@ -80,17 +80,6 @@ def stage_form(qp: StageQP) -> Formulation:
     return _with_slacks(form, place, rows.l1[general][soft[general]], rows.l2[general][soft[general]])
 
 
-def without_start(f: Formulation, qp: StageQP) -> Formulation:
-    """The stage form with x_0 eliminated: its first stage contains controls only."""
-    n = qp.shape.nx
-    A, H = f.A.tocsc(), f.H.tocsc()
-    offset = A[:, :n] @ qp.dx0
-    return Formulation(
-        H[n:, n:].tocsc(), (f.g + H[:, :n] @ qp.dx0)[n:], A[:, n:].tocsc(), f.lba - offset, f.uba - offset,
-        f.lbx[n:], f.ubx[n:], (0, *f.nx[1:]), f.nu, f.ng,
-    )  # fmt: skip
-
-
 def _with_slacks(f: Formulation, place: Array, l1: Array, l2: Array) -> Formulation:
     """Row i of the soft ones: lower <= value + below - above <= upper, cost l1 v + l2/2 v^2 of each."""
     m = len(place)
@@ -105,34 +94,6 @@ def _with_slacks(f: Formulation, place: Array, l1: Array, l2: Array) -> Formulat
         f.uba,
         np.append(f.lbx, np.zeros(2 * m)),
         np.append(f.ubx, np.full(2 * m, np.inf)),
-    )
-
-
-def condensed_form(qp: StageQP) -> Formulation:
-    """Only du; x_0 is given, general rows and state bounds are rows, none of them soft."""
-    s = qp.shape
-    G, x = _states(qp)
-    rows = qp.rows
-    node = rows.node
-    A = np.einsum("mi,mij->mj", qp.C[:, : s.nx], G[node])
-    for m, k in enumerate(node):
-        if k < s.N:
-            A[m, k * s.nu : (k + 1) * s.nu] += qp.C[m, s.nx :]
-    value = qp.c + np.einsum("mi,mi->m", qp.C[:, : s.nx], x[node]) + qp.C0 @ qp.dx0
-    Z = np.concatenate([G[:-1], np.zeros((s.N, s.nu, s.N * s.nu))], axis=1)
-    for k in range(s.N):
-        Z[k, s.nx :, k * s.nu : (k + 1) * s.nu] = np.eye(s.nu)
-    z = np.hstack([x[:-1], np.zeros((s.N, s.nu))])
-    H = np.einsum("kia,kij,kjb->ab", Z, qp.Q, Z, optimize=True) + G[-1].T @ qp.Q_N @ G[-1]
-    g = np.einsum("kia,ki->a", Z, qp.g + np.einsum("kij,kj->ki", qp.Q, z)) + G[-1].T @ (qp.g_N + qp.Q_N @ x[-1])
-    return Formulation(
-        sp.csc_matrix((H + H.T) / 2),
-        g,
-        sp.csc_matrix(A),
-        qp.lower - value,
-        qp.upper - value,
-        (qp.lower_u - qp.u).ravel(),
-        (qp.upper_u - qp.u).ravel(),
     )
 
 

@@ -12,7 +12,6 @@ Array = np.ndarray
 
 #: Sizes of what is finite; those beyond single precision become infinite there.
 SIZES = (0.0, 5e-324, 1e-300, 1e-40, 1e-8, 1.0, 30.0, 1e3, 1e6, 1e8, 1e12, 1e20, 1e38, 1e150, 1e300)
-DATA = ("reference", "terminal_reference", "weight", "terminal_weight", "parameter", "bounds")
 
 
 def number(rng: np.random.Generator) -> float:

@@ -1,1 +1,0 @@
-"""QPs of closed loops and random QPs, and their solvers."""
