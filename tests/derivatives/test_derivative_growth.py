@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from nmpc_codegen import derivatives
 from nmpc_codegen.derivatives.counts import Counts
 from nmpc_codegen.derivatives.model import derivative_model
 from verification.adjoint import measured, problems
-from verification.adjoint.counted import IGNORING_STRUCTURE, counted
 
 COUNTED = (10, 25, 50, 100, 200, 400, 800)
 
@@ -35,21 +32,6 @@ def test_counts_of_any_horizon_are_those_of_its_own_model() -> None:
         case = problems.discrete_map(N)
         own = Counts(derivative_model(case.ocp, case.outputs, None, case.options)).all
         assert measured.counts(problems.discrete_map, N).all == own
-
-
-def test_structure_ignored() -> None:
-    """The function of the benchmark takes the operations that its exponent is fitted to, and returns Xi."""
-    case = problems.discrete_map(6)
-    sources = derivatives.generate(case.ocp, case.outputs, case.options, "tools")
-    name = "impulse_response_structure_ignored"
-    found = counted(sources, "tools", [name], IGNORING_STRUCTURE.read_text(encoding="utf-8"))[name]
-    stated = measured.structure_ignored(measured.counts(problems.discrete_map, 6))
-    assert found.total == stated
-    timed = measured.compiled(case, "test")
-    call, arguments = timed._call(name)
-    assert call(*arguments) == 0
-    np.testing.assert_allclose(timed.Xi, timed.tools.impulse_response(case.x0, case.u), rtol=0, atol=1e-13)
-    assert timed.seconds("gradient_adjoint") > 0
 
 
 def test_growth_with_the_states() -> None:

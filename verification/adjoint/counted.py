@@ -1,8 +1,6 @@
-"""Operations of the functions of a package of derivatives, counted at run time; and of one that ignores structure."""
+"""Operations of the functions of a package of derivatives, counted at run time."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.lowering.render import Sources
@@ -25,16 +23,12 @@ ARGUMENTS = {
     "impulse_response_alternative": "&s, Xi",
 }
 
-#: The product of all matrices of every block, one by one: what forward and adjoint methods avoid.
-IGNORING_STRUCTURE = Path(__file__).with_name("structure_ignored.c")
 
-
-def counted(sources: Sources, name: str, functions: list[str], more: str = "") -> dict[str, OpCount]:
-    """Operations of one run of each function at the declared data; ``more`` is C text that defines further ones."""
+def counted(sources: Sources, name: str, functions: list[str]) -> dict[str, OpCount]:
+    """Operations of one run of each function at the declared data."""
     declarations = [
         *(f"static {name}_{struct}_t {v};" for v, struct in zip("dtnms", STRUCTS, strict=True)),
         *OUTPUTS[any(f.startswith("impulse_response") for f in functions)],
-        more,
     ]
     start = [f"    {name}_init(&d);", f"    {name}_sensitivities(&d, &m);"]
     calls = {f: f"{name}_{f}(&d, {ARGUMENTS.get(f, '&m, Xi')})" for f in functions}
