@@ -114,8 +114,21 @@ def test_other_files_are_refused_by_name_and_force_keeps_copies(tmp_path: Path) 
     copies = {"a.c.bak": edited, "README.md.bak": "mine", "a.h.bak": OLD["a.h"]}
     assert contents(tmp_path) == {**NEW, **copies}
     (tmp_path / "a.c").write_text("again", encoding="utf-8")
+    (tmp_path / "a.c.bak1").symlink_to(tmp_path.parent / "nowhere")
     write(tmp_path, NEW, force=True)
-    assert contents(tmp_path) == {**NEW, **copies, "a.c.bak1": "again"}
+    assert contents(tmp_path) == {**NEW, **copies, "a.c.bak2": "again"}
+    assert not (tmp_path.parent / "nowhere").exists()
+
+
+@pytest.mark.parametrize("name", ["a.c", "main.c"])
+def test_an_edit_during_the_export_is_not_lost(name: str, tmp_path: Path) -> None:
+    write(tmp_path, OLD)
+    with pytest.MonkeyPatch.context() as patch:
+        failing(patch, 0, lambda: (tmp_path / name).write_text("mine", encoding="utf-8") and None)
+        with pytest.raises(ExportError, match=f"{name}: has changed during the export"):
+            write(tmp_path, NEW)
+    assert (tmp_path / name).read_text(encoding="utf-8") == "mine"
+    assert not [path for path in contents(tmp_path) if path.endswith(TEMPORARY)]
 
 
 def test_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -268,6 +281,9 @@ def test_killed(at: int, tmp_path: Path) -> None:
     if len({package_of(after[f"tiny.{ext}"]) for ext in ("h", "c", "json")}) > 1:
         with pytest.raises(BuildError, match="come from different exports"):
             open_package(tmp_path)
+    export(tiny(), None, tmp_path)
+    assert contents(tmp_path) == new
+    (tmp_path / f"tiny.h{TEMPORARY}").write_text("left", encoding="utf-8")
     export(tiny(), None, tmp_path)
     assert contents(tmp_path) == new
 

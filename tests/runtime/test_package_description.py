@@ -38,6 +38,8 @@ def changed(text: str, path: str, value: Any) -> str:
         ("online.weight", "often", r"Invalid enum value 'often' - at `\$\.online"),
         ("structs.0.fields.0.role", "", "Invalid enum value '' "),
         ("dt", 0.1, r"at `\$\.dt"),
+        ("structs", [], "'solver' is missing"),
+        ("rows.0.lower", 10**400, "package description"),
         ("format", 7, "format 7, not 1: export it again"),
         ("format", "1", "Expected"),
     ],
@@ -72,13 +74,17 @@ def test_a_text_that_is_no_description(text: str) -> None:
         ("precision", "single", "the offset of"),
         ("structs.0.fields.0.shape", [60], "the offset of|the number of bytes"),
         ("structs.0.fields.0.name", "nothing", "lacks what is described.*nothing"),
+        ("structs.0.name", "nothing", "lacks what is described|'nothing'"),
+        ("structs.0.fields.0.shape", [10**12], "the offset of|lacks what is described"),
+        ("sizes.NU", 0, "the size NU is 0 in the description, 1 in the compiled code"),
     ],
 )
 @pytest.mark.usefixtures("compiler")
 def test_a_description_of_other_code(toy_files: Files, path: str, value: Any, message: str) -> None:
-    """Before any memory has this layout."""
-    with pytest.raises(ControllerError, match=message):
-        load({**toy_files, "toy.json": changed(toy_files["toy.json"], path, value)}, "toy", "test")
+    """Before any memory has this layout, however the code was loaded."""
+    for profile in ("test", "fast"):
+        with pytest.raises(ControllerError, match=message):
+            load({**toy_files, "toy.json": changed(toy_files["toy.json"], path, value)}, "toy", profile)
 
 
 def test_an_edited_description_is_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import sys
 import threading
@@ -68,7 +69,11 @@ def own_streams(whole_process: bool) -> Iterator[Printer]:
     try:
         yield Printer(output, errors)
         output.flush()
-    except BrokenPipeError:
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            errors.write("error: the output cannot be written: no space left\n")
+        elif not isinstance(error, BrokenPipeError):
+            raise
         raise ReaderLeftError from None
     finally:
         if not whole_process:
@@ -127,6 +132,7 @@ def undisturbed(printer: Printer, file: str, verbose: bool) -> Iterator[None]:
 def saying_warnings(printer: Printer) -> Iterator[None]:
     """Print the text of each warning of the package on one line."""
     with warnings.catch_warnings():
+        warnings.simplefilter("always")
         warnings.showwarning = lambda text, *_, **__: printer.error(f"warning: {text}", style="yellow")
         yield
 

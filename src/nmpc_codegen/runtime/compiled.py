@@ -42,12 +42,17 @@ class CompiledPackage:
     def dtype(self) -> np.dtype[Any]:
         """NumPy type of the solver struct; ControllerError unless its layout is that of the compiled code."""
         self._same("the name", self.description.name, self.name)
+        for size, value in self.description.sizes.items():
+            self._same(f"the size {size}", value, getattr(self.lib, f"{self.name.upper()}_{size}", None))
+        unknown = self.ffi.error if isinstance(self.ffi.error, tuple) else (self.ffi.error,)
         try:
             for struct in self.description.structs:
                 self._check_layout(struct.name, self.description.dtype(struct.name))
-        except (*self.ffi.error, KeyError) as error:
+            return self.description.dtype()
+        except ControllerError:
+            raise
+        except (*unknown, KeyError, TypeError, ValueError, RecursionError, MemoryError) as error:
             raise ControllerError(f"{self.name}: the compiled code lacks what is described: {error}") from error
-        return self.description.dtype()
 
     @cached_property
     def fingerprint(self) -> str:

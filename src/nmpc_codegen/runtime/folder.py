@@ -8,6 +8,7 @@ which is atomic: at any time every file is complete, old or new. open_package() 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 import shutil
 import stat
@@ -25,17 +26,19 @@ from nmpc_codegen.runtime.seal import has_seal, intact
 
 TEMPORARY = ".nmpc_codegen-new"
 PATIENCE = 10.0  # seconds that an export waits for another one into the same folder
+LARGEST = 1 << 26  # bytes; a larger file cannot be a generated one, and is not read
 EXAMPLE = "main.c"  # a file to start from: it is not needed, so that an edited one stays
 
 
 @dataclass(frozen=True)
 class Change:
-    """A file to write: its place, its bytes, the mode of the old file, and whether that one belongs to the user."""
+    """A file to write: its place, its bytes, the old ones and their mode, and whether they belong to the user."""
 
     target: Path
     data: bytes
+    old: bytes | None
     mode: int | None
-    foreign: str | None
+    foreign: bool
 
     @property
     def new(self) -> Path:
@@ -61,7 +64,7 @@ def write(directory: str | os.PathLike[str], files: Mapping[str, str], *, force:
     with _naming(folder, "the folder cannot be created"):
         folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
-        changes = _changes(folder, files, force)
+        changes, kept = _changes(folder, files, force)
         try:
             for change in changes:
                 with _naming(change.target, "cannot be written"):
@@ -70,9 +73,11 @@ def write(directory: str | os.PathLike[str], files: Mapping[str, str], *, force:
                 with _naming(change.target, "cannot be replaced"):
                     _replace(change)
         finally:
-            for change in changes:
+            for path in files:
                 with suppress(OSError):
-                    change.new.unlink()
+                    (folder / (path + TEMPORARY)).unlink()
+    for what in kept:
+        warnings.warn(f"{what}; left as it is (force=True, --force replaces it)", stacklevel=3)
     return folder
 
 
@@ -81,13 +86,18 @@ def _naming(path: Path, what: str) -> Iterator[None]:
     """Turn an error of the operating system into an ExportError that names the path."""
     try:
         yield
+    except ExportError:
+        raise
     except OSError as error:
         raise ExportError(f"{path}: {what}: {error.strerror or error}") from error
 
 
 def _resolved(directory: str | os.PathLike[str]) -> Path:
     """The absolute path of the folder. Links in the path are followed only here, because the caller named them."""
-    text = os.fspath(directory) if isinstance(directory, str | os.PathLike) else None
+    try:
+        text = os.fspath(directory)
+    except TypeError:
+        text = ""
     if not isinstance(text, str) or not text or "\0" in text:
         raise OptionError(f"directory: {directory!r}; expected the path of a folder")
     try:
@@ -98,11 +108,12 @@ def _resolved(directory: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Keep other exports of this user out of the folder."""
-    name = hashlib.sha256(os.fsencode(folder)).hexdigest()[:16]
+    """Keep other exports of this user out of the folder. There are at most 256 lock files, which are never deleted: a
+    deleted one could be locked twice."""
+    name = hashlib.sha256(os.fsencode(folder)).hexdigest()[:2]
     user = os.getuid() if hasattr(os, "getuid") else 0
-    lock = FileLock(Path(tempfile.gettempdir()) / f"nmpc_codegen-{user}-{name}.lock", timeout=PATIENCE)
     with _naming(folder, "the folder cannot be locked"):
+        lock = FileLock(Path(tempfile.gettempdir()) / f"nmpc_codegen-{user}-{name}.lock", timeout=PATIENCE)
         try:
             lock.acquire()
         except Timeout:
@@ -116,26 +127,25 @@ def _alone(folder: Path) -> Iterator[None]:
 # -- files that may be replaced ---------------------------------------------------------------------------------------
 
 
-def _changes(folder: Path, files: Mapping[str, str], force: bool) -> list[Change]:
-    """The files to write, whose content differs. Raises ExportError if one of them must not be replaced."""
-    changes, refused = [], []
+def _changes(folder: Path, files: Mapping[str, str], force: bool) -> tuple[list[Change], list[str]]:
+    """The files to write, whose content differs, and what is kept. Raises ExportError if one must not be replaced."""
+    changes, kept, refused = [], [], []
     for path, text in files.items():
         target, data = _target(folder, path), text.encode()
         mode = _mode(target)
         if mode is None:
-            changes.append(Change(target, data, None, None))
+            changes.append(Change(target, data, None, None, False))
             continue
         if not stat.S_ISREG(mode):
             raise ExportError(f"{target}: is {_kind(mode)}; export() writes only plain files: remove it")
-        with _naming(target, "cannot be read"):
-            old = target.read_bytes()
+        old = _read(target)
         reason = _objection(old, mode)
         if old == data:
             continue
         if reason is None or force:
-            changes.append(Change(target, data, mode, reason))
+            changes.append(Change(target, data, old, mode, reason is not None))
         elif path == EXAMPLE:
-            warnings.warn(f"{target}: {reason}; left as it is (force=True, --force replaces it)", stacklevel=4)
+            kept.append(f"{target}: {reason}")
         else:
             refused.append(f"{path} ({reason})")
     if refused:
@@ -143,7 +153,7 @@ def _changes(folder: Path, files: Mapping[str, str], force: bool) -> list[Change
             f"{folder}: export() would replace {', '.join(refused)}; choose another folder, move the files away, "
             "or let it replace them with force=True (--force), which keeps copies"
         )
-    return changes
+    return changes, kept
 
 
 def _target(folder: Path, path: str) -> Path:
@@ -175,9 +185,15 @@ def _kind(mode: int) -> str:
     return kinds.get(stat.S_IFMT(mode), "a device or socket")
 
 
-def _objection(old: bytes, mode: int) -> str | None:
+def _read(target: Path) -> bytes | None:
+    """The bytes of a plain file; None if they are too many for a generated one."""
+    with _naming(target, "cannot be read"):
+        return target.read_bytes() if target.stat().st_size <= LARGEST else None
+
+
+def _objection(old: bytes | None, mode: int) -> str | None:
     """The reason why a file must not be replaced, or None."""
-    if not has_seal(old):
+    if old is None or not has_seal(old):
         return "not written by export()"
     if not intact(old):
         return "edited since export() wrote it"
@@ -188,7 +204,7 @@ def _objection(old: bytes, mode: int) -> str | None:
 
 
 def _stage(change: Change) -> None:
-    """Write the new file under its temporary name, flushed to the disk; what a killed export left there goes."""
+    """Write the new file under its temporary name, flushed to the disk, and copy a file of the user."""
     change.target.parent.mkdir(parents=True, exist_ok=True)
     change.new.unlink(missing_ok=True)
     with open(change.new, "xb") as file:
@@ -197,11 +213,14 @@ def _stage(change: Change) -> None:
         os.fsync(file.fileno())
     if change.mode is not None:
         change.new.chmod((change.mode & 0o777) | stat.S_IWUSR)
+    if change.foreign:
+        copies = (change.target.with_name(f"{change.target.name}.bak{n or ''}") for n in itertools.count())
+        shutil.copy2(change.target, next(copy for copy in copies if not os.path.lexists(copy)), follow_symlinks=False)
 
 
 def _replace(change: Change) -> None:
-    """Rename the new file to its final name; a file of the user is copied before."""
-    if change.foreign is not None:
-        copies = (change.target.with_name(f"{change.target.name}.bak{n or ''}") for n in range(1000))
-        shutil.copy2(change.target, next(copy for copy in copies if not copy.exists()), follow_symlinks=False)
+    """Rename the new file to its final name, unless somebody has just edited the old one."""
+    mode = _mode(change.target)
+    if (None if mode is None else _read(change.target)) != change.old:
+        raise ExportError(f"{change.target}: has changed during the export; look at it and export again")
     os.replace(change.new, change.target)

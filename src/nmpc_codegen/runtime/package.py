@@ -29,7 +29,10 @@ def open_package(
         ControllerError: <name>.json is not a package description, or it does not describe this C code.
     """
     folder = Path(directory)
-    found = [j for j in sorted(folder.glob("*.json")) if j.with_suffix(".h").exists() and name in (None, j.stem)]
+    try:
+        found = [j for j in sorted(folder.glob("*.json")) if j.with_suffix(".h").exists() and name in (None, j.stem)]
+    except OSError as error:
+        raise BuildError(f"{folder} cannot be read: {error.strerror or error}") from error
     if len(found) != 1:
         names = ", ".join(j.name for j in found) or "none"
         wanted = "one package" if name is None else f"the package {name!r}"
