@@ -1,6 +1,6 @@
-"""The augmented Lagrangian: solutions against IPOPT, the bioreactor in closed loop, tracking errors.
+"""The augmented Lagrangian: the bioreactor in closed loop, tracking errors.
 
-python -m benchmarks.augmented_lagrangian [--json FILE] [--only converged,loop,bounds,...] [--scale S]
+python -m benchmarks.augmented_lagrangian [--json FILE] [--only loop,bounds,...] [--scale S]
 """
 
 from __future__ import annotations
@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from benchmarks.lib import command
-from benchmarks.lib.augmented import bounds, converged, loop, schemes, tracking
+from benchmarks.lib.augmented import bounds, loop, schemes, tracking
 from benchmarks.lib.report import Report
 
 PARTS: dict[str, Callable[[Report, float], None]] = {
-    "converged": converged.measure,
     "loop": loop.measure,
     "bounds": bounds.measure,
     "tracking": tracking.measure,

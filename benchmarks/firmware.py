@@ -1,4 +1,4 @@
-"""Packages on emulated Cortex-M boards: agreement with the host, certificates, sizes, single precision, MISRA rules.
+"""Packages on emulated Cortex-M boards: agreement with the host, certificates, sizes, single precision.
 
     python -m benchmarks.firmware [--json FILE] [--only boards,...] [--scale S]
 
@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable, Mapping
 
 from benchmarks.lib import command
-from benchmarks.lib.firmware import emulated, misra, riscv, single, sizes
+from benchmarks.lib.firmware import emulated, riscv, single, sizes
 from benchmarks.lib.report import Report
 
 PARTS: Mapping[str, Callable[[Report, float], None]] = {
@@ -22,7 +22,6 @@ PARTS: Mapping[str, Callable[[Report, float], None]] = {
     "sizes": sizes.sizes,
     "counts": emulated.counts,
     "single": single.single,
-    "misra": misra.rules,
     "riscv": riscv.cores,
 }
 
@@ -31,7 +30,6 @@ NEEDS = {
     "boards": ("arm-none-eabi-gcc", "qemu-system-arm"),
     "bits": ("arm-none-eabi-gcc", "qemu-system-arm"),
     "sizes": ("arm-none-eabi-gcc",),
-    "misra": ("cppcheck",),
     "riscv": ("riscv64-unknown-elf-gcc",),
 }
 
