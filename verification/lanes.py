@@ -10,12 +10,8 @@ from nmpc_codegen import Controller
 
 #: Numbers of lanes; the profile without optimisation compiles fastest and is the same arithmetic.
 LANES = (2, 4, 8)
-
-
 #: In multiples of the rounding unit of the precision: 1e-13 in double.
 LIMIT = 1e-13
-
-
 ROUNDING = {"double": 2.0**-52, "single": 2.0**-23}
 
 

@@ -16,8 +16,6 @@ CASES: dict[str, Callable[[], Case]] = {
     "reactor, N = 50": problems.reactor,
     "rod, nx = 100, N = 10": lambda: problems.rod(100, 10),
 }
-
-
 #: Row of the tables -> method.
 METHODS = {
     "finite differences": "finite_differences",

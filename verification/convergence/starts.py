@@ -18,14 +18,8 @@ from verification.convergence.problems import problems
 from verification.routes import ROUTES
 
 STARTS = 100
-
-
 SOLVED = 1e-6  # KKT residual relative to the largest multiplier
-
-
 WORSE = 1e-4  # of the cost, relative
-
-
 #: The QP solvers among which qp=None chooses.
 NAMES = ("dense", "riccati")
 

@@ -13,14 +13,8 @@ from nmpc_codegen import OCP
 from nmpc_codegen.frontend.statement import Statement
 
 Array = np.ndarray
-
-
 DECADES = 3  # units are between 1e-3 and 1e3
-
-
 SEEDS = 5
-
-
 EXAMPLES = ("crane", "reactor", "cart_pole", "quadrotor", "chain", "fermenter")
 
 

@@ -18,14 +18,8 @@ from nmpc_codegen.frontend.classify import classify
 from verification.economic.sqp import Plan, Shooting, iterate, quadratic_program, steady_plan
 
 N = 200
-
-
 START = np.array([35.0, 49.743])
-
-
 PAPER = np.array([25.0, 49.743, 191.713, 215.888, 6210.38])
-
-
 ITERATIONS = {"exact": 8, "tuned": 8, "corrected": 8, "identity": 40}
 
 

@@ -21,21 +21,11 @@ from verification.qp.judge import LIMITS, Verdict, judge
 from verification.qp.stage_package import SCALARS, SOLVERS, Answer, answer, options, rounded, stage_ocp
 
 QPS = 20_000  # per solver and precision
-
-
 CHUNK = 60
-
-
 SHOWN = 3  # examples of a class, solver and precision
-
-
 UNSOLVED_LIMITS = {"double": 0.002, "single": 0.02}
-
-
 #: Classes of which nothing is asked in single precision but not to call a wrong answer OK.
 BEYOND_SINGLE = ("ill-conditioned", "nearly linear")
-
-
 Package = tuple[Shape, str, Precision]
 
 
@@ -75,8 +65,6 @@ class Tally:
 
 
 Tallies = dict[tuple[str, str, str], Tally]
-
-
 #: Controllers of this process.
 _controllers: dict[Package, Controller] = {}
 

@@ -27,31 +27,15 @@ from verification.robustness.hostile import Data, spoiled
 from verification.robustness.subjects import built, candidates
 
 Array = np.ndarray
-
-
 EPISODES = 10_000
-
-
 STATES = 4  # good measured states of a controller
-
-
 SETTLING = 150  # samples in which a controller that is left in peace converges
-
-
 PATIENCE, LATER, AGREED = 20, 100, 6
-
-
 #: What the last samples of a converged controller may differ by, and a recovered one from it; relative to the range.
 CONVERGED = {"double": 1e-8, "single": 1e-3}
-
-
 EQUAL = {"double": 1e-6, "single": 1e-2}
-
-
 #: The same for a control that IPOPT confirms; a plan that is shifted while the state is held is off by a little.
 CONFIRMED = {"double": 1e-3, "single": 1e-2}
-
-
 #: KKT residuals of a plan that is a solution, in double.
 STATIONARY = 1e-9
 

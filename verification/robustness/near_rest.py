@@ -22,14 +22,8 @@ from verification.qp.stage_package import SOLVERS
 from verification.robustness.subjects import Candidate, Subject
 
 Array = np.ndarray
-
-
 GIVEN_UP = (Status.ITERATION_LIMIT, Status.NUMERICAL_FAILURE, Status.STALLED)
-
-
 SHARES = (1e-9, 1e-5, 1e-2, 1.0)  # of the spread of good states
-
-
 SETTLING = 120  # samples of the loop
 
 

@@ -16,14 +16,8 @@ from nmpc_codegen import Controller, Status
 from verification.robustness.hostile import Data, spoiled
 
 Array = np.ndarray
-
-
 RETURNS = 1_000_000
-
-
 SEGMENT = 16  # samples between changes of the data
-
-
 KNOWN = np.array([int(status) for status in Status])
 
 

@@ -23,17 +23,9 @@ from verification.counting import HEADER, counting_header
 from verification.scenarios import CRANE_LOOP, CSTR, EXAMPLES, FIGURE_6, FIGURE_6_STEPS, QUADROTOR
 
 Array = np.ndarray
-
-
 DRIVER = Path(__file__).with_name("counted_loop.cpp")
-
-
 STEPS = 1000  # of a loop at most
-
-
 LEAST = 60  # samples of a quick look
-
-
 IN_USE = 0.2  # share of samples in which soft rows carry multipliers, without which a loop shows nothing
 
 

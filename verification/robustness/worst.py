@@ -15,11 +15,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from verification.robustness.work import Counted, Loop, Recorded, count, record, steps_of
 
 Array = np.ndarray
-
-
 HOSTILE = 300  # samples per loop
-
-
 FARTHEST = 3.0  # power of ten of the largest distance from the first state
 
 
