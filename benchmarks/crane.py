@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
 
-from benchmarks.lib.report import Report, arguments
+from benchmarks.lib import command
+from benchmarks.lib.report import Report
 from examples.crane import build_ocp
 from nmpc_codegen import build, generate
 from nmpc_codegen.frontend.classify import classify
@@ -63,17 +64,16 @@ def export_time(report: Report) -> None:
     report.add("export_build_s", float(np.median(seconds)), "s", limit=3.0, n=len(seconds))
 
 
+PARTS: dict[str, Callable[[Report], None]] = {"export": export_time, "times": times}
+
+
 def main() -> None:
-    """All figures."""
-    options = arguments(__doc__ or "")
-    report = Report("crane")
-    start = time.perf_counter()
-    for part in (export_time, times):
-        part(report)
-    report.print()
-    print(f"{time.perf_counter() - start:.0f} s; CasADi {ca.__version__}, NumPy {np.__version__}")
-    if options.json:
-        report.write(options.json)
+    """All figures, or some."""
+    parser = command.parser(__doc__, PARTS)
+    options = parser.parse_args()
+    names, report = command.chosen(parser, options, PARTS), Report("crane")
+    note = f"; CasADi {ca.__version__}, NumPy {np.__version__}"
+    command.measure(report, names, lambda name: PARTS[name](report), options.json, note)
 
 
 if __name__ == "__main__":

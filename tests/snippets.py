@@ -7,13 +7,11 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FENCE = re.compile(r"^```(\w+)(?: (file|run)(?:=(\S+))?)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-COMPONENT_PAGE = "docs/add-a-component.md"
 
 
 @dataclass(frozen=True)
@@ -76,42 +74,3 @@ def copy_tree(folder: Path) -> None:
     """Copy the compiler with its examples to a folder, for pages that edit it."""
     for name in ("src", "templates", "examples"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-
-
-def walk(document: str, folder: Path) -> Iterator[tuple[str, str, str]]:
-    """Process every block as a reader would: (name of the block, output, fault or "")."""
-    install_command(folder)
-    own = document == COMPONENT_PAGE
-    if own:
-        copy_tree(folder)
-    search = (folder / "src", folder) if own else (ROOT / "src",)
-    for number, block in enumerate(blocks(document), 1):
-        name = f"{document} {number}: {block.language} {block.file}".strip()
-        try:
-            yield name, _follow(block, folder, search), ""
-        except (AssertionError, OSError) as error:
-            yield name, "", str(error)
-
-
-def _follow(block: Block, folder: Path, search: tuple[Path, ...]) -> str:
-    """Write, change, compile or run a block; its output."""
-    path = folder / block.file
-    if block.language == "diff":
-        path.write_text(changed(path.read_text(encoding="utf-8"), block.text), encoding="utf-8")
-        return ""
-    if block.file:
-        path.write_text(block.text, encoding="utf-8")
-        if block.file == "firmware.c":
-            command = re.search(
-                r"^    (cc .*cart\.c.*)$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
-            )
-            assert command is not None, "the README does not say how to compile its C"
-            return run(["sh", "-ec", command[1].replace(" cart.c", " -Icart cart/cart.c")], folder, search)
-        return ""
-    output = run(
-        [sys.executable, "-c", block.text] if block.language == "python" else ["sh", "-ec", block.text], folder, search
-    )
-    if block.states_a_problem:
-        (folder / "stated.py").write_text(block.text, encoding="utf-8")
-        output += run(["nmpc-export", "stated.py", "-o", "stated"], folder, search)
-    return output

@@ -72,7 +72,6 @@ class Timing:
     total: float
     feedback: float
     total_median: float
-    feedback_median: float
     worst: float
     failed: int
     qp_iterations: float
@@ -140,7 +139,6 @@ def run_driver(program: Path, scenario: Scenario, *, runs: int, steps: int) -> T
         total=float(table[:, 0].min()),
         feedback=float(table[:, 1].min()),
         total_median=float(np.median(table[:, 0])),
-        feedback_median=float(np.median(table[:, 1])),
         worst=float(worst),
         failed=int(table[:, 2].max()),
         qp_iterations=float(table[:, 3].mean()),

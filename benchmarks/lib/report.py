@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import platform
@@ -113,10 +112,3 @@ def machine() -> str:
         ]
         cpu = names[0] if names else cpu
     return f"{cpu}; {version.splitlines()[0]}; {' '.join(PROFILES['fast'].flags)}"
-
-
-def arguments(description: str) -> argparse.Namespace:
-    """--json FILE."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--json", metavar="FILE", help="write one record per key")
-    return parser.parse_args()

@@ -42,11 +42,6 @@ def judge(case: Case, end: End) -> str:
     return ""
 
 
-def passes(case: Case) -> bool:
-    """True if the operating system passes such arguments to a process."""
-    return not any("\0" in argument for argument in case.arguments)
-
-
 def _write(case: Case, folder: Path) -> None:
     for name, content in case.files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -288,6 +288,16 @@ def test_ascii_terminal(environment: dict[str, str], state_problem: Any, tmp_pat
     assert (tmp_path / "\u03c0 [red]x[/]" / "cart.c").exists()
 
 
+def test_output_that_cannot_be_written(tmp_path: Path) -> None:
+    """One sentence, which does not blame the problem file."""
+    command = [sys.executable, "-m", "nmpc_codegen.cli", str(ROOT / "examples" / "crane.py"), "-o", str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False)
+    assert done.returncode == 1
+    assert done.stderr == "error: the output cannot be written: No space left on device\n"
+
+
 def test_reader_that_leaves(tmp_path: Path) -> None:
     """nmpc-export --list-options | head -0"""
     read, write = os.pipe()

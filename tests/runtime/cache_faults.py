@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import functools
 import os
 import shutil
@@ -133,10 +134,20 @@ def _killed_while_building(cache: Path, package: Path, whole_group: bool) -> boo
     kill = os.killpg if whole_group else os.kill
     kill(process.pid, signal.SIGKILL)
     process.communicate()
+    _wait_for_the_compiler(process.pid)
     if process.returncode == -signal.SIGKILL and leftovers(cache):
         return True
     shutil.rmtree(cache)
     return False
+
+
+def _wait_for_the_compiler(group: int) -> None:
+    """An orphan that still writes into its folder would keep that from being removed."""
+    end = time.monotonic() + 10
+    with contextlib.suppress(ProcessLookupError):
+        while time.monotonic() < end:
+            os.killpg(group, 0)
+            time.sleep(0.005)
 
 
 def _eight_at_once(cache: Path, package: Path) -> bool:

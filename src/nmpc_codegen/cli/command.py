@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with own_streams(whole_process=argv is None) as printer:
             return _main(argv, printer)
-    except ReaderLeftError:
+    except ReaderLeftError as left:
         drop_output()
+        if left.args:
+            print(f"error: {left}", file=sys.stderr)
         return 1
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import os
 import sys
 import threading
@@ -18,7 +17,13 @@ from nmpc_codegen.cli.messages import message, one_line, printable
 
 
 class ReaderLeftError(Exception):
-    """The reader of the output is gone: ``nmpc-export ... | head -1``."""
+    """Nobody takes the output: its reader is gone, as in ``nmpc-export ... | head -1``, or, with a text, it fails."""
+
+    @classmethod
+    def of(cls, error: OSError) -> ReaderLeftError:
+        """The error for one of the operating system while output was written."""
+        gone = isinstance(error, BrokenPipeError)
+        return cls() if gone else cls(f"the output cannot be written: {error.strerror or error}")
 
 
 class Printer:
@@ -53,8 +58,10 @@ class Printer:
     def _print(self, console: Console, what: Any, **options: Any) -> None:
         try:
             console.print(what, **options)
-        except (BrokenPipeError, SystemExit):  # rich exits the program when a pipe breaks
+        except SystemExit:  # rich exits the program when a pipe breaks
             raise ReaderLeftError from None
+        except OSError as error:
+            raise ReaderLeftError.of(error) from None
 
 
 @contextlib.contextmanager
@@ -70,11 +77,7 @@ def own_streams(whole_process: bool) -> Iterator[Printer]:
         yield Printer(output, errors)
         output.flush()
     except OSError as error:
-        if error.errno == errno.ENOSPC:
-            errors.write("error: the output cannot be written: no space left\n")
-        elif not isinstance(error, BrokenPipeError):
-            raise
-        raise ReaderLeftError from None
+        raise ReaderLeftError.of(error) from None
     finally:
         if not whole_process:
             sys.stdout, sys.stderr, sys.unraisablehook, threading.excepthook = before

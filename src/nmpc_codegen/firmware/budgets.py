@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.certificate import Certificate
+from nmpc_codegen.options import REGISTRIES
 from nmpc_codegen.runtime.package_description import PackageDescription
 
 _NUMBER = re.compile(r"(\d+(?:\.\d*)?(?:e\d+)?)([km]?)$", re.IGNORECASE)
@@ -126,8 +127,13 @@ def _stack_advice(description: PackageDescription, limit: int) -> Iterator[str]:
 
 
 def _operations_advice(description: PackageDescription, limit: int) -> Iterator[str]:
-    if any(s.name == "qp" for s in description.structs):
-        yield "a smaller --set qp.max_iterations=..."
+    solver = re.search(r"\bqp=(\w+)\(", description.options)
+    if any(s.name == "qp" for s in description.structs) and solver is not None:
+        word = next(word for word, cls in REGISTRIES["qp"].items() if cls.__name__ == solver[1])
+        alone = " --set qp.fallback=None" if "fallback=" in description.options else ""
+        if "fallback=RiccatiInteriorPoint(" in description.options:
+            yield f"--qp {word}{alone}, which leaves out the interior point method"
+        yield f"--qp {word}{alone} and a smaller --set qp.max_iterations=..."
     else:
         yield "a smaller --set algorithm.iterations=..."
     yield "fewer intervals"

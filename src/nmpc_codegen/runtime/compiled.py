@@ -46,9 +46,10 @@ class CompiledPackage:
             self._same(f"the size {size}", value, getattr(self.lib, f"{self.name.upper()}_{size}", None))
         unknown = self.ffi.error if isinstance(self.ffi.error, tuple) else (self.ffi.error,)
         try:
-            for struct in self.description.structs:
-                self._check_layout(struct.name, self.description.dtype(struct.name))
-            return self.description.dtype()
+            layouts = {struct.name: self.description.dtype(struct.name) for struct in self.description.structs}
+            for name, layout in layouts.items():
+                self._check_layout(name, layout)
+            return layouts["solver"]
         except ControllerError:
             raise
         except (*unknown, KeyError, TypeError, ValueError, RecursionError, MemoryError) as error:

@@ -22,11 +22,10 @@ from pathlib import Path, PurePosixPath
 from filelock import FileLock, Timeout
 
 from nmpc_codegen.errors import ExportError, OptionError
-from nmpc_codegen.runtime.seal import has_seal, intact
+from nmpc_codegen.runtime.seal import LARGEST, has_seal, intact
 
 TEMPORARY = ".nmpc_codegen-new"
 PATIENCE = 10.0  # seconds that an export waits for another one into the same folder
-LARGEST = 1 << 26  # bytes; a larger file cannot be a generated one, and is not read
 EXAMPLE = "main.c"  # a file to start from: it is not needed, so that an edited one stays
 
 

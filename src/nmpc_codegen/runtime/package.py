@@ -10,9 +10,7 @@ from pathlib import Path
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.seal import has_seal, intact, package_of
-
-MAX_BYTES = 2**26  # of one file
+from nmpc_codegen.runtime.seal import LARGEST, has_seal, intact, package_of
 
 
 def open_package(
@@ -59,8 +57,8 @@ def _read(path: Path) -> str:
     try:
         if not path.is_file():
             raise BuildError(f"{path} is not a file")
-        if path.stat().st_size > MAX_BYTES:
-            raise BuildError(f"{path} has {path.stat().st_size} bytes; expected at most {MAX_BYTES}")
+        if path.stat().st_size > LARGEST:
+            raise BuildError(f"{path} has {path.stat().st_size} bytes; expected at most {LARGEST}")
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise BuildError(f"{path} is not UTF-8 text: {error}") from error

@@ -370,14 +370,12 @@ class PackageDescription:
                 row |= {side: float(row[side]) for side in ("lower", "upper")}
             described = msgspec.convert(raw, cls)
             described.dims  # noqa: B018 - all sizes are there
-            shapes = {member.ctype: member.shape for member in described._struct("solver").fields}
+            solver = {struct.name: struct for struct in described.structs}["solver"]
         except (msgspec.MsgspecError, TypeError, KeyError, ValueError, ArithmeticError, RecursionError) as error:
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             raise ControllerError(f"the package description is not one that export() writes: {what}") from error
+        shapes = {member.ctype: member.shape for member in solver.fields}
         return replace(described, structs=tuple(replace(s, shape=shapes.get(s.name, ())) for s in described.structs))
-
-    def _struct(self, name: str) -> Struct:
-        return {struct.name: struct for struct in self.structs}[name]
 
 
 def union_dtype(members: Sequence[tuple[str, np.dtype[Any], tuple[int, ...]]]) -> np.dtype[Any]:

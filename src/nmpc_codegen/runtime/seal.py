@@ -15,6 +15,7 @@ import re
 from collections.abc import Mapping
 from pathlib import PurePosixPath
 
+LARGEST = 1 << 26  # bytes; a larger file cannot be a generated one, and is not read
 _LINE = "nmpc_codegen package {}, sha256 {}"
 _SEAL = re.compile(rb"nmpc_codegen package ([0-9a-f]{16}), sha256 ([0-9a-f]{64})")
 _BLANK = "0" * 64
