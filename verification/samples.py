@@ -35,6 +35,7 @@ from nmpc_codegen import (
     RiccatiActiveSet,
     RiccatiInteriorPoint,
 )
+from verification.problems import tiny
 from verification.timed import Sample
 
 
@@ -50,16 +51,6 @@ def _pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
 def bare() -> OCP:
     """Neither rows nor parameters nor a terminal cost."""
     return _pendulum("bare")[0]
-
-
-def single() -> OCP:
-    """nx = nu = N = 1."""
-    ocp = OCP("single", T=0.5, N=1)
-    x, u = ocp.state("x", initial=1.0), ocp.control("u")
-    ocp.dynamics({x: -(x**3) + u})
-    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
-    ocp.terminal_least_squares(ca.vertcat(x, ca.sin(x)), weight=[1.0, 0.5])
-    return ocp
 
 
 def controls() -> OCP:
@@ -365,7 +356,7 @@ SAMPLES = (
     Sample("cart_pole size", cart_pole.build_ocp, Options(goal="size", precision="single")),
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
-    Sample("single dense", single, _dense(hessian=ExactHessian())),
+    Sample("single dense", tiny, _dense(hessian=ExactHessian())),
     Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single", processor="scalar")),
     Sample("controls partial", controls, _partial(algorithm=RESAMPLE)),
     Sample("controls interior", controls, _interior(algorithm=RESAMPLE)),
