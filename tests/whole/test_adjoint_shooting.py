@@ -34,7 +34,7 @@ from nmpc_codegen.components.integrators.directional import Directional
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.sweep import unroll
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, interval_map, node_data
-from verification import samples
+from verification import problems, samples
 
 TWO_STEPS = ExplicitRungeKutta(RK4, steps=2)
 METHODS = ("gauss_newton", "quasi_newton")
@@ -109,7 +109,7 @@ def test_the_stationarity_is_the_gradient_of_casadi(method: str) -> None:
 SMALL: dict[str, Callable[[], OCP]] = {
     make.__name__: make
     for make in (
-        *(samples.bare, samples.single, samples.controls, samples.states, samples.path, samples.final),
+        *(samples.bare, problems.tiny, samples.controls, samples.states, samples.path, samples.final),
         *(samples.soft_states, samples.soft_rows, samples.ends, samples.closing, samples.ring, samples.target),
         *(samples.counted, samples.mixed, samples.discrete, samples.discrete_rows),
     )

@@ -33,7 +33,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
-from verification import samples
+from verification import problems, samples
 
 THREE_STEPS = ExplicitRungeKutta(RK4, steps=3)
 
@@ -61,7 +61,7 @@ EXAMPLES: dict[str, tuple[Callable[[], OCP], ExplicitRungeKutta]] = {
 SMALL = {
     make.__name__: make
     for make in (
-        *(samples.bare, samples.single, samples.controls, samples.states, samples.path, samples.final),
+        *(samples.bare, problems.tiny, samples.controls, samples.states, samples.path, samples.final),
         *(samples.soft_states, samples.soft_rows, samples.arrival, samples.discrete),
     )
 }
