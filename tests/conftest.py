@@ -15,6 +15,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
 from hypothesis import settings
+from sampling import thin
 
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.build import find_compiler, load
@@ -138,6 +139,12 @@ def toy(_toy: Controller) -> Controller:
 def pytest_configure(config: pytest.Config) -> None:
     """A warning about a problem fails the test. In pyproject.toml it would load NumPy before this file is read."""
     config.addinivalue_line("filterwarnings", "error::nmpc_codegen.errors.ProblemWarning")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Before "slow" is deselected: the combinations that `make test` leaves out get that marker."""
+    thin(items)
 
 
 @pytest.hookimpl(optionalhook=True)

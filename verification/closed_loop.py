@@ -127,9 +127,14 @@ def closed_loop(sources: Sources, name: str, scenario: Scenario, *, runs: int = 
 
 
 def run_driver(program: Path, scenario: Scenario, *, runs: int, steps: int) -> Timing:
-    """Time a compiled driver; its process is pinned to one core."""
+    """Time a compiled driver in a scenario."""
+    return run_program(program, scenario.arguments(), runs=runs, steps=steps)
+
+
+def run_program(program: Path, arguments: Sequence[str], *, runs: int, steps: int) -> Timing:
+    """Time a compiled driver with the arguments of a scenario; its process is pinned to one core."""
     core = pinned_core()
-    command = [str(program), str(runs), str(steps), *scenario.arguments()]
+    command = [str(program), str(runs), str(steps), *arguments]
     text = subprocess.run(
         command, check=True, capture_output=True, text=True, preexec_fn=lambda: os.sched_setaffinity(0, core)
     ).stdout

@@ -1,12 +1,10 @@
-"""Peers measured in the same run: CasADi's sqpmethod with its QP plugins, one iteration per sample, warm-started."""
+"""CasADi's sqpmethod with its QP plugins, one iteration per sample: another route to a Gauss-Newton step."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -14,7 +12,6 @@ import numpy as np
 
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.oracle.reference import CLASSICAL, Tableau, interval_map
-from verification.closed_loop import Scenario, pinned_core
 
 #: Options of each plugin: no output, and a failed QP does not end the closed loop.
 QUIET: dict[str, dict[str, Any]] = {
@@ -89,13 +86,9 @@ class SqpMethod:
         return lower, upper
 
     def reset(self) -> None:
-        """Discard the plan and the set point: the next plan starts at the measured state and the control reference."""
+        """Discard the plan: the next one starts at the measured state and the control reference."""
         self.guess: dict[str, Any] = {}
-        self.set_point(self.problem.path.reference, self.problem.terminal.reference)
-
-    def set_point(self, y: Any, y_N: Any) -> None:
-        """Reference of all nodes and of the end."""
-        self.reference = np.concatenate([np.asarray(y, dtype=float), np.asarray(y_N, dtype=float)])
+        self.reference = np.concatenate([self.problem.path.reference, self.problem.terminal.reference])
 
     def _start(self, xhat: Array) -> Array:
         p = self.problem
@@ -111,77 +104,6 @@ class SqpMethod:
         solution = self.solver(p=self.reference, lbx=lower, ubx=upper, lbg=0, ubg=0, **guess)
         self.guess = {"x0": solution["x"], "lam_x0": solution["lam_x"], "lam_g0": solution["lam_g"]}
         return np.array(solution["x"][nx : nx + nu]).ravel()
-
-
-@dataclass(frozen=True)
-class PeerTiming:
-    """Median time of a step (us; minimum over runs), the number of steps behind it, and the controls (steps, nu)."""
-
-    total: float
-    steps: int
-    u: Array
-
-
-def time_sqpmethod(
-    problem: Problem,
-    plant: Any,
-    scenario: Scenario,
-    integrator: Tableau = CLASSICAL,
-    *,
-    qpsol: str = "qpoases",
-    seconds: float = 2.0,
-    runs: int = 3,
-) -> PeerTiming:
-    """Closed loop called from Python on one core, up to 300 steps per run, about ``seconds`` in all, at least one step.
-
-    If only few steps fit, they are the harder ones after a disturbance; the number of steps is therefore reported.
-    """
-    with pinned(), silent():
-        peer = SqpMethod(problem, integrator, qpsol)
-        results = [_run(peer, plant, scenario, seconds / runs)]
-        while len(results) < runs and sum(sum(r[0]) for r in results) < 1e6 * seconds:
-            results.append(_run(peer, plant, scenario, seconds / runs))
-    times, u = min(results, key=lambda r: float(np.median(r[0])))
-    return PeerTiming(float(np.median(times)), sum(len(r[0]) for r in results), u)
-
-
-def _run(peer: SqpMethod, plant: Any, scenario: Scenario, seconds: float) -> tuple[list[float], Array]:
-    rng = np.random.default_rng(1)
-    x = np.array(scenario.x0, dtype=float)
-    times: list[float] = []
-    controls: list[Array] = []
-    peer.reset()
-    while len(times) < 300 and sum(times) < 1e6 * seconds:
-        n = len(times)
-        if n % scenario.period == 0:
-            x = _event(peer, plant, scenario, n, x, rng)
-        start = time.perf_counter()
-        u = peer.step(x)
-        times.append(1e6 * (time.perf_counter() - start))
-        controls.append(u)
-        x = plant(x, u, scenario.dt)
-    return times, np.array(controls)
-
-
-def _event(peer: SqpMethod, plant: Any, s: Scenario, n: int, x: Array, rng: np.random.Generator) -> Array:
-    """The events of closed_loop.c every ``period`` steps, with different random numbers."""
-    x = x + s.amplitude * rng.uniform(-1, 1, x.size)
-    if s.set_points:
-        peer.set_point(*s.set_points[n // s.period % len(s.set_points)])
-    for _ in range(s.pushes):
-        x = plant(x, np.array(s.push), s.dt)
-    return x
-
-
-@contextlib.contextmanager
-def pinned() -> Iterator[None]:
-    """Pin this process to the core of all timings."""
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, pinned_core())
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
 
 
 @contextlib.contextmanager

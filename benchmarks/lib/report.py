@@ -1,12 +1,12 @@
-"""Records of a benchmark: a table for readers and one JSON record per key; a key over several cases is the worst."""
+"""Records of the benchmarks: a page for readers, with the value at the baseline beside every figure, and JSON."""
 
 from __future__ import annotations
 
 import json
-import math
 import platform
 import subprocess
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -14,11 +14,17 @@ from rich.table import Table
 
 from nmpc_codegen.runtime.build import PROFILES, find_compiler
 
+#: Growth from which a figure of this unit is marked, relative to its baseline; times only if they are comparable.
+GROWN = {"us": 1.10, "B": 1.02, "instructions": 1.02, "operations": 1.02}
+MARK, MISS = "[bold red]▲[/]", "[bold red]miss[/]"
+WIDTH = 132
+
 
 @dataclass(frozen=True)
 class Record:
     """One measured value. ``limit`` is the requirement of the project (None: watched only)."""
 
+    topic: str
     key: str
     case: str
     value: float
@@ -29,12 +35,51 @@ class Record:
     profile: str
     lanes: int
 
+    @property
+    def place(self) -> str:
+        """What identifies the value: topic, case and key."""
+        return f"{self.topic}/{self.case}/{self.key}"
+
+    def meets(self) -> bool:
+        """True if the value satisfies its limit, if it has one."""
+        if self.limit is None:
+            return True
+        return self.value >= self.limit if self.at_least else self.value <= self.limit
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """Figures by their place; ``same_machine``: its times are comparable with those of this run."""
+
+    label: str
+    values: dict[str, float]
+    same_machine: bool
+
+    @classmethod
+    def of(cls, path: Path, label: str, same_machine: bool | None = None) -> Baseline:
+        """From a file that Report.write() wrote."""
+        found = json.loads(path.read_text(encoding="utf-8"))
+        values = {f"{r['topic']}/{r['case']}/{r['key']}": r["value"] for r in found["records"]}
+        return cls(label, values, found["machine"] == machine() if same_machine is None else same_machine)
+
+    def take(self, records: Iterable[Record]) -> None:
+        """Figures that were measured in turn with those of this run."""
+        self.values.update({record.place: record.value for record in records})
+
+    def grew(self, record: Record) -> bool:
+        """True if bytes, instructions and operations are 2 % above the baseline, times 10 %."""
+        known, slack = self.values.get(record.place), GROWN.get(record.unit)
+        if known is None or slack is None or (record.unit == "us" and not self.same_machine):
+            return False
+        return record.value > slack * known
+
 
 class Report:
-    """Collects records, prints them and writes them."""
+    """Collects records, prints them topic by topic and writes them."""
 
-    def __init__(self, title: str) -> None:
-        self.title = title
+    def __init__(self, baseline: Baseline | None = None) -> None:
+        self.topic = ""
+        self.baseline = baseline or Baseline("none", {}, False)
         self.records: list[Record] = []
 
     def add(
@@ -51,64 +96,82 @@ class Report:
         lanes: int = 1,
     ) -> None:
         """Record a value of a case, based on ``n`` samples."""
-        self.records.append(Record(key, case, float(value), unit, n, limit, at_least, profile, lanes))
+        record = Record(self.topic, key, case, float(value), unit, n, limit, at_least, profile, lanes)
+        self.records.append(record)
 
-    def worst(self) -> dict[str, Record]:
-        """The worst case of every key; NaN is the worst value."""
-        found: dict[str, Record] = {}
-        for record in self.records:
-            known = found.get(record.key)
-            if known is None or _worse(record, known):
-                found[record.key] = record
-        return found
+    def of(self, topic: str) -> list[Record]:
+        """Records of a topic."""
+        return [record for record in self.records if record.topic == topic]
 
-    def print(self) -> None:
-        """Table of all cases, with the verdict if there is a limit."""
-        table = Table(title=self.title)
-        for column in ("key", "case", "value", "limit", "", "unit", "profile", "n"):
-            table.add_column(column, justify="right" if column in ("value", "limit", "n") else "left")
-        for r in self.records:
+    def print_matrix(self, topic: str) -> None:
+        """A line per case and a column per key; beside every value, in parentheses, that of the baseline."""
+        records = {(r.case, r.key): r for r in self.of(topic)}
+        units = {r.key: r.unit for r in records.values()}
+        table = Table(title=topic, title_justify="left")
+        table.add_column("")
+        for key, unit in units.items():
+            table.add_column(f"{key}\n{unit}", justify="right")
+        for case in dict.fromkeys(case for case, _ in records):
+            row = (records.get((case, key)) for key in units)
+            table.add_row(case, *("" if r is None else self._cell(r) for r in row))
+        _show(table)
+
+    def print_list(self, topic: str) -> None:
+        """A line per record, for topics whose cases have few keys in common."""
+        table = Table(title=topic, title_justify="left")
+        for column in ("key", "case", "value (baseline)", "limit", "unit", "n"):
+            table.add_column(column, justify="left" if column in ("key", "case", "unit") else "right")
+        for r in self.of(topic):
             sign = ">=" if r.at_least else "<="
             limit = f"{sign} {r.limit:g}" if r.limit is not None else ""
-            verdict = "" if r.limit is None else ("ok" if meets(r) else "MISS")
-            table.add_row(r.key, r.case, f"{r.value:.4g}", limit, verdict, r.unit, r.profile, str(r.n))
-        Console(width=140).print(table)
-        print(machine())
+            table.add_row(r.key, r.case, self._cell(r), limit, r.unit, str(r.n))
+        _show(table)
 
-    def write(self, path: str | Path) -> None:
-        """One JSON record per key."""
-        out = {
-            key: {"value": r.value, "unit": r.unit, "profile": r.profile, "lanes": r.lanes, "n": r.n}
-            for key, r in self.worst().items()
-        }
+    def _cell(self, record: Record) -> str:
+        known = self.baseline.values.get(record.place)
+        cell = number(record.value) + ("" if known is None else f" ({number(known)})")
+        mark = "" if record.meets() else f"{MISS} "
+        return f"{mark}{MARK} {cell}" if self.baseline.grew(record) else f"{mark}{cell}"
+
+    def grown(self) -> list[Record]:
+        """Figures that grew beyond the slack of their unit."""
+        return [record for record in self.records if self.baseline.grew(record)]
+
+    def missed(self) -> list[Record]:
+        """Figures beyond their limit."""
+        return [record for record in self.records if not record.meets()]
+
+    def write(self, path: str | Path, **about: object) -> None:
+        """All records with what the run was, which is given as ``about``."""
+        out = {"machine": machine(), **about, "records": [asdict(record) for record in self.records]}
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         Path(path).write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
 
 
-def meets(record: Record) -> bool:
-    """True if the value satisfies its limit."""
-    if record.limit is None:
-        return True
-    return record.value >= record.limit if record.at_least else record.value <= record.limit
+def _show(table: Table) -> None:
+    Console(width=WIDTH).print(table)
 
 
-def _worse(a: Record, b: Record) -> bool:
-    if math.isnan(b.value):
-        return False
-    if math.isnan(a.value):
-        return True
-    return a.value < b.value if a.at_least else a.value > b.value
+def number(value: float) -> str:
+    """Three digits; integers below a hundred million as they are."""
+    if value == int(value) and abs(value) < 1e8 if abs(value) < float("inf") else False:
+        return f"{int(value):,}"
+    return f"{value:.3g}"
+
+
+def listed(records: Iterable[Record]) -> str:
+    """One line per record: its place, value and limit or nothing."""
+    return "\n".join(f"  {r.place}: {number(r.value)} {r.unit}".rstrip() for r in records)
 
 
 def machine() -> str:
     """CPU, compiler and flags of the profile "fast"."""
     compiler = find_compiler()
     version = subprocess.run([*compiler, "--version"], capture_output=True, text=True, check=True).stdout
-    cpu = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
+    cpu, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
     if info.exists():
-        names = [
-            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
-        ]
-        cpu = names[0] if names else cpu
+        lines = info.read_text().splitlines()
+        fields = dict(line.partition(":")[::2] for line in reversed(lines) if ":" in line)
+        known = {name.strip(): value.strip() for name, value in fields.items()}
+        cpu = f"{known.get('model name', cpu)} (model {known.get('model', '?')})"
     return f"{cpu}; {version.splitlines()[0]}; {' '.join(PROFILES['fast'].flags)}"

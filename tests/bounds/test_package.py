@@ -53,6 +53,7 @@ def loop_of(problem: str, solver: str, **more: object) -> Loop:
     return Loop("crane", PROBLEMS[problem], options, Scenario((0.0,) * 4, 0.3, 20))
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("problem", "solver"),
     [("boxes", "dense"), ("boxes", "riccati alone"), *itertools.product(("terminal equality", "soft rows"), SOLVERS)],
@@ -67,6 +68,7 @@ def test_no_sample_exceeds_the_worst_case(problem: str, solver: str) -> None:
     assert np.min(found.every) > 0
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_cap_on_iterations_counts(solver: str) -> None:
     """With few iterations the worst case comes near what is provoked."""
@@ -87,6 +89,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("case", OTHERS)
 @pytest.mark.parametrize("make", [problems.scaled, problems.tiny, problems.dense_weight], ids=lambda m: m.__name__)
 def test_every_package_states_its_worst_case(make: Callable[[], OCP], case: str) -> None:

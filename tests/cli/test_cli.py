@@ -313,6 +313,7 @@ def test_reader_that_leaves(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     "text",
     [

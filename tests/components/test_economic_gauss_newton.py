@@ -175,6 +175,7 @@ def step_taken(c: Controller, x: Array, u: Array) -> Array:
     return np.concatenate([*(np.concatenate(pair) for pair in zip(dx[:-1], du, strict=True)), dx[-1]])
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("fixed_end", [False, True])
 @pytest.mark.parametrize("route", ROUTES)
 def test_the_step_is_that_of_the_qp_with_m(route: str, fixed_end: bool) -> None:
@@ -332,6 +333,7 @@ def refinements(c: Controller, t: Tuning, x: Array, dt: float) -> list[int]:
     return found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("start", [0.0, 1.0])
 def test_equations_at_the_end_cost_no_refinement_loops(start: float) -> None:
     """They are members of the working set at every sample, also when steps vanish at the steady state.
@@ -341,14 +343,14 @@ def test_equations_at_the_end_cost_no_refinement_loops(start: float) -> None:
     """
     t = tuning(evaporation)
     c = build(
-        evaporation.build_ocp(60), evaporation_options(condensing=NoCondensing(), qp=RiccatiActiveSet()), "fast"
+        evaporation.build_ocp(60), evaporation_options(condensing=NoCondensing(), qp=RiccatiActiveSet()), "test"
     ).copy()
     assert max(refinements(c, t, t.x_s + np.array([0.0, start]), 1.0)[20:]) <= 2
     t, ocp = tuning(driving), driving.build_ocp(intervals=30)
     ocp.subject_to(t.x_s[1:], ocp.x[1:], t.x_s[1:], at="end", name="steady")
     hessian = EconomicGaussNewton(t.M)
     chosen = dataclasses.replace(options(hessian, "riccati"), integrator=ExplicitRungeKutta(steps=driving.STEPS))
-    c = build(ocp, chosen, "fast").copy()
+    c = build(ocp, chosen, "test").copy()
     far = np.array([0, 0.05 * start, 0.1 * start, 0, 0])
     assert max(refinements(c, t, t.x_s + far, driving.SAMPLING)[20:]) == 0
 

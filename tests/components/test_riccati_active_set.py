@@ -78,6 +78,7 @@ def near(qp: StageQP, s: RiccatiQP, limit: float) -> None:
         assert np.max(np.abs(found - true)) <= limit * np.max(np.abs(true))
 
 
+@pytest.mark.few(36)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", SHAPES)
 @few

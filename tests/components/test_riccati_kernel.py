@@ -175,6 +175,7 @@ def agrees(kernel: Kernel, data: dict[str, Any], x: np.ndarray, u: np.ndarray, l
 TILED = [(name, lanes) for name in SHAPES for lanes in (1, 4, 8) if lanes == 1 or SHAPES[name].form != "small"]
 
 
+@pytest.mark.few(24)
 @pytest.mark.parametrize(("name", "lanes"), TILED)
 @some
 @given(seed=seeds)

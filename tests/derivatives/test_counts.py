@@ -25,6 +25,7 @@ def outputs(ocp: OCP) -> ca.SX:
     return ca.vertcat(ocp.x[0] * ocp.u[0], ca.sqrt(1 + ocp.x[1] ** 2))
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("with_outputs", [True, False])
 def test_counts_are_exact(name: str, with_outputs: bool) -> None:

@@ -51,6 +51,7 @@ def written(folder: Path, sources: dict[str, str]) -> None:
         (folder / path).write_text(text, encoding="utf-8")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("case", CASES)
 def test_no_warnings(case: str, tmp_path: Path) -> None:
     """C99 and C++17, gcc and clang, without and with the optimiser; clang sees unused functions of the front end."""

@@ -53,6 +53,7 @@ def outcome(request: pytest.FixtureRequest) -> tuple[Recording, Certificate, Ver
     return inputs, certificate, verify(sources, "crane", inputs, TARGETS[target], "O2", certificate.stack_worst)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("outcome", BOARDS, indirect=True, ids=lambda board: board[0])
 def test_target_and_host_agree(outcome: tuple[Recording, Certificate, Verdict]) -> None:
     inputs, certificate, verdict = outcome

@@ -281,6 +281,7 @@ def meant(error: BaseException, file: Path) -> bool:
     return isinstance(error, NmpcError) or syntax or (bool(ours) and ours[-1] == file)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("block", range(4))
 def test_mutated_files_through_the_command_line(
     block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

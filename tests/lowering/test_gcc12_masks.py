@@ -76,6 +76,7 @@ def test_the_fault_is_seen(shared_masks: Callable[[str, str], list[str]]) -> Non
     assert len(shared_masks("loop", LOOP)) in ((1,) if full.startswith("12.2") else (0, 1))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("sample", [s for s in (*TIMED, *SAMPLES) if s.name in NAMES], ids=lambda s: s.name)
 def test_packages_without_shared_masks(shared_masks: Callable[[str, str], list[str]], sample: Sample) -> None:
     files = generate(sample.make(), sample.options)

@@ -111,6 +111,7 @@ def test_the_pragma_of_the_package_heals_it(gcc: str, tmp_path: Path) -> None:
     assert output(gcc, {"main.c": block + PROGRAM}, ["-O2"], tmp_path).strip() == "7"
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("name", "riccati"), [("crane", False), ("path_rows", True)])
 def test_controls_with_the_options_instead_of_the_pragma(gcc: str, name: str, riccati: bool, tmp_path: Path) -> None:
     """Thirty samples of main.c agree in all printed digits, at -O2 and, without pragma and options, at -O0.

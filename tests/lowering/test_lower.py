@@ -39,6 +39,7 @@ def sizes_in_c(m: CModule) -> dict[str, int]:
     return {name: int(library.value(i)) for i, name in enumerate(expressions)}
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("case", CASES)
 def test_layout_equals_that_of_the_compiler(case: str, precision: str) -> None:

@@ -55,6 +55,7 @@ def is_allowed(name: str) -> bool:
     return True
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("sample", CHOSEN)
 def test_every_name_that_meets_an_inner_name_compiles(sample: str) -> None:
     """Package "ny" declares NY_N, and so on for every pair of an inner name and an end of a name of the header."""
@@ -104,6 +105,7 @@ NAMES = (
 )
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_name_changes_no_number(name: str) -> None:
     """Neither a control nor a size nor a bound on the operations of a sample."""

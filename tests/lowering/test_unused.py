@@ -140,6 +140,7 @@ def test_loops_over_no_columns(f: str, tableau: ButcherTableau, sweep: Symmetric
     np.testing.assert_allclose(controls[0], controls[1], rtol=1e-13)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("f", ["0", "0.1", "-x"])
 @pytest.mark.parametrize("algorithm", [RealTimeIteration(), AugmentedLagrangian()], ids=lambda a: a.name)
 def test_dynamics_without_a_control(f: str, algorithm: RealTimeIteration | AugmentedLagrangian) -> None:

@@ -48,6 +48,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_bare_metal_program(folder: Path) -> None:
     """The commands of the page build it; on the board it brings the cart to rest, and no preparation is late."""
     text = (ROOT / PAGE).read_text(encoding="utf-8").replace("\\\n", " ")
@@ -75,6 +76,7 @@ def test_names_of_the_page(folder: Path) -> None:
     assert used <= set(re.findall(r"\w+", headers))
 
 
+@pytest.mark.slow
 def test_deviations_are_documented() -> None:
     """Every rule of which the addon reports a finding in the crane has a reason."""
     require_tool("cppcheck")

@@ -26,6 +26,7 @@ def places(names: tuple[str, ...], tools: tuple[str, ...]) -> list[str]:
     return sorted(f"{f.tool} {f.check}: {f.origin}: {f.line or f.message}" for f in found if not f.of_length)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", QUICK)
 def test_no_findings(name: str) -> None:
     for tool in lint.TOOLS:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from verification import problems
-from verification.closed_loop import Scenario
-from verification.peers import SqpMethod, available, time_sqpmethod
+from verification.peers import SqpMethod, available
 
 X0 = (2.0, 0.0, 0.0, 0.0)
 
@@ -18,9 +17,6 @@ def test_peer_takes_the_same_steps(plugin: str) -> None:
     if not available(plugin):
         pytest.skip(f"this CasADi has no {plugin}")
     problem, c = problems.problem("crane_weight"), problems.controller("crane_weight")
-    peer = time_sqpmethod(problem, c.integrate, Scenario(X0, 0.3, 1000), qpsol=plugin, seconds=0.005, runs=1)
-    assert peer.total > 0
-    assert peer.steps == len(peer.u) >= 1
     other, x = SqpMethod(problem, qpsol=plugin), np.array(X0)
     c.x[:] = x
     for _ in range(4):

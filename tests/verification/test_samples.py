@@ -24,6 +24,7 @@ def test_names_are_unique() -> None:
     assert len({sample.name for sample in SAMPLES}) == len(SAMPLES)
 
 
+@pytest.mark.slow
 def test_coverage_sees_a_missing_part_and_a_condition_of_one_value(modules: tuple[CModule, ...]) -> None:
     """Without OSQP its parts are missing; without a resampled plan no condition on it is true."""
     found = gaps(m for m in modules if not any("osqp" in section.template for section in m.sections))
@@ -32,6 +33,7 @@ def test_coverage_sees_a_missing_part_and_a_condition_of_one_value(modules: tupl
     assert any("#if SHIFT_RESAMPLE is never true" in line for line in found)
 
 
+@pytest.mark.slow
 def test_few_samples_cover_what_all_cover(modules: tuple[CModule, ...]) -> None:
     named = dict(zip((sample.name for sample in SAMPLES), modules, strict=True))
     chosen = covering(named)
@@ -40,6 +42,7 @@ def test_few_samples_cover_what_all_cover(modules: tuple[CModule, ...]) -> None:
     assert all(gaps(named[name] for name in chosen if name != left_out) for left_out in chosen[-3:])
 
 
+@pytest.mark.slow
 def test_coverage_walks_included_parts(modules: tuple[CModule, ...]) -> None:
     parts, values = reached(modules)
     assert parts == all_parts()

@@ -116,6 +116,7 @@ SMALL: dict[str, Callable[[], OCP]] = {
 }
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", SMALL)
 def test_solve_finds_the_solution_of_ipopt(name: str, method: str) -> None:

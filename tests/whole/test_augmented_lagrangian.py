@@ -75,7 +75,7 @@ def disturbed(ocp: OCP) -> np.ndarray:
 
 def assert_solves(ocp: OCP, given: Options, x0: np.ndarray, atol: float) -> Controller:
     """solve() converges to a point with the multipliers, the cost and the controls of IPOPT."""
-    problem, controller = classify(ocp), build(ocp, given)
+    problem, controller = classify(ocp), build(ocp, given, "test")
     solution = controller.solve(x0, tol=1e-9, max_iterations=300)
     tableau = CLASSICAL
     if isinstance(given.integrator, ExplicitRungeKutta):
@@ -90,6 +90,7 @@ def assert_solves(ocp: OCP, given: Options, x0: np.ndarray, atol: float) -> Cont
     return controller
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_solve_finds_the_solution_of_ipopt(name: str) -> None:
     make, integrator = EXAMPLES[name]
@@ -102,6 +103,7 @@ def test_solve_finds_the_solution_of_ipopt(name: str) -> None:
 LEAST_SQUARES = [name for name, make in SMALL.items() if not classify(make()).features - GaussNewton.supports]
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize(
     ("name", "hessian"), [*((name, None) for name in SMALL), *((name, GaussNewton()) for name in LEAST_SQUARES)]
 )
@@ -128,7 +130,7 @@ def test_soft_rows_that_are_violated(penalty: tuple[float, float]) -> None:
 def test_soft_coupled_rows() -> None:
     """r(xhat, x_N) instead of r(x_0, x_N): the solution and its KKT residuals are those of the problem."""
     ocp = bioreactor.build_ocp(soft=True)
-    problem, controller = classify(ocp), build(ocp, loop_options())
+    problem, controller = classify(ocp), build(ocp, loop_options(), "test")
     bioreactor.guess(controller)
     x0 = np.append(controller.x[0, :3] * 1.02, [0.0, 0.0])
     solution = controller.solve(x0, tol=1e-8, max_iterations=500)
@@ -176,17 +178,18 @@ _BUILT: dict[str, Controller] = {}
 
 
 def _states_controller(ocp: OCP) -> Controller:
-    return _BUILT.setdefault(ocp.name, build(ocp, options()))
+    return _BUILT.setdefault(ocp.name, build(ocp, options(), "test"))
 
 
 # Closed loops ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_bioreactor_stays_on_its_orbit_after_a_jump() -> None:
     """Productivity and mean feed over the last 48 h (Hours, Shukla and Jones, section V), with S + 20 % on the way."""
     ocp = bioreactor.build_ocp(soft=True)
-    controller = build(ocp, loop_options())
-    plant = build(ocp, replace(bioreactor.options(), integrator=ExplicitRungeKutta(RK4, steps=20)))
+    controller = build(ocp, loop_options(), "test")
+    plant = build(ocp, replace(bioreactor.options(), integrator=ExplicitRungeKutta(RK4, steps=20)), "test")
     bioreactor.guess(controller)
     x, states, feeds = controller.x[0].copy(), [], []
     for n in range(160):
@@ -213,13 +216,14 @@ def test_the_crane_comes_to_rest(precision: Any) -> None:
 # Failure contract -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("precision", ["double", "single"])
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_the_control_is_finite_and_inside_its_bounds(precision: Any, data: st.DataObject) -> None:
     key = f"cstr {precision}"
     if key not in _BUILT:
-        _BUILT[key] = build(cstr.build_ocp(), options(precision=precision))
+        _BUILT[key] = build(cstr.build_ocp(), options(precision=precision), "test")
     controller = _BUILT[key].copy()
     controller.reset()
     problem = classify(cstr.build_ocp())
@@ -244,7 +248,7 @@ def test_the_control_is_finite_and_inside_its_bounds(precision: Any, data: st.Da
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_nothing_stays_in_the_work_arrays(number: float) -> None:
     """Numbers of an earlier sample that are not finite, also those in the padding of rows, change nothing later."""
-    first = build(cstr.build_ocp(), options())
+    first = build(cstr.build_ocp(), options(), "test")
     assert first.view("auglag.g").shape[1] > first.x.shape[1] + first.u.shape[1]  # rows have padding
     x0 = np.array(classify(cstr.build_ocp()).x_initial)
     first.step(x0)
@@ -265,7 +269,7 @@ def test_a_goal_out_of_reach() -> None:
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
     ocp.subject_to(-1, u, 1)
     ocp.subject_to(5, x + 0.1 * x**2, 6, at="end", name="goal")
-    controller = build(ocp, options())
+    controller = build(ocp, options(), "test")
     for _ in range(30):
         u0 = controller.step([0.0])
         assert np.all(np.abs(u0) <= 1)
@@ -286,7 +290,7 @@ def test_feedback_without_prepare_and_nan() -> None:
 
 def test_data_that_change_after_prepare_act_in_the_feedback() -> None:
     ocp = samples.controls()
-    first, second = build(ocp, options()), build(ocp, options())
+    first, second = build(ocp, options(), "test"), build(ocp, options(), "test")
     first.prepare()
     for controller in (first, second):
         controller.set_reference([0.2, 0.0, 0.1])
@@ -295,7 +299,7 @@ def test_data_that_change_after_prepare_act_in_the_feedback() -> None:
 
 
 def test_a_second_prepare_changes_nothing() -> None:
-    first = build(bioreactor.build_ocp(soft=True), loop_options())
+    first = build(bioreactor.build_ocp(soft=True), loop_options(), "test")
     bioreactor.guess(first)
     x = first.x[0].copy()
     first.step(x)

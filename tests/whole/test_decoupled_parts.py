@@ -44,6 +44,7 @@ CASES = [
 ]
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("name", "rows", "precision"), CASES)
 def test_one_part_moves_and_the_others_rest(name: str, rows: str, precision: Any) -> None:
     ocp = _thrusters()

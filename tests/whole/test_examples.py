@@ -400,6 +400,7 @@ def test_evaporation_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "eta=1 uses the strictly active rows (X2)" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_driving_main(tmp_path: Path) -> None:
     """The car stops short of the obstacle without using the brake, follows the lane and returns to 50 km/h."""
@@ -425,6 +426,7 @@ def test_adjoint_gradient_main(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert 3.8 < growth["forward"] < 4 > growth["finite_differences"] > 3.8
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_vandevusse_main(tmp_path: Path) -> None:
     """A weight above the multipliers satisfies the rows; less does not."""
@@ -444,6 +446,7 @@ def test_vandevusse_stands_still_at_its_steady_states(u: np.ndarray, cB: float, 
     assert np.abs(np.asarray(classify(vandevusse.build_ocp()).dynamics(x, u, []))).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_heat_rod_main(tmp_path: Path) -> None:
     """The profile is approached, with the left control at its bound at first."""
@@ -468,6 +471,7 @@ def test_every_example_states_a_problem(name: str) -> None:
     assert problem.path.ny >= 1 or problem.path.cost is not None or problem.path.cost_rate is not None
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_command_line_takes_every_example(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([str(Path(__file__).parents[2] / "examples" / f"{name}.py"), "-o", str(tmp_path / "c")]) == 0

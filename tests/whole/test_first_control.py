@@ -73,6 +73,7 @@ def disturbed_loop(ctrl: Controller, samples: int = 40) -> list[tuple[float, int
     return found
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("rows", ["", "soft", "hard", "closed"])
 @pytest.mark.parametrize("route", ROUTES)
 def test_it_is_the_control_of_the_qp_if_the_working_set_holds(made: Any, route: str, rows: str) -> None:

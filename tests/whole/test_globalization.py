@@ -40,6 +40,7 @@ def built(name: str, route: str, **changes: object) -> Controller:
     return build(KNOWN[name].make(), options, profile="test")
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("route", ["dense", "riccati"])
 @pytest.mark.parametrize(("name", "number"), [("swing_up", 2), ("swing_up", 4), ("quadrotor", 5)])
 def test_accelerated_gauss_newton_finds_the_solution_of_ipopt(name: str, number: int, route: str) -> None:
@@ -147,6 +148,7 @@ def test_a_steep_soft_row_takes_the_exact_hessian() -> None:
     assert "GaussNewton" in str(build(KNOWN["crane"].make(), profile="test").description.options)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("route", "seed"), [("dense", 2), ("dense", 3), ("riccati", 3)])
 def test_units_do_not_matter_to_the_exact_hessian(route: str, seed: int) -> None:
     problem = KNOWN["fermenter"]

@@ -52,7 +52,7 @@ def _compiler() -> None:
 def made(name: str, **more: Any) -> Controller:
     """Without contraction of products and sums, so that every form rounds alike."""
     make, options = CASES[name]
-    return build(make(), replace(options, **more), profile="verify", lanes=1)
+    return build(make(), replace(options, **more), profile="test", lanes=1)
 
 
 def loop(controller: Controller) -> np.ndarray:
@@ -69,6 +69,7 @@ def loop(controller: Controller) -> np.ndarray:
     return np.array(controls)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", CASES)
 def test_sums_in_variables_have_the_same_bits(name: str) -> None:
     expected, found = loop(made(name)), loop(made(name, processor="scalar"))
@@ -76,6 +77,7 @@ def test_sums_in_variables_have_the_same_bits(name: str) -> None:
     np.testing.assert_array_equal(expected, found)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", CASES)
 def test_a_small_controller_computes_the_same_controls(name: str) -> None:
     fast, small = made(name), made(name, goal="size")
@@ -106,6 +108,7 @@ def text(name: str, goal: Any) -> str:
     return generate(make(), replace(options, goal=goal), name="package")["package.json"]
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", ["dense", "stages", "odd sizes"])
 @pytest.mark.parametrize("more", [{"processor": "scalar"}, {"goal": "size"}], ids=lambda more: next(iter(more)))
 def test_operations_are_stated_exactly(name: str, more: dict[str, Any]) -> None:

@@ -13,6 +13,7 @@ import pytest
 from nmpc_codegen import OCP, NoCondensing, Options, RiccatiActiveSet, build
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("equal", [1, 2, 3, 5, 7, 11])
 @pytest.mark.parametrize("profile", ["fast", "test"])
 def test_tables_that_begin_with_equal_numbers_and_end_with_zeros(equal: int, profile: str, compiler: None) -> None:

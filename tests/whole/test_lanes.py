@@ -48,6 +48,7 @@ def pair(name: str, lanes: int) -> tuple[Controller, Controller]:
     return one, other
 
 
+@pytest.mark.few(5)
 @pytest.mark.filterwarnings("ignore::nmpc_codegen.ProblemWarning")
 @pytest.mark.parametrize("lanes", [2, 8])
 @pytest.mark.parametrize("name", CHOSEN)
@@ -58,6 +59,7 @@ def test_the_linearisation_is_that_of_exported_c(name: str, lanes: int) -> None:
     assert max(found.values()) <= LIMIT, found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("steps", [2, 3, 5])
 def test_products_of_several_steps(steps: int) -> None:
     """Loops of exported C become straight-line steps whose Jacobians are multiplied; 9 x 12 has tiles of all shapes."""
@@ -160,6 +162,7 @@ def linear(nx: int, nu: int) -> OCP:
 SHAPES = [(1, 1), (2, 3), (3, 1), (5, 2), (8, 4), (9, 3), (13, 5), (17, 1)]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("nx", "nu", "precision"), [*((*shape, "double") for shape in SHAPES), (2, 3, "single"), (9, 3, "single")]
 )

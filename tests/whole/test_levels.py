@@ -44,6 +44,7 @@ def made() -> Callable[[str, str], Controller]:
     return make
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize(
     ("route", "rows"), [(route, rows) for route in ROUTES for rows in ROWS if route != "OSQP" or not rows]
 )

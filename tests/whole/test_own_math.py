@@ -148,22 +148,24 @@ def closed_loop(controller: Controller, example: ModuleType, samples: int) -> np
     return np.array(controls)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_closed_loops_agree_with_libm(name: str) -> None:
     require_tool("cc")
-    pair = [build(EXAMPLES[name].build_ocp(), Options(math=which), "verify") for which in ("libm", "own")]
+    pair = [build(EXAMPLES[name].build_ocp(), Options(math=which), "test") for which in ("libm", "own")]
     libm, own = (closed_loop(controller, EXAMPLES[name], 60) for controller in pair)
     assert np.ptp(libm) > 0
     np.testing.assert_allclose(own, libm, rtol=0, atol=1e-10 * np.abs(libm).max())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("name", ["crane", "cstr"])
 def test_closed_loops_in_lanes_have_the_same_bits(name: str, precision: Precision) -> None:
     """Without products of several steps, whose sums have another order in lanes."""
     require_tool("cc")
     options = Options(math="own", precision=precision)
-    one, several = (build(EXAMPLES[name].build_ocp(), options, "verify", lanes=n) for n in (1, 4))
+    one, several = (build(EXAMPLES[name].build_ocp(), options, "test", lanes=n) for n in (1, 4))
     np.testing.assert_array_equal(*(closed_loop(c, EXAMPLES[name], 40) for c in (one, several)))
 
 
@@ -183,6 +185,7 @@ def every_function() -> OCP:
     return ocp
 
 
+@pytest.mark.few(1)
 @pytest.mark.filterwarnings("ignore::nmpc_codegen.ProblemWarning")
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_a_package_with_every_function_needs_no_libm(precision: Precision) -> None:
@@ -200,7 +203,7 @@ def test_a_package_with_every_function_needs_no_libm(precision: Precision) -> No
         assert {line.split()[-1] for line in listing.splitlines()} <= {"memcpy", "memset", "memmove"}
         done = quality.compile_c(folder, *quality.RELEASE, "main.c", "every.c", "-o", "program")
         assert done.returncode == 0, done.stderr
-    pair = [build(every_function(), Options(math=which, precision=precision), "verify") for which in ("libm", "own")]
+    pair = [build(every_function(), Options(math=which, precision=precision), "test") for which in ("libm", "own")]
     x, u = np.array([0.3]), np.array([0.1])
     np.testing.assert_allclose(*(c.integrate(x, u, 1.0) for c in pair), rtol=1e-6 if precision == "single" else 1e-14)
 

@@ -1,30 +1,36 @@
-"""Random cold starts: ours and IPOPT's from the same first guess.
+"""Random cold starts: ours from the same first guess as IPOPT, whose results are kept in ipopt.json.
 
 A start is solved if the KKT residuals, recomputed from the problem, vanish. Where both solve, costs are compared.
+
+    python -m verification.convergence.starts
+
+computes ipopt.json anew.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
-from nmpc_codegen import OptionError, build
+from nmpc_codegen import Controller, build
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference
-from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, kkt_residuals, node_data
+from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, Tableau, kkt_residuals, node_data
 from nmpc_codegen.runtime.package_description import Names
-from verification.convergence.problems import problems
-from verification.routes import ROUTES
+from verification.convergence.problems import StartProblem, problems
 
-STARTS = 100
+RESULTS = Path(__file__).with_name("ipopt.json")
+STARTS = 25
 SOLVED = 1e-6  # KKT residual relative to the largest multiplier
 WORSE = 1e-4  # of the cost, relative
-#: The QP solvers among which qp=None chooses.
-NAMES = ("dense", "riccati")
 
 
-@dataclass
+@dataclass(frozen=True)
 class Attempt:
     """One start: whether it was solved, iterations, cost, status, and whether a failure was explained."""
 
@@ -35,43 +41,50 @@ class Attempt:
     explained: bool = True
 
 
-@dataclass
-class Outcome:
-    """Attempts by number of the start."""
-
-    problem: str
-    ipopt: list[Attempt] = field(default_factory=list)
-    ours: dict[str, list[Attempt]] = field(default_factory=dict)
+@cache
+def by_ipopt() -> dict[str, list[Attempt]]:
+    """IPOPT's attempts, by problem and number of the start."""
+    found = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return {name: [Attempt(*row) for row in rows] for name, rows in found.items()}
 
 
-def run(job: tuple[str, int]) -> Outcome:
-    """All routes of a problem: (its name, starts)."""
-    name, count = job
-    problem = next(p for p in problems() if p.name == name)
-    ocp = classify(problem.make())
-    tableau = replace(CLASSICAL, steps=max(1, problem.steps))
-    oracle = Reference(ocp, tableau, tol=1e-8)
-    out = Outcome(name)
-    for route, (condensing, qp) in ((name, ROUTES[name]) for name in NAMES):
-        try:
-            ctrl = build(problem.make(), replace(problem.options(), condensing=condensing, qp=qp), profile="fast")
-        except OptionError:  # refused, so it is not chosen, either
-            continue
-        attempts = out.ours.setdefault(route, [])
-        for number in range(count):
-            x0 = problem.start(number)
-            data = node_data(ocp, x0=x0)
-            ctrl.reset()
-            if number == len(out.ipopt):
-                found = oracle.solve(data, x=ctrl.x.copy(), u=ctrl.u.copy())
-                out.ipopt.append(Attempt(found.success, found.iterations, found.cost, found.status))
-            mine = ctrl.solve(x0)
-            point = Point(**{name: getattr(mine, name) for name in Point.__dataclass_fields__})
-            size = max(1.0, *(float(np.max(np.abs(m), initial=0.0)) for m in (mine.lam, mine.mu, mine.mu_N, mine.eta)))
-            good = mine.status.name == "OK" and kkt_residuals(ocp, point, data, tableau).worst <= SOLVED * size
-            explained = mine.status.name == "OK" or is_explained(ctrl.diagnose(), ctrl.names)
-            attempts.append(Attempt(good, mine.iterations, mine.cost, mine.status.name, explained))
-    return out
+def known(name: str) -> StartProblem:
+    """The problem of that name."""
+    return next(problem for problem in problems() if problem.name == name)
+
+
+def _tableau(problem: StartProblem) -> Tableau:
+    return replace(CLASSICAL, steps=max(1, problem.steps))
+
+
+def attempts_of_ipopt(name: str, numbers: Sequence[int]) -> list[Attempt]:
+    """IPOPT from the first guess of a controller that knows nothing."""
+    problem = known(name)
+    ocp, ctrl = classify(problem.make()), build(problem.make(), problem.options(), profile="test")
+    oracle, found = Reference(ocp, _tableau(problem), tol=1e-8), []
+    for number in numbers:
+        ctrl.reset()
+        data = node_data(ocp, x0=problem.start(number))
+        result = oracle.solve(data, x=ctrl.x.copy(), u=ctrl.u.copy())
+        found.append(Attempt(result.success, result.iterations, result.cost, result.status))
+    return found
+
+
+def attempts(name: str, controller: Controller, numbers: Sequence[int]) -> list[Attempt]:
+    """solve() of this controller from starts of the problem."""
+    problem = known(name)
+    ocp, tableau, found = classify(problem.make()), _tableau(problem), []
+    for number in numbers:
+        x0 = problem.start(number)
+        controller.reset()
+        mine = controller.solve(x0)
+        point = Point(**{name: getattr(mine, name) for name in Point.__dataclass_fields__})
+        size = max(1.0, *(float(np.max(np.abs(m), initial=0.0)) for m in (mine.lam, mine.mu, mine.mu_N, mine.eta)))
+        residual = kkt_residuals(ocp, point, node_data(ocp, x0=x0), tableau).worst
+        good = mine.status.name == "OK" and residual <= SOLVED * size
+        explained = mine.status.name == "OK" or is_explained(controller.diagnose(), controller.names)
+        found.append(Attempt(good, mine.iterations, mine.cost, mine.status.name, explained))
+    return found
 
 
 def is_explained(text: str, names: Names) -> bool:
@@ -79,3 +92,17 @@ def is_explained(text: str, names: Names) -> bool:
     rows = any(f"row {row!r}" in text for row in names.rows)
     states = any(f"{state} at node" in text or f"measured {state}" in text for state in names.states)
     return rows or states or "Options(" in text or "steps" in text
+
+
+def main() -> None:
+    """All problems, one line per start."""
+    lines = []
+    for problem in problems():
+        rows = attempts_of_ipopt(problem.name, range(STARTS))
+        texts = [json.dumps([r.solved, r.iterations, float(f"{r.cost:.10g}"), r.status]) for r in rows]
+        lines.append(f"{json.dumps(problem.name)}: [\n" + ",\n".join(texts) + "]")
+    RESULTS.write_text("{\n" + ",\n".join(lines) + "}\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

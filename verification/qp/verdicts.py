@@ -7,7 +7,7 @@ that knows nothing, the third from the working set of another QP of the same cla
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -110,7 +110,7 @@ def take_packages(packages: dict[Package, Controller]) -> None:
     _controllers.update(packages)
 
 
-def run_chunk(job: tuple[str, range]) -> Tallies:
+def run_chunk(job: tuple[str, Sequence[int]]) -> Tallies:
     kind, numbers = job
     with np.errstate(all="ignore"):
         return run(kind, numbers, _controllers)

@@ -249,12 +249,12 @@ def built(chosen: Iterable[Candidate], profile: str = "fast") -> list[Controller
     return build_all(((c.subject.make(), c.options) for c in chosen), profile)
 
 
-def in_processes(run: Callable[[Job], Outcome], chosen: Sequence[Candidate], count: int) -> list[Outcome]:
-    """Outcomes of ``run`` for every candidate, two at a time.
+def in_processes(run: Callable[[Job], Outcome], chosen: Sequence[tuple[int, Candidate]], count: int) -> list[Outcome]:
+    """Outcomes of ``run`` for every candidate, which goes by its number, two at a time.
 
     Processes start afresh: threads of CasADi and NumPy would be missing in a forked one.
     """
-    pairs = zip(built(chosen), (c.subject for c in chosen), strict=True)
-    jobs = [(c, subject.rest, subject.spread, i, count) for i, (c, subject) in enumerate(pairs)]
+    pairs = zip(built(c for _, c in chosen), chosen, strict=True)
+    jobs = [(ctrl, c.subject.rest, c.subject.spread, number, count) for ctrl, (number, c) in pairs]
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         return list(pool.map(run, jobs))

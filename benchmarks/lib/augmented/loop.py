@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.lib import callgrind
 from benchmarks.lib.augmented import instructions
 from benchmarks.lib.report import Report
 from examples import bioreactor
@@ -119,7 +120,7 @@ def measure(report: Report, scale: float) -> None:
         _, exact = fastest(built(EXACT), jump, repeats)
         report.add("exact_real_time_us", float(np.mean(exact)), "us", case=name, n=repeats)
         report.add("exact_worst_over_median", float(exact.max() / np.median(exact)), case=name, n=repeats)
-        if instructions.available():
+        if callgrind.available():
             for key, options in (("average_instructions", AUGMENTED), ("exact_instructions", EXACT)):
                 count = instructions.per_sample(bioreactor.build_ocp(soft=True), options, jump)
                 report.add(key, count, "instructions", case=name, profile="fast, AVX2")

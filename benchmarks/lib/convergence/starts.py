@@ -1,43 +1,39 @@
-"""Random cold starts: ours and IPOPT's from the same first guess."""
+"""solve() from random cold starts, with default options, against what IPOPT found from the same first guess."""
 
 from __future__ import annotations
-
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
+from verification.built import build_all
 from verification.convergence.problems import problems
-from verification.convergence.starts import STARTS, WORSE, Outcome, run
+from verification.convergence.starts import STARTS, WORSE, Attempt, attempts, by_ipopt
+
+PROBLEMS, LEAST = 12, 3
 
 
-def measure(report: Report, scale: float = 1.0) -> None:
-    """All problems, two at a time."""
-    count = max(5, round(scale * STARTS))
-    names = [p.name for p in problems()]
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for outcome in pool.map(run, [(name, count) for name in names]):
-            for route in outcome.ours:
-                report_route(report, outcome, route)
-            failed = [a for attempts in outcome.ours.values() for a in attempts if a.status != "OK"]
-            silent = sum(not a.explained for a in failed)
-            report.add("unexplained_failures", silent, case=f"{outcome.problem}: {len(failed)} failures", limit=0)
+def measure(report: Report, asked: Run) -> None:
+    """At a small scale some problems and some starts, which are drawn."""
+    chosen = [problem for _, problem in asked.some(problems(), PROBLEMS)]
+    built = build_all((problem.make(), problem.options()) for problem in chosen)
+    for problem, controller in zip(chosen, built, strict=True):
+        numbers = [i for i, _ in asked.some(range(STARTS), LEAST)]
+        theirs = by_ipopt()[problem.name]
+        report_problem(report, problem.name, [theirs[i] for i in numbers], attempts(problem.name, controller, numbers))
 
 
-def report_route(report: Report, outcome: Outcome, route: str) -> None:
+def report_problem(report: Report, name: str, theirs: list[Attempt], ours: list[Attempt]) -> None:
     """Of a problem."""
-    pairs = [(h, m) for h, m in zip(outcome.ipopt, outcome.ours[route], strict=True) if h.solved]
+    pairs = [(h, m) for h, m in zip(theirs, ours, strict=True) if h.solved]
     both = [(h, m) for h, m in pairs if m.solved]
-    failed = [f"{n} {m.status}" for n, m in enumerate(outcome.ours[route]) if outcome.ipopt[n].solved and not m.solved]
-    lost = sum(not h.solved for h in outcome.ipopt)
-    case = f"{outcome.problem}, {route}; IPOPT fails {lost}; " + ", ".join(failed[:6])
-    share = len(both) / max(1, len(pairs))
-    report.add("solve_success_ratio", share, case=case, n=len(pairs), limit=0.98, at_least=True)
+    report.add("IPOPT solves", len(pairs), "starts", case=name, n=len(theirs))
+    report.add("ours of them", len(both), "starts", case=name, n=len(pairs), limit=0.98 * len(pairs), at_least=True)
     if both:
-        middle = [float(np.median([a.iterations for a in side])) for side in zip(*both, strict=True)]
-        case = f"{outcome.problem}, {route}: {middle[1]:g}, IPOPT {middle[0]:g}"
-        report.add("solve_iterations_ratio", middle[1] / max(1.0, middle[0]), case=case, n=len(both), limit=1.5)
-        gaps = [(m.cost - h.cost) / max(1e-6, abs(h.cost)) for h, m in both]
-        case = f"{outcome.problem}, {route}; better {sum(g < -WORSE for g in gaps)}"
-        report.add("worse_optimum_share", float(np.mean([g > WORSE for g in gaps])), case=case, n=len(both), limit=0.05)
+        h, m = [float(np.median([a.iterations for a in side])) for side in zip(*both, strict=True)]
+        report.add("iterations", m, case=name, n=len(both))
+        report.add("to IPOPT's", m / max(1.0, h), case=name, n=len(both), limit=1.5)
+        worse = [(m.cost - h.cost) / max(1e-6, abs(h.cost)) > WORSE for h, m in both]
+        report.add("worse optimum", sum(worse), "starts", case=name, n=len(both))
+    silent = sum(not attempt.explained for attempt in ours)
+    report.add("unexplained", silent, "starts", case=name, n=len(ours), limit=0)

@@ -10,7 +10,7 @@ from verification.robustness.subjects import in_processes, subjects
 def measure(report: Report, scale: float = 1.0) -> None:
     """The automatic choice has a limit; solvers that are named are reported."""
     chosen = [candidate for subject in subjects() for candidate in candidates_of(subject)]
-    outcomes = in_processes(run, chosen, max(20, round(scale * SETTLING)))
+    outcomes = in_processes(run, list(enumerate(chosen)), max(20, round(scale * SETTLING)))
     for candidate, out in zip(chosen, outcomes, strict=True):
         automatic = candidate.label.startswith("chosen")
         counts = ", ".join(f"{n} {status}" for status, n in sorted(out.given_up.items()))

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 import multiprocessing
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from itertools import count, islice
 
 from benchmarks.lib.report import Report
-from verification.qp.draw import CLASSES
+from benchmarks.lib.run import Run
+from verification.oracles.stage_qp import Shape
+from verification.qp.draw import CLASSES, CROWDED, SHAPES, shapes_of
 from verification.qp.stage_package import SCALARS, SOLVERS
 from verification.qp.verdicts import (
     BEYOND_SINGLE,
@@ -23,51 +27,65 @@ from verification.qp.verdicts import (
 )
 
 
-def measure(report: Report, scale: float = 1.0) -> None:
-    """Every class has the same number of QPs."""
-    per_class = math.ceil(QPS * scale / len(CLASSES))
+def measure(report: Report, asked: Run) -> None:
+    """Every class has the same number of QPs; at a small scale they have some of the shapes, which are drawn."""
+    per_class = math.ceil(QPS * asked.scale / len(CLASSES))
+    others = [shape for shape in SHAPES if shape not in CROWDED]
+    shapes = [shape for group in (CROWDED, others) for _, shape in asked.some(group, 1)]
     jobs = [
-        (kind, range(first, min(first + CHUNK, per_class)))
-        for first in range(0, per_class, CHUNK)
+        (kind, numbers[first : first + CHUNK])
         for kind in CLASSES
-    ]  # fmt: skip
+        for numbers in [numbers_of(kind, shapes, per_class, asked)]
+        for first in range(0, per_class, CHUNK)
+    ]
     tallies: Tallies = {}
     spawn = multiprocessing.get_context("spawn")  # no copies of the threads that have compiled
-    with ProcessPoolExecutor(2, mp_context=spawn, initializer=take_packages, initargs=(controllers(),)) as pool:
+    with ProcessPoolExecutor(2, spawn, initializer=take_packages, initargs=(controllers(shapes),)) as pool:
         for found in pool.map(run_chunk, jobs):
             for key, tally in found.items():
                 tallies.setdefault(key, Tally()).merge(tally)
-    report_tallies(report, tallies, scale)
+    report_tallies(report, tallies)
 
 
-def report_tallies(report: Report, tallies: Tallies, scale: float) -> None:
-    """Sums and shares by class and solver, and how to see an example again."""
+def numbers_of(kind: str, shapes: list[Shape], size: int, asked: Run) -> list[int]:
+    """The first numbers of a class that have these shapes, from a start that depends on the seed."""
+    known = shapes_of(kind)
+    first = 0 if asked.scale >= 1 else 100_000 * asked.seed
+    return list(islice((n for n in count(first) if known[n % len(known)] in shapes), size))
+
+
+def report_tallies(report: Report, tallies: Tallies) -> None:
+    """A line per solver and precision, one per class whose share of unsolved QPs is beyond its limit."""
     for solver in SOLVERS:
         for precision in SCALARS:
-            count = sum(t.qps for (_, s, p), t in tallies.items() if (s, p) == (solver, precision))
-            report.add("qps", count, case=f"{solver}, {precision}", limit=math.ceil(QPS * scale), at_least=True)
-    for precision in SCALARS:
-        chosen = {(kind, solver): t for (kind, solver, p), t in tallies.items() if p == precision}
-        total = sum(t.qps for t in chosen.values())
-        wrong = sum(t.false_ok for t in chosen.values())
-        report.add(f"false_ok_{precision}", wrong, case="all classes and solvers", n=total, limit=0)
-        for (kind, solver), t in chosen.items():
-            report.add(f"false_ok_{precision}", t.false_ok, case=f"{kind}, {solver}", n=t.qps, limit=0)
-        for (kind, solver), t in chosen.items():
-            _report_unsolved(report, precision, kind, solver, t)
-    for (kind, solver, precision), t in tallies.items():
-        for number, what in t.examples[:SHOWN]:
+            chosen = {kind: t for (kind, s, p), t in tallies.items() if (s, p) == (solver, precision)}
+            asked = {kind: t for kind, t in chosen.items() if t.feasible and not _watched(kind, precision)}
+            case, total = f"{solver}, {precision}", sum(t.qps for t in chosen.values())
+            report.add("QPs", total, case=case)
+            report.add("false OK", sum(t.false_ok for t in chosen.values()), case=case, n=total, limit=0)
+            feasible = sum(t.feasible for t in asked.values())
+            share = sum(t.unsolved for t in asked.values()) / feasible
+            report.add("unsolved", share, case=case, n=feasible)
+            worst = max(asked, key=lambda kind: asked[kind].unsolved / asked[kind].feasible)
+            share, n = asked[worst].unsolved / asked[worst].feasible, asked[worst].feasible
+            report.add("of the worst class", share, case=case, n=n, limit=UNSOLVED_LIMITS[precision])
+            watched = [t for kind, t in chosen.items() if t.feasible and _watched(kind, precision)]
+            if watched:
+                share = sum(t.unsolved for t in watched) / sum(t.feasible for t in watched)
+                report.add("beyond single", share, case=case, n=sum(t.feasible for t in watched))
+            unproven = [t for t in chosen.values() if not t.feasible]
+            missed = sum(t.qps - t.status["INFEASIBLE"] for t in unproven)
+            report.add("infeasible, unproven", missed / sum(t.qps for t in unproven), case=case)
+    _print_examples(tallies)
+
+
+def _watched(kind: str, precision: str) -> bool:
+    return precision == "single" and kind in BEYOND_SINGLE
+
+
+def _print_examples(tallies: Tallies) -> None:
+    """How to see answers again, those of what is most frequent."""
+    frequent: Counter[tuple[str, str, str]] = Counter({key: t.unsolved + t.false_ok for key, t in tallies.items()})
+    for (kind, solver, precision), _ in frequent.most_common(5):
+        for number, what in tallies[kind, solver, precision].examples[:SHOWN]:
             print(f'--replay "{kind}/{number}/{solver}/{precision}": {what}')
-
-
-def _report_unsolved(report: Report, precision: str, kind: str, solver: str, t: Tally) -> None:
-    case, infeasible = f"{kind}, {solver}", t.status["INFEASIBLE"]
-    if t.feasible == 0:
-        report.add(f"qp_infeasible_unproven_{precision}", (t.qps - infeasible) / t.qps, case=case, n=t.qps)
-        return
-    others = {name: n for name, n in t.status.items() if name != "OK"}
-    text = ", ".join(f"{n} {name}" for name, n in sorted(others.items()))
-    watched = precision == "single" and kind in BEYOND_SINGLE
-    limit = None if watched else UNSOLVED_LIMITS[precision]
-    key = f"qp_unsolved_{precision}{'_watched' if watched else ''}"
-    report.add(key, t.unsolved / t.feasible, case=case + (f": {text}" if text else ""), n=t.feasible, limit=limit)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.speed.in_turn import in_turn
-from benchmarks.lib.speed.loops import LOOPS, Loop, units
+from benchmarks.lib.speed.loops import LOOPS, Loop, hosted, module_of
 from nmpc_codegen import (
     DenseActiveSet,
     FullCondensing,
@@ -20,9 +21,8 @@ from nmpc_codegen import (
     RiccatiActiveSet,
     RiccatiInteriorPoint,
 )
-from nmpc_codegen.compiler import compiled
 from nmpc_codegen.components.base import Condensing, QpSolver
-from verification.closed_loop import compile_driver
+from verification.closed_loop import compile_driver, run_driver
 
 LIMIT = 1.15
 ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
@@ -43,10 +43,13 @@ def measure(report: Report, runs: int = 5) -> None:
         with ExitStack() as stack:
             programs = []
             for options in routes.values():
-                prefix, _, hosted, lanes = units(replace(loop, options=options))
-                folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-                programs.append(compile_driver(hosted, prefix, folder))
-            times = in_turn(programs, loop.scenario, runs, loop.steps // 2)
+                there = replace(loop, options=options)
+                sources, lanes = hosted(there)
+                program = compile_driver(
+                    sources, module_of(there).name, Path(stack.enter_context(TemporaryDirectory()))
+                )
+                programs.append(partial(run_driver, program, loop.scenario(), runs=1, steps=loop.steps // 2))
+            times = in_turn(programs, runs)
         found = {name: min(t.total for t in each) for name, each in zip(routes, times, strict=True)}
         best = min(found, key=lambda name: found[name])
         case, n = f"{loop.name}, best: {best}", runs * loop.steps // 2
@@ -57,7 +60,7 @@ def measure(report: Report, runs: int = 5) -> None:
 
 def _routes(loop: Loop) -> Iterator[tuple[str, Options]]:
     yield "chosen", loop.options
-    module = compiled(loop.make(), loop.options)
+    module = module_of(loop)
     for name, (condensing, qp) in ROUTES.items():
         if name != "dense" or module.value("N") * module.value("NU") <= MOST_CONTROLS:
             yield name, replace(loop.options, condensing=condensing, qp=qp)

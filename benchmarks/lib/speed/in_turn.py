@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
-from verification.closed_loop import Scenario, Timing, run_driver
+from verification.closed_loop import Timing
 
 
-def in_turn(programs: list[Path], scenario: Scenario, runs: int, steps: int) -> list[list[Timing]]:
-    """Timings of every program; each round runs all of them once, in alternating order."""
+def in_turn(programs: Sequence[Callable[[], Timing]], rounds: int) -> list[list[Timing]]:
+    """Timings of every program, which a call runs once; rounds alternate in their order."""
     times: list[list[Timing]] = [[] for _ in programs]
-    for k in range(runs):
+    for k in range(rounds):
         order = range(len(programs)) if k % 2 == 0 else reversed(range(len(programs)))
         for i in order:
-            times[i].append(run_driver(programs[i], scenario, runs=1, steps=steps))
+            times[i].append(programs[i]())
     return times

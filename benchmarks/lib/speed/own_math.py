@@ -6,6 +6,7 @@ import shutil
 import tempfile
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from nmpc_codegen.firmware.toolchain import EMULATOR, PREFIX
 from nmpc_codegen.firmware.verify import verify
 from nmpc_codegen.runtime.build import PROFILES, host
 from nmpc_codegen.runtime.package_description import Precision
-from verification.closed_loop import compile_driver
+from verification.closed_loop import compile_driver, run_driver
 from verification.own_functions import (
     EXACT_OF_TWO,
     LIMIT,
@@ -93,6 +94,8 @@ def times(report: Report, runs: int, steps: int) -> None:
             folders = [Path(stack.enter_context(tempfile.TemporaryDirectory())) for _ in range(2)]
             pair = [generate(sample.make(), replace(options, math=math)) for math in ("libm", "own")]
             programs = [compile_driver(files, prefix, folder) for files, folder in zip(pair, folders, strict=True)]
-            found = in_turn(programs, of_sample(sample), runs, steps)
+            scenario = of_sample(sample)
+            loops = [partial(run_driver, program, scenario, runs=1, steps=steps) for program in programs]
+            found = in_turn(loops, runs)
         libm, own = (min(t.total for t in timings) for timings in found)
         report.add("own_math_ratio", own / libm, "to libm", case=prefix, limit=RATIO_LIMIT, n=runs * steps)

@@ -16,7 +16,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.lib.speed.loops import LOOPS, Loop, units
+from benchmarks.lib.speed.loops import LOOPS, Loop, hosted, module_of
 from nmpc_codegen.runtime.build import PROFILES
 from verification.closed_loop import Scenario, compile_driver, run_driver
 
@@ -45,9 +45,9 @@ def show(name: str) -> None:
 
 
 def _program(loop: Loop, folder: Path, *more: str) -> Path:
-    prefix, _, hosted, _ = units(loop, avx512=not more)
+    sources, _ = hosted(loop, avx512=not more)
     flags = [flag for flag in PROFILES["fast"].flags if not (more and flag.startswith("-march"))]
-    return compile_driver(hosted, prefix, folder, (*flags, "-fno-inline-functions-called-once", *more))
+    return compile_driver(sources, module_of(loop).name, folder, (*flags, "-fno-inline-functions-called-once", *more))
 
 
 def _command(program: Path, scenario: Scenario, runs: int, steps: int) -> list[str]:
@@ -56,9 +56,9 @@ def _command(program: Path, scenario: Scenario, runs: int, steps: int) -> list[s
 
 def _by_perf(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], str]:
     program, data = _program(loop, folder), folder / "samples"
-    total = run_driver(program, loop.scenario, runs=5, steps=loop.steps).total
+    total = run_driver(program, loop.scenario(), runs=5, steps=loop.steps).total
     record = ["perf", "record", "-q", "-e", "cpu-clock", "-F", "5000", "-o", str(data)]
-    record += _command(program, loop.scenario, RUNS, loop.steps)
+    record += _command(program, loop.scenario(), RUNS, loop.steps)
     subprocess.run(record, check=True, stdout=subprocess.DEVNULL)
     report = ["perf", "report", "-i", str(data), "--stdio", "--no-children", "-g", "none", "-F", "sample,symbol"]
     text = subprocess.run(report, check=True, capture_output=True, text=True).stdout
@@ -67,9 +67,9 @@ def _by_perf(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], 
 
 def _by_callgrind(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], str]:
     program, out = _program(loop, folder, KNOWN_TO_CALLGRIND), folder / "instructions"
-    total = run_driver(program, loop.scenario, runs=5, steps=loop.steps).total
+    total = run_driver(program, loop.scenario(), runs=5, steps=loop.steps).total
     tool = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}"]
-    subprocess.run([*tool, *_command(program, loop.scenario, 1, loop.steps)], check=True, capture_output=True)
+    subprocess.run([*tool, *_command(program, loop.scenario(), 1, loop.steps)], check=True, capture_output=True)
     text = subprocess.run(["callgrind_annotate", str(out)], check=True, capture_output=True, text=True).stdout
     found = re.findall(r"^\s*([\d,]+) \([^)]*\)\s+\S*?:(\S+)", text, re.M)
     return total, _shares((count.replace(",", ""), name) for count, name in found), "instructions (callgrind)"

@@ -8,6 +8,7 @@ parameters get a statement, (void)u. A variable is read if its name is left once
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -66,9 +67,15 @@ class _Macros:
         self.plain = {name: text for name, arguments, text in known if arguments is None}
         self.parametric = {name: (arguments.split(", "), text) for name, arguments, text in known if arguments}
         self._expanded: dict[str, frozenset[str]] = {}
+        self._words: dict[str, set[str]] = {}
 
     def words(self, code: str) -> set[str]:
         """Identifiers of a text without comments; those in arguments that a macro drops do not count."""
+        if code not in self._words:
+            self._words[code] = self._found(code)
+        return self._words[code]
+
+    def _found(self, code: str) -> set[str]:
         found = set(_IDENTIFIER.findall(code))
         if found.isdisjoint(self.parametric):
             return found.union(*(self._of_macro(name, self.plain[name]) for name in found & self.plain.keys()))
@@ -179,21 +186,20 @@ def _without_locals(function: _Function, macros: _Macros) -> _Function:
 
 def _pass(block: Sequence[str], macros: _Macros) -> list[str]:
     code = without_comments("\n".join(block)).split("\n")
-    words = _words_by_line(code, macros)
+    words, indents = _words_by_line(code, macros), [_indent(line) for line in code]
     kept = []
     for number, line in enumerate(block):
         declaration = _DECLARATION.fullmatch(code[number].rstrip())
         if declaration is None:
             kept.append(line)
             continue
-        scope = range(number + 1, _end_of_block(code, number, len(declaration["indent"])))
         declarators = _arguments(f"({declaration['rest']})", 0)[0]
         needed = [
             declarator
             for i, declarator in enumerate(declarators)
             if (plain := _VARIABLE.fullmatch(declarator)) is None
             or macros.have_effects(declarator)
-            or any(plain["name"] in words[later] for later in scope)
+            or _is_read(plain["name"], words, indents, number)
             or plain["name"] in _IDENTIFIER.findall(",".join(declarators[i + 1 :]))
         ]
         if len(needed) == len(declarators):
@@ -214,13 +220,20 @@ def _words_by_line(code: Sequence[str], macros: _Macros) -> list[set[str]]:
     return found
 
 
-def _end_of_block(code: Sequence[str], number: int, indent: int) -> int:
-    """The line after the last one of the block in which the line ``number`` is; directives begin at the margin."""
-    for later in range(number + 1, len(code)):
-        bare = code[later].lstrip()
-        if bare and not bare.startswith("#") and len(code[later]) - len(bare) < indent:
-            return later
-    return len(code)
+def _indent(line: str) -> int:
+    """Columns before the first word; directives, which begin at the margin, and empty lines belong to any block."""
+    bare = line.lstrip()
+    return len(line) - len(bare) if bare and not bare.startswith("#") else sys.maxsize
+
+
+def _is_read(name: str, words: Sequence[set[str]], indents: Sequence[int], number: int) -> bool:
+    """True if a line after the line ``number``, in the same block, has this word."""
+    for later in range(number + 1, len(words)):
+        if indents[later] < indents[number]:
+            return False
+        if name in words[later]:
+            return True
+    return False
 
 
 def _reached(items: Sequence[_Function | str], macros: _Macros) -> set[str]:

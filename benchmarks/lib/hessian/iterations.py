@@ -1,22 +1,13 @@
-"""Exact Hessians: the bioreactor, convergence, closed loops, times, [Q14] Tables I, III.
-
-    python -m benchmarks.exact_hessian [--json FILE] [--only PART,...]
-
-Pictures go to out/: bioreactor.png is drawn like [Q14] Fig. 1, table_1.png shows Table I.
-"""
+"""SQP iterations with exact Hessians and with Gauss-Newton."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
-import casadi as ca
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.lib import command
-from benchmarks.lib.hessian import bioreactor, second_order
 from benchmarks.lib.report import Report
 from examples import cstr, quadrotor
 from nmpc_codegen import Controller, ExactHessian, GaussNewton, Options, build
@@ -37,7 +28,7 @@ def residuals(controller: Controller, x0: np.ndarray, iterations: int) -> list[f
     return found
 
 
-def convergence(report: Report) -> None:
+def measure(report: Report) -> None:
     """SQP iterations to 1e-10 from the initial iterate: exact Hessians at the reduced level, and Gauss-Newton."""
     table = Table(title="largest KKT residual after every iteration")
     for name in ("", "CSTR, exact", "CSTR, Gauss-Newton", "quadrotor, exact", "quadrotor, Gauss-Newton"):
@@ -61,27 +52,3 @@ def convergence(report: Report) -> None:
     for n in range(max(map(len, columns))):
         table.add_row(str(n + 1), *(f"{c[n]:.1e}" if n < len(c) else "" for c in columns))
     Console(width=140).print(table)
-
-
-PARTS: dict[str, Callable[[Report], None]] = {
-    "times": bioreactor.times,
-    "promise": second_order.promise,
-    "table_3": bioreactor.table_3,
-    "table_1": second_order.report_table_1,
-    "convergence": convergence,
-    "orbits": bioreactor.orbits,
-    "loops": bioreactor.loops,
-}
-
-
-def main() -> None:
-    """All figures."""
-    parser = command.parser(__doc__, PARTS)
-    options = parser.parse_args()
-    names, report = command.chosen(parser, options, PARTS), Report("exact Hessians")
-    note = f"; CasADi {ca.__version__}, NumPy {np.__version__}"
-    command.measure(report, names, lambda name: PARTS[name](report), options.json, note)
-
-
-if __name__ == "__main__":
-    main()

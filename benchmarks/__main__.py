@@ -1,0 +1,114 @@
+"""The benchmarks: one page with what a change can move, and by name the figures of single methods and papers.
+
+    python -m benchmarks [--only TOPIC,...] [--base COMMIT] [--scale S] [--seed N] [--json FILE]
+
+Beside every figure stands, in parentheses, its value at the baseline: benchmarks/baseline.json, or with --base those of
+a commit, whose checkout runs on this machine, its closed loops in turn with ours. A triangle marks bytes, instructions
+and operations that are 2 % above the baseline, and times that are 10 % above it if both were measured on one machine.
+Times of another machine are carried to this one by the reference kernel.
+
+The default scale is that of a page in some minutes: draws of QPs, controllers and starts are samples that the seed
+chooses, which is the number of commits. At scale 1 they are complete.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks.lib.base import Base, checkout, commits, head
+from benchmarks.lib.report import Baseline, Report, listed, machine
+from benchmarks.lib.run import Run
+from benchmarks.lib.speed import where
+from benchmarks.lib.speed.programs import read_programs
+from benchmarks.topics import MATRICES, PAGE, TOPICS, chosen
+from verification.qp.verdicts import replay as replay_qp
+from verification.robustness.episodes import replay as replay_episode
+
+COMMITTED = Path(__file__).with_name("baseline.json")
+SCALE = 0.02
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    found = argparse.ArgumentParser("benchmarks", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    more = ", ".join(name for name in TOPICS if name not in PAGE)
+    found.add_argument("--only", metavar="TOPIC", help=f"some of {', '.join(PAGE)};\nnot on the page: {more}")
+    found.add_argument("--base", metavar="COMMIT", help="compare with this commit, run in turn")
+    found.add_argument("--scale", metavar="S", type=float, default=SCALE, help=f"share of the draws (default {SCALE})")
+    found.add_argument("--seed", metavar="N", type=int, default=commits(), help="of the draws")
+    found.add_argument("--json", metavar="FILE", help="write all records")
+    found.add_argument("--pictures", metavar="FOLDER", default="out/benchmarks", help="folder of pictures")
+    found.add_argument("--replay", metavar="NAME", help="class/number/solver/precision or controller/number: print it")
+    found.add_argument("--where", metavar="LOOP", choices=where.NAMES, help="shares of functions in a sample's time")
+    return found
+
+
+def main() -> None:
+    """Print the page, or what the options ask for."""
+    command = parser()
+    options = command.parse_args()
+    if options.replay:
+        (replay_qp if options.replay.count("/") == 3 else replay_episode)(options.replay)
+        return
+    if options.where:
+        where.show(options.where)
+        return
+    try:
+        names = chosen(options.only)
+        with ExitStack() as stack:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            base = stack.enter_context(checkout(options.base, folder)) if options.base else None
+            measure(options, names, base, folder)
+    except ValueError as error:
+        command.error(str(error))
+
+
+def measure(options: argparse.Namespace, names: list[str], base: Base | None, folder: Path) -> None:
+    """Run the topics and print each as soon as it is there."""
+    start, run = time.perf_counter(), Run(options.scale, options.seed, Path(options.pictures))
+    baseline = Baseline.of(COMMITTED, "benchmarks/baseline.json") if COMMITTED.exists() else None
+    if base is not None:
+        baseline, run = figures_of(base, names, run, folder)
+    report = Report(baseline)
+    print(f"{head()}  {machine()}\nbaseline: {report.baseline.label}; scale {run.scale:g}, seed {run.seed}\n")
+    for name in names:
+        begin, report.topic = time.perf_counter(), name
+        TOPICS[name](report, run)
+        (report.print_matrix if name in MATRICES else report.print_list)(name)
+        print(f"{time.perf_counter() - begin:.0f} s\n", flush=True)
+    print(verdict(report) + f"\n{time.perf_counter() - start:.0f} s in all")
+    if options.json:
+        report.write(options.json, commit=head(), scale=run.scale, seed=run.seed)
+
+
+def figures_of(base: Base, names: list[str], run: Run, folder: Path) -> tuple[Baseline, Run]:
+    """The baseline of a commit, and the run with its programs, if there are times to compare."""
+    others, label = [name for name in names if name != "times"], f"commit {base.name}, in turn"
+    baseline = Baseline(label, {}, same_machine=True)
+    if others:
+        file = folder / "base.json"
+        asked = ("--only", ",".join(others), "--scale", str(run.scale), "--seed", str(run.seed), "--json", str(file))
+        base.run("benchmarks", *asked)
+        baseline = Baseline.of(file, label, same_machine=True)
+    if "times" in names:
+        base.run("benchmarks.lib.speed.programs", str(folder / "programs"))
+        run = replace(run, base_programs=read_programs(folder / "programs"))
+    return baseline, run
+
+
+def verdict(report: Report) -> str:
+    """What grew and what is beyond its limit."""
+    grown, missed = report.grown(), report.missed()
+    lines = [f"{len(grown)} figures grew, {len(missed)} are beyond their limits"]
+    lines += [f"grown:\n{listed(grown)}"] if grown else []
+    lines += [f"beyond their limits:\n{listed(missed)}"] if missed else []
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""Instructions of functions, counted by callgrind: a measure of work that no other process disturbs."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from nmpc_codegen.runtime.build import PROFILES
+
+#: valgrind does not know AVX-512.
+MARCH = "-march=x86-64-v3"
+FLAGS = (*(flag for flag in PROFILES["fast"].flags if not flag.startswith("-march")), MARCH)
+
+
+def available() -> bool:
+    """Whether there is a valgrind."""
+    return shutil.which("valgrind") is not None
+
+
+def instructions(program: Path, arguments: Sequence[str], functions: Iterable[str]) -> int:
+    """Instructions between entry and return of these functions, which the program calls."""
+    tool = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"]
+    tool += [f"--toggle-collect={function}" for function in functions]
+    text = subprocess.run([*tool, str(program), *arguments], check=True, capture_output=True, text=True).stderr
+    found = re.search(r"Collected : (\d+)", text)
+    if found is None or int(found[1]) == 0:
+        raise ValueError(f"callgrind has counted nothing:\n{text}")
+    return int(found[1])

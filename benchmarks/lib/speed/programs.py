@@ -1,0 +1,75 @@
+"""The closed loops as programs, in both forms: exported C, and the unit for this machine.
+
+    python -m benchmarks.lib.speed.programs FOLDER
+
+compiles those of this checkout; FOLDER/programs.json names them with their arguments. So programs of two commits can
+run in turn, each made by the code of its own commit.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from benchmarks.lib.speed.loops import LOOPS, exported, hosted, module_of
+from verification.closed_loop import Timing, compile_driver, run_program
+
+INDEX = "programs.json"
+
+
+@dataclass(frozen=True)
+class Program:
+    """A loop in a form, compiled; ``arguments`` of closed_loop.c after runs and steps."""
+
+    loop: str
+    form: str
+    path: str
+    arguments: list[str]
+    steps: int
+    lanes: int
+
+    @property
+    def case(self) -> str:
+        """Its line on the page."""
+        return f"{self.loop}, {self.form}"
+
+    def run(self) -> Timing:
+        """The loop once."""
+        return run_program(Path(self.path), self.arguments, runs=1, steps=self.steps)
+
+
+def compile_programs(folder: Path) -> list[Program]:
+    """Write all units one after the other, compile two at a time."""
+    jobs: list[tuple[Program, Future[Path]]] = []
+    with ThreadPoolExecutor(2) as pool:
+        for loop in sorted(LOOPS, key=lambda loop: -len(loop.scenario().x0)):
+            arguments, name = loop.scenario().arguments(), module_of(loop).name
+            for form, (sources, lanes) in (("exported", (exported(loop), 1)), ("this processor", hosted(loop))):
+                place = folder / f"{loop.name}, {form}"
+                place.mkdir(parents=True)
+                job = pool.submit(compile_driver, sources, name, place)
+                program = Program(loop.name, form, str(place / "closed_loop"), arguments, loop.steps, lanes)
+                jobs.append((program, job))
+    for _, job in jobs:
+        job.result()
+    order = [loop.name for loop in LOOPS]
+    return sorted((program for program, _ in jobs), key=lambda p: order.index(p.loop))
+
+
+def read_programs(folder: Path) -> list[Program]:
+    """What main() has compiled there."""
+    return [Program(**entry) for entry in json.loads((folder / INDEX).read_text(encoding="utf-8"))]
+
+
+def main() -> None:
+    """Compile into the folder that is named."""
+    folder = Path(sys.argv[1])
+    found = [asdict(program) for program in compile_programs(folder)]
+    (folder / INDEX).write_text(json.dumps(found, indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,38 @@
+"""Bytes of struct, code and stack in single precision on a Cortex-M4F, and exact counts of the packages' operations."""
+
+from __future__ import annotations
+
+import shutil
+
+from benchmarks.lib.firmware.sizes import real_time_stack
+from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
+from benchmarks.lib.speed.loops import LOOPS, exported, module_of, on_target
+from nmpc_codegen.firmware.certificate import certify
+from nmpc_codegen.firmware.targets import TARGETS
+from nmpc_codegen.firmware.toolchain import PREFIX
+
+
+def sizes(report: Report, _: Run) -> None:
+    """struct, code, stack with the default options and without solve(), -O2; struct in double precision."""
+    for loop in LOOPS:
+        double = module_of(loop).description.report.ram_bytes
+        report.add("struct, double", double, "B", case=loop.name, profile="")
+        if shutil.which(f"{PREFIX}gcc"):
+            there = on_target(loop)
+            found = certify(exported(there), module_of(there).name, TARGETS["cortex-m4f"])
+            report.add("struct", found.struct_bytes, "B", case=loop.name, profile="O2")
+            report.add("code", found.flash_bytes, "B", case=loop.name, profile="O2")
+            report.add("code, real time", found.flash_bytes_real_time, "B", case=loop.name, profile="O2")
+            report.add("stack", found.stack_worst, "B", case=loop.name, profile="O2")
+            report.add("stack, real time", real_time_stack(found), "B", case=loop.name, profile="O2")
+
+
+def counts(report: Report, _: Run) -> None:
+    """Operations of the linearisation and of the worst sample, as the package's description states them; characters."""
+    for loop in LOOPS:
+        module = module_of(loop)
+        stated = module.description.report
+        report.add("linearisation", stated.linearization_operations, "operations", case=loop.name, profile="")
+        report.add("worst sample", stated.worst_operations["sample"], "operations", case=loop.name, profile="")
+        report.add("source", len(exported(loop)[f"{module.name}.c"]), "B", case=loop.name, profile="")

@@ -1,0 +1,63 @@
+"""Times of a sample and of its feedback phase, of exported C and of the unit for this machine, and against peers.
+
+Total and feedback: minimum over the rounds of the median over the steps. Worst: largest total of a step, where the
+total of a step is its minimum over the rounds. The ratio to the best peer compares with a figure of another machine;
+both are divided by the time of the reference kernel on their machine.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
+from benchmarks.lib.speed.in_turn import in_turn
+from benchmarks.lib.speed.programs import Program, compile_programs
+from benchmarks.lib.speed.reference import REFERENCE, reference_kernel_us
+from verification.closed_loop import Timing
+
+#: Least total (us) of ACADO and acados, whatever their options, in the closed loops of this page: with disturbances, on
+#: the machine of REFERENCE, gcc 12 -O3 -march=native. Nobody has measured the cart-pole.
+PEERS = {
+    "crane": 5.2,
+    "cstr": 11.0,
+    "bioreactor": 59.7,
+    "quadrotor": 70.9,
+    "chain3": 128.0,
+    "chain5": 375.0,
+    "chain7": 836.0,
+    "chain5_N160": 2107.0,
+}
+ROUNDS = 15  # at scale 1
+
+
+def measure(report: Report, run: Run) -> None:
+    """total, feedback, worst/median, peers, failed, QP iterations of every loop in both forms."""
+    reference, rounds = reference_kernel_us(), run.share(ROUNDS, 5)
+    report.add("reference kernel", reference, "us", case="this machine", n=2000)
+    with tempfile.TemporaryDirectory() as folder:
+        ours, theirs = compile_programs(Path(folder)), {p.case: p for p in run.base_programs}
+        for program in ours:
+            pair = [program, *([theirs[program.case]] if program.case in theirs else [])]
+            found = in_turn([p.run for p in pair], rounds)
+            _add(report, program, found[0], reference)
+            if len(found) > 1:
+                before = Report()
+                before.topic = report.topic
+                _add(before, program, found[1], reference)
+                report.baseline.take(before.records)
+
+
+def _add(report: Report, program: Program, times: list[Timing], reference: float) -> None:
+    case, n, lanes = program.case, sum(t.samples for t in times), program.lanes
+    total, feedback = min(t.total for t in times), min(t.feedback for t in times)
+    report.add("total", total, "us", case=case, n=n, lanes=lanes)
+    report.add("feedback", feedback, "us", case=case, n=n, lanes=lanes)
+    report.add("worst/median", min(t.worst for t in times) / total, case=case, n=n, lanes=lanes)
+    if program.loop in PEERS:
+        ratio = total * REFERENCE / reference / PEERS[program.loop]
+        report.add("to best peer", ratio, case=case, n=n, lanes=lanes)
+    report.add("failed", max(t.failed for t in times), "steps", case=case, n=n, lanes=lanes)
+    report.add("QP iterations", times[0].qp_iterations, "per step", case=case, n=n, lanes=lanes)
+    report.add("at most", times[0].qp_iterations_max, "per step", case=case, n=n, lanes=lanes)

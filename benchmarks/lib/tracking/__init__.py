@@ -1,0 +1,1 @@
+"""Tracking problems against IPOPT and against the figures of their paper."""

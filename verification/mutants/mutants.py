@@ -1,0 +1,90 @@
+"""The faults: a file, a text that it contains once, what replaces it, and the nearest tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A fault: ``before`` occurs once in ``path`` and becomes ``after``; ``tests`` are arguments of pytest."""
+
+    name: str
+    path: str
+    before: str
+    after: str
+    tests: tuple[str, ...]
+
+
+MUTANTS = (
+    Mutant(
+        "a sign: the controls of a Riccati step",
+        "templates/riccati/substitute.c",
+        "? r->du[k * NUS + j] : -y[j];",
+        "? r->du[k * NUS + j] : y[j];",
+        ("tests/components/test_riccati_kernel.py",),
+    ),
+    Mutant(
+        "a bound: upper bounds of the condensed QP are not relative to the iterate",
+        "templates/condensing/full.c",
+        "s->qp.upper[row] = CONTROL_UPPER(s, k, j) - s->u[k][j];",
+        "s->qp.upper[row] = CONTROL_UPPER(s, k, j);",
+        ("tests/components/test_condensing.py",),
+    ),
+    Mutant(
+        "an index: rows in a block do not see the earlier controls of the block",
+        "templates/condensing/partial.c",
+        "for (c = 0; c < NXS + j * NU; c++) {\n                row[c] += J[i]",
+        "for (c = 0; c < NXS; c++) {\n                row[c] += J[i]",
+        ("tests/components/test_stage_qps.py",),
+    ),
+    Mutant(
+        "a dropped term: terminal rows in the KKT residual",
+        "templates/algorithms/kkt.c",
+        "terminal->J[j][i] * s->mu_N[j]);",
+        "R(0));",
+        ("tests/whole/test_solve.py",),
+    ),
+    Mutant(
+        "a tolerance of 0: hard rows after a step",
+        "templates/algorithms/check_step.c",
+        "!(excess <= TOL_STEP * row_terms(s, m, size))",
+        "!(excess <= R(0) * row_terms(s, m, size))",
+        ("tests/components/test_condensing.py",),
+    ),
+    Mutant(
+        "a check that cannot fail: the gradient after a step",
+        "templates/algorithms/check_step.c",
+        "if (!(over <= *least)) {\n            return 0;",
+        "if (!(over <= *least)) {\n            return 1;",
+        ("tests/components/test_condensing.py",),
+    ),
+    Mutant(
+        "a transposed block: the factor of the free initial states",
+        "templates/riccati/substitute.c",
+        "y[f] -= r->F[i][f] * y[i];",
+        "y[f] -= r->F[f][i] * y[i];",
+        ("tests/components/test_stage_qps.py",),
+    ),
+    Mutant(
+        "a stale multiplier: bounds of controls keep theirs when the plan is shifted",
+        "templates/algorithms/shift_by_one.c",
+        "s->mu_u[k][j] = s->mu_u[from][j];",
+        "s->mu_u[k][j] = s->mu_u[k][j];",
+        ("tests/whole/test_closed_loop.py",),
+    ),
+    Mutant(
+        "a dropped term: the second derivatives with respect to the controls",
+        "src/nmpc_codegen/components/integrators/symmetric.py",
+        " + self.curvature_forcing(H, units)",
+        " + 0 * self.curvature_forcing(H, units)",
+        ("tests/components/test_second_order.py",),
+    ),
+    Mutant(
+        "a count that is too small: the last test of a loop in the worst case",
+        "src/nmpc_codegen/bounds/worst_case.py",
+        "        total += self._cost(loop.test, frame)\n        frame.facts = outer",
+        "        frame.facts = outer",
+        ("tests/bounds/test_worst_case.py",),
+    ),
+)
