@@ -9,15 +9,17 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format bench clean distclean
+.PHONY: help setup demo test test-all lint format bench mutants clean distclean
 
 help:
-	@echo "make demo    crane: OCP -> C -> check against IPOPT -> closed loop -> picture, all in $(OUT)/"
-	@echo "make test    formatter, linter, type checker, tests"
-	@echo "make lint    formatter, linter, type checker"
-	@echo "make format  apply the formatters: ruff, and clang-format to the C parts if it is there"
-	@echo "make bench   benchmarks of the crane, into $(OUT)/crane.json"
-	@echo "make clean   remove $(OUT)/ and caches; make distclean also $(VENV)/"
+	@echo "make demo      crane: OCP -> C -> check against IPOPT -> closed loop -> picture, all in $(OUT)/"
+	@echo "make test      formatter, linter, type checker, tests"
+	@echo "make lint      formatter, linter, type checker"
+	@echo "make format    apply the formatters: ruff, and clang-format to the C parts if it is there"
+	@echo "make test-all  the same, and what is exhaustive"
+	@echo "make bench     times, bytes, instructions and draws beside their baseline, on one page"
+	@echo "make mutants   whether the tests see ten faults that are put into a copy"
+	@echo "make clean     remove $(OUT)/ and caches; make distclean also $(VENV)/"
 	@echo "Variables: PYTHON=$(PYTHON) VENV=$(VENV) OUT=$(OUT)"
 
 setup: $(READY)
@@ -49,9 +51,14 @@ format: $(READY)
 test: lint
 	$(BIN)/python -m pytest -n auto -q -ra
 
+test-all: lint
+	$(BIN)/python -m pytest -n auto -q -ra -m "slow or not slow"
+
+mutants: $(READY)
+	$(BIN)/python -m verification.mutants
+
 bench: $(READY)
-	@mkdir -p $(OUT)
-	$(BIN)/python -m benchmarks.crane --json $(OUT)/crane.json
+	$(BIN)/python -m benchmarks --json $(OUT)/benchmarks.json
 
 clean:
 	rm -rf $(OUT) .pytest_cache .mypy_cache .ruff_cache .hypothesis

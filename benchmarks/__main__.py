@@ -30,7 +30,7 @@ from verification.qp.verdicts import replay as replay_qp
 from verification.robustness.episodes import replay as replay_episode
 
 COMMITTED = Path(__file__).with_name("baseline.json")
-SCALE = 0.02
+SCALE = 0.2
 
 
 def parser() -> argparse.ArgumentParser:
@@ -89,7 +89,7 @@ def measure(options: argparse.Namespace, names: list[str], base: Base | None, fo
 def figures_of(base: Base, names: list[str], run: Run, folder: Path) -> tuple[Baseline, Run]:
     """The baseline of a commit, and the run with its programs, if there are times to compare."""
     others, label = [name for name in names if name != "times"], f"commit {base.name}, in turn"
-    baseline = Baseline(label, {}, same_machine=True)
+    baseline = Baseline.empty(label)
     if others:
         file = folder / "base.json"
         asked = ("--only", ",".join(others), "--scale", str(run.scale), "--seed", str(run.seed), "--json", str(file))

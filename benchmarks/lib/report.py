@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 import subprocess
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -17,7 +19,7 @@ from nmpc_codegen.runtime.build import PROFILES, find_compiler
 #: Growth from which a figure of this unit is marked, relative to its baseline; times only if they are comparable.
 GROWN = {"us": 1.10, "B": 1.02, "instructions": 1.02, "operations": 1.02}
 MARK, MISS = "[bold red]▲[/]", "[bold red]miss[/]"
-WIDTH = 132
+WIDTH = 150
 
 
 @dataclass(frozen=True)
@@ -49,22 +51,35 @@ class Record:
 
 @dataclass(frozen=True)
 class Baseline:
-    """Figures by their place; ``same_machine``: its times are comparable with those of this run."""
+    """Figures by their place, and which of them are times; ``same_machine``: those are comparable with this run's."""
 
     label: str
     values: dict[str, float]
+    times: frozenset[str]
     same_machine: bool
 
     @classmethod
     def of(cls, path: Path, label: str, same_machine: bool | None = None) -> Baseline:
         """From a file that Report.write() wrote."""
         found = json.loads(path.read_text(encoding="utf-8"))
-        values = {f"{r['topic']}/{r['case']}/{r['key']}": r["value"] for r in found["records"]}
-        return cls(label, values, found["machine"] == machine() if same_machine is None else same_machine)
+        places = {f"{r['topic']}/{r['case']}/{r['key']}": r for r in found["records"]}
+        values = {place: r["value"] for place, r in places.items()}
+        times = frozenset(place for place, r in places.items() if r["unit"] == "us")
+        return cls(label, values, times, found["machine"] == machine() if same_machine is None else same_machine)
+
+    @classmethod
+    def empty(cls, label: str) -> Baseline:
+        """Without figures, but with those that take() adds."""
+        return cls(label, {}, frozenset(), same_machine=True)
 
     def take(self, records: Iterable[Record]) -> None:
         """Figures that were measured in turn with those of this run."""
         self.values.update({record.place: record.value for record in records})
+
+    def carry(self, factor: float) -> None:
+        """Multiply the times of another machine, whose reference kernel takes 1 / ``factor`` of the time of ours."""
+        if not self.same_machine:
+            self.values.update({place: factor * self.values[place] for place in self.times})
 
     def grew(self, record: Record) -> bool:
         """True if bytes, instructions and operations are 2 % above the baseline, times 10 %."""
@@ -79,7 +94,7 @@ class Report:
 
     def __init__(self, baseline: Baseline | None = None) -> None:
         self.topic = ""
-        self.baseline = baseline or Baseline("none", {}, False)
+        self.baseline = baseline or Baseline.empty("none")
         self.records: list[Record] = []
 
     def add(
@@ -107,8 +122,8 @@ class Report:
         """A line per case and a column per key; beside every value, in parentheses, that of the baseline."""
         records = {(r.case, r.key): r for r in self.of(topic)}
         units = {r.key: r.unit for r in records.values()}
-        table = Table(title=topic, title_justify="left")
-        table.add_column("")
+        table = Table(title=topic, title_justify="left", box=box.SIMPLE_HEAD)
+        table.add_column("", no_wrap=True)
         for key, unit in units.items():
             table.add_column(f"{key}\n{unit}", justify="right")
         for case in dict.fromkeys(case for case, _ in records):
@@ -118,7 +133,7 @@ class Report:
 
     def print_list(self, topic: str) -> None:
         """A line per record, for topics whose cases have few keys in common."""
-        table = Table(title=topic, title_justify="left")
+        table = Table(title=topic, title_justify="left", box=box.SIMPLE_HEAD)
         for column in ("key", "case", "value (baseline)", "limit", "unit", "n"):
             table.add_column(column, justify="left" if column in ("key", "case", "unit") else "right")
         for r in self.of(topic):
@@ -143,9 +158,10 @@ class Report:
 
     def write(self, path: str | Path, **about: object) -> None:
         """All records with what the run was, which is given as ``about``."""
-        out = {"machine": machine(), **about, "records": [asdict(record) for record in self.records]}
+        head = json.dumps({"machine": machine(), **about}, indent=1).removesuffix("\n}")
+        lines = ",\n  ".join(json.dumps(asdict(record)) for record in self.records)
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        Path(path).write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
+        Path(path).write_text(f'{head},\n "records": [\n  {lines}\n ]\n}}\n', encoding="utf-8")
 
 
 def _show(table: Table) -> None:
@@ -153,10 +169,10 @@ def _show(table: Table) -> None:
 
 
 def number(value: float) -> str:
-    """Three digits; integers below a hundred million as they are."""
-    if value == int(value) and abs(value) < 1e8 if abs(value) < float("inf") else False:
-        return f"{int(value):,}"
-    return f"{value:.3g}"
+    """Three digits; from a thousand to a hundred million, and integers, without decimals."""
+    if not math.isfinite(value) or abs(value) >= 1e8:
+        return f"{value:.3g}"
+    return f"{value:,.0f}" if value == round(value) or abs(value) >= 1e3 else f"{value:.3g}"
 
 
 def listed(records: Iterable[Record]) -> str:

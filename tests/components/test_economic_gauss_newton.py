@@ -201,6 +201,7 @@ def test_the_step_is_that_of_the_qp_with_m(route: str, fixed_end: bool) -> None:
     assert active > 0
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("route", ["dense", "riccati", "partial", "interior"])
 def test_single_precision(route: str) -> None:
     exact, rounded = built(route).copy(), built(route, "single").copy()
@@ -292,6 +293,7 @@ def test_with_free_components_accumulators_and_coupled_rows(route: str) -> None:
 # Cyclic states --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("route", ["dense", "riccati", "partial", "interior"])
 def test_a_cyclic_state_has_zero_rows(route: str) -> None:
     """Driving, whose first state grows for ever: the side step is reached, and no factorisation fails."""

@@ -68,6 +68,7 @@ def test_jacobians_of_the_twin(model: str) -> None:
     assert normwise(m.fu(x, u, p), complex_step(lambda z: m.f(x, z, p), u)) < 1e-15
 
 
+@pytest.mark.few(8)
 def test_sensitivities(compiled: Compiled) -> None:
     """x_next and S, straight-line and looped, 1 and 3 steps, both grids, against the twin."""
     model, scheme, routines = compiled

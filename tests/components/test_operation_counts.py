@@ -61,7 +61,7 @@ def cxx(need: Callable[[str], str]) -> None:
     need("g++")
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("case", CASES)
 def test_stated_counts_are_counted(case: str) -> None:
     make, options = CASES[case]
@@ -72,7 +72,7 @@ def test_stated_counts_are_counted(case: str) -> None:
 SPELLED = [*((name, "nonzeros") for name in PROBLEMS), *((name, "loops") for name in ("general", "sparse", "wide"))]
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("name", "spelling"), SPELLED)
 def test_both_spellings_of_the_products(name: str, spelling: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(products, "WRITTEN_OUT", SPELLINGS[spelling])

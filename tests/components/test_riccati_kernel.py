@@ -175,7 +175,7 @@ def agrees(kernel: Kernel, data: dict[str, Any], x: np.ndarray, u: np.ndarray, l
 TILED = [(name, lanes) for name in SHAPES for lanes in (1, 4, 8) if lanes == 1 or SHAPES[name].form != "small"]
 
 
-@pytest.mark.few(24)
+@pytest.mark.few(12)
 @pytest.mark.parametrize(("name", "lanes"), TILED)
 @some
 @given(seed=seeds)
@@ -189,6 +189,7 @@ def test_one_dense_kkt_system_agrees(name: str, lanes: int, seed: int) -> None:
         agrees(kernel, data, *kernel.substitute(data["problem"].x_0))
 
 
+@pytest.mark.few(6)
 @every_lanes
 @pytest.mark.parametrize("name", ["one control", "rows", "free", "many controls"])
 @some

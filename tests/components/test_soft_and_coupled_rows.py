@@ -126,6 +126,7 @@ def ipopt(case: str) -> Reference:
 PICKS = list(zip(CASES, itertools.cycle(FORMS), strict=False))
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize(("case", "form"), PICKS)
 def test_equal_to_ipopt(case: str, form: str) -> None:
     problem = ipopt(case).problem
@@ -145,6 +146,7 @@ def test_equal_to_ipopt(case: str, form: str) -> None:
     assert max(solution.kkt.__dict__.values()) <= 1e-9  # judged relative to the terms that they sum
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("case", ["l1 not exact", "soft equality", "coupled"])
 def test_multipliers_of_one_feedback(case: str) -> None:
     """All forms yield the same multipliers of the dynamics, whether from elimination or from the check of the QP."""

@@ -237,7 +237,7 @@ HARD: dict[str, tuple[tuple[dict[str, Any], dict[str, Any]], ...]] = {
 }
 
 
-@pytest.mark.few(20)
+@pytest.mark.few(16)
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_every_solver_finds_the_constructed_optimum(shape: Shape) -> None:
     """Cold, again from its own working set, and from that of another QP; infeasible QPs are recognised."""

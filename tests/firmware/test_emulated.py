@@ -65,6 +65,7 @@ def test_target_and_host_agree(outcome: tuple[Recording, Certificate, Verdict]) 
     assert 1000 < verdict.run.median <= verdict.run.worst
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("outcome", BOARDS, indirect=True, ids=lambda board: board[0])
 def test_stack_of_the_run_is_within_the_certificate(outcome: tuple[Recording, Certificate, Verdict]) -> None:
     _, certificate, verdict = outcome
@@ -74,6 +75,7 @@ def test_stack_of_the_run_is_within_the_certificate(outcome: tuple[Recording, Ce
     assert certificate.stack_bytes["step"] >= certificate.stack_bytes["prepare"] > 0
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("outcome", BOARDS, indirect=True, ids=lambda board: board[0])
 def test_certificate(outcome: tuple[Recording, Certificate, Verdict]) -> None:
     inputs, certificate, _ = outcome

@@ -49,7 +49,7 @@ def samples() -> list[object]:
     return [pytest.param(s, id=s.name, marks=() if s.name in FEW else pytest.mark.slow) for s in with_c]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("sample", samples())
 def test_functions_that_a_package_needs(sample: Sample, tmp_path: Path) -> None:
     for level in LEVELS if sample.name in FEW else LEVELS[:1]:

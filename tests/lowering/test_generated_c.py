@@ -33,7 +33,7 @@ def precision_in_turn(name: str) -> str:
     return ("single", "double")[STRUCTURES.index(name) % 2]
 
 
-@pytest.mark.few(5)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_c99(name: str) -> None:
     """The findings of the front end, and of the optimiser for some cases: values that may be uninitialised.
@@ -45,7 +45,7 @@ def test_no_warning_as_c99(name: str) -> None:
     assert quality.warnings_of(problems.sources(name, precision_in_turn(name)), ("-fsyntax-only",), ("C99",)) == ""
 
 
-@pytest.mark.few(5)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", STRUCTURES)
 def test_no_warning_as_cpp17(name: str) -> None:
     """The findings of the front end, and of the optimiser for one case."""
@@ -112,7 +112,7 @@ def test_package_includes_nothing_but_math(name: str) -> None:
     assert not re.search(r"\b(malloc|calloc|free|printf|goto|setjmp|restrict)\b", code)
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["crane", "single_nodes", "parameters", "scaled", "discrete", "tiny"])
 def test_whole_api_under_sanitizers(name: str) -> None:
     """Every function with good and bad arguments; AddressSanitizer and UndefinedBehaviorSanitizer find nothing."""

@@ -19,7 +19,7 @@ def check(found: Draw, levels: tuple[str, ...]) -> None:
     assert quality.warnings_of(found.sources, ("-fsyntax-only",), ("C99", "C++17"), "clang") == "", found
 
 
-@pytest.mark.few(8)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("number", range(30))
 def test_some_packages(number: int) -> None:
     for tool in ("gcc", "g++", "clang"):
@@ -37,6 +37,7 @@ def test_400_packages(hundred: int) -> None:
         check(draw(number), ("-O2", LEVELS[1 + number % 3]))
 
 
+@pytest.mark.slow
 def test_draws_differ_and_repeat() -> None:
     """A number stands for one package; together they have every algorithm, number of states and kind of row."""
     draws = [draw(number) for number in range(40)]

@@ -55,7 +55,7 @@ def is_allowed(name: str) -> bool:
     return True
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("sample", CHOSEN)
 def test_every_name_that_meets_an_inner_name_compiles(sample: str) -> None:
     """Package "ny" declares NY_N, and so on for every pair of an inner name and an end of a name of the header."""

@@ -182,7 +182,7 @@ def test_pages_for_newcomers(page: str, scale: float) -> None:
 STATED = [(page, i) for page in documents() for i, block in enumerate(blocks(page)) if block.states_a_problem]
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("page", "index"), STATED)
 def test_problems_of_the_documents_through_the_command_line(
     page: str, index: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

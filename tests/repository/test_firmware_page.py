@@ -59,6 +59,7 @@ def test_bare_metal_program(folder: Path) -> None:
         assert done.returncode == 0, done.stderr + done.stdout
 
 
+@pytest.mark.slow
 def test_thread(folder: Path) -> None:
     (folder / "zephyr").mkdir()
     (folder / "zephyr" / "kernel.h").write_text(KERNEL)
@@ -67,6 +68,7 @@ def test_thread(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_names_of_the_page(folder: Path) -> None:
     """Every function and constant of the package that the page names exists."""
     text = (ROOT / PAGE).read_text(encoding="utf-8")

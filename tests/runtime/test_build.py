@@ -50,6 +50,7 @@ def test_profiles_are_those_of_the_architecture() -> None:
     }
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("profile", sorted(PROFILES))
 def test_every_profile_without_a_warning(toy_files: Files, profile: str) -> None:
     ctrl = load(toy_files, "toy", profile, warnings_as_errors=True)

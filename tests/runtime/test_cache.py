@@ -18,7 +18,7 @@ from verification.problems import toy_sources
 pytestmark = pytest.mark.usefixtures("compiler")
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("case", sorted(set(cache_faults.FAULTS) - {"8 processes at once"}))
 def test_fault(case: str) -> None:
     fault = cache_faults.FAULTS[case]

@@ -156,6 +156,7 @@ def test_crane_with_terminal_equalities() -> None:
     assert controller.stats.cg_iterations <= 40
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("rows", ["smooth_l1", "quadratic", "lumped"])
 @pytest.mark.parametrize("name", ["path", "final", "soft_rows", "closing", "mixed"])
 def test_other_terms_of_rows_converge_to_the_solution(name: str, rows: str) -> None:
@@ -167,6 +168,7 @@ def test_other_terms_of_rows_converge_to_the_solution(name: str, rows: str) -> N
     np.testing.assert_allclose(solution.u, found.u, atol=3e-6)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ["states", "path", "final", "mixed", "ring"])
 def test_barriers_converge_from_inside(name: str, method: str) -> None:
@@ -376,6 +378,7 @@ def test_bounds_that_change_open_and_close_a_terminal_row() -> None:
 _BUILT: dict[tuple[str, ...], Controller] = {}
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("precision", ["double", "single"])
 @settings(max_examples=40, deadline=None)

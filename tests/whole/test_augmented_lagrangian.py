@@ -204,6 +204,7 @@ def test_the_bioreactor_stays_on_its_orbit_after_a_jump() -> None:
     assert np.mean(log.u[140:]) == pytest.approx(32.9, abs=0.1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_the_crane_comes_to_rest(precision: Any) -> None:
     controller = build(crane.build_ocp(), Options(algorithm=AugmentedLagrangian(shift="repeat"), precision=precision))

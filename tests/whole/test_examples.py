@@ -471,7 +471,7 @@ def test_every_example_states_a_problem(name: str) -> None:
     assert problem.path.ny >= 1 or problem.path.cost is not None or problem.path.cost_rate is not None
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_command_line_takes_every_example(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([str(Path(__file__).parents[2] / "examples" / f"{name}.py"), "-o", str(tmp_path / "c")]) == 0

@@ -35,7 +35,7 @@ sys.exit(0 if os.waitstatus_to_exitcode(status) == 7 else 1)
 """
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.1, 0.3])
 def test_build_in_a_child(delay: float, tmp_path: Path, compiler: tuple[str, ...]) -> None:

@@ -69,7 +69,7 @@ def loop(controller: Controller) -> np.ndarray:
     return np.array(controls)
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", CASES)
 def test_sums_in_variables_have_the_same_bits(name: str) -> None:
     expected, found = loop(made(name)), loop(made(name, processor="scalar"))
@@ -77,7 +77,7 @@ def test_sums_in_variables_have_the_same_bits(name: str) -> None:
     np.testing.assert_array_equal(expected, found)
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", CASES)
 def test_a_small_controller_computes_the_same_controls(name: str) -> None:
     fast, small = made(name), made(name, goal="size")
@@ -86,6 +86,7 @@ def test_a_small_controller_computes_the_same_controls(name: str) -> None:
     assert small.nbytes <= fast.nbytes
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("more", [{"processor": "scalar"}, {"goal": "size"}], ids=lambda more: next(iter(more)))
 def test_units_for_a_host(more: dict[str, Any]) -> None:
     """What build() compiles for several lanes of this machine computes the controls of the exported C."""

@@ -48,7 +48,7 @@ def pair(name: str, lanes: int) -> tuple[Controller, Controller]:
     return one, other
 
 
-@pytest.mark.few(5)
+@pytest.mark.few(3)
 @pytest.mark.filterwarnings("ignore::nmpc_codegen.ProblemWarning")
 @pytest.mark.parametrize("lanes", [2, 8])
 @pytest.mark.parametrize("name", CHOSEN)
@@ -71,6 +71,7 @@ def test_products_of_several_steps(steps: int) -> None:
     assert max(dict(errors(one, other, np.random.default_rng(2))).values()) <= LIMIT
 
 
+@pytest.mark.slow
 def test_exact_hessians_without_multipliers_take_the_adjoint_sweep() -> None:
     """After reset() all multipliers are 0: both units compute them from node to node, and give the same control."""
     require_tool("cc")
@@ -162,7 +163,7 @@ def linear(nx: int, nu: int) -> OCP:
 SHAPES = [(1, 1), (2, 3), (3, 1), (5, 2), (8, 4), (9, 3), (13, 5), (17, 1)]
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("nx", "nu", "precision"), [*((*shape, "double") for shape in SHAPES), (2, 3, "single"), (9, 3, "single")]
 )

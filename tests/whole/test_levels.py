@@ -79,6 +79,7 @@ def test_level_b_satisfies_rows_and_dynamics_alone(made: Any, route: str) -> Non
     assert np.abs(ctrl.u - optimum.u).max() > 1e-6
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("rows", ["", "soft"])
 @pytest.mark.parametrize("route", [r for r in ROUTES if r != "OSQP"])
 def test_level_d_is_the_qp_of_the_last_linearisation(made: Any, route: str, rows: str) -> None:

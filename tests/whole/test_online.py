@@ -173,6 +173,7 @@ def solved(**data: Any) -> ReferenceSolution:
 # Layouts --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("pick", PAIRS)
 def test_equal_to_ipopt_after_changes(pick: tuple[int, ...]) -> None:
     """As declared, and after changing all data that can be changed; every change has an effect."""
@@ -201,6 +202,7 @@ def test_every_kind_by_itself(kind: str, layout: str) -> None:
 FRONT_ENDS = (("gcc", "C99"), ("clang", "C99"), ("gcc", "C++17"))
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("number", "pick"), list(enumerate(PAIRS)))
 def test_no_combination_warns(number: int, pick: tuple[int, ...]) -> None:
     """Every pair of layouts, dense weights in turn: all that a front end finds, in turn clang's unused functions too.
@@ -219,6 +221,7 @@ def ram(online: Online) -> int:
     return int(json.loads(generate(stated(), Options(online=online))["online.json"])["report"]["ram_bytes"])
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("kind", "shared", "node"),
     [

@@ -47,7 +47,7 @@ def numbers(table: str) -> np.ndarray:
     return np.array([[float(word) for word in line.split() if word[-1].isdigit()] for line in table.splitlines()])
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.filterwarnings("ignore::nmpc_codegen.ProblemWarning")
 @pytest.mark.parametrize("lanes", [2, 8])
 @pytest.mark.parametrize("name", CHOSEN)
@@ -63,7 +63,7 @@ def test_arm64(name: str, lanes: int, tmp_path: Path) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-3 if "single" in name else 2e-6)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("processor", ["x86-64-v2", "x86-64-v3"])
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_vectors_longer_than_the_registers(compiler: str, processor: str, tmp_path: Path) -> None:

@@ -60,6 +60,7 @@ def drawn(name: str, double: bool, seed: int = 3) -> tuple[np.ndarray, np.ndarra
     return x, x
 
 
+@pytest.mark.few(40)
 @pytest.mark.parametrize("name", names())
 def test_functions_are_exact_to_two_units(name: str, loaded: tuple[ctypes.CDLL, bool]) -> None:
     """Also at infinities, NaN, subnormal numbers and the largest arguments."""

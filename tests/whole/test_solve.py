@@ -18,8 +18,8 @@ from nmpc_codegen.runtime.status import Status
 from verification import problems
 from verification.problems import CASES
 
-#: Terminal equalities, dense weights and general rows, optimised.
-FAST = ("crane", "dense_weight", "path_rows")
+#: General rows, optimised.
+FAST = ("path_rows",)
 MULTIPLIERS = ("lam", "mu_x", "mu_u", "mu", "mu_N")
 
 

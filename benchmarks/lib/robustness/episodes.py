@@ -39,5 +39,6 @@ def report_outcomes(report: Report, chosen: list[Candidate], outcomes: list[Outc
             report.add("other solutions", len(out.other_solutions), case=str(candidate), n=out.episodes)
         for line in out.examples[:2]:
             print(f'--replay "{candidate}/{line.partition(",")[0]}": {line.partition(", ")[2]}')
-    for kind, samples in every.items():
-        report.add(f"99 % after {kind}", float(np.percentile(samples, 99)), "samples", case="all", n=len(samples))
+    slowest = max(every, key=lambda kind: np.percentile(every[kind], 99))
+    samples = float(np.percentile(every[slowest], 99))
+    report.add("99 % are back after", samples, "samples", case="all", n=len(every[slowest]))

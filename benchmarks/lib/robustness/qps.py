@@ -26,6 +26,9 @@ from verification.qp.verdicts import (
     take_packages,
 )
 
+#: QPs of a class from which on its share means something.
+ENOUGH = 1000
+
 
 def measure(report: Report, asked: Run) -> None:
     """Every class has the same number of QPs; at a small scale they have some of the shapes, which are drawn."""
@@ -65,10 +68,11 @@ def report_tallies(report: Report, tallies: Tallies) -> None:
             report.add("false OK", sum(t.false_ok for t in chosen.values()), case=case, n=total, limit=0)
             feasible = sum(t.feasible for t in asked.values())
             share = sum(t.unsolved for t in asked.values()) / feasible
-            report.add("unsolved", share, case=case, n=feasible)
+            report.add("unsolved", share, "share", case=case, n=feasible, limit=UNSOLVED_LIMITS[precision])
             worst = max(asked, key=lambda kind: asked[kind].unsolved / asked[kind].feasible)
             share, n = asked[worst].unsolved / asked[worst].feasible, asked[worst].feasible
-            report.add("of the worst class", share, case=case, n=n, limit=UNSOLVED_LIMITS[precision])
+            limit = UNSOLVED_LIMITS[precision] if n >= ENOUGH else None
+            report.add("of the worst class", share, "share", case=case, n=n, limit=limit)
             watched = [t for kind, t in chosen.items() if t.feasible and _watched(kind, precision)]
             if watched:
                 share = sum(t.unsolved for t in watched) / sum(t.feasible for t in watched)

@@ -47,7 +47,7 @@ def compile_programs(folder: Path) -> list[Program]:
     with ThreadPoolExecutor(2) as pool:
         for loop in sorted(LOOPS, key=lambda loop: -len(loop.scenario().x0)):
             arguments, name = loop.scenario().arguments(), module_of(loop).name
-            for form, (sources, lanes) in (("exported", (exported(loop), 1)), ("this processor", hosted(loop))):
+            for form, (sources, lanes) in (("exported", (exported(loop), 1)), ("native", hosted(loop))):
                 place = folder / f"{loop.name}, {form}"
                 place.mkdir(parents=True)
                 job = pool.submit(compile_driver, sources, name, place)
