@@ -2,10 +2,10 @@
 
     python -m benchmarks [--only TOPIC,...] [--base COMMIT] [--scale S] [--seed N] [--json FILE]
 
-Beside every figure stands, in parentheses, its value at the baseline: benchmarks/baseline.json, or with --base those of
-a commit, whose checkout runs on this machine, its closed loops in turn with ours. A triangle marks bytes, instructions
-and operations that are 2 % above the baseline, and times that are 10 % above it if both were measured on one machine.
-Times of another machine are carried to this one by the reference kernel.
+Beside every figure stands, in parentheses, its value at the baseline: that of a file which --json wrote, or with --base
+that of a commit, whose checkout runs on this machine, its closed loops in turn with ours. A triangle marks bytes,
+instructions and operations that are 2 % above the baseline, and times that are 10 % above it if both were measured on
+one machine. Times of another machine are carried to this one by the reference kernel.
 
 The default scale is that of a page in some minutes: draws of QPs, controllers and starts are samples that the seed
 chooses, which is the number of commits. At scale 1 they are complete.
@@ -38,7 +38,9 @@ def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser("benchmarks", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     more = ", ".join(name for name in TOPICS if name not in PAGE)
     found.add_argument("--only", metavar="TOPIC", help=f"some of {', '.join(PAGE)};\nnot on the page: {more}")
-    found.add_argument("--base", metavar="COMMIT", help="compare with this commit, run in turn")
+    baseline = found.add_mutually_exclusive_group()
+    baseline.add_argument("--base", metavar="COMMIT", help="compare with this commit, run in turn")
+    baseline.add_argument("--baseline", metavar="FILE", type=Path, default=COMMITTED, help="benchmarks/baseline.json")
     found.add_argument("--scale", metavar="S", type=float, default=SCALE, help=f"share of the draws (default {SCALE})")
     found.add_argument("--seed", metavar="N", type=int, default=commits(), help="of the draws")
     found.add_argument("--json", metavar="FILE", help="write all records")
@@ -58,6 +60,10 @@ def main() -> None:
     if options.where:
         where.show(options.where)
         return
+    if not 0 < options.scale <= 1:
+        command.error(f"--scale {options.scale:g}: expected a share, more than 0 and at most 1")
+    if not options.baseline.is_file():
+        command.error(f"--baseline {options.baseline}: there is no such file")
     try:
         names = chosen(options.only)
         with ExitStack() as stack:
@@ -71,8 +77,9 @@ def main() -> None:
 def measure(options: argparse.Namespace, names: list[str], base: Base | None, folder: Path) -> None:
     """Run the topics and print each as soon as it is there."""
     start, run = time.perf_counter(), Run(options.scale, options.seed, Path(options.pictures))
-    baseline = Baseline.of(COMMITTED, "benchmarks/baseline.json") if COMMITTED.exists() else None
-    if base is not None:
+    if base is None:
+        baseline = Baseline.of(options.baseline, options.baseline.name)
+    else:
         baseline, run = figures_of(base, names, run, folder)
     report = Report(baseline)
     print(f"{head()}  {machine()}\nbaseline: {report.baseline.label}; scale {run.scale:g}, seed {run.seed}\n")

@@ -50,14 +50,14 @@ MUTANTS = (
         "templates/algorithms/check_step.c",
         "!(excess <= TOL_STEP * row_terms(s, m, size))",
         "!(excess <= R(0) * row_terms(s, m, size))",
-        ("tests/components/test_condensing.py",),
+        ("tests/whole/test_closed_loop.py",),
     ),
     Mutant(
         "a check that cannot fail: the gradient after a step",
         "templates/algorithms/check_step.c",
         "if (!(over <= *least)) {\n            return 0;",
         "if (!(over <= *least)) {\n            return 1;",
-        ("tests/components/test_condensing.py",),
+        ("tests/lowering/test_growth.py",),
     ),
     Mutant(
         "a transposed block: the factor of the free initial states",

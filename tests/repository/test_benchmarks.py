@@ -1,0 +1,46 @@
+"""The command of the benchmarks: what it says of a wrong word, and a record with its baseline."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+def benchmarks(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "benchmarks", *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--only", "time"), "--only time: expected some of times, sizes"),
+        (("--base", "no-such-commit"), "--base no-such-commit: there is no such commit"),
+        (("--scale", "0"), "--scale 0: expected a share"),
+    ],
+)
+def test_wrong_words(arguments: tuple[str, ...], said: str) -> None:
+    done = benchmarks(*arguments)
+    assert done.returncode == 2
+    assert said in done.stderr
+
+
+@pytest.mark.slow
+def test_what_grew_is_marked(tmp_path: Path) -> None:
+    """The operations of the crane, against a baseline in which they are 3 % and 1 % fewer."""
+    assert benchmarks("--only", "counts", "--json", str(tmp_path / "now.json")).returncode == 0
+    found = json.loads((tmp_path / "now.json").read_text(encoding="utf-8"))
+    for record in found["records"]:
+        if record["case"] in ("crane", "cstr"):
+            record["value"] /= 1.03 if record["case"] == "crane" else 1.01
+    (tmp_path / "before.json").write_text(json.dumps(found), encoding="utf-8")
+    done = benchmarks("--only", "counts", "--baseline", str(tmp_path / "before.json"))
+    assert "counts/crane/linearisation" in done.stdout
+    assert "counts/cstr/linearisation" not in done.stdout
+    assert "3 figures grew" in done.stdout
