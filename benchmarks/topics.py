@@ -45,7 +45,7 @@ PAGE: dict[str, Topic] = {
 }
 
 #: Topics with a line per case and a column per figure.
-MATRICES = frozenset(PAGE)
+MATRICES = frozenset({*PAGE, "speed/levels", "convergence/routes"})
 
 TOPICS: dict[str, Topic] = {
     **PAGE,
@@ -59,6 +59,7 @@ TOPICS: dict[str, Topic] = {
     "robustness/work": scaled(work.measure),
     "robustness/worst": scaled(worst.measure),
     "robustness/violations": scaled(violations.measure),
+    "convergence/routes": starts.routes,
     "convergence/singles": scaled(singles.measure),
     "convergence/units": scaled(units.measure),
     "convergence/loops": scaled(loops.measure),

@@ -25,7 +25,7 @@ from nmpc_codegen.runtime.package_description import Names
 from verification.convergence.problems import StartProblem, problems
 
 RESULTS = Path(__file__).with_name("ipopt.json")
-STARTS = 25
+STARTS = 100
 SOLVED = 1e-6  # KKT residual relative to the largest multiplier
 WORSE = 1e-4  # of the cost, relative
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.run import Run
+from nmpc_codegen import OptionError, build
 from verification.built import build_all
 from verification.convergence.problems import problems
 from verification.convergence.starts import STARTS, WORSE, Attempt, attempts, by_ipopt
+from verification.routes import ROUTES
 
 PROBLEMS, LEAST = 12, 6
 
@@ -21,6 +25,21 @@ def measure(report: Report, asked: Run) -> None:
         numbers = [i for i, _ in asked.some(range(STARTS), LEAST)]
         theirs = by_ipopt()[problem.name]
         report_problem(report, problem.name, [theirs[i] for i in numbers], attempts(problem.name, controller, numbers))
+
+
+def routes(report: Report, asked: Run) -> None:
+    """All problems by each of the two QP solvers among which qp=None chooses."""
+    for problem in problems():
+        numbers = [i for i, _ in asked.some(range(STARTS), LEAST)]
+        theirs = by_ipopt()[problem.name]
+        for route in ("dense", "riccati"):
+            condensing, qp = ROUTES[route]
+            try:
+                ctrl = build(problem.make(), replace(problem.options(), condensing=condensing, qp=qp))
+            except OptionError:  # refused, so it is not chosen, either
+                continue
+            ours = attempts(problem.name, ctrl, numbers)
+            report_problem(report, f"{problem.name}, {route}", [theirs[i] for i in numbers], ours)
 
 
 def report_problem(report: Report, name: str, theirs: list[Attempt], ours: list[Attempt]) -> None:
