@@ -169,8 +169,8 @@ def _show(table: Table) -> None:
 
 
 def number(value: float) -> str:
-    """Three digits; from a thousand to a hundred million, and integers, without decimals."""
-    if not math.isfinite(value) or abs(value) >= 1e8:
+    """Three digits; from a thousand to a million million, and integers, without decimals."""
+    if not math.isfinite(value) or abs(value) >= 1e12:
         return f"{value:.3g}"
     return f"{value:,.0f}" if value == round(value) or abs(value) >= 1e3 else f"{value:.3g}"
 

@@ -7,10 +7,13 @@ from collections.abc import Callable, Sequence
 from verification.closed_loop import Timing
 
 
-def in_turn(programs: Sequence[Callable[[], Timing]], rounds: int) -> list[list[Timing]]:
-    """Timings of every program, which a call runs once; rounds alternate in their order."""
+def in_turn(
+    programs: Sequence[Callable[[], Timing]], rounds: int, first: Callable[[], None] = lambda: None
+) -> list[list[Timing]]:
+    """Timings of every program, which a call runs once; rounds alternate in their order and begin with ``first``."""
     times: list[list[Timing]] = [[] for _ in programs]
     for k in range(rounds):
+        first()
         order = range(len(programs)) if k % 2 == 0 else reversed(range(len(programs)))
         for i in order:
             times[i].append(programs[i]())
