@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from itertools import count, islice
 
@@ -88,8 +87,9 @@ def _watched(kind: str, precision: str) -> bool:
 
 
 def _print_examples(tallies: Tallies) -> None:
-    """How to see answers again, those of what is most frequent."""
-    frequent: Counter[tuple[str, str, str]] = Counter({key: t.unsolved + t.false_ok for key, t in tallies.items()})
-    for (kind, solver, precision), _ in frequent.most_common(5):
+    """How to see answers again: all that are wrong, then those of what is most frequent."""
+    ranked = sorted(tallies, key=lambda key: (tallies[key].false_ok, tallies[key].unsolved), reverse=True)
+    wrong = sum(tallies[key].false_ok > 0 for key in ranked)
+    for kind, solver, precision in ranked[: max(wrong, 3)]:
         for number, what in tallies[kind, solver, precision].examples[:SHOWN]:
             print(f'--replay "{kind}/{number}/{solver}/{precision}": {what}')

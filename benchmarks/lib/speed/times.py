@@ -1,8 +1,8 @@
 """Times of a sample and of its feedback phase, of exported C and of the unit for this machine, and against peers.
 
 Total and feedback: minimum over the rounds of the median over the steps. Worst: the same of the largest total of a
-step, where the total of a step is its minimum over the runs of a round, which are all alike. The ratio to the best peer compares with a figure of another machine;
-both are divided by the time of the reference kernel on their machine.
+step, where the total of a step is its minimum over the runs of a round, which are all alike. The ratio to the best peer
+compares with a figure of another machine; both are divided by the time of the reference kernel on their machine.
 """
 
 from __future__ import annotations
