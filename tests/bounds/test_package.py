@@ -53,7 +53,7 @@ def loop_of(problem: str, solver: str, **more: object) -> Loop:
     return Loop("crane", PROBLEMS[problem], options, Scenario((0.0,) * 4, 0.3, 20))
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("problem", "solver"),
     [("boxes", "dense"), ("boxes", "riccati alone"), *itertools.product(("terminal equality", "soft rows"), SOLVERS)],

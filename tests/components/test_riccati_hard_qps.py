@@ -46,6 +46,7 @@ def is_true(kind: str, number: int, found: Answer, precision: str) -> bool:
     return not judge(qp, found.point, found.lam, LIMITS[precision]).wrong(LIMITS[precision])
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("kind", CLASSES)

@@ -34,6 +34,7 @@ def test_counts_of_any_horizon_are_those_of_its_own_model() -> None:
         assert measured.counts(problems.discrete_map, N).all == own
 
 
+@pytest.mark.slow
 def test_growth_with_the_states() -> None:
     """6.7 is quadratic in nx, 6.8 linear, so that it wins from some nx on, later for longer horizons."""
 

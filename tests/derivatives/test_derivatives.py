@@ -90,7 +90,7 @@ def drawn(draw: st.DrawFn) -> tuple[OCP, Model, str]:
     return ocp, modelled(ocp, z, cost, terminal, steps, rate), "single" if single else "double"
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(drawn(), st.integers(0, 10**6))
 def test_random_models(case: tuple[OCP, Model, str], seed: int) -> None:
     """All methods, discrete and continuous models, N = 1, nu = 1, parameters of every node, both precisions."""

@@ -45,6 +45,7 @@ def with_cost(N: int = N, linear: bool = True, tracking: bool = False) -> OCP:
     return ocp
 
 
+@pytest.mark.slow
 def test_letempc_is_locally_equivalent() -> None:
     """The first control differs by O(dP^2); without the linear term, or with plain tracking, by O(dP).
 

@@ -43,6 +43,7 @@ def test_the_board_computes_the_bits_of_the_host(name: str, board: str, precisio
     assert verdict.error == 0
 
 
+@pytest.mark.slow
 @pytest.mark.few(1)
 @pytest.mark.parametrize(("name", "board", "precision"), [c for c in CASES if c[1] != "cortex-m3"])
 def test_the_program_is_linked_without_libm(name: str, board: str, precision: Precision, tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_fast_math_is_refused(flag: str) -> None:
     assert "-ffast-math" in done.stderr
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", DIFFERENT)
 def test_symbols(name: str) -> None:
     """Only the API is external; the C calls only <math.h>, memcpy and similar functions; there are no writable data."""

@@ -44,6 +44,7 @@ for name in {cases!r}:
 """
 
 
+@pytest.mark.slow
 def test_hash_seeds_do_not_matter() -> None:
     """A new interpreter with another order of sets, in another directory."""
     program = PROGRAM.format(source=str(ROOT / "src"), root=str(ROOT), cases=CASES)

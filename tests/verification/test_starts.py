@@ -21,7 +21,7 @@ def test_every_start_of_every_problem() -> None:
     assert all(math.isfinite(a.cost) and a.iterations > 0 for a in solved)
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", [problem.name for problem in problems()])
 def test_they_are_those_of_ipopt(name: str, compiler: None) -> None:
     numbers = (3, 71)

@@ -156,6 +156,7 @@ def test_negative_curvature_is_met_and_survived() -> None:
     assert controller.x[-1, 0] > 1  # a minimum, not the saddle x = 0
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_no_iterate_leaves_the_box_and_the_model_decreases(seed: int) -> None:

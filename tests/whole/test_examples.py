@@ -97,6 +97,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "build", partial(build, profile="test"))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_cstr_main(tmp_path: Path) -> None:
     """Figure 6: reachable set points are reached, the other one up to the bounds; a node per sample satisfies them."""
@@ -389,6 +390,7 @@ def is_at_bound(values: np.ndarray, lower: float, upper: float) -> bool:
     return bool(np.minimum(values - lower, upper - values).min() <= 1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_evaporation_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The plant is on its way to the cheapest steady state, on the bound; eta = 0 is explained."""

@@ -40,7 +40,7 @@ def built(name: str, route: str, **changes: object) -> Controller:
     return build(KNOWN[name].make(), options, profile="test")
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("route", ["dense", "riccati"])
 @pytest.mark.parametrize(("name", "number"), [("swing_up", 2), ("swing_up", 4), ("quadrotor", 5)])
 def test_accelerated_gauss_newton_finds_the_solution_of_ipopt(name: str, number: int, route: str) -> None:

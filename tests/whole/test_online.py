@@ -202,7 +202,7 @@ def test_every_kind_by_itself(kind: str, layout: str) -> None:
 FRONT_ENDS = (("gcc", "C99"), ("clang", "C99"), ("gcc", "C++17"))
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("number", "pick"), list(enumerate(PAIRS)))
 def test_no_combination_warns(number: int, pick: tuple[int, ...]) -> None:
     """Every pair of layouts, dense weights in turn: all that a front end finds, in turn clang's unused functions too.

@@ -186,6 +186,7 @@ def every_function() -> OCP:
     return ocp
 
 
+@pytest.mark.slow
 @pytest.mark.few(1)
 @pytest.mark.filterwarnings("ignore::nmpc_codegen.ProblemWarning")
 @pytest.mark.parametrize("precision", ["double", "single"])
