@@ -82,6 +82,7 @@ def test_has_every_member_of_the_protocol(cls: type) -> None:
         assert list(inspect.signature(getattr(cls, method)).parameters) == wanted, method
 
 
+@pytest.mark.few(8)
 @every_component
 def test_template_exists_and_is_included(cls: type) -> None:
     path = template_directory() / cls.template  # type: ignore[attr-defined]
@@ -119,6 +120,7 @@ def test_sizes_and_structs(cls: type) -> None:
         assert len({f.name for f in struct.fields}) == len(struct.fields)
 
 
+@pytest.mark.few(6)
 @every_component
 def test_costs_are_of_functions_in_its_own_section(cls: type) -> None:
     component, lin, dims = parts(cls)

@@ -57,6 +57,7 @@ def solved(qp: QuadraticProgram, solver: QP, limit: float = 1e-11) -> None:
     assert result.worst <= limit, result
 
 
+@pytest.mark.few(25)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("nv", "ng"), SIZES)
 @few

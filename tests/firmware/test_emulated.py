@@ -88,6 +88,7 @@ def test_certificate(outcome: tuple[Recording, Certificate, Verdict]) -> None:
     assert certificate.worst_operations["sample"] > 0
 
 
+@pytest.mark.slow
 def test_an_algorithm_without_phases() -> None:
     """A sample of single shooting is one call of step(); its struct is a ninth of that of a real-time iteration."""
     require_tool("qemu")
@@ -102,6 +103,7 @@ def test_an_algorithm_without_phases() -> None:
     assert certificate.struct_bytes <= 1280
 
 
+@pytest.mark.slow
 def test_instructions_are_repeatable() -> None:
     require_tool("qemu")
     sources, inputs = package("single"), recording("single")

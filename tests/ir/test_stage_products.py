@@ -56,6 +56,7 @@ def expected(nx: int, d: dict[str, np.ndarray]) -> dict[str, list[np.ndarray]]:
     }
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("spelling", WRITTEN_OUT)
 @pytest.mark.parametrize(("nx", "nu"), SIZES)
 def test_products_against_numpy(nx: int, nu: int, spelling: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,6 +102,7 @@ def test_foreign_symbols_are_seen() -> None:
     assert {s.split()[1] for s in quality.foreign_symbols(sources)} == {"counter", "hidden", "leak", "malloc"}
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", sorted(problems.CASES))
 def test_package_includes_nothing_but_math(name: str) -> None:
     sources = problems.sources(name)
@@ -119,6 +120,7 @@ def test_whole_api_under_sanitizers(name: str) -> None:
     assert quality.exercise(problems.sources(name), problems.CASES[name].x0) == ""
 
 
+@pytest.mark.slow
 def test_shift_under_sanitizers_in_single_precision() -> None:
     options = Options(algorithm=RealTimeIteration(shift="repeat"), precision="single")
     assert quality.exercise(generate(problems.path_rows(), options), problems.CASES["path_rows"].x0) == ""

@@ -19,7 +19,7 @@ def check(found: Draw, levels: tuple[str, ...]) -> None:
     assert quality.warnings_of(found.sources, ("-fsyntax-only",), ("C99", "C++17"), "clang") == "", found
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(3)
 @pytest.mark.parametrize("number", range(30))
 def test_some_packages(number: int) -> None:
     for tool in ("gcc", "g++", "clang"):

@@ -27,6 +27,7 @@ def digest(sources: Sources) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("case", CASES)
 def test_generated_twice_is_the_same(case: str) -> None:
     c = problems.CASES[case]

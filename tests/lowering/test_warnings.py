@@ -21,6 +21,7 @@ def soft_without_terminal_rows() -> OCP:
     return ocp
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("compiler", list(quality.COMPILERS))
 def test_most_optimised(compiler: str) -> None:
     require_tool(compiler)

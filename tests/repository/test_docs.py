@@ -114,6 +114,7 @@ def test_what_is_refused_is_refused_by_name(feature: str, state: Callable[[OCP, 
 # How to add a component ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_component_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
     """The edits of the page, applied to a copy of the compiler, give a component that passes the test of the page."""
     assert compiler

@@ -263,6 +263,7 @@ def in_a_child(work: Callable[[], None]) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("at", [0, 3, 7, 9, 13])
 def test_killed(at: int, tmp_path: Path) -> None:
     """kill -9: every file is whole, open_package() refuses a mixture, the next export is complete."""

@@ -127,6 +127,7 @@ def test_iteration_cap_of_the_qp() -> None:
     assert_safe(c, c.step(np.zeros(4)))
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("which", "fails"), [("x", True), ("u", True), ("lam", False), ("mu_u", False)])
 @pytest.mark.parametrize("name", ["crane", "path_rows"])
 def test_iterate_overwritten_with_nan(name: str, which: str, fails: bool) -> None:

@@ -160,6 +160,7 @@ def test_bioreactor_orbit() -> None:
     assert (controller.u <= bioreactor.HIGHEST).all()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_multipliers_of_the_orbit_are_not_unique() -> None:
     """As many rows are active as there are controls: lam jumps at every sample, and the plan stays all the same."""
@@ -473,7 +474,7 @@ def test_every_example_states_a_problem(name: str) -> None:
     assert problem.path.ny >= 1 or problem.path.cost is not None or problem.path.cost_rate is not None
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_command_line_takes_every_example(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([str(Path(__file__).parents[2] / "examples" / f"{name}.py"), "-o", str(tmp_path / "c")]) == 0

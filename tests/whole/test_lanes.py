@@ -48,7 +48,7 @@ def pair(name: str, lanes: int) -> tuple[Controller, Controller]:
     return one, other
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.filterwarnings("ignore::nmpc_codegen.ProblemWarning")
 @pytest.mark.parametrize("lanes", [2, 8])
 @pytest.mark.parametrize("name", CHOSEN)
@@ -81,6 +81,7 @@ def test_exact_hessians_without_multipliers_take_the_adjoint_sweep() -> None:
     np.testing.assert_allclose(one.lam, other.lam, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_more_controls_of_a_stage_than_lanes() -> None:
     """Two intervals of the quadrotor are a stage with eight controls."""
     require_tool("cc")
@@ -163,7 +164,7 @@ def linear(nx: int, nu: int) -> OCP:
 SHAPES = [(1, 1), (2, 3), (3, 1), (5, 2), (8, 4), (9, 3), (13, 5), (17, 1)]
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("nx", "nu", "precision"), [*((*shape, "double") for shape in SHAPES), (2, 3, "single"), (9, 3, "single")]
 )
