@@ -14,9 +14,9 @@ READY := $(VENV)/.ready
 help:
 	@echo "make demo      crane: OCP -> C -> check against IPOPT -> closed loop -> picture, all in $(OUT)/"
 	@echo "make test      formatter, linter, type checker, tests"
+	@echo "make test-all  the same, and what is exhaustive"
 	@echo "make lint      formatter, linter, type checker"
 	@echo "make format    apply the formatters: ruff, and clang-format to the C parts if it is there"
-	@echo "make test-all  the same, and what is exhaustive"
 	@echo "make bench     times, bytes, instructions and draws beside their baseline, on one page"
 	@echo "make mutants   whether the tests see ten faults that are put into a copy"
 	@echo "make clean     remove $(OUT)/ and caches; make distclean also $(VENV)/"

@@ -22,7 +22,7 @@ from pathlib import Path
 
 from benchmarks.lib.base import Base, checkout, commits, head
 from benchmarks.lib.report import Baseline, Report, listed, machine
-from benchmarks.lib.run import Run
+from benchmarks.lib.run import RefusedError, Run
 from benchmarks.lib.speed import where
 from benchmarks.lib.speed.programs import read_programs
 from benchmarks.topics import MATRICES, PAGE, TOPICS, chosen
@@ -70,7 +70,7 @@ def main() -> None:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             base = stack.enter_context(checkout(options.base, folder)) if options.base else None
             measure(options, names, base, folder)
-    except ValueError as error:
+    except RefusedError as error:
         command.error(str(error))
 
 

@@ -15,7 +15,7 @@ from benchmarks.lib.firmware import sizes as forms
 from benchmarks.lib.hessian import bioreactor, iterations, second_order
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness import episodes, near_rest, qps, returns, violations, work, worst
-from benchmarks.lib.run import Run
+from benchmarks.lib.run import RefusedError, Run
 from benchmarks.lib.speed import choice, instructions, levels, own_math, sizes, times
 from benchmarks.lib.tracking import accuracy, figure_6
 
@@ -107,7 +107,7 @@ def chosen(only: str | None) -> list[str]:
     """Names of the topics that ``only`` lists; a name without its part means all parts; None: those of the page.
 
     Raises:
-        ValueError: there is no such topic, or a program that it needs is missing.
+        RefusedError: there is no such topic, or a program that it needs is missing.
     """
     if only is None:
         return list(PAGE)
@@ -115,10 +115,10 @@ def chosen(only: str | None) -> list[str]:
     for word in only.split(","):
         names = [name for name in TOPICS if name == word or name.startswith(f"{word}/")]
         if not names:
-            raise ValueError(f"--only {word}: expected some of {', '.join(TOPICS)}")
+            raise RefusedError(f"--only {word}: expected some of {', '.join(TOPICS)}")
         for name in names:
             missing = [program for program in NEEDS.get(name, ()) if shutil.which(program) is None]
             if missing:
-                raise ValueError(f"--only {name}: there is no {' and no '.join(missing)} on the path")
+                raise RefusedError(f"--only {name}: there is no {' and no '.join(missing)} on the path")
         found += names
     return found

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.lib.run import RefusedError
+
 ROOT = Path(__file__).parents[2]
 ENTRY = "benchmarks/__main__.py"
 
@@ -22,10 +24,12 @@ class Base:
     folder: Path
 
     def run(self, module: str, *arguments: str) -> None:
-        """Run a module of that commit with its own sources. subprocess.CalledProcessError: it fails."""
+        """Run a module of that commit with its own sources. RefusedError: it fails."""
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(self.folder / "src"), str(self.folder)])}
         command = [sys.executable, "-m", module, *arguments]
-        subprocess.run(command, cwd=self.folder, env=environment, check=True, stdout=subprocess.DEVNULL)
+        done = subprocess.run(command, cwd=self.folder, env=environment, check=False, stdout=subprocess.DEVNULL)
+        if done.returncode:
+            raise RefusedError(f"--base {self.name}: {module} of that commit failed")
 
 
 @contextmanager
@@ -33,18 +37,18 @@ def checkout(commit: str, folder: Path) -> Iterator[Base]:
     """A checkout of the commit in this folder.
 
     Raises:
-        ValueError: there is no such commit, or it is too old: its benchmarks are not of this kind.
+        RefusedError: there is no such commit, or it is too old: its benchmarks are not of this kind.
     """
     found = _git("rev-parse", "--short", "--verify", "--quiet", f"{commit}^{{commit}}")
     if found.returncode:
-        raise ValueError(f"--base {commit}: there is no such commit in this repository")
+        raise RefusedError(f"--base {commit}: there is no such commit in this repository")
     name = found.stdout.strip()
     if _git("cat-file", "-e", f"{name}:{ENTRY}").returncode:
-        raise ValueError(f"--base {commit}: that commit has no {ENTRY}; expected a commit that has one")
+        raise RefusedError(f"--base {commit}: that commit has no {ENTRY}; expected a commit that has one")
     place = folder / "base"
     added = _git("worktree", "add", "--detach", str(place), name)
     if added.returncode:
-        raise ValueError(f"--base {commit}: git worktree failed: {added.stderr.strip()}")
+        raise RefusedError(f"--base {commit}: git worktree failed: {added.stderr.strip()}")
     try:
         yield Base(name, place)
     finally:

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 
+class RefusedError(Exception):
+    """What was asked for does not exist or cannot run here."""
+
+
 @dataclass(frozen=True)
 class Run:
     """``scale``: share of the counts that are asked for; ``seed``: which of the draws; ``pictures``: folder for them;

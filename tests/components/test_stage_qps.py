@@ -1,8 +1,8 @@
 """Every registered QP solver on random stage QPs, judged by the constructed optimum; and tests of the judge.
 
 There is one package per dimensions and solver, with 15 or 25 data sets each drawn by hypothesis, which shrinks kind,
-active rows and digits. Every solver gets the five structures of SMALL, and the others in turn; benchmarks.qp draws
-dimensions for all solvers.
+active rows and digits. Every solver gets the five structures of SMALL, and the others in turn; the topic
+"qps" of the benchmarks draws QPs for all solvers.
 """
 
 from __future__ import annotations

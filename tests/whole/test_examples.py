@@ -152,7 +152,7 @@ def test_chain_main(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("quick")
 def test_bioreactor_orbit() -> None:
-    """The optimum with the exact Hessian; benchmarks.exact_hessian has the other readings and the closed loops."""
+    """The optimum with the exact Hessian; the topic exact_hessian has the other readings, closed loops."""
     controller, best = bioreactor.orbit()
     assert best.status.name == "OK"
     assert -best.cost == pytest.approx(3.054852, abs=1e-6)

@@ -19,7 +19,7 @@ from pathlib import Path
 from verification.mutants.mutants import MUTANTS, Mutant
 
 ROOT = Path(__file__).parents[2]
-COPIED = ("src", "templates", "tests", "verification", "examples", "benchmarks", "docs", "pyproject.toml", "README.md")
+COPIED = ("src", "templates", "tests", "verification", "examples", "pyproject.toml")
 SECONDS = 240  # of the tests of a fault
 
 

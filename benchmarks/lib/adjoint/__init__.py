@@ -1,1 +1,1 @@
-"""Parts of benchmarks.adjoint: derivatives of single-shooting problems, and the controller that uses them."""
+"""Parts of the topic adjoint: derivatives of single-shooting problems, and the controller that uses them."""

@@ -1,6 +1,6 @@
 """Infeasible QPs: the verdict, the row that is named and its violation, against linear programs.
 
-    python -m benchmarks.robustness --only violations [--scale S]
+    python -m benchmarks --only robustness/violations [--scale S]
 
 A relaxed QP has an l1 weight on all rows but the bounds of controls. If the weight is large, its point minimises the
 sum of the violations, which a linear program (HiGHS) finds on another route.

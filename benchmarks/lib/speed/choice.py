@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.speed.in_turn import in_turn
-from benchmarks.lib.speed.loops import LOOPS, Loop, hosted, module_of
+from benchmarks.lib.speed.loops import LOOPS, hosted, module_of
 from nmpc_codegen import (
     DenseActiveSet,
     FullCondensing,
@@ -23,6 +23,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.components.base import Condensing, QpSolver
 from verification.closed_loop import compile_driver, run_driver
+from verification.robustness.work import Loop
 
 LIMIT = 1.15
 ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
@@ -48,7 +49,7 @@ def measure(report: Report, runs: int = 5) -> None:
                 program = compile_driver(
                     sources, module_of(there).name, Path(stack.enter_context(TemporaryDirectory()))
                 )
-                programs.append(partial(run_driver, program, loop.scenario(), runs=1, steps=loop.steps // 2))
+                programs.append(partial(run_driver, program, loop.scenario, runs=1, steps=loop.steps // 2))
             times = in_turn(programs, runs)
         found = {name: min(t.total for t in each) for name, each in zip(routes, times, strict=True)}
         best = min(found, key=lambda name: found[name])

@@ -6,9 +6,10 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.lib.report import Report
-from benchmarks.lib.speed.loops import LOOPS, Loop, hosted, module_of
+from benchmarks.lib.speed.loops import LOOPS, hosted, module_of, with_algorithm
 from nmpc_codegen.runtime.build import PROFILES
 from verification.closed_loop import Timing, compile_driver, run_driver
+from verification.robustness.work import Loop
 
 ROUNDS = 5
 
@@ -16,14 +17,14 @@ ROUNDS = 5
 def first_control(report: Report) -> None:
     """feedback_first_us: the first part of the feedback phase, which returns the control of the predicted set."""
     for loop in LOOPS:
-        times, lanes = _timed(loop.with_algorithm(first_control=True), "-DFIRST")
+        times, lanes = _timed(with_algorithm(loop, first_control=True), "-DFIRST")
         report.add("feedback_first_us", times.feedback, "us", case=loop.name, n=times.samples, limit=0.3, lanes=lanes)
 
 
 def levels(report: Report) -> None:
     """total_b_us, total_c_us, total_d_us: a sample whose preparation keeps derivatives and factors."""
     for loop in LOOPS:
-        there = loop.with_algorithm(levels=True)
+        there = with_algorithm(loop, levels=True)
         for number, level in ((1, "b"), (2, "c"), (3, "d")):
             times, lanes = _timed(there, f"-DLEVEL={number}")
             report.add(f"total_{level}_us", times.total, "us", case=loop.name, n=times.samples, lanes=lanes)
@@ -33,4 +34,4 @@ def _timed(loop: Loop, flag: str) -> tuple[Timing, int]:
     sources, lanes = hosted(loop)
     with tempfile.TemporaryDirectory() as folder:
         program = compile_driver(sources, module_of(loop).name, Path(folder), (*PROFILES["fast"].flags, flag))
-        return run_driver(program, loop.scenario(), runs=ROUNDS, steps=loop.steps), lanes
+        return run_driver(program, loop.scenario, runs=ROUNDS, steps=loop.steps), lanes

@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 from examples import chain
-from nmpc_codegen import OCP, Options, RealTimeIteration
+from nmpc_codegen import Options, RealTimeIteration
 from nmpc_codegen.compiler import compiled
 from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.render import Sources, render
 from nmpc_codegen.runtime.build import host
-from verification.closed_loop import Scenario
+from verification.robustness.work import Loop
 from verification.scenarios import EXAMPLES, of_sample
 from verification.timed import TIMED
-
-
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """A problem in closed loop."""
-
-    name: str
-    make: Callable[[], OCP]
-    options: Options
-    scenario: Callable[[], Scenario]
-    steps: int = 1000
-
-    def with_algorithm(self, **changes: object) -> Loop:
-        """The loop with other options of the real-time iteration."""
-        algorithm = self.options.algorithm
-        assert isinstance(algorithm, RealTimeIteration)
-        return replace(self, options=replace(self.options, algorithm=replace(algorithm, **changes)))
 
 
 def _loops() -> tuple[Loop, ...]:
@@ -41,18 +23,25 @@ def _loops() -> tuple[Loop, ...]:
 
     def known(name: str) -> Loop:
         sample = timed[name]
-        return Loop(name, sample.make, sample.options, lambda: of_sample(sample))
+        return Loop(name, sample.make, sample.options, of_sample(sample))
 
     def example(name: str) -> Loop:
         found = examples[name]
-        return Loop(name, found.make, found.options, found.scenario, found.steps)
+        return Loop(name, found.make, found.options, found.scenario(), found.steps)
 
-    long = Loop("chain5_N160", lambda: chain.build_ocp(5, N=160), Options(), examples["chain5"].scenario, 400)
+    long = Loop("chain5_N160", lambda: chain.build_ocp(5, N=160), Options(), examples["chain5"].scenario(), 400)
     names = ("crane", "cstr", "bioreactor", "quadrotor")
     return (*map(known, names), *map(example, ("cart_pole", "chain3", "chain5", "chain7")), long)
 
 
 LOOPS = _loops()
+
+
+def with_algorithm(loop: Loop, **changes: object) -> Loop:
+    """The loop with other options of the real-time iteration."""
+    algorithm = loop.options.algorithm
+    assert isinstance(algorithm, RealTimeIteration)
+    return replace(loop, options=replace(loop.options, algorithm=replace(algorithm, **changes)))
 
 
 @cache
@@ -72,9 +61,3 @@ def hosted(loop: Loop, avx512: bool = True) -> tuple[Sources, int]:
     if found.avx512 and not avx512:
         found = replace(found, lanes=4, avx512=False)
     return {**exported(loop), f"{module.name}.c": host_unit(module, found.lanes, found.avx512)}, found.lanes
-
-
-@cache
-def on_target(loop: Loop) -> Loop:
-    """The loop with the options of a microcontroller: single precision, no vectors."""
-    return replace(loop, options=replace(loop.options, precision="single", processor="scalar"))

@@ -46,8 +46,8 @@ def compile_programs(folder: Path) -> list[Program]:
     """Write all units one after the other, compile two at a time."""
     jobs: list[tuple[Program, Future[Path]]] = []
     with ThreadPoolExecutor(2) as pool:
-        for loop in sorted(LOOPS, key=lambda loop: -len(loop.scenario().x0)):
-            arguments, name = loop.scenario().arguments(), module_of(loop).name
+        for loop in sorted(LOOPS, key=lambda loop: -len(loop.scenario.x0)):
+            arguments, name = loop.scenario.arguments(), module_of(loop).name
             for form, (sources, lanes) in (("exported", (exported(loop), 1)), ("native", hosted(loop))):
                 place = folder / f"{loop.name}, {form}"
                 place.mkdir(parents=True)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import shutil
 
+from benchmarks.lib.firmware.loops import package, with_precision
 from benchmarks.lib.firmware.sizes import real_time_stack
 from benchmarks.lib.report import Report
 from benchmarks.lib.run import Run
-from benchmarks.lib.speed.loops import LOOPS, exported, module_of, on_target
+from benchmarks.lib.speed.loops import LOOPS, exported, module_of
 from nmpc_codegen.firmware.certificate import certify
 from nmpc_codegen.firmware.targets import TARGETS
 from nmpc_codegen.firmware.toolchain import PREFIX
@@ -19,8 +20,8 @@ def sizes(report: Report, _: Run) -> None:
         double = module_of(loop).description.report.ram_bytes
         report.add("struct, double", double, "B", case=loop.name, profile="")
         if shutil.which(f"{PREFIX}gcc"):
-            there = on_target(loop)
-            found = certify(exported(there), module_of(there).name, TARGETS["cortex-m4f"])
+            name, sources = package(loop, with_precision(loop, "single").options)
+            found = certify(sources, name, TARGETS["cortex-m4f"])
             report.add("struct", found.struct_bytes, "B", case=loop.name, profile="O2")
             report.add("code", found.flash_bytes, "B", case=loop.name, profile="O2")
             report.add("code, real time", found.flash_bytes_real_time, "B", case=loop.name, profile="O2")

@@ -16,9 +16,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.lib.speed.loops import LOOPS, Loop, hosted, module_of
+from benchmarks.lib.speed.loops import LOOPS, hosted, module_of
 from nmpc_codegen.runtime.build import PROFILES
 from verification.closed_loop import Scenario, compile_driver, run_driver
+from verification.robustness.work import Loop
 
 NAMES = tuple(loop.name for loop in LOOPS)
 RUNS = 40
@@ -56,9 +57,9 @@ def _command(program: Path, scenario: Scenario, runs: int, steps: int) -> list[s
 
 def _by_perf(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], str]:
     program, data = _program(loop, folder), folder / "samples"
-    total = run_driver(program, loop.scenario(), runs=5, steps=loop.steps).total
+    total = run_driver(program, loop.scenario, runs=5, steps=loop.steps).total
     record = ["perf", "record", "-q", "-e", "cpu-clock", "-F", "5000", "-o", str(data)]
-    record += _command(program, loop.scenario(), RUNS, loop.steps)
+    record += _command(program, loop.scenario, RUNS, loop.steps)
     subprocess.run(record, check=True, stdout=subprocess.DEVNULL)
     report = ["perf", "report", "-i", str(data), "--stdio", "--no-children", "-g", "none", "-F", "sample,symbol"]
     text = subprocess.run(report, check=True, capture_output=True, text=True).stdout
@@ -67,9 +68,9 @@ def _by_perf(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], 
 
 def _by_callgrind(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], str]:
     program, out = _program(loop, folder, KNOWN_TO_CALLGRIND), folder / "instructions"
-    total = run_driver(program, loop.scenario(), runs=5, steps=loop.steps).total
+    total = run_driver(program, loop.scenario, runs=5, steps=loop.steps).total
     tool = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}"]
-    subprocess.run([*tool, *_command(program, loop.scenario(), 1, loop.steps)], check=True, capture_output=True)
+    subprocess.run([*tool, *_command(program, loop.scenario, 1, loop.steps)], check=True, capture_output=True)
     text = subprocess.run(["callgrind_annotate", str(out)], check=True, capture_output=True, text=True).stdout
     found = re.findall(r"^\s*([\d,]+) \([^)]*\)\s+\S*?:(\S+)", text, re.M)
     return total, _shares((count.replace(",", ""), name) for count, name in found), "instructions (callgrind)"

@@ -1,39 +1,40 @@
 """All constants that were chosen for speed: they change the form of the generated code, never its results.
 
-Each names the benchmark that decides it: a different value is measured there before it is changed here.
+Each names the topic of the benchmarks that decides it, of `python -m benchmarks --only TOPIC`: a different value is
+measured there before it is changed here.
 """
 
 from __future__ import annotations
 
 #: Number of columns of a dense matrix that are processed together; leading dimensions are rounded up to a multiple.
-#: benchmarks.qp
+#: times
 PANEL = 4
 
 #: Number of columns of G_k that condensing processes together: more than PANEL, so that S and Q are loaded less often,
-#: and not all of them, so that their memory is that of the QP solver. benchmarks.house
+#: and not all of them, so that their memory is that of the QP solver. sizes, times
 COLUMNS = 8
 
-#: Largest number of nonzeros of S, Q and Q_N together for which straight-line products are written. benchmarks.qp
+#: Largest number of nonzeros of S, Q and Q_N together for which straight-line products are written. times
 WRITTEN_OUT = 256
 
-#: Factor by which the dense lower triangle of a Hessian must exceed its nonzeros for products over these. benchmarks.qp
+#: Factor by which the dense lower triangle of a Hessian must exceed its nonzeros for products over these. times
 SPARSE = 4
 
-#: Number of products that are summed before the sum is added to the total of a row. benchmarks.tracking
+#: Number of products that are summed before the sum is added to the total of a row. times
 TERMS = 4
 
-#: unroll="auto": the largest straight-line program, in instructions, before loops are preferred. benchmarks.tracking
+#: unroll="auto": the largest straight-line program, in instructions, before loops are preferred. times
 AUTO_INSTRUCTIONS = 2500
 
 #: The same for second derivatives, whose loops over columns remain: the largest program in statements of all leaves.
-#: benchmarks.exact_hessian
+#: exact_hessian
 AUTO_STATEMENTS = 4000
 
 #: Operations of an integration step in loops up to which a unit for a host contains it as straight-line code.
-#: benchmarks.speed
+#: times
 STEP_OPERATIONS = 200_000
 
-#: Second derivatives, benchmarks.exact_hessian:
+#: Second derivatives, exact_hessian:
 #: up to this number of panels of rows, each panel has a loop of its own with constant bounds;
 WRITTEN_PANELS = 3
 #: the longest tape that is evaluated for all stages of a step at once; f is then printed inline at every stage;
