@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 
-from benchmarks.lib import export
+from benchmarks.lib import export, strangers
 from benchmarks.lib.adjoint import crane, cstr, rod, vandevusse
 from benchmarks.lib.augmented import bounds, loop, schemes, tracking
 from benchmarks.lib.convergence import loops, singles, starts, units
@@ -42,6 +42,7 @@ PAGE: dict[str, Topic] = {
     "episodes": episodes.measure,
     "qps": qps.measure,
     "solve": starts.measure,
+    "strangers": strangers.measure,
 }
 
 #: Topics with a line per case and a column per figure.

@@ -91,7 +91,7 @@ def options(hessian: Any = None, shift: str | None = "periodic") -> Options:
     return Options(
         integrator=ExplicitRungeKutta(RK4, steps=STEPS),
         hessian=hessian or ExactHessian(Mirror(level="stage")),
-        algorithm=RealTimeIteration(shift=shift),
+        algorithm=RealTimeIteration(shift=shift, sampling_time=SAMPLING),
     )
 
 

@@ -51,8 +51,8 @@ def build_ocp(any_length: bool = False) -> OCP:
 
 
 def options() -> Options:
-    """With one sample per interval the plan moves by one interval."""
-    return Options(algorithm=RealTimeIteration(shift="repeat"))
+    """A sample every interval, so that the plan moves by one interval."""
+    return Options(algorithm=RealTimeIteration(sampling_time=0.05))
 
 
 def push(k: int, x: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ import sys
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen import OCP, Options, build, export, simulate
+from nmpc_codegen import OCP, Options, RealTimeIteration, build, export, simulate
 
 
 def build_ocp(terminal_constraint: bool = True) -> OCP:
@@ -41,11 +41,11 @@ def build_ocp(terminal_constraint: bool = True) -> OCP:
 
 def main(folder: str = "out/crane", picture: str = "out/crane.png") -> None:
     """Write the C package, simulate 15 s of the closed loop, and plot them."""
-    ocp, options = build_ocp(), Options()
+    ocp, options = build_ocp(), Options(algorithm=RealTimeIteration(sampling_time=0.3))
     package = export(ocp, options, folder, name="crane")
     print(f"{package.directory}: {package.report['ram_bytes']:,} bytes of memory")
     controller = build(ocp, options)
-    log = simulate(controller, np.array([2.0, 0.0, 0.0, 0.0]), steps=50, dt=0.3)
+    log = simulate(controller, np.array([2.0, 0.0, 0.0, 0.0]), steps=50)
     print(log.summary())
     log.plot(picture)
 

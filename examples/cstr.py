@@ -78,8 +78,8 @@ def build_ocp(
 
 
 def options() -> Options:
-    """The plan is evaluated one sample later, between its nodes."""
-    return Options(algorithm=RealTimeIteration(shift="resample", sampling_time=SAMPLING))
+    """A sample is much shorter than an interval: the plan is evaluated one sample later, between its nodes."""
+    return Options(algorithm=RealTimeIteration(sampling_time=SAMPLING))
 
 
 def schedule(k: int, controller: Controller) -> None:

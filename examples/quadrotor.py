@@ -57,7 +57,9 @@ def build_ocp(start: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> OCP:
 
 def options(shift: str | None = None) -> Options:
     """One RK4 step per interval; with shift="repeat" the plan moves by one interval per sample."""
-    return Options(integrator=ExplicitRungeKutta(RK4, steps=1), algorithm=RealTimeIteration(shift=shift))
+    return Options(
+        integrator=ExplicitRungeKutta(RK4, steps=1), algorithm=RealTimeIteration(shift=shift, sampling_time=SAMPLING)
+    )
 
 
 def path(t: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ static inline const real_t *nodal_row(const solver_t *s, int m)
 }
 
 #endif
-#if NG && HAS_QP && (CONDENSED_QP || (HARD_ROWS && (CHECK_STEP || SOLVE)))
+#if NG && HAS_QP && (CONDENSED_QP || ROW_SCALES || (HARD_ROWS && CHECK_STEP))
 /* Sum of the magnitudes of the terms of row m, where size[] holds those of (dx, du). */
 static real_t row_terms(const solver_t *s, int m, const real_t *size)
 {

@@ -11,7 +11,17 @@ import casadi as ca
 import numpy as np
 
 from examples import crane
-from nmpc_codegen import OCP, Controller, ExplicitRungeKutta, Online, Options, RiccatiActiveSet, build, generate
+from nmpc_codegen import (
+    OCP,
+    Controller,
+    ExplicitRungeKutta,
+    Online,
+    Options,
+    RealTimeIteration,
+    RiccatiActiveSet,
+    build,
+    generate,
+)
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.lowering.render import Sources
@@ -28,6 +38,7 @@ from nmpc_codegen.oracle.trajectory import (
     row_nodes,
 )
 from nmpc_codegen.runtime.package_description import Precision
+from verification.routes import PURE
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,18 +248,20 @@ def problem(name: str) -> Problem:
 def sources(name: str, precision: Precision = "double", prefix: str | None = None) -> Sources:
     """The package of a case; its prefix is the name of the OCP unless given."""
     case = CASES[name]
-    return generate(case.make(), _options(case, precision), prefix)
+    return generate(case.make(), options_of(case, precision), prefix)
 
 
-def _options(case: Case, precision: Precision) -> Options:
+def options_of(case: Case, precision: Precision = "double") -> Options:
+    """Those of the case, with the plain scheme, whose steps can be told one by one, unless it has another algorithm."""
     o = case.options
-    return Options(o.integrator, o.hessian, o.condensing, o.qp, o.algorithm, o.online, precision)
+    algorithm = PURE if o.algorithm == RealTimeIteration() else o.algorithm
+    return Options(o.integrator, o.hessian, o.condensing, o.qp, algorithm, o.online, precision)
 
 
 @cache
 def _built(name: str, profile: str, precision: Precision) -> Controller:
     case = CASES[name]
-    return build(case.make(), _options(case, precision), profile)
+    return build(case.make(), options_of(case, precision), profile)
 
 
 def controller(name: str, profile: str = "test", precision: Precision = "double") -> Controller:

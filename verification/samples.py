@@ -7,6 +7,7 @@ For every part or condition that no sample reaches, a sample has to be added her
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -36,6 +37,7 @@ from nmpc_codegen import (
     RiccatiInteriorPoint,
 )
 from verification.problems import tiny
+from verification.routes import PURE
 from verification.timed import Sample
 
 
@@ -285,7 +287,7 @@ NODE = Online("node", "node", "node", "node", dense_weight=True)
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
 RELAXED = RealTimeIteration(relaxation=100.0)
 FIRST, LEVELS = RealTimeIteration(first_control=True), RealTimeIteration(levels=True)
-BOTH = RealTimeIteration(first_control=True, levels=True)
+BOTH = replace(PURE, first_control=True, levels=True)
 AHEAD = RealTimeIteration(shift="resample", sampling_time=0.05, advance="B", advance_iterations=2)
 REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
 STAGES = NoCondensing()
@@ -351,12 +353,12 @@ EXAMPLES = (
 SAMPLES = (
     *EXAMPLES,
     Sample("crane riccati single", crane.build_ocp, _riccati(precision="single", online=SHARED)),
-    Sample("crane without solve", crane.build_ocp, Options(solve=False)),
+    Sample("crane without solve", crane.build_ocp, Options(solve=False, algorithm=PURE)),
     Sample("crane scalar", crane.build_ocp, Options(processor="scalar", precision="single")),
     Sample("cart_pole size", cart_pole.build_ocp, Options(goal="size", precision="single")),
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
-    Sample("single dense", tiny, _dense(hessian=ExactHessian())),
+    Sample("single dense", tiny, _dense(hessian=ExactHessian(), algorithm=PURE)),
     Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single", processor="scalar")),
     Sample("controls partial", controls, _partial(algorithm=RESAMPLE)),
     Sample("controls interior", controls, _interior(algorithm=RESAMPLE)),

@@ -203,6 +203,9 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
         status = recover(s, run_sample(s));
     }
     safe_control(s, u0);
+    if (status == OK && !(s->stats.violation <= residual_tolerance[0])) {
+        status = NOT_CONVERGED;
+    }
     return finish(s, status);
 }
 

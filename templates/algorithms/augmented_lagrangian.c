@@ -150,6 +150,40 @@ static real_t violation_of(const solver_t *s)
     return most;
 }
 
+#include "algorithms/scales.c"
+
+/* The residual of the plan: its largest gap and violation of a relaxed row, in the scales of states and rows. */
+static real_t plan_residual(const solver_t *s)
+{
+    const auglag_t *a = &s->auglag;
+    real_t size[NX], most = R(0);
+    state_scales(s, size);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+#if NF
+            if (k == 0 && !is_measured[i] && !is_accumulator[i]) {
+                continue;
+            }
+#endif
+            enlarge(&most, a->gap[k][i] / size[i]);
+        }
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        if (row_relaxed[m] == 1) {
+            enlarge(&most, (a->value[m] - clip(a->value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))) * SQRT(row_weight[m]));
+        }
+    }
+#endif
+    return most;
+}
+
+/* The status of a sample: NOT_CONVERGED instead of OK if its plan is far from the model. */
+static status_t judge(const solver_t *s, status_t status)
+{
+    return (status == OK && is_far(s->stats.residual)) ? NOT_CONVERGED : status;
+}
+
 /* Feedback phase for the measured state s->xhat. The plan changes only if it stays finite. */
 static status_t feedback_here(solver_t *s)
 {
@@ -188,6 +222,7 @@ static status_t feedback_here(solver_t *s)
         moved = descend(s, MAX_FACES);
     }
     s->stats.violation = violation_of(s);
+    s->stats.residual = plan_residual(s);
     finish_multipliers(s);
     return plan_is_finite(s) && all_finite(s->lam[0], (N + 1) * NX) ? OK : NUMERICAL_FAILURE;
 }

@@ -70,25 +70,91 @@ static void name_violation(solver_t *s)
 }
 
 #if RELAX
-/* Called if the QP is infeasible: solves it again with its hard rows relaxed at the penalty weight set in the
- * options. */
-static status_t give_way(solver_t *s)
+/* How much the cost may change in the scales of its variables: the largest slope and curvature of a variable. */
+static real_t cost_scale(const solver_t *s, const real_t *size)
+{
+    real_t most = R(0);
+    for (int k = 0; k < N; k++) {
+        for (int i = 0; i < NZ; i++) {
+            enlarge(&most, s->node[k].g[i] * size[i]);
+            enlarge(&most, HESSIAN(s, k)[i][i] * size[i] * size[i]);
+        }
+    }
+    for (int i = 0; i < NX; i++) {
+        enlarge(&most, s->terminal.g[i] * size[i]);
+        enlarge(&most, s->hessian.Q_N[i][i] * size[i] * size[i]);
+    }
+    return scale_of(most);
+}
+
+/* Scales of states and controls, and those of the rows, which follow from them. */
+static void scale_rows(solver_t *s, real_t *size)
+{
+    state_scales(s, size);
+    for (int j = 0; j < NU; j++) {
+        real_t *most = &size[NX + j];
+        *most = R(0);
+        for (int k = 0; k < N; k++) {
+            enlarge(most, s->u[k][j]);
+            enlarge_if_finite(most, R(0.5) * CONTROL_UPPER(s, k, j) - R(0.5) * CONTROL_LOWER(s, k, j));
+        }
+        *most = scale_of(*most);
+    }
+    for (int m = 0; m < NG; m++) {
+        enlarge(&s->row_scale[row_id[m]], row_terms(s, m, size));
+    }
+}
+
+/* Returns 1 if all hard rows hold up to rounding. */
+static int nothing_relaxed(const solver_t *s)
+{
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+        if (!(FABS(row_excess(s, m, R(0))) <= TOL_STEP * s->row_scale[row_id[m]])) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* Called if the QP is infeasible or has been given up: solves it again with its hard rows relaxed, at the weight set in
+ * the options. If all of them hold, its solution is that of the QP. */
+static status_t give_way(solver_t *s, status_t why)
 {
     status_t status;
-    s->relaxation = relaxation_weight[0];
+    real_t size[NZ];
+    scale_rows(s, size);
+    s->relaxation = relaxation_weight[0] * cost_scale(s, size);
     status = run_qp(s);
     s->relaxation = INF;
     name_violation(s);
-    return (status == OK) ? RELAXED : status;
+    if (status != OK) {
+        return (why == INFEASIBLE) ? status : why;
+    }
+    return (why != INFEASIBLE && nothing_relaxed(s)) ? OK : RELAXED;
 }
 #else
-/* Called if the QP is infeasible: reports the violated row; there is no relaxation. */
-static status_t give_way(solver_t *s)
+/* Called if the QP is infeasible or has been given up: reports the violated row; there is no relaxation. */
+static status_t give_way(solver_t *s, status_t why)
 {
-    name_violation(s);
-    return INFEASIBLE;
+    if (why == INFEASIBLE) {
+        name_violation(s);
+    }
+    return why;
 }
 #endif
 #endif
 
+#if HARD_ROWS
+/* Returns 1 if a QP with relaxed rows may have a solution where this one has none. */
+static inline int is_given_up(status_t status)
+{
+    return status == INFEASIBLE || status == ITERATION_LIMIT || status == STALLED;
+}
+
+#endif
 #include "algorithms/recover.c"

@@ -31,17 +31,30 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     }
 #endif
     s->prepared = 0;
-#if SHIFT
+#if SHIFT || REPAIR
     s->samples += (s->samples < MANY);
 #endif
     safe_control(s, u0);
     recover(s, status, broken);
-    return finish(s, status);
+    return finish(s, judge(s, status));
 }
 
+#if REPAIR
+/* A plan that no sample has changed is prepared, and so repaired, at the measured state. */
+static void start_first_sample(solver_t *s, const real_t *xhat)
+{
+    if (s->magic == MAGIC && s->samples == 0 && !s->prepared && take_state(s, xhat)) {
+        memcpy(s->x[0], s->xhat, sizeof s->xhat);
+    }
+}
+
+#endif
 /* If prepare fails, feedback returns its status. */
 status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
 {
+#if REPAIR
+    start_first_sample(s, xhat);
+#endif
     API(prepare)(s);
     return API(feedback)(s, xhat, u0);
 }

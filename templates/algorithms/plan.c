@@ -36,6 +36,9 @@ static void start_at(solver_t *s, const real_t *x)
 #if HAS_QP
     condense_init(s);
 #endif
+#if NONLINEAR_ROWS
+    s->row_residual = R(0);
+#endif
 }
 
 static void start_at_measured(solver_t *s)

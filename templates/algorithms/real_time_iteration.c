@@ -3,12 +3,14 @@
 
 #include "algorithms/plan.c"
 
+#include "algorithms/enlarge.c"
+
 /* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
 static void algorithm_reset(solver_t *s)
 {
     forget_plan(s);
     s->prepared = 0;
-#if SHIFT
+#if SHIFT || REPAIR
     s->samples = 0;
 #endif
     s->failing = FINE;
@@ -22,6 +24,9 @@ static void algorithm_reset(solver_t *s)
     s->status = (int32_t)OK;
 #if RELAXATION
     s->relaxation = INF;
+#endif
+#if ROW_SCALES
+    memset(s->row_scale, 0, sizeof s->row_scale);
 #endif
     s->stats.violated_row = s->stats.violated_node = -1;
     start_at(s, initial_state);
@@ -78,6 +83,12 @@ static void hold_gradients(solver_t *s)
 
 #include "algorithms/finish.c"
 
+#if NONLINEAR_ROWS
+static real_t nodal_change(const solver_t *s, int m);
+
+#endif
+#include "algorithms/residual.c"
+
 /* Preparation phase: linearises, evaluates the Hessian, condenses and factorises. */
 static status_t prepare_here(solver_t *s)
 {
@@ -91,8 +102,11 @@ static status_t prepare_here(solver_t *s)
     return condense_prepare(s);
 }
 
-#include "algorithms/enlarge.c"
+#if REPAIR
+static status_t repair(solver_t *s, status_t status);
+static int stays_far(solver_t *s);
 
+#endif
 #if LAGRANGIAN
 #include "algorithms/settle.c"
 
@@ -128,6 +142,16 @@ status_t API(prepare)(solver_t *s)
     status = evaluate(s, level);
 #else
     status = prepare_here(s);
+#endif
+    measure_residual(s);
+#if REPAIR && LEVELS
+    if (s->levels.last == LEVEL_A) {
+        status = repair(s, status);
+        memcpy(s->levels.x, s->x, sizeof s->levels.x);
+        memcpy(s->levels.u, s->u, sizeof s->levels.u);
+    }
+#elif REPAIR
+    status = repair(s, status);
 #endif
 #if ADVANCED
     status = (status == OK) ? advance(s) : status;
@@ -299,6 +323,17 @@ static int recover_multipliers(solver_t *s)
 }
 #endif
 
+/* The status of a sample: NOT_CONVERGED instead of OK if its QP belongs to a plan that is far from the model. */
+static status_t judge(solver_t *s, status_t status)
+{
+#if REPAIR
+    if (status == OK && stays_far(s)) {
+        return NOT_CONVERGED;
+    }
+#endif
+    return (status == OK && is_far(s->stats.residual)) ? NOT_CONVERGED : status;
+}
+
 /* Feedback phase: embeds the measured state s->xhat, solves the QP and takes the full step. States and controls change only on
  * success. */
 static status_t feedback_here(solver_t *s)
@@ -314,8 +349,8 @@ static status_t feedback_here(solver_t *s)
 #endif
     status = run_qp(s);
 #if HARD_ROWS
-    if (status == INFEASIBLE) {
-        status = give_way(s);
+    if (is_given_up(status)) {
+        status = give_way(s, status);
     }
 #endif
     if (status != OK && status != RELAXED) {
@@ -340,9 +375,15 @@ static status_t feedback_here(solver_t *s)
         return NUMERICAL_FAILURE;
     }
 #if LAGRANGIAN
+    if (status == RELAXED) { /* its multipliers are those of the penalty, not of a plan */
+        forget_multipliers(s);
+    }
     watch_multipliers(s);
 #endif
     take_step(s);
+#if NONLINEAR_ROWS
+    s->row_residual = row_residual(s, R(1));
+#endif
     return status;
 }
 
@@ -360,10 +401,11 @@ status_t API(iterate)(solver_t *s, int level)
     }
     forget_violation(s);
     status = evaluate(s, level);
+    measure_residual(s);
     status = (status == OK) ? step_at_plan(s) : status;
     s->levels.valid &= (status == OK || status == RELAXED);
     s->prepared = 0;
-    return finish(s, status);
+    return finish(s, judge(s, status));
 }
 #endif
 
@@ -377,4 +419,8 @@ status_t API(iterate)(solver_t *s, int level)
 #if SOLVE
 
 #include "algorithms/solve.c"
+#endif
+#if REPAIR
+
+#include "algorithms/repair.c"
 #endif

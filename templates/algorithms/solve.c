@@ -25,12 +25,6 @@ static inline real_t point_at(const solver_t *s, int k, int i)
     return (i < NX) ? s->x[k][i] : s->u[k][i - NX];
 }
 
-/* A scale of 0 is unknown and counts as 1. */
-static inline real_t scale_of(real_t scale)
-{
-    return (scale > R(0)) ? scale : R(1);
-}
-
 /* Measures of the present iterate, without derivatives. */
 static measures_t measure(solver_t *s)
 {
@@ -63,7 +57,7 @@ static measures_t measure(solver_t *s)
         }
 #endif
 #if HARD_ROWS
-        at.violation += v / scale_of(q->row_scale[row_id[m]]);
+        at.violation += v / scale_of(s->row_scale[row_id[m]]);
 #endif
     }
 #endif
@@ -124,7 +118,7 @@ static int update_row_scales(solver_t *s, const real_t *size)
             continue;
         }
 #endif
-        real_t *scale = &s->sqp.row_scale[row_id[m]];
+        real_t *scale = &s->row_scale[row_id[m]];
         grew |= raise_scale(scale, row_terms(s, m, size));
         grew |= raise_scale(scale, FABS(ROW_LOWER(s, m)));
         grew |= raise_scale(scale, FABS(ROW_UPPER(s, m)));
@@ -295,7 +289,7 @@ static status_t line_search(solver_t *s)
 static status_t solve_qp(solver_t *s)
 {
     status_t status = run_qp(s);
-    s->sqp.elastic = status == INFEASIBLE || status == ITERATION_LIMIT || status == STALLED;
+    s->sqp.elastic = is_given_up(status);
     if (s->sqp.elastic) {
         s->relaxation = s->sqp.row_weight * s->sqp.cost_unit;
         status = run_qp(s);
@@ -389,7 +383,7 @@ static real_t gain_of(const solver_t *s)
             continue;
         }
 #endif
-        gain -= FABS(row_excess(s, m, R(0))) / scale_of(s->sqp.row_scale[row_id[m]]);
+        gain -= FABS(row_excess(s, m, R(0))) / scale_of(s->row_scale[row_id[m]]);
     }
     return gain;
 }
@@ -490,6 +484,12 @@ static void start_search(solver_t *s, int attempts)
     }
     memset(&s->sqp, 0, sizeof s->sqp);
     memset(&s->step, 0, sizeof s->step);
+#if HARD_ROWS
+    memset(s->row_scale, 0, sizeof s->row_scale);
+#endif
+#if NONLINEAR_ROWS
+    s->row_residual = R(0);
+#endif
     s->sqp.attempts = (int32_t)attempts;
 #if REGULARIZE_REDUCED
     s->sqp.caution = R(1.0625);
@@ -605,7 +605,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         }
 #endif
         forget_violation(s);
-#if SHIFT
+#if SHIFT || REPAIR
         s->samples += (s->samples < MANY);
 #endif
 #if LAGRANGIAN

@@ -34,7 +34,7 @@ from nmpc_codegen.frontend.problem import Problem, Row
 from nmpc_codegen.oracle import trajectory as oracle
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, kkt_residuals, node_data
 from nmpc_codegen.runtime.controller import Controller
-from verification.routes import ROUTES, on
+from verification.routes import PURE, ROUTES, on
 
 Array = np.ndarray
 
@@ -70,6 +70,7 @@ def built(route: str, precision: Any = "double", **more: Any) -> Controller:
 
 
 def options(hessian: Any, route: str, precision: Any = "double", **more: Any) -> Options:
+    more = {"algorithm": PURE, **more}
     return on(route, integrator=ExplicitRungeKutta(steps=2), hessian=hessian, precision=precision, **more)
 
 
@@ -363,7 +364,7 @@ def test_equations_at_the_end_cost_no_refinement_loops(start: float) -> None:
 def test_first_step_equals_that_of_the_exact_hessian() -> None:
     """[Z20] Corollary 9: from the steady state, the QP with M and the one with H on the steady active set."""
     at = tuning(evaporation)
-    c = build(evaporation.build_ocp(30), evaporation_options(), "test").copy()
+    c = build(evaporation.build_ocp(30), evaporation_options(algorithm=PURE), "test").copy()
     c.x[...], c.u[...] = at.x_s, at.u_s
     x, u = c.x.copy(), c.u.copy()
     c.step(at.x_s + np.array([0.0, 0.5]))

@@ -31,6 +31,7 @@ from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.oracle.trajectory import Point, node_data
 from verification.models import couple, pendulum_of_everything
 from verification.oracles.exact_hessian import blocks, regularized, regularized_reduced
+from verification.routes import PURE
 
 Array = np.ndarray
 MIRROR, PROJECT = Mirror(1e-8, "stage"), Project(1e-8, "stage")
@@ -50,7 +51,9 @@ def everything(free: bool = True) -> OCP:
 def _built(scheme: Any, regularization: Any, unroll: str, free: bool = True) -> Controller:
     hessian = ExactHessian(regularization, scheme)
     return build(
-        everything(free), Options(ExplicitRungeKutta(unroll=unroll), hessian, condensing=FullCondensing()), "test"
+        everything(free),
+        Options(ExplicitRungeKutta(unroll=unroll), hessian, condensing=FullCondensing(), algorithm=PURE),
+        "test",
     )
 
 
@@ -144,7 +147,7 @@ def quadratic(n: int, N: int = 1) -> OCP:
 @functools.cache
 def _quadratic(n: int, N: int, regularization: Any, damping: float = 0.0) -> Controller:
     hessian = ExactHessian(regularization, levenberg_marquardt=damping)
-    return build(quadratic(n, N), Options(hessian=hessian, condensing=FullCondensing()), "test")
+    return build(quadratic(n, N), Options(hessian=hessian, condensing=FullCondensing(), algorithm=PURE), "test")
 
 
 def spectrum(random: np.random.Generator, n: int, kind: int) -> Array:
@@ -261,7 +264,9 @@ def test_solutions_equal_those_of_ipopt(free: bool, regularization: Any) -> None
 
 def test_quadratic_convergence() -> None:
     """CSTR from the initial iterate: 7 iterations to 1e-12 with quadratic convergence."""
-    controller = build(cstr.build_ocp(), Options(hessian=ExactHessian(), condensing=FullCondensing()), "test")
+    controller = build(
+        cstr.build_ocp(), Options(hessian=ExactHessian(), condensing=FullCondensing(), algorithm=PURE), "test"
+    )
     controller.x[...] = cstr.START
     residuals = [entry.kkt.relative for entry in controller.solve(cstr.START, tol=1e-12).log]
     assert len(residuals) <= 7

@@ -47,7 +47,7 @@ from verification.qp.stage_solvers import (
     build_all,
     solver_options,
 )
-from verification.routes import ROUTES
+from verification.routes import PURE, ROUTES
 
 Array = np.ndarray
 
@@ -298,7 +298,7 @@ def quadratic(n: int, bounds: tuple[float, float] | None = None) -> OCP:
 @functools.cache
 def _built(ocp: Any, route: str, regularization: Any, *args: Any) -> Controller:
     condensing, qp = ROUTES[route]
-    options = Options(hessian=ExactHessian(regularization), condensing=condensing, qp=qp)
+    options = Options(hessian=ExactHessian(regularization), condensing=condensing, qp=qp, algorithm=PURE)
     if ocp is quadrotor.build_ocp:
         options = dataclasses.replace(options, integrator=quadrotor.options().integrator)
     return build(ocp(*args), options, "test")
@@ -447,7 +447,11 @@ def test_shifts_of_the_sample_before_are_forgotten() -> None:
 def test_single_precision() -> None:
     """No warning; the step solves the system with the shifted Hessian."""
     options = Options(
-        hessian=ExactHessian(Mirror()), condensing=NoCondensing(), qp=RiccatiActiveSet(), precision="single"
+        hessian=ExactHessian(Mirror()),
+        condensing=NoCondensing(),
+        qp=RiccatiActiveSet(),
+        precision="single",
+        algorithm=PURE,
     )
     shared_library(generate(quadratic(3), options), "quadratic3.c", WARNINGS)
     c = build(quadratic(3), options, "test").copy()

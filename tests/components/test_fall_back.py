@@ -14,6 +14,7 @@ from nmpc_codegen.cli.settings import apply_setting
 from nmpc_codegen.lowering.render import render
 from verification.c_harness import module_of
 from verification.models import problem_of
+from verification.routes import PURE
 
 
 def test_without_fall_back_the_interior_point_method_is_not_in_the_package() -> None:
@@ -65,7 +66,7 @@ def test_without_fall_back_an_infeasible_qp_ends_with_a_status_and_a_safe_contro
     ocp.subject_to(5, x, np.inf, at="end")
     statuses = {}
     for fallback in (RiccatiInteriorPoint(warm_start=False), None):
-        options = Options(condensing=NoCondensing(), qp=RiccatiActiveSet(fallback=fallback))
+        options = Options(condensing=NoCondensing(), qp=RiccatiActiveSet(fallback=fallback), algorithm=PURE)
         controller = build(ocp, options, profile="test")
         before = controller.x.copy()
         u0 = controller.step(np.array([0.0]))
@@ -104,7 +105,7 @@ def test_an_infeasible_qp_costs_little_more_than_its_proof() -> None:
     """The load cannot come to rest in time; the proof takes a few iterations."""
     iterations = {}
     for qp in (RiccatiActiveSet(), RiccatiInteriorPoint()):
-        c = build(crane.build_ocp(), Options(condensing=NoCondensing(), qp=qp), profile="test")
+        c = build(crane.build_ocp(), Options(condensing=NoCondensing(), qp=qp, algorithm=PURE), profile="test")
         c.step(np.array([1.0, 0.0, 0.5, 0.0]))
         assert c.status == Status.INFEASIBLE
         iterations[qp.name] = c.stats.qp_iterations
@@ -113,7 +114,9 @@ def test_an_infeasible_qp_costs_little_more_than_its_proof() -> None:
 
 def test_the_interior_point_method_stays_at_a_plan_that_is_a_solution() -> None:
     """The same state again and again: in the end steps and all that terminal rows sum up are rounding errors."""
-    c = build(crane.build_ocp(), Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint()), profile="test")
+    c = build(
+        crane.build_ocp(), Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint(), algorithm=PURE), profile="test"
+    )
     for _ in range(20):
         c.step(np.array([2.0, 0.0, 0.0, 0.0]))
         assert c.status == Status.OK

@@ -48,6 +48,7 @@ class ProjectedGradient(Defaults):
     core: ClassVar[frozenset[Core]] = frozenset()
     supports: ClassVar[frozenset[str]] = frozenset({"general cost"})
     shift: ClassVar[None] = None
+    sampling_time: ClassVar[float | None] = None
 
     def default(self, seam: Seam) -> str | None:
         return None

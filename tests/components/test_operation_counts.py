@@ -17,6 +17,7 @@ from nmpc_codegen import (
     OCP,
     DenseActiveSet,
     EconomicGaussNewton,
+    ExactHessian,
     ExplicitRungeKutta,
     GaussNewton,
     Options,
@@ -82,7 +83,7 @@ def test_both_spellings_of_the_products(name: str, spelling: str, monkeypatch: p
 
 
 def test_what_is_stated_covers_routines_products_and_components() -> None:
-    module = module_of(PROBLEMS["general"](), Options(qp=DenseActiveSet()))
+    module = module_of(PROBLEMS["general"](), Options(hessian=ExactHessian(), qp=DenseActiveSet()))
     stated = set(module.description.report.operations)
     assert {r.name for r in module.routines} <= stated
     assert {r.name for r in module.called_products} <= stated
@@ -108,7 +109,7 @@ def test_a_wrong_count_is_found() -> None:
 
 def test_sections_of_the_table_of_contents() -> None:
     """The figure of a section is the sum over its functions, and the text prints it."""
-    module = module_of(PROBLEMS["general"](), Options(qp=DenseActiveSet()))
+    module = module_of(PROBLEMS["general"](), Options(hessian=ExactHessian(), qp=DenseActiveSet()))
     operations = module.description.report.operations
     expected = {
         "condensing": (

@@ -10,8 +10,9 @@ import pytest
 from nmpc_codegen import OptionError, Options, Osqp, build, export, generate, open_package
 from nmpc_codegen.runtime.status import Status
 from verification import problems
+from verification.routes import PURE
 
-OPTIONS = Options(qp=Osqp())
+OPTIONS = Options(qp=Osqp(), algorithm=PURE)
 
 
 @pytest.mark.parametrize("name", ["crane", "path_rows", "state_bounds"])

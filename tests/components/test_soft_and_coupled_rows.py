@@ -30,6 +30,7 @@ from nmpc_codegen.oracle.trajectory import kkt_residuals, node_data
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.status import Status
 from verification import problems
+from verification.routes import PURE
 
 
 def pendulum(name: str) -> OCP:
@@ -114,7 +115,7 @@ FORMS: dict[str, dict[str, Any]] = {
 
 @functools.cache
 def controller(case: str, form: str) -> Controller:
-    return build(CASES[case](), Options(**FORMS[form]), profile="test")
+    return build(CASES[case](), Options(**FORMS[form], algorithm=PURE), profile="test")
 
 
 @functools.cache
@@ -193,7 +194,8 @@ def test_an_exact_penalty_is_the_hard_row() -> None:
 def test_stages_carry_free_components_to_coupled_rows() -> None:
     """Without condensing the blocks then have one interval, which is stated; the QPs are those of full condensing."""
     stages, condensed = (
-        build(periodic(), Options(**FORMS[form]), profile="test") for form in ("active set", "condensed")
+        build(periodic(), Options(**FORMS[form], algorithm=PURE), profile="test")
+        for form in ("active set", "condensed")
     )
     stated = linearize(classify(periodic()), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
     assert stated.options.condensing == PartialCondensing(1)
@@ -211,7 +213,7 @@ def tight() -> OCP:
 
 
 def test_infeasible_names_the_row_and_recovers() -> None:
-    ctrl = build(tight(), profile="test")
+    ctrl = build(tight(), Options(algorithm=PURE), profile="test")
     good, bad = np.array([0.4, 0.0]), np.array([0.4, 2.0])
     ctrl.step(good)
     assert ctrl.stats.violated_row is None

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package cf56e8ef07c55bb6, sha256 5fea6d97bd74b1ee5aa679010e34da4d7cfc4daf21490502a7e4acbcb7f75bff */
+/* nmpc_codegen package 727101f6563eb516, sha256 2ac2317239cf1dfca05eb50d5c5ec26642789c115b6febbe2c18b74a8e174956 */

@@ -207,12 +207,20 @@ def test_statuses() -> None:
     """The status values have the same order in the header and in Python, and there is a text for every value."""
     order = (
         *("OK", "ITERATION_LIMIT", "INFEASIBLE", "RELAXED", "NUMERICAL_FAILURE", "NOT_FINITE", "NOT_PREPARED"),
-        *("NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED", "SUBPROBLEM_FAILED"),
+        *(
+            "NOT_INITIALIZED",
+            "BAD_INDEX",
+            "BAD_BOUNDS",
+            "BAD_ARGUMENT",
+            "STALLED",
+            "SUBPROBLEM_FAILED",
+            "NOT_CONVERGED",
+        ),
     )
     sources = problems.sources("crane")
     assert tuple(s.name for s in Status) == order
     assert re.findall(r"CRANE_(\w+) = (\d+),? /\*", sources["crane.h"]) == [(n, str(i)) for i, n in enumerate(order)]
-    program = '#include <stdio.h>\n#include "crane.h"\nint main(void) { int i; for (i = -1; i <= 13; i++) { '
+    program = '#include <stdio.h>\n#include "crane.h"\nint main(void) { int i; for (i = -1; i <= 14; i++) { '
     program += "puts(crane_status_string((crane_status_t)i)); } return 0; }\n"
     with quality.written(sources) as folder:
         (folder / "texts.c").write_text(program)
@@ -229,7 +237,7 @@ def test_statuses() -> None:
 def test_sources_are_deterministic() -> None:
     for name in ("path_rows", "crane_looped"):
         case = problems.CASES[name]
-        assert generate(case.make(), case.options) == problems.sources(name)
+        assert generate(case.make(), problems.options_of(case)) == problems.sources(name)
 
 
 def test_no_machine_or_date_in_the_sources() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -30,6 +31,7 @@ from nmpc_codegen.components.base import Condensing
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.lowering.growth import Growth, growth
+from verification.routes import PURE
 
 STEP, LENGTH, GRAVITY = 0.05, 0.8, 9.81
 CART, POLE = 1.0, 0.1
@@ -184,8 +186,8 @@ def test_what_the_estimate_misses_is_not_called_ok(monkeypatch: pytest.MonkeyPat
     """Full condensing in single precision, not refused: what is called OK is right, or a failure is reported."""
     require_tool("cc")
     monkeypatch.setattr("nmpc_codegen.lowering.growth.REFUSED", 1.0)
-    exact = build(cart_pole(40), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()), "test")
-    found = build(cart_pole(40), DENSE, "test")
+    exact = build(cart_pole(40), Options(condensing=NoCondensing(), qp=RiccatiActiveSet(), algorithm=PURE), "test")
+    found = build(cart_pole(40), replace(DENSE, algorithm=PURE), "test")
     statuses, x = set(), np.array([0.2, 0.3, 0.0, 0.0])
     exact.x[:] = 0.0
     for _ in range(20):

@@ -70,6 +70,7 @@ def test_step_is_the_c_function_step(toy: Controller) -> None:
 
 
 def test_step_is_prepare_and_feedback(toy: Controller) -> None:
+    toy.step(FIRST)  # the first sample prepares for the measured state
     twin = toy.copy()
     assert twin.prepare() is Status.OK
     np.testing.assert_array_equal(twin.feedback(FIRST), toy.step(FIRST))
@@ -339,6 +340,7 @@ def test_names_sizes_stats(toy: Controller) -> None:
     )  # fmt: skip
     assert (toy.dims.N, toy.dims.nx, toy.dims.nu, toy.dims.np, toy.dims.nh_N) == (4, 2, 1, 3, 0)
     toy.step([1.0, 0.0])
+    toy.step([-1.0, 0.0])
     assert toy.stats.active_set_changes >= 2
     assert toy.stats.qp_iterations >= 1
     assert toy.nbytes == toy._package.ffi.sizeof("toy_solver_t")

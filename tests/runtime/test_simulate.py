@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from nmpc_codegen import Options, build
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller, Status
 from nmpc_codegen.runtime.simulate import LONG_RUN, Trace, simulate
+from verification import problems
+from verification.routes import PURE
 
 Array = NDArray[np.float64]
 X0 = np.array([1.0, 0.0])
@@ -53,7 +56,14 @@ def test_warm_start_is_solve_before_the_first_sample(toy: Controller) -> None:
     np.testing.assert_array_equal(log.u[0], twin.step(X0))
 
 
-def test_long_samples_are_cut_into_the_controllers_intervals(toy: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sampling_time_that_is_not_that_of_the_shift_is_an_error(toy: Controller) -> None:
+    with pytest.raises(ControllerError, match=r"dt is 0.25, .*shifted by 0.1 s.*sampling_time=0.25"):
+        simulate(toy, X0, 1, dt=0.25)
+    assert simulate(toy, X0, 1, dt=0.1 + 1e-12).t[1] == pytest.approx(0.1)
+
+
+def test_long_samples_are_cut_into_the_controllers_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
+    toy = build(problems.toy(), Options(algorithm=PURE), "test")
     steps: list[float] = []
     original = Controller.integrate
 

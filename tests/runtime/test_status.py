@@ -24,8 +24,8 @@ def test_a_status_prints_its_meaning_and_is_an_integer(status: Status) -> None:
 
 
 def test_every_status_has_a_meaning_of_its_own() -> None:
-    assert len(Status) == 13
-    assert len({s.meaning for s in Status}) == 13
+    assert len(Status) == 14
+    assert len({s.meaning for s in Status}) == 14
 
 
 def test_kkt() -> None:
@@ -47,6 +47,7 @@ def test_a_solution_is_readable(toy: Controller) -> None:
 
 def test_stats_are_readable(toy: Controller) -> None:
     toy.step([1.0, 0.0])
+    toy.step([-1.0, 0.0])
     lines = str(toy.stats).splitlines()
     counts = toy.stats.qp_iterations, toy.stats.active_set_changes
     assert lines[0] == f"QP: {counts[0]} iterations, {counts[1]} changes of the active set"

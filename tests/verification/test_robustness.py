@@ -22,6 +22,7 @@ from verification.qp.stage_package import SCALARS, SOLVERS, Answer, options, rou
 from verification.robustness import episodes, near_rest, returns, work
 from verification.robustness.hostile import Data
 from verification.robustness.subjects import Candidate, candidates, subjects
+from verification.routes import PURE
 
 FEASIBLE = tuple(kind for kind in CLASSES if kind != "infeasible")
 SMALL = SHAPES.index(min(SHAPES))  # numbers that are equal to it modulo the number of shapes have the smallest shape
@@ -285,7 +286,7 @@ def test_operations_of_a_recorded_loop() -> None:
     require_tool("cxx")
     far, near = ((5.0, 0, 0, 0, 0), (5.0, 0, 0, 0)), ((0.0,) * 5, (0.0,) * 4)
     scenario = Scenario((0.0,) * 4, 0.3, 4, set_points=(near, far))
-    loop = work.Loop("crane", lambda: crane.build_ocp(False), Options(), scenario)
+    loop = work.Loop("crane", lambda: crane.build_ocp(False), Options(algorithm=PURE), scenario)
     recorded = work.record(loop, 6, [])
     free = work.record(loop, 6, [0])
     counted, opened = work.count(loop, recorded, free, optimise=False)

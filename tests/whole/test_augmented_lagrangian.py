@@ -210,7 +210,7 @@ def test_the_bioreactor_stays_on_its_orbit_after_a_jump() -> None:
 def test_the_crane_comes_to_rest(precision: Any) -> None:
     controller = build(crane.build_ocp(), Options(algorithm=AugmentedLagrangian(shift="repeat"), precision=precision))
     log = simulate(controller, np.array([0.5, 0.0, 0.0, 0.0]), steps=60, dt=0.3)
-    assert not np.any(log.status)
+    assert not any(Status(status).is_failure for status in log.status)
     assert np.abs(log.x[-1]).max() < 1e-2
     assert np.abs(log.u).max() <= 1
 
@@ -244,7 +244,7 @@ def test_the_control_is_finite_and_inside_its_bounds(precision: Any, data: st.Da
             assert np.nextafter(lower, -np.inf, dtype=u.dtype) <= value <= np.nextafter(upper, np.inf, dtype=u.dtype)
     for _ in range(12):
         controller.step(problem.x_initial)
-    assert controller.status is Status.OK
+    assert not controller.status.is_failure
 
 
 @pytest.mark.parametrize("number", [np.nan, np.inf])
@@ -260,7 +260,7 @@ def test_nothing_stays_in_the_work_arrays(number: float) -> None:
         second.view(f"auglag.{name}")[...] = number
     for _ in range(2):
         np.testing.assert_array_equal(second.step(x0), first.step(x0))
-        assert second.status is Status.OK
+        assert not second.status.is_failure
 
 
 def test_a_goal_out_of_reach() -> None:

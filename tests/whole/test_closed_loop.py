@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -10,13 +11,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, DenseActiveSet, GaussNewton, Options, RealTimeIteration, build
+from nmpc_codegen import OCP, DenseActiveSet, GaussNewton, Options, build
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.status import Status
 from verification import problems
+from verification.routes import PURE
 
 FAR = np.array([2.0, 0.0, 0.0, 0.0])  # feasible, six controls at bounds
 INFEASIBLE = np.array([1.0, 0.0, 0.5, 0.0])
@@ -33,7 +35,7 @@ def assert_safe(c: Controller, u: Any) -> None:
 
 @cache
 def _shifting(name: str) -> Controller:
-    return build(problems.CASES[name].make(), Options(algorithm=RealTimeIteration(shift="repeat")), "test")
+    return build(problems.CASES[name].make(), Options(algorithm=replace(PURE, shift="repeat")), "test")
 
 
 def shifting(name: str) -> Controller:
@@ -118,7 +120,7 @@ def test_a_plan_that_has_nothing_to_do_with_the_plant_is_given_up() -> None:
 
 
 def test_iteration_cap_of_the_qp() -> None:
-    c = build(problems.CASES["crane"].make(), Options(qp=DenseActiveSet(max_iterations=1)), "test")
+    c = build(problems.CASES["crane"].make(), Options(qp=DenseActiveSet(max_iterations=1), algorithm=PURE), "test")
     x = c.x.copy()
     assert_safe(c, c.step(FAR))
     assert c.status == Status.ITERATION_LIMIT
@@ -133,7 +135,7 @@ def test_iteration_cap_of_the_qp() -> None:
 def test_iterate_overwritten_with_nan(name: str, which: str, fails: bool) -> None:
     """States and controls: one NUMERICAL_FAILURE, then the plan restarts at the measured state. Gauss-Newton does
     not read these multipliers. solve() repairs the plan before it starts; reset() repairs all data."""
-    fresh = build(problems.CASES[name].make(), Options(hessian=GaussNewton()), "test")
+    fresh = build(problems.CASES[name].make(), Options(hessian=GaussNewton(), algorithm=PURE), "test")
     problems.apply(fresh, problems.CASES[name].data)
     fresh.reset()
     c = fresh.copy()
@@ -173,11 +175,11 @@ def away_from_zero() -> OCP:
 
 def test_safe_control_where_zero_is_none() -> None:
     """Not initialised: 0 clipped to the declared bounds; initialised: the plan clipped to the present bounds."""
-    c = build(away_from_zero(), profile="test")
+    c = build(away_from_zero(), Options(algorithm=PURE), profile="test")
     c.view("magic")[...] = 0
     np.testing.assert_array_equal(c.feedback([0.0]), [0.4, -1.5])
     assert int(c.view("magic")) == 0
-    c = build(away_from_zero(), profile="test")
+    c = build(away_from_zero(), Options(algorithm=PURE), profile="test")
     np.testing.assert_array_equal(c.feedback([0.0]), [0.4, -1.5])
     c.set_bounds("u", 0.7, 0.9)
     c.u[:] = np.nan
@@ -473,7 +475,7 @@ def explosive() -> OCP:
 
 def test_shift_of_a_tail_that_explodes() -> None:
     """The new end of the plan is finite whatever the model does there: the controller remains usable."""
-    c = build(explosive(), profile="test")
+    c = build(explosive(), Options(algorithm=PURE), profile="test")
     c.x[:] = 1e60
     c.u[:] = 0.0
     c.shift()
@@ -504,7 +506,7 @@ def shifted(shift: str, **options: float) -> Controller:
     ocp.dynamics({phi: omega, omega: -9.81 * ca.sin(phi) + u, time: 1 + 0.1 * phi})
     ocp.least_squares(ca.vertcat(phi, omega, u), weight=[1.0, 0.1, 0.1])
     ocp.subject_to(-2, u, 2)
-    c = build(ocp, Options(algorithm=RealTimeIteration(shift=shift, **options)), "test")
+    c = build(ocp, Options(algorithm=replace(PURE, shift=shift, **options)), "test")
     assert c.solve((0.5, 0.0, 0.0)).status == Status.OK
     return c
 
@@ -559,7 +561,7 @@ def test_shift_resample_on_a_non_uniform_grid() -> None:
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -x + u})
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
-    c = build(ocp, Options(algorithm=RealTimeIteration(shift="resample", sampling_time=0.05)), "test")
+    c = build(ocp, Options(algorithm=replace(PURE, shift="resample", sampling_time=0.05)), "test")
     sol = c.solve((1.0,))
     plant = c.integrate(np.array([1.0]), sol.u[0], 0.05)
     c.shift()

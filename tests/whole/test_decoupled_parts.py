@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import OCP, NoCondensing, Options, build
-from verification.routes import ROUTES
+from verification.routes import PURE, ROUTES
 
 PRECISIONS = ("double", "single")
 SOLVERS = {name: ROUTES[name][1] for name in ("dense", "riccati", "interior")}
@@ -50,7 +50,7 @@ def test_one_part_moves_and_the_others_rest(name: str, rows: str, precision: Any
     ocp = _thrusters()
     ROWS[rows](ocp)
     condensing = {} if name == "dense" else {"condensing": NoCondensing()}
-    ctrl = build(ocp, Options(qp=SOLVERS[name], precision=precision, **condensing), profile="test")
+    ctrl = build(ocp, Options(qp=SOLVERS[name], precision=precision, algorithm=PURE, **condensing), profile="test")
     for component, size, sign in itertools.product(range(5), (1e-12, 1e-6, 1e-3, 0.1), (1, -1)):
         x = np.zeros(5)
         x[component] = sign * size
@@ -69,7 +69,7 @@ def test_numbers_whose_squares_underflow(name: str) -> None:
     ocp.terminal_least_squares(x, weight=[1.0])
     ocp.subject_to(-1, u, 1)
     condensing = {} if name == "dense" else {"condensing": NoCondensing()}
-    ctrl = build(ocp, Options(qp=SOLVERS[name], precision="single", **condensing), profile="test")
+    ctrl = build(ocp, Options(qp=SOLVERS[name], precision="single", algorithm=PURE, **condensing), profile="test")
     lengths = (1e-8, 1e-12, 1e-20, 1e-42, 2e-43, 3e-44)
     for length, sign in itertools.product(lengths, (1, -1)):
         found = [(ctrl.step([sign * length]), ctrl.status.name)[1] for _ in range(3)]

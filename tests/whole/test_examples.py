@@ -61,7 +61,7 @@ def assert_loop(output: str) -> None:
     """main.c prints the closed loop of the Python controller from (2, 0, 0, 0)."""
     lines = output.splitlines()
     assert len(lines) == 30
-    c, x = problems.controller("crane", "verify"), np.array([2.0, 0.0, 0.0, 0.0])
+    c, x = build(crane.build_ocp(), profile="verify"), np.array([2.0, 0.0, 0.0, 0.0])
     for k, line in enumerate(lines):
         words = line.split()
         assert words[:3] == [str(k), "ok", "x"]
@@ -528,6 +528,6 @@ def test_cortex_m_compiles(folder: Path, tmp_path: Path) -> None:
 
 def test_readme_tells_the_sizes(folder: Path) -> None:
     readme = (folder / "README.md").read_text()
-    for word in (str(problems.controller("crane").nbytes), "-ffast-math", "| x | p, v, phi, omega |"):
+    for word in (str(build(crane.build_ocp(), profile="test").nbytes), "-ffast-math", "| x | p, v, phi, omega |"):
         assert word in readme
     assert not re.search(r"\b(None|Undefined)\b|\{\{|\{%", readme)

@@ -15,16 +15,15 @@ from nmpc_codegen import (
     OptionError,
     Options,
     Osqp,
-    RealTimeIteration,
     RiccatiInteriorPoint,
     Status,
     build,
     export,
 )
 from verification.problems import actuated_pendulum
-from verification.routes import on
+from verification.routes import PURE, on
 
-FIRST = RealTimeIteration(first_control=True)
+FIRST = replace(PURE, first_control=True)
 ROUTES = {route: on(route, algorithm=FIRST) for route in ("dense", "riccati", "partial")}
 
 

@@ -30,8 +30,9 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.package_description import PackageDescription
 from verification.counting import count_mismatches
+from verification.routes import PURE
 
-DENSE = Options(qp=DenseActiveSet(), condensing=FullCondensing())
+DENSE = Options(qp=DenseActiveSet(), condensing=FullCondensing(), algorithm=PURE)
 CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
     "dense": (crane.build_ocp, DENSE),
     "stages": (cart_pole.build_ocp, Options(qp=RiccatiActiveSet())),

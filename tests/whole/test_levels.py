@@ -23,7 +23,7 @@ from nmpc_codegen import (
 from verification import routes
 from verification.problems import actuated_pendulum
 
-LEVELS = RealTimeIteration(levels=True)
+LEVELS = replace(routes.PURE, levels=True)
 ROUTES = {route: routes.on(route, algorithm=LEVELS) for route in routes.ROUTES}
 ROUTES["exact"] = routes.on("dense", hessian=ExactHessian(), algorithm=LEVELS)
 ROWS = ["", "soft", "hard", "closed", "end", "integrated"]
@@ -207,7 +207,7 @@ def distance(algorithm: RealTimeIteration) -> float:
 
 def test_iterations_at_the_predicted_state_bring_the_control_closer() -> None:
     """By level C; the gradient of level B is no more exact than that of the real-time iteration."""
-    plain = RealTimeIteration(shift="repeat")
+    plain = replace(routes.PURE, shift="repeat")
     alone, feasible, ahead = (distance(a) for a in (plain, replace(plain, advance="B"), replace(plain, advance="C")))
     further = distance(replace(plain, advance="C", advance_iterations=3))
     assert alone > 1e-4
@@ -218,7 +218,7 @@ def test_iterations_at_the_predicted_state_bring_the_control_closer() -> None:
 
 def test_options_that_clash() -> None:
     with pytest.raises(OptionError, match=r'advance: "C" clashes with shift=None'):
-        RealTimeIteration(advance="C")
+        RealTimeIteration(shift=None, advance="C")
     with pytest.raises(OptionError, match="advance_iterations: 2 clashes with advance=None"):
         RealTimeIteration(advance_iterations=2)
     with pytest.raises(OptionError, match=r"first_control=True.* clashes with advance"):
@@ -229,7 +229,7 @@ def test_options_that_clash() -> None:
 
 def test_the_law_of_the_first_control_belongs_to_level_a() -> None:
     """After other levels feedback_first() is the whole feedback phase."""
-    algorithm = RealTimeIteration(levels=True, first_control=True)
+    algorithm = replace(routes.PURE, levels=True, first_control=True)
     for route in ("dense", "riccati"):
         ctrl = build(actuated_pendulum(), replace(ROUTES[route], algorithm=algorithm), "test")
         whole = ctrl.copy()
@@ -244,9 +244,9 @@ def test_the_law_of_the_first_control_belongs_to_level_a() -> None:
 @pytest.mark.parametrize("advance", [None, "B"])
 def test_the_worst_case_is_stated(advance: str | None, tmp_path: Any) -> None:
     """Iterations of prepare() are part of the worst case of the preparation phase."""
-    algorithm = RealTimeIteration(shift="repeat", levels=True, advance=advance)
+    algorithm = replace(routes.PURE, shift="repeat", levels=True, advance=advance)
     report = export(actuated_pendulum(), replace(ROUTES["riccati"], algorithm=algorithm), tmp_path).report
-    plain = replace(ROUTES["riccati"], algorithm=RealTimeIteration(shift="repeat"))
+    plain = replace(ROUTES["riccati"], algorithm=replace(routes.PURE, shift="repeat"))
     alone = export(actuated_pendulum(), plain, tmp_path / "plain").report
     more = report["worst_operations"]["prepare"] / alone["worst_operations"]["prepare"]
     assert (more > 3) if advance else (more < 1.5)

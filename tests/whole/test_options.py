@@ -32,6 +32,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.components.base import SEAMS
 from nmpc_codegen.options import REGISTRIES
+from verification.routes import PURE
 
 
 def integrator_ocp(**grid: Any) -> OCP:
@@ -86,7 +87,9 @@ BAD: list[tuple[Callable[[], Any], list[str]]] = [
     (lambda: RealTimeIteration(shift="once"), ["shift: 'once'", "None", "repeat", "periodic", "resample"]),
     (lambda: RealTimeIteration(shift=True), ["shift: True", "repeat"]),
     (lambda: RealTimeIteration(shift="resample"), ["sampling_time: None", "resample"]),
-    (lambda: RealTimeIteration(shift="repeat", sampling_time=0.1), ["sampling_time: 0.1", "'repeat'"]),
+    (lambda: RealTimeIteration(relaxation="hard"), ["relaxation: 'hard'", "auto", "> 0", "None"]),
+    (lambda: RealTimeIteration(repair=-1), ["repair: -1", ">= 0"]),
+    (lambda: RealTimeIteration(tolerance=0.0), ["tolerance: 0.0", "> 0"]),
     (lambda: RealTimeIteration(shift="resample", sampling_time=-1.0), ["sampling_time: -1.0", "> 0"]),
     (lambda: ExplicitRungeKutta(steps=10**9), ["steps: 1000000000", "<= 100000"]),
     (lambda: DenseActiveSet(max_iterations=10**30), ["max_iterations: 1000000000", "<= 2147483647"]),
@@ -168,7 +171,7 @@ def test_choices_are_reported() -> None:
     assert report.count("fewest operations") == 1
     choose_qp_only = generate(integrator_ocp(), Options(condensing=FullCondensing()))["cart.json"]
     assert '"qp: dense_active_set; fewest operations' in choose_qp_only
-    given = Options(ExplicitRungeKutta(), GaussNewton(), FullCondensing(), DenseActiveSet())
+    given = Options(ExplicitRungeKutta(), GaussNewton(), FullCondensing(), DenseActiveSet(), PURE)
     assert '"choices": []' in generate(integrator_ocp(), given)["cart.json"]
 
 

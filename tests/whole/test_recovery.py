@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import OCP, Controller, Options, Status, build
+from verification.routes import PURE
 
 
 def oscillator(name: str = "spring", **initial: float) -> OCP:
@@ -23,7 +24,7 @@ def oscillator(name: str = "spring", **initial: float) -> OCP:
 
 @pytest.fixture(scope="module")
 def controller() -> Controller:
-    return build(oscillator(), Options(), "test")
+    return build(oscillator(), Options(algorithm=PURE), "test")
 
 
 def recovered(controller: Controller, xhat: list[float], samples: int) -> np.ndarray:
@@ -55,7 +56,7 @@ def test_a_spoilt_plan_is_given_up(controller: Controller, value: float) -> None
 def test_a_free_component_does_not_restart_from_a_spoilt_plan() -> None:
     ocp = oscillator("part", initial=0.1)
     ocp.free_initial(ocp.x[1])
-    ctrl = build(ocp, Options(), "test")
+    ctrl = build(ocp, Options(algorithm=PURE), "test")
     peaceful = recovered(ctrl.copy(), [0.4, 0.0], 20)
     ctrl.x[:], ctrl.u[:] = 1e150, 1e150
     recovered(ctrl, [0.4, 0.0], 4)
@@ -82,7 +83,7 @@ CHANGES: dict[str, Change] = {
 
 @pytest.fixture(scope="module")
 def linear() -> Controller:
-    return build(reactor(), Options(), "test")
+    return build(reactor(), Options(algorithm=PURE), "test")
 
 
 def between(controller: Controller, *changes: str) -> tuple[np.ndarray, np.ndarray]:

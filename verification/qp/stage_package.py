@@ -24,7 +24,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.runtime.package_description import Precision
 from verification.oracles.stage_qp import Array, Point, Shape, StageQP, rows_of
-from verification.routes import ROUTES
+from verification.routes import PURE, ROUTES
 
 #: Condensing and QP solver with their default options, by a name.
 SOLVERS = {name: ROUTES[name] for name in ("dense", "riccati", "interior")}
@@ -37,7 +37,7 @@ def options(solver: str, precision: Precision) -> Options:
     condensing, qp = SOLVERS[solver]
     return Options(
         hessian=ExactHessian(regularization=None), condensing=condensing, qp=qp, online=Online(bounds="node"),
-        precision=precision,
+        precision=precision, algorithm=PURE,
     )  # fmt: skip
 
 

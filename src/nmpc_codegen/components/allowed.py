@@ -67,10 +67,11 @@ class Flag:
 
 @dataclass(frozen=True)
 class Whole:
-    """An integer from 1 to ``most``."""
+    """An integer from ``least`` to ``most``."""
 
     most: int = INT_MAX
     optional: bool = False
+    least: int = 1
 
     def converted(self, value: Any) -> Any:
         return value
@@ -78,21 +79,22 @@ class Whole:
     def takes(self, value: Any) -> bool:
         if value is None:
             return self.optional
-        return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= self.most
+        return isinstance(value, int) and not isinstance(value, bool) and self.least <= value <= self.most
 
     def __str__(self) -> str:
-        return f"an integer >= 1 and <= {self.most}" + (" or None" if self.optional else "")
+        return f"an integer >= {self.least} and <= {self.most}" + (" or None" if self.optional else "")
 
 
 @dataclass(frozen=True)
 class Number:
-    """A finite number > ``lower`` (>= ``lower`` if ``closed``) and < ``upper``."""
+    """A finite number > ``lower`` (>= ``lower`` if ``closed``) and < ``upper``, or ``word`` if there is one."""
 
     lower: float = 0.0
     upper: float = math.inf
     closed: bool = False
     optional: bool = False
     unit: str = ""
+    word: str = ""
 
     def converted(self, value: Any) -> Any:
         return value
@@ -100,6 +102,8 @@ class Number:
     def takes(self, value: Any) -> bool:
         if value is None:
             return self.optional
+        if isinstance(value, str):
+            return bool(self.word) and value == self.word
         if isinstance(value, bool) or not isinstance(value, int | float):
             return False
         try:
@@ -112,7 +116,9 @@ class Number:
     def __str__(self) -> str:
         text = f"a finite number {'>=' if self.closed else '>'} {self.lower:g}"
         text += f" and < {self.upper:g}" if math.isfinite(self.upper) else ""
-        return text + (f" ({self.unit})" if self.unit else "") + (" or None" if self.optional else "")
+        text += f" ({self.unit})" if self.unit else ""
+        text += f', "{self.word}"' if self.word else ""
+        return text + (" or None" if self.optional else "")
 
 
 @dataclass(frozen=True)

@@ -264,8 +264,18 @@ class Algorithm(Component, Protocol):
         ...
 
     @property
+    def sampling_time(self) -> float | None:
+        """Time between samples (s) if it is given."""
+        ...
+
+    @property
     def pulls_back(self) -> bool:
         """True if it needs the adjoint of an interval besides its core."""
+        ...
+
+    def decided(self, problem: Problem, repairs: bool) -> tuple[Algorithm, tuple[str, ...]]:
+        """The algorithm with every option chosen that it leaves open for the problem, and the reasons; ``repairs``: the
+        package may iterate on a plan before a sample."""
         ...
 
     def default(self, seam: Seam) -> str | None:
@@ -336,6 +346,9 @@ class Defaults:
 
     def check_parts(self, parts: Parts) -> None:
         return None
+
+    def decided(self, problem: Problem, repairs: bool) -> tuple[Self, tuple[str, ...]]:
+        return self, ()
 
     @property
     def pulls_back(self) -> bool:

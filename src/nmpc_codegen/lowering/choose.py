@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from nmpc_codegen.components.base import Condensing, QpSolver, called
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
+from nmpc_codegen.components.hessians import GaussNewton
 from nmpc_codegen.components.qp import REGISTRY
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
@@ -35,6 +36,11 @@ class Candidate:
     def __str__(self) -> str:
         return f"{self.condensing.label} + {self.qp.name}: {self.operations:,}"
 
+
+#: Controls of the horizon up to which an indefinite reduced Hessian is condensed. Its eigenvalues are mirrored one by
+#: one; the recursion on stages can only shift all controls, and a shift that is large in one direction is too small or
+#: too large in the others: samples of economic problems run away or stand still.
+MOST_MIRRORED = 120
 
 #: A solver that takes at most this many times the fewest operations is close: the worst case decides between them.
 CLOSE = 1.5
@@ -71,6 +77,13 @@ def choose_qp(
         reasons = (*_instead(given, condensing), *grown.warning(problem, condensing))
         return Choice(condensing, options.qp, reasons)
     fitting = list(_pairs(given, options.qp))
+    if (
+        given is None
+        and options.qp is None
+        and _mirrors_few(problem, options)
+        and grown.spares(problem, FullCondensing())
+    ):
+        fitting = list(_pairs(FullCondensing(), None))
     pairs = [pair for pair in fitting if grown.spares(problem, pair[0])] or fitting
     candidates, soft = [], "soft rows" in problem.features
     for stated, qp in pairs:
@@ -96,6 +109,15 @@ def choose_qp(
 
     close = (chosen(c) for c in others if c.operations <= CLOSE * best.operations)
     return replace(chosen(best), rivals=tuple(close))
+
+
+def _mirrors_few(problem: Problem, options: Options) -> bool:
+    """True for a general cost whose Hessian may be indefinite in few controls: eigenvalues of the condensed one can be
+    mirrored. The plain scheme, which neither relaxes rows nor repairs plans, takes the fewest operations."""
+    found = {} if options.hessian is None else options.hessian.switches
+    safe = options.algorithm.switches.get("RELAX") or options.algorithm.switches.get("REPAIR")
+    indefinite = found.get("REGULARIZE_REDUCED") and not problem.features <= GaussNewton.supports
+    return bool(safe and indefinite) and problem.N * problem.nu <= MOST_MIRRORED
 
 
 def _instead(stated: Condensing | None, condensing: Condensing) -> tuple[str, ...]:

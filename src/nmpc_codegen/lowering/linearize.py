@@ -30,7 +30,8 @@ class Model(ModelFunctions):
     """The problem, the components that solve it with the reasons for their choice, and every function of the package.
 
     ``choice``: condensing and QP solver with their reasons, if the algorithm has a QP; ``reasons``: those for other
-    parts. ``constant_hessian``: the path Hessian block is the same at all nodes.
+    parts. ``constant_hessian``: the path Hessian block is the same at all nodes. ``nonlinear_rows``: a hard row
+    is no affine function of states and controls.
     """
 
     problem: Problem
@@ -42,6 +43,7 @@ class Model(ModelFunctions):
     reasons: tuple[str, ...]
     choice: Choice | None
     constant_hessian: bool
+    nonlinear_rows: bool
     goal: Goal = "speed"
     processor: Processor | None = "vector"
 
@@ -81,6 +83,8 @@ def linearize(problem: Problem, options: Options) -> Model:
         raise ProblemError(f"OCP '{problem.name}': lqr_terminal_cost() is open; compiler.stated() computes it")
     options, of_hessian = choose_hessian(problem, options)
     options = options.with_defaults
+    algorithm, of_algorithm = options.algorithm.decided(problem, options.solve and options.processor == "vector")
+    options = replace(options, algorithm=algorithm)
     online = options.online
     path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
     problem = replace(problem, path=path, terminal=terminal)
@@ -107,9 +111,10 @@ def linearize(problem: Problem, options: Options) -> Model:
         solve=options.solve,
         goal=options.goal,
         processor=options.processor,
-        reasons=(*choices, *stability_warning(problem, integrator), *of_hessian, *notes),
+        reasons=(*choices, *stability_warning(problem, integrator), *of_hessian, *of_algorithm, *notes),
         choice=choice,
         constant_hessian=constant,
+        nonlinear_rows=_nonlinear_rows(problem),
     )
 
 
@@ -184,6 +189,29 @@ def _constant_hessian(problem: Problem, online: Online, functions: ModelFunction
     varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
     varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
     return path.hessian is not None and path.curvature is None and not varying & _inputs_read(path.hessian)
+
+
+def _nonlinear_rows(problem: Problem) -> bool:
+    """True if a hard general or coupled row is no affine function of states and controls."""
+    curved: dict[str, set[int]] = {}
+    for name, stage in (("path", problem.path), ("terminal", problem.terminal)):
+        z = ca.vertcat(stage.x, stage.u)
+        curved[name] = _curved(stage.h, z) if stage.nh else set()
+    if problem.coupled is not None:
+        ends = ca.SX.sym("x_0", problem.nx), ca.SX.sym("x_N", problem.nx)
+        curved["coupled"] = _curved(problem.coupled(*ends), ca.vertcat(*ends))
+    return any(
+        row.index in curved["coupled"]
+        if row.kind == "coupled"
+        else row.index in curved["path"] or row.index_terminal in curved["terminal"]
+        for row in problem.rows
+        if row.soft is None and row.kind in ("general", "coupled")
+    )
+
+
+def _curved(h: ca.SX, z: ca.SX) -> set[int]:
+    """Numbers of the elements of h that are no affine functions of z."""
+    return {i for i, bent in enumerate(ca.which_depends(h, z, 2, True)) if bent}
 
 
 def _choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:

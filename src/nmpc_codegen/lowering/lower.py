@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from nmpc_codegen.components.algorithms.shifts import sampled
 from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.components.core import PARTS, core_structs
 from nmpc_codegen.errors import OptionError
@@ -173,6 +174,7 @@ def _switches(model: Model) -> dict[str, int]:
         "LAGRANGIAN": 0,
         "START_IS_MEASURED": 0,
         "TUNED": 0,
+        "REPAIR": 0,
         "HOST_LANES": 1,
         "HOST_AVX512": 0,
         "TILES": 0,
@@ -190,7 +192,9 @@ def _switches(model: Model) -> dict[str, int]:
     switches["ACCELERATE"] = int(not switches["LAGRANGIAN"])
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
-    switches |= {"RELAXATION": int(relaxable), "ELASTIC": int(elastic)}
+    nonlinear = bool(switches["HAS_QP"] and model.nonlinear_rows)
+    switches |= {"RELAXATION": int(relaxable), "ELASTIC": int(elastic), "NONLINEAR_ROWS": int(nonlinear)}
+    switches["ROW_SCALES"] = int(relaxable or nonlinear)
     switches |= _gradients_of_cost(model, switches, eliminates)
     checked = eliminates and not switches.get("APPROXIMATE", 0)
     gradient = condensing is not None and checked and condensing.gives == "condensed"
@@ -467,6 +471,7 @@ def _description(
         discrete=p.discrete,
         statuses=tuple(Status.__members__),
         shift=model.parts.algorithm.shift,
+        sampling_time=sampled(model.parts.algorithm.shift, model.parts.algorithm.sampling_time, p),
         entry_points=model.parts.algorithm.entries(model.solve),
         online=model.online.layouts,
         options=repr(model.options),

@@ -197,11 +197,11 @@ def rows(module: CModule) -> list[Definition]:
 
 
 def _hard_penalty(sizes: Mapping[str, int]) -> str:
-    """Penalty of a hard row of a relaxed QP; in solve() of a violation in the scale of the row, where that is known."""
-    if not (sizes["SOLVE"] and sizes["HARD_ROWS"]):
+    """Penalty of a hard row of a relaxed QP: that of a violation in the scale of the row, where that is known."""
+    if not sizes["HARD_ROWS"]:
         return "((s)->relaxation)"
-    scale = "(s)->sqp.row_scale[row_id[m]]"
-    return f"(((s)->sqp.elastic && {scale} > R(0)) ? (s)->relaxation / {scale} : (s)->relaxation)"
+    scale = "(s)->row_scale[row_id[m]]"
+    return f"(((s)->relaxation < INF && {scale} > R(0)) ? (s)->relaxation / {scale} : (s)->relaxation)"
 
 
 def _row_kinds(sizes: Mapping[str, int]) -> dict[str, int]:

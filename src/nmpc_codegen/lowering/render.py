@@ -137,7 +137,7 @@ def _names(module: CModule) -> dict[str, Any]:
         "resolved": lambda template: resolve(environment().get_template(template).render(names), module.sizes).rstrip(),
         "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
         "initial": ", ".join(style.literal(v) for s in module.description.states for v in s.value),
-        "dt": style.literal(module.description.dt[0]),
+        "dt": style.literal(module.description.sampling_time or module.description.dt[0]),
     }
     return names
 

@@ -23,7 +23,7 @@ from nmpc_codegen.runtime.compiled import COUNTERS, NEWTON, CompiledPackage, ali
 from nmpc_codegen.runtime.given import checked_array, checked_bound, is_integer, level_number, ndim, stored_weight
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
-from nmpc_codegen.runtime.status import KKT_PARTS, Kkt, Stats, Status, diagnosis
+from nmpc_codegen.runtime.status import Kkt, Stats, Status, diagnosis
 
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
@@ -54,6 +54,7 @@ class Controller:
         self._xhat, self._xhat_c = self._buffer(self.dims.nx)
         self._u0, self._u0_c = self._buffer(self.dims.nu)
         self._phases = self._functions("prepare", "feedback")
+        self._starts_at_measured = "REPAIRS" in self.description.sizes
         self._prepare_ns = 0
         self._feedback_ns = 0
         self._expect(self._call("init", self._s), "init")
@@ -65,16 +66,16 @@ class Controller:
 
         Args:
             xhat: measured state, shape (nx,). NaN is not an error here: the status is NOT_FINITE, the control is safe.
-            on_failure: "status" stores the outcome in ``status``; "raise" raises ControllerError unless it is OK.
+            on_failure: "status" stores the outcome in ``status``; "raise" raises ControllerError after a failure.
 
         Returns:
             Control to apply, shape (nu,): a new array, finite and inside its bounds whatever the status.
         """
         self._measure(xhat)
         start = perf_counter_ns()
-        if self._phases is None:
+        if self._phases is None or (self._starts_at_measured and self._struct["samples"] == 0):
             status = self._call("step", self._s, self._xhat_c, self._u0_c)
-            self._feedback_ns = perf_counter_ns() - start
+            self._feedback_ns, self._prepare_ns = perf_counter_ns() - start, 0
         else:
             prepare, feedback = self._phases
             prepared = prepare(self._s)
@@ -83,8 +84,7 @@ class Controller:
             self._feedback_ns = perf_counter_ns() - middle
             self._prepare_ns = middle - start
             if prepared:
-                status = prepared
-                self._struct["status"] = prepared
+                status = self._struct["status"] = prepared
         if on_failure != "status":
             self._judge(status, "step", on_failure)
         return self._u0.copy()
@@ -353,22 +353,26 @@ class Controller:
     @property
     def stats(self) -> Stats:
         """Counters, residuals and times of the last call; counters that the algorithm does not have are 0."""
-        members = self.description.members("solver")
-        found: Any = self._struct["stats"] if "stats" in members else {}
+        found: Any = self._struct["stats"] if "stats" in self.description.members("solver") else {}
         counts = _NO_COUNTS | {name: found[name] for name in self.description.members("stats")}
-        solved = self._struct["kkt"].__getitem__ if "kkt" in members else lambda _: math.nan
-        last = Kkt.read(solved, self.description.members("kkt") or KKT_PARTS)
         return Stats(
             **{name: int(counts[name]) for name in (*COUNTERS[:5], *NEWTON)},
             violated_row=self._violated_row(),
             violated_node=int(counts["violated_node"]) if self._violated_row() else None,
             violation=float(counts["violation"]),
-            kkt=last,
+            kkt=self.kkt() if self.description.members("kkt") else Kkt.read(lambda _: math.nan),
             prepare_ns=self._prepare_ns,
             feedback_ns=self._feedback_ns,
             stale_hessian=bool(counts.get("stale_hessian", 0)),
             first_deviation=float(counts.get("first_deviation", 0)),
+            residual=float(counts["residual"] if "residual" in counts else counts["violation"]),
+            repairs=int(counts.get("repairs", 0)),
         )
+
+    @property
+    def time_ns(self) -> int:
+        """Time (ns) of the last prepare() and feedback() together, or of step()."""
+        return self._prepare_ns + self._feedback_ns
 
     @property
     def cost(self) -> float:
@@ -464,7 +468,7 @@ class Controller:
         return Status(status)
 
     def _expect(self, status: int, call: str, what: str = "") -> None:
-        if status:
+        if Status(status).is_failure:
             self._fail(Status(status), call, what)
 
     def _fail(self, status: Status, call: str, what: str) -> NoReturn:

@@ -281,6 +281,7 @@ class PackageDescription:
     discrete: bool
     statuses: tuple[str, ...]
     shift: str | None
+    sampling_time: float | None  # s, for which the package is made; None: any
     entry_points: tuple[EntryPoint, ...]
     online: Layouts
     options: str

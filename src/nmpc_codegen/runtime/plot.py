@@ -35,7 +35,7 @@ STYLE = {
     "font.size": 9,
 }
 STATE_COLOR, CONTROL_COLOR, ROW_COLOR = "#1f5fa8", "#c2571a", "#3f7d4e"
-BOUND_COLOR, FAILURE_COLOR = "0.45", "#b3202c"
+BOUND_COLOR, DOUBT_COLOR, FAILURE_COLOR = "0.45", "#d98c00", "#b3202c"
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,14 @@ class Curve:
 
 
 def draw(
-    curves: Sequence[Curve], title: str, time_label: str, failed: bool, file: str | os.PathLike[str] | None
+    curves: Sequence[Curve],
+    title: str,
+    time_label: str,
+    marks: tuple[Array, Array],
+    file: str | os.PathLike[str] | None,
 ) -> Any:
-    """Figure with one axis per curve. If it is written to a file, neither a display nor pyplot is needed."""
+    """Figure with one axis per curve, with marks at the times of doubtful and of failed samples. If it is written to a
+    file, neither a display nor pyplot is needed."""
     import matplotlib as mpl  # imported here, so that it is loaded only for a plot
     from matplotlib.figure import Figure
 
@@ -90,10 +95,14 @@ def draw(
             dots: dict[str, Any] = {"marker": ".", "markersize": 4.0} if curve.dots else {}
             axis.plot(curve.t, curve.values, color=curve.color, linewidth=1.6, drawstyle=style, **dots)
             _decorate(axis, curve.trace, curve.values)
+            for times, color in zip(marks, (DOUBT_COLOR, FAILURE_COLOR), strict=True):
+                if not len(times):
+                    continue
+                axis.plot(times, np.zeros(len(times)), "|", color=color, transform=axis.get_xaxis_transform(), zorder=4)
         for axis in axes[len(curves) :]:
             axis.set_visible(False)
         _finish(figure, grid, time_label, curves[0].t)
-        figure.suptitle(title, fontsize=10, color=FAILURE_COLOR if failed else "0.2")
+        figure.suptitle(title, fontsize=10, color=FAILURE_COLOR if len(marks[1]) else "0.2")
         if file is not None:
             figure.savefig(Path(file), dpi=160)
     return figure

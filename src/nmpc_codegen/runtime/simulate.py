@@ -30,6 +30,7 @@ LOG_BYTES = 2**31  # a larger log may not fit into memory, and the run would tak
 LOG_COLUMNS = 4  # status, cost, time and t
 LONG_RUN = 200  # number of steps from which a progress bar is shown
 SAME = 1e-6  # relative tolerance within which a row equals a signal, in single precision too
+SAME_TIME = 1e-9  # relative difference of two sampling times that is rounding
 STEP_SLACK = 1e-9  # relative tolerance: dt = 3 intervals, computed as a sum of floats, is 3 steps, not 4
 
 
@@ -76,7 +77,7 @@ class Log:
         failed = np.flatnonzero(self.status != Status.OK)
         if len(failed):
             when = f"sample {failed[0]}, t = {self.t[failed[0]]:g} {self.time_unit}"
-            lines.append(f"first failure: {when}: " + "\n    ".join(self.failure.splitlines()))
+            lines.append(f"first that was not OK: {when}: " + "\n    ".join(self.failure.splitlines()))
         if len(self.time_ns):
             median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
             lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")
@@ -84,7 +85,8 @@ class Log:
         return "\n".join(lines)
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Plot states, controls and general path rows over time, with dashed bounds where a curve comes near.
+        """Plot states, controls and general path rows over time, with dashed bounds where a curve comes near. Marks at
+        the lower edge: samples that failed, red, and those whose status is RELAXED or NOT_CONVERGED, orange.
 
         Args:
             file: file for the picture (.png, .pdf, .svg); None: only return the figure, for plt.show().
@@ -102,7 +104,9 @@ class Log:
         failed = int(np.sum(self.status != Status.OK))
         note = f"{len(self.u)} samples" + (f", {failed} not OK" if failed else "")
         time = "time [s]" if self.time_unit == "s" else "sample"
-        return draw(curves, f"{self.name}  ({note})", time, failed > 0, file)
+        doubtful = np.isin(self.status, (Status.RELAXED, Status.NOT_CONVERGED))
+        marks = (self.t[:-1][doubtful], self.t[:-1][(self.status != Status.OK) & ~doubtful])
+        return draw(curves, f"{self.name}  ({note})", time, marks, file)
 
 
 def simulate(
@@ -121,7 +125,8 @@ def simulate(
         ctrl: the controller.
         x0: initial state of the plant, shape (nx,).
         steps: number of samples, >= 0.
-        dt: sampling time (s); by default the first interval of the controller. Leave it out for a discrete map.
+        dt: sampling time (s); by default that of the controller, or its first interval if any will do, as with
+            shift=None. Leave it out for a discrete map.
         plant: plant(x, u, dt) -> next x; by default the integrator of the package, in equal steps no longer than the
             controller's first interval.
         disturbance: disturbance(k, x) -> value added to the state after sample k; x is the state before this sample.
@@ -149,8 +154,7 @@ def simulate(
         if reference is not None:
             reference(k, ctrl)
         u[k] = ctrl.step(x[k])
-        stats = ctrl.stats
-        status[k], cost[k], time_ns[k] = ctrl.status, ctrl.cost, stats.prepare_ns + stats.feedback_ns
+        status[k], cost[k], time_ns[k] = ctrl.status, ctrl.cost, ctrl.time_ns
         if status[k] != Status.OK and not failure:
             failure = ctrl.diagnose()
         h[k] = rows.values(x[k], u[k])
@@ -222,13 +226,18 @@ def _check_steps(steps: object, ctrl: Controller, rows: int) -> None:
 
 
 def _interval(ctrl: Controller, dt: float | None) -> float:
-    own = ctrl.description.dt[0]
+    own, sampled = ctrl.description.dt[0], ctrl.description.sampling_time
     if dt is None:
-        return own
+        return sampled or own
     if not is_positive(dt):
         raise ControllerError(f"dt is {dt!r}; expected a positive number of seconds")
     if ctrl.description.discrete and dt != own:
         raise ControllerError(f"dt is {dt!r}, but the dynamics are a discrete map of dt = {own!r}: leave dt out")
+    if sampled is not None and not math.isclose(dt, sampled, rel_tol=SAME_TIME):
+        raise ControllerError(
+            f"dt is {dt!r}, but the plan is shifted by {sampled!r} s before every sample: state the sampling time by "
+            f"RealTimeIteration(sampling_time={dt!r}), or shift nothing, shift=None"
+        )
     return float(dt)
 
 

@@ -66,6 +66,16 @@ class Status(IntEnum):
         "a subproblem was given up",
         "an iteration of solve() was given up by its QP solver, and so was its relaxation",
     )
+    NOT_CONVERGED = (
+        13,
+        "the plan does not satisfy the model to the tolerance",
+        "the QP was solved and the control is safe, but the plan is far from the model or its rows",
+    )
+
+    @property
+    def is_failure(self) -> bool:
+        """True unless the control is that of a QP with all its rows: OK, or NOT_CONVERGED, where more samples help."""
+        return self not in (Status.OK, Status.NOT_CONVERGED)
 
     def __str__(self) -> str:
         return f"{self.name}: {self.meaning}"
@@ -128,6 +138,11 @@ class Stats:
     ``newton_iterations``, ``accepted``, ``faces``, ``cg_iterations``, ``shifts``, ``negative_curvature``: those of the
     augmented Lagrangian, whose ``violation`` is the largest gap or violation of a hard row in its scale; else 0. Single
     shooting has them without ``shifts``, and ``simulations`` of the plan.
+    ``residual``: of the plan at which the QP of the last sample was linearised: its largest gap in the scale of the
+    state, and the largest difference of a hard row from what the step before predicted for it, in the scale of the row;
+    above ``RealTimeIteration(tolerance=...)`` the status is NOT_CONVERGED. Of the augmented Lagrangian and of single
+    shooting it is that of the plan itself. ``repairs``: linearisations that prepare() has added to lower it.
+    ``kkt``: of the present plan.
     ``first_deviation``: largest difference between the control of feedback_finish() and that of feedback_first().
     ``stale_hessian``: parameters, weights or bounds are not those for which a constant Hessian was computed.
     """
@@ -152,10 +167,13 @@ class Stats:
     shifts: int = 0
     negative_curvature: int = 0
     simulations: int = 0
+    residual: float = 0.0
+    repairs: int = 0
 
     def __str__(self) -> str:
         lines = [*(self._newton() if self.newton_iterations else self._qp())]
         lines += [
+            f"plan: residual {self.residual:.1e} after {self.repairs} repairs",
             f"KKT: {self.kkt}",
             f"time: prepare {self.prepare_ns / 1e3:.1f} us, feedback {self.feedback_ns / 1e3:.1f} us",
         ]
@@ -250,7 +268,7 @@ def _worst_row(ctrl: Any) -> list[str]:
         return []
     return [
         f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}: make it soft "
-        "(soft=(l1, l2)), widen it, or choose RealTimeIteration(relaxation=...)"
+        '(soft=(l1, l2)), widen it, or keep RealTimeIteration(relaxation="auto")'
     ]
 
 
@@ -287,6 +305,14 @@ def _advice(ctrl: Any) -> list[str]:
             lines.append('rounding may be the cause: try Options(precision="double")')
         lines.append("check the scales of states, controls and rows; after further failures the plan restarts")
         lines.append("try another QP solver, Options(qp=...), or Options(hessian=GaussNewton())")
+    elif status == Status.NOT_CONVERGED:
+        lines += _largest_gap(ctrl)
+        lines.append(
+            f"residual of the plan that was linearised: {ctrl.stats.residual:.2g}; one QP per sample does not follow it"
+        )
+        if "repair=0" in options:
+            lines.append("let prepare() repair the plan: RealTimeIteration(repair=3)")
+        lines.append("call solve() before the first step(), sample more often, or bound the states")
     elif status == Status.NOT_PREPARED:
         lines.append("call prepare() before feedback(), or step()")
     return lines

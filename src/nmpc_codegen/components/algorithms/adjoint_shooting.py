@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nmpc_codegen.components.algorithms.real_time_iteration import PHASES, SOLVE
-from nmpc_codegen.components.algorithms.scales import cost_curvature, row_scales, variable_scales
+from nmpc_codegen.components.algorithms.scales import cost_curvature, row_scales, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
@@ -94,6 +94,7 @@ class AdjointShooting(Defaults):
     steps of 4 trials by default.
 
     ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration.
+    ``tolerance``: violation of a hard row in its scale above which a sample is NOT_CONVERGED.
     """
 
     method: str = option("gauss_newton", Words(METHODS))
@@ -103,6 +104,7 @@ class AdjointShooting(Defaults):
     trials: int | None = option(None, Whole(most=MAX_TRIALS, optional=True))
     rows: str = option("augmented_lagrangian", Words(ROWS))
     penalty: float | None = option(None, Number(optional=True))
+    tolerance: float = option(0.1, Number())
     shift: str | None = option(None, Words(SHIFTS))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
 
@@ -157,7 +159,7 @@ class AdjointShooting(Defaults):
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for shifts that clash with the grid, and for an integrated cost with Gauss-Newton."""
-        check_shift("AdjointShooting", self.shift, problem)
+        check_shift("AdjointShooting", self.shift, self.sampling_time, problem)
         if self.second_order and problem.path.cost_rate is not None:
             raise OptionError(
                 f"{problem.name} has an integrated cost, which AdjointShooting() does not support with "
@@ -202,6 +204,7 @@ class AdjointShooting(Defaults):
             Table("is_accumulator", "int", tuple(accumulators), "1: the state starts at 0 at every sample"),
             Table("control_scale", "real", tuple(scale[problem.nx :]), "scales of the controls"),
             Table("penalty_weight", "real", (self._penalty(problem),), "weight of the rows in their scales"),
+            tolerance_table(self.tolerance),
             Table("row_weight", "real", tuple(weights), "1 / scale^2 of row m"),
             Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
             Table("terminal_row", "int", terminal, "row m that is terminal row t of the model"),
@@ -246,7 +249,7 @@ class AdjointShooting(Defaults):
         )
 
     def reach(self, problem: Problem) -> float:
-        return resample_reach(self.sampling_time, problem)
+        return resample_reach(self.shift, self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         controls, followed = dims.N.value * dims.nu.value, self.rows in FOLLOWED

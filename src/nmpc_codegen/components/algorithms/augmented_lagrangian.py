@@ -23,7 +23,7 @@ from nmpc_codegen.components.algorithms.real_time_iteration import (
     PHASES,
     SOLVE,
 )
-from nmpc_codegen.components.algorithms.scales import row_scales, variable_scales
+from nmpc_codegen.components.algorithms.scales import row_scales, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
@@ -59,7 +59,7 @@ class AugmentedLagrangian(Defaults):
     of the trust region at the start of a sample. Both are in scaled variables, and so is the penalty of the gaps.
     ``scaling``: "units", variables as they are; "declared", divided by their declared initial value or bounds. Rows
     are always divided by their declared magnitude. ``shift`` and ``sampling_time``: how the plan moves before every
-    prepare, as in RealTimeIteration.
+    prepare, as in RealTimeIteration. ``tolerance``: stats.residual above which a sample is NOT_CONVERGED.
     """
 
     iterations: int = option(3, Whole(most=1000))
@@ -67,6 +67,7 @@ class AugmentedLagrangian(Defaults):
     proximal: float = option(0.1, Number(closed=True))
     radius: float = option(10.0, Number())
     scaling: str = option("units", Words(("units", "declared")))
+    tolerance: float = option(0.1, Number())
     shift: str | None = option(None, Words(SHIFTS))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
 
@@ -125,7 +126,7 @@ class AugmentedLagrangian(Defaults):
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for shifts that clash with the grid, and for coupled rows with a free x_0."""
-        check_shift("AugmentedLagrangian", self.shift, problem)
+        check_shift("AugmentedLagrangian", self.shift, self.sampling_time, problem)
         if problem.coupled_rows and problem.free_initial:
             raise OptionError(
                 "AugmentedLagrangian() reads the measured state where a coupled row reads x_0, and clashes with "
@@ -143,6 +144,7 @@ class AugmentedLagrangian(Defaults):
         relaxed = tuple(2 * int(s) or int(kind != 0) for (_, kind, _, _), s in zip(rows, soft, strict=True))
         return (
             *initial_tables(problem),
+            tolerance_table(self.tolerance),
             Table("penalty_weight", "real", (float(self.penalty),), "penalty of gaps and rows in their scales"),
             Table("proximal_weight", "real", (float(self.proximal),), "weight of the proximal term"),
             Table("initial_radius", "real", (float(self.radius),), "of the trust region"),
@@ -156,7 +158,7 @@ class AugmentedLagrangian(Defaults):
         )
 
     def reach(self, problem: Problem) -> float:
-        return resample_reach(self.sampling_time, problem)
+        return resample_reach(self.shift, self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
@@ -210,6 +212,7 @@ def _stats() -> Struct:
             count("negative_curvature", "directions of negative curvature"),
             count("sqp_iterations", "iterations of the last solve"),
             Field("violation", (), "largest gap or violation of a hard row, scaled", "result"),
+            Field("residual", (), "the same in the scale of states and rows", "result"),
         ),
     )
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from nmpc_codegen.components.algorithms.scales import tolerance_table
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
+    auto_shift,
     check_sampling_time,
     check_shift,
     initial_tables,
@@ -93,6 +95,11 @@ MAX_ATTEMPTS = 2
 MAX_WATCHED = 4
 #: Samples in a row without success, or without convergence, until more of the plan is given up.
 PATIENCE = 10
+#: Trial points of a step that repairs the plan.
+REPAIR_TRIALS = 4
+#: Weight that relaxation="auto" stands for.
+RELAXATION = 1e5
+_SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
 @dataclass(frozen=True)
@@ -101,11 +108,18 @@ class RealTimeIteration(Defaults):
 
     None: not at all. "repeat": by one interval; the last control is repeated and the last state integrated. "periodic":
     by one interval; the first control becomes the last one, the states are integrated again, and accumulators start at
-    0. "resample": the old plan is evaluated ``sampling_time`` (s) later, on any grid. "repeat" and "periodic" are
-    right only if the sampling time equals the first interval.
+    0. "resample": the old plan is evaluated ``sampling_time`` (s) later, on any grid. "auto": None where x_0 is more
+    than a measured state, or the grid is not uniform; else "resample" if a ``sampling_time`` is given that differs from
+    the interval, "repeat" if not. ``sampling_time`` goes with every shift; "repeat" and "periodic" are for that of one
+    interval.
+
+    ``repair``: linearisations that prepare() may add at the predicted x_0, each with a QP and a step that is shortened
+    until it reduces stats.residual, while that is above ``tolerance`` or after a sample that failed; 0: none.
+    ``tolerance``: stats.residual above which a sample is NOT_CONVERGED.
 
     ``relaxation``: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
-    is then RELAXED. None: the status is INFEASIBLE, and the plan does not change.
+    is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e5. None: the
+    status is INFEASIBLE, and the plan does not change. repair=0, shift=None, relaxation=None: the pure scheme.
 
     ``first_control``: splits the feedback phase. feedback_first() returns the control of the minimiser on the predicted
     working set, clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
@@ -118,9 +132,11 @@ class RealTimeIteration(Defaults):
     CDC 2019, advanced step real-time iteration. There, D is the level that evaluates everything; here it is A.
     """
 
-    shift: str | None = option(None, Words(SHIFTS))
+    shift: str | None = option("auto", Words(("auto", *SHIFTS)))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
-    relaxation: float | None = option(None, Number(optional=True))
+    repair: int = option(3, Whole(most=100, least=0))
+    tolerance: float = option(0.1, Number())
+    relaxation: float | str | None = option("auto", Number(optional=True, word="auto"))
     first_control: bool = option(False, Flag())
     levels: bool = option(False, Flag())
     advance: str | None = option(None, Words((None, "B", "C")))
@@ -153,6 +169,19 @@ class RealTimeIteration(Defaults):
                 'advance="B" or "C" (--set algorithm.advance=C)'
             )
 
+    def decided(self, problem: Problem, repairs: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
+        """The shift and the relaxation that "auto" stands for; no repair in a package that cannot."""
+        found, reasons = self, []
+        if self.shift == "auto":
+            shift, why = auto_shift(self.sampling_time, problem)
+            found, reasons = replace(found, shift=shift), [f"shift: {shift}; {why}"]
+        if self.relaxation == "auto":
+            found = replace(found, relaxation=RELAXATION)
+        if self.repair and not repairs:
+            found = replace(found, repair=0)
+            reasons.append("repair: 0; a package without solve() or for a microcontroller has none")
+        return found, tuple(reasons)
+
     def default(self, seam: Seam) -> str | None:
         """Gauss-Newton; the compiler chooses integrator, condensing and QP solver for the problem."""
         return "gauss_newton" if seam == "hessian" else None
@@ -181,11 +210,12 @@ class RealTimeIteration(Defaults):
             "FIRST": int(self.first_control),
             "LEVELS": int(self.leveled),
             "ADVANCED": int(self.advance is not None),
+            "REPAIR": self.repair,
         }
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for a shift that clashes with the grid, and for a first control with a free x_0."""
-        check_shift("RealTimeIteration", self.shift, problem)
+        check_shift("RealTimeIteration", self.shift, self.sampling_time, problem)
         if self.first_control and problem.free_initial:
             raise OptionError(
                 f"{_WITH_FIRST} clashes with free_initial(): a control that depends on components of x_0 which are not "
@@ -206,13 +236,19 @@ class RealTimeIteration(Defaults):
             "relaxation_weight",
             "real",
             (math.inf if self.relaxation is None else float(self.relaxation),),
-            "l1 penalty of hard rows if the QP is infeasible; infinite: they stay hard",
+            "l1 weight of hard rows, in their scales, if the QP is infeasible; infinite: they stay hard",
         )
-        return (*initial_tables(problem), relaxation, *resample_tables(self.shift, self.sampling_time, problem))
+        tolerance = tolerance_table(self.tolerance)
+        return (
+            *initial_tables(problem),
+            relaxation,
+            tolerance,
+            *resample_tables(self.shift, self.sampling_time, problem),
+        )
 
     def reach(self, problem: Problem) -> float:
         """With shift="resample": from the last node of the plan before a new node; rounding may pass over a node."""
-        return resample_reach(self.sampling_time, problem)
+        return resample_reach(self.shift, self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         levels = (
@@ -228,6 +264,7 @@ class RealTimeIteration(Defaults):
         return (
             *(levels if self.leveled else ()),
             *(ahead if self.advance is not None else ()),
+            *(_repairs(self.repair) if self.repair else ()),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
@@ -241,7 +278,10 @@ class RealTimeIteration(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            *((Field("samples", (), "feedbacks since init or reset", "keep", "int32"),) if self.shift else ()),
+            *((_SAMPLES,) if self.shift or self.repair else ()),
+            *((Field("was_far", (), "1: the sample before left a residual", "keep", "int32"),) if self.repair else ()),
+            Field("row_residual", (), "of the hard rows, left by the last step", "keep", only="NONLINEAR_ROWS"),
+            Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only="ROW_SCALES"),
             Field(
                 "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
             ),
@@ -261,7 +301,7 @@ class RealTimeIteration(Defaults):
         return (
             *((_first(dims),) if self.first_control else ()),
             *((_levels(dims),) if self.leveled else ()),
-            _stats(),
+            _stats(self.repair),
             _step(dims),
             _measures(),
             _change(),
@@ -277,6 +317,14 @@ class RealTimeIteration(Defaults):
         at_ends = operations(model.start.gradient, terminal.gradient, terminal.rows, model.coupled)
         added = OpCount(add=dims.nx.value if model.start.gradient.writes else 0)
         return {"linearize": node * dims.N.value + at_ends + added}
+
+
+def _repairs(most: int) -> tuple[tuple[str, int, str], ...]:
+    """The bounds of the work of prepare()."""
+    return (
+        ("REPAIRS", most, "linearisations that repair a plan, at most"),
+        ("REPAIR_TRIALS", REPAIR_TRIALS, "lengths that are tried of a step that repairs a plan, at most"),
+    )
 
 
 def _watched(dims: Dims) -> tuple[Field, ...]:
@@ -320,7 +368,7 @@ def _levels(dims: Dims) -> Struct:
     )
 
 
-def _stats() -> Struct:
+def _stats(repair: int) -> Struct:
     """Counters of the last sample, and the row that it could not satisfy."""
 
     def count(name: str, doc: str) -> Field:
@@ -342,6 +390,8 @@ def _stats() -> Struct:
             count("violated_row", "hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1"),
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of this row by the last step of the QP", "result"),
+            Field("residual", (), "of the plan that was linearised: scaled gaps and hard rows", "result"),
+            *((count("repairs", "linearisations that have repaired it"),) if repair else ()),
             Field("first_deviation", (), "control of the QP less that of feedback_first()", "result", only="FIRST"),
         ),
     )
@@ -409,7 +459,6 @@ def _line_search(dims: Dims) -> Struct:
             Field("watched", (), "steps taken that the filter rejected", "scratch", "int32", only="ACCELERATE"),
             Field("milestone", (), "square at the first of them", "scratch", only="ACCELERATE"),
             Field("state_scale", (dims.nx,), "scales of the states", "scratch"),
-            Field("row_scale", (dims.nr,), "scales of the rows", "scratch", only="HARD_ROWS"),
             Field("row_weight", (), "penalty of the rows in the elastic QP", "scratch", only="HARD_ROWS"),
             Field("filter", (Size("FILTER", FILTER),), "pairs that the filter rejects", "scratch", "measures"),
             Field("entries", (), "entries of the filter", "scratch", "int32"),

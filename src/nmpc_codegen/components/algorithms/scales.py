@@ -8,6 +8,12 @@ import numpy as np
 from nmpc_codegen.components.stage_cost import stage_cost
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.ir.cmodule import Table
+
+
+def tolerance_table(tolerance: float) -> Table:
+    """What a sample may leave of gaps and rows, in their scales, before it is NOT_CONVERGED."""
+    return Table("residual_tolerance", "real", (float(tolerance),), "residual of a plan that is converged")
 
 
 def variable_scales(problem: Problem) -> Array:

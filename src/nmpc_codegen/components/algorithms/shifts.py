@@ -10,18 +10,55 @@ from nmpc_codegen.ir.cmodule import Table
 
 SHIFTS = (None, "repeat", "periodic", "resample")
 
+#: Relative difference of two times that is rounding.
+SAME_TIME = 1e-9
+
 
 def check_sampling_time(algorithm: str, shift: str | None, sampling_time: float | None) -> None:
-    """Raise OptionError unless a sampling time is given exactly with shift="resample"."""
-    if (sampling_time is not None) != (shift == "resample"):
+    """Raise OptionError for shift="resample" without a sampling time."""
+    if sampling_time is None and shift == "resample":
         raise OptionError(
-            f'{algorithm}.sampling_time: {sampling_time!r} with shift={shift!r}; shift="resample" '
-            "requires it, no other shift allows it (--set algorithm.shift=... --set algorithm.sampling_time=...)"
+            f'{algorithm}.sampling_time: None with shift="resample", which requires it '
+            "(--set algorithm.sampling_time=...)"
         )
 
 
-def check_shift(algorithm: str, shift: str | None, problem: Problem) -> None:
-    """Raise OptionError for a shift by one interval on a non-uniform grid, or for resampling a discrete map."""
+def auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | None, str]:
+    """What shift="auto" is for a problem, and the reason."""
+    reasons = {
+        "a non-uniform grid": not problem.uniform,
+        "free components of x_0": bool(problem.free_initial),
+        "accumulators": bool(problem.accumulators),
+        "rows that couple x_0 and x_N": bool(problem.coupled_rows),
+    }
+    for reason, holds in reasons.items():
+        if holds:
+            other = "repeat" if problem.uniform else "resample"
+            other = "periodic" if problem.coupled_rows and problem.uniform else other
+            return None, f'the problem has {reason}; shift="{other}" moves the plan all the same'
+    if sampling_time is not None and not is_same(sampling_time, problem.dt[0]):
+        return "resample", f"the sampling time {sampling_time:g} differs from the interval {problem.dt[0]:g}"
+    return "repeat", "a sample is one interval"
+
+
+def is_same(sampling_time: float, interval: float) -> bool:
+    """True if a sampling time is an interval up to rounding."""
+    return math.isclose(sampling_time, interval, rel_tol=SAME_TIME, abs_tol=0.0)
+
+
+def sampled(shift: str | None, sampling_time: float | None, problem: Problem) -> float | None:
+    """Time between samples for which a package is made; None: any."""
+    return sampling_time if sampling_time is not None or shift is None else problem.dt[0]
+
+
+def check_shift(algorithm: str, shift: str | None, sampling_time: float | None, problem: Problem) -> None:
+    """Raise OptionError for a shift by one interval on a non-uniform grid or with another sampling time, or for
+    resampling a discrete map."""
+    if shift in ("repeat", "periodic") and sampling_time is not None and not is_same(sampling_time, problem.dt[0]):
+        raise OptionError(
+            f'{algorithm}(shift="{shift}") moves the plan by one interval, {problem.dt[0]:g} s, and clashes with '
+            f'sampling_time={sampling_time:g}; expected shift="resample" (--set algorithm.shift=resample)'
+        )
     if shift in ("repeat", "periodic") and not problem.uniform:
         raise OptionError(
             f'{algorithm}(shift="{shift}") moves the plan by one interval and clashes with a '
@@ -64,9 +101,9 @@ def resample_tables(shift: str | None, sampling_time: float | None, problem: Pro
     )
 
 
-def resample_reach(sampling_time: float | None, problem: Problem) -> float:
+def resample_reach(shift: str | None, sampling_time: float | None, problem: Problem) -> float:
     """With shift="resample": from the last node of the plan before a new node; rounding may pass over a node."""
-    if sampling_time is None:
+    if shift != "resample" or sampling_time is None:
         return 0.0
     times, rounding = _node_times(problem), 1e-6 * (sampling_time + math.fsum(problem.dt))
     moved = (time + sampling_time for time in times)

@@ -1,0 +1,44 @@
+"""Closed loops of strangers: python -m benchmarks.strangers [--scale S] [--json FILE] [--table FILE]
+
+It ends with an exit status of 1 if a figure is beyond its limit. ``--table`` writes the loops with and without repair
+and relaxation in place of the table of a Markdown file (docs/strangers.md).
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+from benchmarks.lib import strangers
+from benchmarks.lib.base import commits, head
+from benchmarks.lib.report import Report, listed
+from benchmarks.lib.run import Run
+
+
+def main() -> int:
+    """The command line."""
+    command = argparse.ArgumentParser("benchmarks.strangers", description=__doc__)
+    command.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the loops (default all)")
+    command.add_argument("--json", metavar="FILE", help="write all records")
+    command.add_argument("--table", metavar="FILE", type=Path, help="write the table of this file anew, and stop")
+    options = command.parse_args()
+    if not 0 < options.scale <= 1:
+        command.error(f"--scale {options.scale:g}: expected a share, more than 0 and at most 1")
+    if options.table:
+        text = options.table.read_text(encoding="utf-8")
+        options.table.write_text(re.sub(r"(?m)(^\|.*\n)+", lambda _: strangers.table(), text, count=1), "utf-8")
+        return 0
+    report, run = Report(), Run(options.scale, commits(), Path())
+    report.topic = "strangers"
+    strangers.measure(report, run)
+    report.print_matrix("strangers")
+    if options.json:
+        report.write(options.json, commit=head(), scale=run.scale, seed=run.seed)
+    if report.missed():
+        print(f"beyond their limits:\n{listed(report.missed())}")
+    return int(bool(report.missed()))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

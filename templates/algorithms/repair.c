@@ -1,0 +1,126 @@
+/* Contract of this part: before a sample, a plan that is far from the model, or whose last sample failed, is improved by
+ * further steps at its own x_0. Each is shortened until it reduces the residual; without one that does, the plan stays. */
+
+/* The residual at the present point, without derivatives, after `length` of the step of the QP. */
+static real_t trial_residual(solver_t *s, const real_t *size)
+{
+    real_t most = R(0);
+    for (int k = 0; k < N; k++) {
+        real_t x_next[NX];
+        interval_value(s, k, x_next);
+        for (int i = 0; i < NX; i++) {
+            enlarge(&most, (x_next[i] - s->x[k + 1][i]) / size[i]);
+        }
+    }
+#if NONLINEAR_ROWS
+    s->row_residual = row_residual(s, s->sqp.length);
+    enlarge(&most, s->row_residual);
+#endif
+    return most;
+}
+
+/* The QP at x_0 of the plan in place of a measured state. */
+static status_t run_qp_at_plan(solver_t *s)
+{
+    real_t measured[NX];
+    status_t status;
+    memcpy(measured, s->xhat, sizeof measured);
+    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    status = run_qp(s);
+#if HARD_ROWS
+    if (is_given_up(status)) {
+        status = give_way(s, status);
+    }
+    s->sqp.elastic = status == RELAXED;
+#endif
+    memcpy(s->xhat, measured, sizeof s->xhat);
+    return status;
+}
+
+/* Returns 1 if a residual may be left behind: it has fallen or is small, or nothing is known of the plan, as the residual
+ * of an initial guess tells nothing of the plan to which it leads. */
+static int may_stay(const solver_t *s, real_t residual, int unknown)
+{
+    return residual < s->stats.residual || !is_far(residual) || (unknown && residual < INF);
+}
+
+/* One step of the repair. Returns 1 if the plan has changed. */
+static int improve_plan(solver_t *s, const real_t *size, int unknown)
+{
+    sqp_t *q = &s->sqp;
+    const status_t status = run_qp_at_plan(s);
+    int improved = 0;
+    if ((status != OK && status != RELAXED) || !step_is_finite(s)) {
+        return 0;
+    }
+#if NONLINEAR_ROWS
+    const real_t kept = s->row_residual;
+#endif
+    memcpy(q->x, s->x, sizeof s->x);
+    memcpy(q->u, s->u, sizeof s->u);
+    put_step_aside(s);
+    q->length = R(1);
+    for (int trial = 0; trial < REPAIR_TRIALS && !improved; trial++) {
+        move_to_trial(s);
+        improved = may_stay(s, trial_residual(s, size), unknown);
+        q->length *= improved ? R(1) : R(0.5);
+    }
+    if (improved) {
+        take_multipliers(s);
+    } else {
+        move_back(s);
+#if NONLINEAR_ROWS
+        s->row_residual = kept;
+#endif
+    }
+#if HARD_ROWS
+    q->elastic = 0;
+#endif
+    return improved;
+}
+
+/* Returns 1 if the last step moved a state by more than the tolerance in its scale. */
+static int step_is_long(const solver_t *s, const real_t *size)
+{
+    int is_long = 0;
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            is_long |= !(FABS(s->sqp.step.dx[k][i]) <= residual_tolerance[0] * size[i]);
+        }
+    }
+    return is_long;
+}
+
+/* Returns 1 if the sample leaves a plan behind that is far from the model, as the sample before did. */
+static int stays_far(solver_t *s)
+{
+    real_t size[NX];
+    if (!s->was_far) {
+        return 0;
+    }
+    state_scales(s, size);
+    s->sqp.length = R(1);
+    return is_far(trial_residual(s, size));
+}
+
+/* Repairs the plan that has just been linearised, with this status: while its residual is above the tolerance, after a
+ * sample that failed, and before the first sample, while steps are long. */
+static status_t repair(solver_t *s, status_t status)
+{
+    const int first = s->samples == 0;
+    int wanted = first || s->failing > FINE;
+    s->stats.repairs = 0;
+    s->was_far = is_far(s->stats.residual);
+    for (int n = 0; n < REPAIRS && status == OK && (wanted || is_far(s->stats.residual)); n++) {
+        real_t size[NX];
+        state_scales(s, size);
+        if (!improve_plan(s, size, first && n == 0)) {
+            break;
+        }
+        wanted = first && step_is_long(s, size);
+        s->stats.repairs++;
+        status = prepare_here(s);
+        measure_residual(s);
+    }
+    return status;
+}

@@ -1,0 +1,77 @@
+/* Contract of this part: how far the plan at which a QP is linearised is from the model. The residual is the largest of
+ *
+ *     the gaps, each in the scale of its state: its largest magnitude in the plan, half the width of its bounds,
+ *     what hard rows differ from what the last step predicted for them, each in the scale of its bounds or, if they
+ *     are 0, of its value.
+ *
+ * What has changed since the step (measured state, bounds, references) and the end that a shift adds do not count. */
+
+#include "algorithms/scales.c"
+
+#if NONLINEAR_ROWS
+/* By how much a value is outside its bounds. */
+static inline real_t outside(const solver_t *s, int m, real_t value)
+{
+    return FABS(value - clip(value, ROW_LOWER(s, m), ROW_UPPER(s, m)));
+}
+
+/* Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that has been. */
+static real_t scale_of_row(solver_t *s, int m, real_t value)
+{
+    real_t scale = R(0), *most = &s->row_scale[row_id[m]];
+    enlarge(most, value);
+    enlarge_if_finite(&scale, ROW_LOWER(s, m));
+    enlarge_if_finite(&scale, ROW_UPPER(s, m));
+    if (!(scale > R(0))) {
+        scale = R(1e-3) * *most;
+        enlarge(&scale, value);
+    }
+    return scale_of(scale);
+}
+
+/* Largest difference of a hard row at the present point from what the step predicted, which was `length` of the step of
+ * the QP; also what it violates beyond the solution of the QP. */
+static real_t row_residual(solver_t *s, real_t length)
+{
+    real_t value[NG], most = R(0);
+    evaluate_rows(s, value);
+    for (int m = 0; m < NG; m++) {
+#if SOFT_ROWS
+        if (IS_SOFT(m)) {
+            continue;
+        }
+#endif
+#if STATE_ROWS
+        if (row_kind[m] == ROW_STATE) {
+            continue;
+        }
+#endif
+        const real_t constant = ROW_CONSTANT(s, m), change = nodal_change(s, m);
+        const real_t scale = scale_of_row(s, m, value[m]);
+        enlarge(&most, (value[m] - (constant + change)) / scale);
+        if (length < R(1)) {
+            const real_t left = outside(s, m, value[m]) - outside(s, m, constant + change / length);
+            enlarge(&most, (left > R(0)) ? left / scale : R(0));
+        }
+    }
+    return most;
+}
+#endif
+
+/* The residual of the plan that has just been linearised. */
+static void measure_residual(solver_t *s)
+{
+    real_t size[NX], most = R(0);
+    state_scales(s, size);
+    for (int i = 0; i < NX; i++) {
+        real_t gap = R(0);
+        for (int k = 0; k < N; k++) {
+            enlarge(&gap, s->node[k].b[i]);
+        }
+        enlarge(&most, gap / size[i]);
+    }
+#if NONLINEAR_ROWS
+    enlarge(&most, s->row_residual);
+#endif
+    s->stats.residual = most;
+}

@@ -1,0 +1,128 @@
+"""Closed loops of the product on the strangers, judged by the twin."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen import Controller, Options, build
+from verification.strangers.statement import Array, Limit, Stranger
+from verification.strangers.twin import Loop, Outcome, Twin, by_ipopt
+
+TOLERANCE = 0.1
+VIOLATED, DEARER, RANGE = 1e-2, 0.2, 0.02
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A loop of the product: what it came to, its statuses, the samples that are OK although their plan is far from the
+    model, linearisations that repaired plans, and why the loop is lost ("" if it is not)."""
+
+    outcome: Outcome
+    statuses: Counter[str]
+    far: int
+    repairs: int
+    lost: str = ""
+    samples: int = field(default=0)
+
+    @property
+    def bad(self) -> int:
+        """Samples that are neither OK nor RELAXED."""
+        return self.samples - self.statuses["OK"] - self.statuses["RELAXED"]
+
+
+class Judge:
+    """The residual of a plan, from the twin's model and rows."""
+
+    def __init__(self, twin: Twin) -> None:
+        s = twin.stranger
+        x, u = ca.SX.sym("x", len(s.states)), ca.SX.sym("u", len(s.controls))
+        self._step, self._N = twin.step.map(s.N), s.N
+        self._half_width = np.zeros(len(s.states))
+        for row in s.limits:
+            self._widen(row, x, u)
+        curved = [row for row in s.limits if row.soft is None and _is_curved(row, x, u)]
+        self._path = [row for row in curved if row.at == "path"]
+        self._end = [row for row in curved if row.at == "end"]
+        self._rows = ca.Function("rows", [x, u], [ca.vertcat(*(row.value(x, u) for row in self._path))]).map(s.N)
+        self._end_rows = ca.Function("rows", [x], [ca.vertcat(*(row.value(x, u) for row in self._end))])
+
+    def _widen(self, row: Limit, x: ca.SX, u: ca.SX) -> None:
+        """Note half the width of the bounds of a bare state."""
+        value, half = row.value(x, u), (row.upper - row.lower) / 2
+        for i in range(x.numel()):
+            if row.soft is None and np.isfinite(half) and ca.is_equal(value, x[i]):
+                self._half_width[i] = max(self._half_width[i], half)
+
+    def residual(self, X: Array, U: Array, xhat: Array, shifted: bool) -> float:
+        """Largest gap and violation of a hard row in the plan (N+1, nx), (N, nu), without what a shift has added."""
+        size = np.maximum(np.maximum(np.max(np.abs(X), axis=0), np.abs(xhat)), self._half_width)
+        size[size == 0] = 1.0
+        gaps = np.abs(np.asarray(self._step(X[:-1].T, U.T)).T - X[1:]) / size
+        worst = float(np.max(gaps[: self._N - 1] if shifted else gaps))
+        if self._path:
+            values = np.asarray(self._rows(X[:-1].T, U.T)).T[1:]
+            worst = max(worst, _violation(self._path, values[:-1] if shifted else values))
+        if self._end and not shifted:
+            worst = max(worst, _violation(self._end, np.asarray(self._end_rows(X[-1])).T))
+        return worst
+
+
+def _is_curved(row: Limit, x: ca.SX, u: ca.SX) -> bool:
+    return bool(ca.which_depends(row.value(x, u), ca.vertcat(x, u), 2, True)[0])
+
+
+def _violation(rows: list[Limit], values: Array) -> float:
+    lower, upper = (np.array([getattr(row, side) for row in rows]) for side in ("lower", "upper"))
+    scale = np.array([row.scale for row in rows])
+    return float(np.max(np.maximum(lower - values, values - upper) / scale, initial=0.0))
+
+
+def controller_of(stranger: Stranger, options: Options | None = None) -> Controller:
+    """The controller of a user who says nothing but the integration steps."""
+    return build(stranger.ocp(), options or stranger.options(), "fast")
+
+
+def run(twin: Twin, judge: Judge, controller: Controller, number: int) -> Verdict:
+    """The loop with this number from a fresh plan, and what is wrong with it."""
+    s, loop, statuses = twin.stranger, Loop(twin, number), Counter[str]()
+    controller.reset()
+    far, repairs, before, shifts = 0, 0, False, controller.description.shift is not None
+    for k in range(s.samples):
+        if not loop.finite:
+            statuses["lost"] += s.samples - k
+            break
+        if k == 0:
+            controller.x[0] = loop.x
+        controller.prepare()
+        point = controller.x.copy(), controller.u.copy()
+        u = controller.feedback(loop.x)
+        status = controller.status.name
+        statuses[status] += 1
+        repairs += controller.stats.repairs
+        left = judge.residual(controller.x, controller.u, loop.x, False) > TOLERANCE and status == "OK"
+        away = status == "OK" and judge.residual(*point, loop.x, shifts and k > 0) > TOLERANCE
+        far += away or (left and before)
+        before = left
+        loop.apply(k, np.asarray(u, dtype=float))
+    outcome = loop.outcome(0)
+    return Verdict(outcome, statuses, far, repairs, _why_lost(s, number, outcome), s.samples)
+
+
+def _why_lost(s: Stranger, number: int, mine: Outcome) -> str:
+    """Why a loop is lost where that of IPOPT is not."""
+    theirs = by_ipopt()[s.name]
+    other = theirs[number]
+    spread = max(o.cost for o in theirs) - min(o.cost for o in theirs)
+    if not mine.finite:
+        return "not finite"
+    if mine.violation > VIOLATED >= other.violation:
+        return f"a row is violated by {mine.violation:.2g}"
+    if s.distance is not None and mine.distance > s.reach >= other.distance:
+        return f"{mine.distance:.2g} from the goal"
+    if mine.cost - other.cost > DEARER * abs(other.cost) + RANGE * spread:
+        return f"cost {mine.cost:.4g} instead of {other.cost:.4g}"
+    return ""

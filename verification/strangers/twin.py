@@ -1,0 +1,241 @@
+"""The twin of a stranger: multiple shooting with a Runge-Kutta scheme of its own, solved by IPOPT in every sample.
+
+    python -m verification.strangers.twin --refresh
+
+computes the closed loops of all strangers anew (ipopt.json).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from verification.strangers.statement import Array, Limit, Stranger
+
+RESULTS = Path(__file__).with_name("ipopt.json")
+STARTS = 20
+QUIET: dict[str, Any] = {
+    "print_time": False,
+    "show_eval_warnings": False,
+    "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 500, "bound_relax_factor": 0.0},
+}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A closed loop: its cost, the largest violation of a hard row in its scale, the distance of the last state from
+    the goal, samples that were not solved, and whether all states were finite."""
+
+    cost: float
+    violation: float
+    distance: float
+    failed: int
+    finite: bool = True
+
+
+class Twin:
+    """The plant, the cost and the NLP of a stranger."""
+
+    def __init__(self, stranger: Stranger) -> None:
+        self.stranger = stranger
+        x, u = ca.SX.sym("x", len(stranger.states)), ca.SX.sym("u", len(stranger.controls))
+        self.step = ca.Function("step", [x, u], [_runge_kutta(stranger, x, u)])
+        self.stage = ca.Function("stage", [x, u], [_stage_cost(stranger, x, u)])
+        hard = [limit for limit in stranger.limits if limit.soft is None and limit.at == "path"]
+        excess = [_excess(limit, limit.value(x, u)) / limit.scale for limit in hard]
+        self.excess = ca.Function("excess", [x, u], [ca.mmax(ca.vertcat(0, *excess))])
+        self._transcribe()
+
+    def _transcribe(self) -> None:
+        s, N = self.stranger, self.stranger.N
+        nx, nu = len(s.states), len(s.controls)
+        X, U = ca.SX.sym("X", nx, N + 1), ca.SX.sym("U", nu, N)
+        start = ca.SX.sym("start", nx)
+        slacks: list[Any] = []
+        rows: list[tuple[Any, float, float]] = [(X[:, 0] - start, 0.0, 0.0)]
+        rows += [(self.step(X[:, k], U[:, k]) - X[:, k + 1], 0.0, 0.0) for k in range(N)]
+        cost = sum((self.stage(X[:, k], U[:, k]) for k in range(N)), ca.SX(0)) + _end_cost(s, X[:, N])
+        for limit in s.limits:
+            for k in _nodes(limit, nx, nu, N):
+                value = limit.value(X[:, k], U[:, min(k, N - 1)])
+                if limit.soft is not None:
+                    slack = ca.SX.sym("slack", 2)
+                    slacks.append(slack)
+                    cost += limit.soft[0] * ca.sum1(slack) + 0.5 * limit.soft[1] * ca.sumsqr(slack)
+                    value = value - slack[0] + slack[1]
+                rows.append((value, limit.lower, limit.upper))
+        lower, upper = (np.array([bound[i] for bound in s.controls.values()]) for i in (0, 1))
+        free, count = np.full(nx * (N + 1), np.inf), 2 * len(slacks)
+        self._bounds = {
+            "lbx": np.concatenate([-free, np.tile(lower, N), np.zeros(count)]),
+            "ubx": np.concatenate([free, np.tile(upper, N), np.full(count, np.inf)]),
+            "lbg": np.concatenate([np.full(g.numel(), low) for g, low, _ in rows]),
+            "ubg": np.concatenate([np.full(g.numel(), high) for g, _, high in rows]),
+        }
+        self._slacks = count
+        nlp = {
+            "x": ca.vertcat(ca.vec(X), ca.vec(U), *slacks),
+            "p": start,
+            "f": cost,
+            "g": ca.vertcat(*(g for g, _, _ in rows)),
+        }
+        self.solver = ca.nlpsol("twin", "ipopt", nlp, QUIET)
+
+    def solve(self, start: Array, X: Array, U: Array) -> tuple[bool, float, Array, Array]:
+        """Whether IPOPT succeeds from the plan (N+1, nx), (N, nu); its cost and its plan."""
+        guess = np.concatenate([X.ravel(), U.ravel(), np.zeros(self._slacks)])
+        found = self.solver(x0=guess, p=start, **self._bounds)
+        w = np.asarray(found["x"]).ravel()
+        states, controls = X.size, U.size
+        plan = w[:states].reshape(X.shape), w[states : states + controls].reshape(U.shape)
+        return bool(self.solver.stats()["success"]), float(found["f"]), *plan
+
+    def guess(self, start: Array) -> tuple[Array, Array]:
+        """The plan that stays at the start, with controls in the middle of their bounds or at 0 if that is inside."""
+        s = self.stranger
+        rest = [float(np.clip(0.0, *bounds)) for bounds in s.controls.values()]
+        return np.tile(start, (s.N + 1, 1)), np.tile(np.array(rest), (s.N, 1))
+
+    def run(self, number: int) -> Outcome:
+        """The closed loop with IPOPT in every sample, from the shifted plan, or from the start if that fails."""
+        s, loop = self.stranger, Loop(self, number)
+        X, U = self.guess(loop.x)
+        failed = 0
+        for k in range(s.samples):
+            good, _, Y, V = self.solve(loop.x, X, U)
+            if not good:
+                good, _, Y, V = self.solve(loop.x, *self.guess(loop.x))
+            failed += not good
+            loop.apply(k, V[0])
+            X, U = np.vstack([Y[1:], Y[-1:]]), np.vstack([V[1:], V[-1:]])
+        return loop.outcome(failed)
+
+
+class Loop:
+    """The plant in closed loop, and what is judged of it."""
+
+    def __init__(self, twin: Twin, number: int) -> None:
+        self._twin, self.x = twin, twin.stranger.initial(number)
+        self._cost, self._violation = 0.0, 0.0
+
+    @property
+    def finite(self) -> bool:
+        """True if the state is finite."""
+        return bool(np.all(np.isfinite(self.x)))
+
+    def apply(self, k: int, u: Array) -> None:
+        """Sample k with the control u."""
+        twin, (when, kick) = self._twin, self._twin.stranger.kick
+        self._cost += float(twin.stage(self.x, u))
+        if k not in (0, when + 1):  # nothing can be done about a state into which the plant is put
+            self._violation = max(self._violation, float(twin.excess(self.x, u)))
+        self.x = np.asarray(twin.step(self.x, u)).ravel() + (np.asarray(kick, float) if k == when else 0.0)
+
+    def outcome(self, failed: int) -> Outcome:
+        """The loop so far."""
+        distance = self._twin.stranger.distance
+        there = 0.0 if distance is None else float(distance(self.x))
+        return Outcome(self._cost, self._violation, there, failed, self.finite)
+
+
+def _runge_kutta(s: Stranger, x: Any, u: Any) -> Any:
+    h = s.dt / s.steps
+    for _ in range(s.steps):
+        a = s.model(x, u)
+        b = s.model(x + h / 2 * a, u)
+        c = s.model(x + h / 2 * b, u)
+        d = s.model(x + h * c, u)
+        x = x + h / 6 * (a + 2 * b + 2 * c + d)
+    return x
+
+
+def _squares(y: Any, weight: Any) -> Any:
+    return 0.5 * ca.dot(ca.DM(list(weight)) * y, y)
+
+
+def _stage_cost(s: Stranger, x: Any, u: Any) -> Any:
+    cost = ca.SX(0)
+    if s.residual is not None:
+        cost += _squares(s.residual(x, u), s.weight)
+    if s.rate is not None:
+        cost += s.dt * s.rate(x, u)
+    return cost
+
+
+def _end_cost(s: Stranger, x: Any) -> Any:
+    cost = ca.SX(0)
+    if s.end_residual is not None:
+        cost += _squares(s.end_residual(x), s.end_weight)
+    if s.end_cost is not None:
+        cost += s.end_cost(x)
+    return cost
+
+
+def _excess(limit: Limit, value: Any) -> Any:
+    low = limit.lower - value if np.isfinite(limit.lower) else -1.0
+    high = value - limit.upper if np.isfinite(limit.upper) else -1.0
+    return ca.fmax(low, high)
+
+
+def _nodes(limit: Limit, nx: int, nu: int, N: int) -> range:
+    """Nodes at which a limit holds: with a control 0..N-1, of states alone 1..N."""
+    if limit.at == "end":
+        return range(N, N + 1)
+    u = ca.SX.sym("u", nu)
+    of_control = ca.depends_on(ca.SX(limit.value(ca.SX.sym("x", nx), u)), u)
+    return range(N) if of_control else range(1, N + 1)
+
+
+@cache
+def by_ipopt() -> dict[str, list[Outcome]]:
+    """The twins' loops, by problem and number."""
+    found = json.loads(RESULTS.read_text(encoding="utf-8"))
+    return {name: [Outcome(**row) for row in rows] for name, rows in found.items()}
+
+
+def _loops(name: str) -> list[Outcome]:
+    from verification.strangers.problems import known
+
+    return list(map(Twin(known(name)).run, range(STARTS)))
+
+
+def refresh(names: list[str]) -> None:
+    """Compute the loops of these strangers anew."""
+    found: dict[str, list[Any]] = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+    with ProcessPoolExecutor(2) as pool:
+        for name, outcomes in zip(names, pool.map(_loops, names), strict=True):
+            print(name, sum(o.failed for o in outcomes), "samples failed", flush=True)
+            found[name] = [{key: _short(value) for key, value in asdict(o).items()} for o in outcomes]
+    lines = (f"{json.dumps(name)}: [\n" + ",\n".join(map(json.dumps, rows)) + "]" for name, rows in found.items())
+    RESULTS.write_text("{\n" + ",\n".join(lines) + "}\n", encoding="utf-8")
+
+
+def _short(value: Any) -> Any:
+    return float(f"{value:.9g}") if isinstance(value, float) else value
+
+
+def main() -> None:
+    """The command line."""
+    from verification.strangers.problems import STRANGERS
+
+    command = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    command.add_argument("--refresh", action="store_true", help="compute ipopt.json anew")
+    command.add_argument("--only", help="names, separated by commas")
+    options = command.parse_args()
+    names = options.only.split(",") if options.only else [s.name for s in STRANGERS]
+    if options.refresh:
+        refresh(names)
+    else:
+        command.print_help()
+
+
+if __name__ == "__main__":
+    main()
