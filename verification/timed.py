@@ -31,7 +31,7 @@ class Sample:
 #: The timed problems, in the settings of the benchmarks that compare their times with those of peers.
 TIMED = (
     Sample("timed crane", crane.build_ocp),
-    Sample("timed cstr", cstr.build_ocp),
+    Sample("timed cstr", cstr.build_ocp, Options(algorithm=RealTimeIteration(sampling_time=cstr.SAMPLING))),
     Sample(
         "timed quadrotor",
         lambda: quadrotor.build_ocp((0.5, 0.5, 0.5)),

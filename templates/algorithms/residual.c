@@ -61,14 +61,13 @@ static real_t row_residual(solver_t *s, real_t length)
 /* The residual of the plan that has just been linearised. */
 static void measure_residual(solver_t *s)
 {
-    real_t size[NX], most = R(0);
+    real_t size[NX], gap[NX] = {R(0)}, most = R(0);
     state_scales(s, size);
+    for (int k = 0; k < N; k++) {
+        largest_of(gap, s->node[k].b);
+    }
     for (int i = 0; i < NX; i++) {
-        real_t gap = R(0);
-        for (int k = 0; k < N; k++) {
-            enlarge(&gap, s->node[k].b[i]);
-        }
-        enlarge(&most, gap / size[i]);
+        enlarge(&most, gap[i] / size[i]);
     }
 #if NONLINEAR_ROWS
     enlarge(&most, s->row_residual);

@@ -12,17 +12,20 @@ static inline void enlarge_if_finite(real_t *largest, real_t value)
     }
 }
 
-/* Scales of the states. */
-static void state_scales(const solver_t *s, real_t *size)
+/* largest = max(largest, |v|) by states; numbers that are not finite show in the QP. */
+static inline void largest_of(real_t *largest, const real_t *v)
 {
     for (int i = 0; i < NX; i++) {
-        size[i] = R(0);
-        for (int k = 0; k <= N; k++) {
-            enlarge(&size[i], s->x[k][i]);
-        }
+        const real_t a = FABS(v[i]);
+        largest[i] = (a > largest[i]) ? a : largest[i];
     }
+}
+
 #if STATE_ROWS
-    for (int m = 0; m < NG; m++) {
+/* size = max(size, half the width of the bounds of the states at node k). */
+static void enlarge_by_bounds(const solver_t *s, int k, real_t *size)
+{
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
 #if GENERAL_ROWS || NE
         if (row_kind[m] != ROW_STATE) {
             continue;
@@ -30,6 +33,19 @@ static void state_scales(const solver_t *s, real_t *size)
 #endif
         enlarge_if_finite(&size[row_index[m]], R(0.5) * ROW_UPPER(s, m) - R(0.5) * ROW_LOWER(s, m));
     }
+}
+
+#endif
+/* Scales of the states: their largest magnitudes in the plan, half the width of their bounds at the first and last node. */
+static void state_scales(const solver_t *s, real_t *size)
+{
+    memset(size, 0, NX * sizeof *size);
+    for (int k = 0; k <= N; k++) {
+        largest_of(size, s->x[k]);
+    }
+#if STATE_ROWS
+    enlarge_by_bounds(s, 1, size);
+    enlarge_by_bounds(s, N, size);
 #endif
     for (int i = 0; i < NX; i++) {
         size[i] = scale_of(size[i]);

@@ -32,7 +32,7 @@ static void shift_plan(solver_t *s)
     memcpy(s->x[0], first, sizeof first);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            s->u[k][j] = mean_control(s, j, node_time[k] + sampling_time[0], node_time[k + 1] + sampling_time[0]);
+            s->u[k][j] = mean_control(s, k, j, node_time[k] + sampling_time[0], node_time[k + 1] + sampling_time[0]);
             s->u[k][j] = safe_value(s, k, j);
         }
     }

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 727101f6563eb516, sha256 2ac2317239cf1dfca05eb50d5c5ec26642789c115b6febbe2c18b74a8e174956 */
+/* nmpc_codegen package 30c4408fe7ad7b60, sha256 1396cba8c811e5fad6137aa2f4366438db8857f7d8c8294616d12e1083e86381 */

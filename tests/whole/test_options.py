@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -156,6 +157,39 @@ def test_integrator_must_fit_the_dynamics() -> None:
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0])
     with pytest.raises(OptionError, match=r"map is a discrete map.*Discrete\(\)"):
         generate(ocp, Options(integrator=ExplicitRungeKutta()))
+
+
+def _periodic(ocp: OCP) -> None:
+    ocp.boundary(0, ocp.at_start(ocp.x[0]) - ocp.at_end(ocp.x[0]), 0)
+
+
+AUTOMATIC: list[tuple[dict[str, Any], Any, float | None, str | None, str]] = [
+    ({}, None, None, "repeat", "one interval"),
+    ({}, None, 0.1, "resample", "sampling time 0.1 differs"),
+    ({}, None, 0.2, "repeat", "one interval"),
+    ({"intervals": [0.1, 0.2]}, None, None, None, 'non-uniform grid; shift="resample"'),
+    ({}, lambda ocp: ocp.free_initial(ocp.x[0]), None, None, 'free components of x_0; shift="repeat"'),
+    ({}, lambda ocp: ocp.accumulator(ocp.x[0]), None, None, 'accumulators; shift="repeat"'),
+    ({}, _periodic, None, None, 'couple x_0 and x_N; shift="periodic"'),
+]
+
+
+@pytest.mark.parametrize(("grid", "change", "sampling_time", "shift", "why"), AUTOMATIC)
+def test_the_automatic_shift(grid: Any, change: Any, sampling_time: Any, shift: Any, why: str) -> None:
+    ocp = integrator_ocp(**(grid or {"T": 0.8, "N": 4}))
+    if change:
+        change(ocp)
+    files = generate(ocp, Options(algorithm=RealTimeIteration(sampling_time=sampling_time)))
+    described = json.loads(files["cart.json"])
+    assert described["shift"] == shift
+    assert any(why in choice for choice in described["report"]["choices"])
+    expected = sampling_time or (grid["intervals"][0] if grid else 0.2)
+    assert f"#define CART_DT {expected:g}" in files["cart.h"]
+
+
+def test_a_shift_by_one_interval_clashes_with_another_sampling_time() -> None:
+    with pytest.raises(OptionError, match=r'shift="repeat".*0.2 s.*sampling_time=0.1; expected shift="resample"'):
+        generate(integrator_ocp(T=0.8, N=4), Options(algorithm=RealTimeIteration(shift="repeat", sampling_time=0.1)))
 
 
 @pytest.mark.parametrize("shift", ["repeat", "periodic"])

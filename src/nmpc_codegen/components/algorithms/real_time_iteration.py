@@ -98,7 +98,7 @@ PATIENCE = 10
 #: Trial points of a step that repairs the plan.
 REPAIR_TRIALS = 4
 #: Weight that relaxation="auto" stands for.
-RELAXATION = 1e5
+RELAXATION = 1e4
 _SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
@@ -118,7 +118,7 @@ class RealTimeIteration(Defaults):
     ``tolerance``: stats.residual above which a sample is NOT_CONVERGED.
 
     ``relaxation``: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
-    is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e5. None: the
+    is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e4. None: the
     status is INFEASIBLE, and the plan does not change. repair=0, shift=None, relaxation=None: the pure scheme.
 
     ``first_control``: splits the feedback phase. feedback_first() returns the control of the minimiser on the predicted

@@ -1,0 +1,91 @@
+"""The strangers: their twins state the same problems, and their judges see what is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nmpc_codegen import Status, build
+from verification.strangers.loops import Judge, controller_of, run
+from verification.strangers.problems import CASES, STRANGERS, known
+from verification.strangers.statement import Stranger
+from verification.strangers.twin import STARTS, Outcome, Twin, by_ipopt
+
+
+def test_the_room_is_wide() -> None:
+    strange = [s for s in STRANGERS if s not in CASES]
+    assert len(strange) >= 15
+    assert len({s.family for s in strange}) >= 8
+    assert set(by_ipopt()) == {s.name for s in STRANGERS}
+    assert all(len(rows) == STARTS for rows in by_ipopt().values())
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("name", [s.name for s in STRANGERS])
+def test_the_twin_states_the_same_problem(name: str) -> None:
+    """Cost and feasibility of IPOPT's plan, evaluated by the product."""
+    stranger = known(name)
+    twin, c = Twin(stranger), build(stranger.ocp(), stranger.options(), "test")
+    x = stranger.initial(1)
+    good, cost, X, U = twin.solve(x, *twin.guess(x))
+    assert good
+    c.x[...], c.u[...] = X, U
+    assert c.cost == pytest.approx(cost, rel=1e-6, abs=1e-6)
+    ends = [np.asarray(c.integrate(X[k], U[k], stranger.dt)) for k in range(stranger.N)]
+    size = np.maximum(1.0, np.max(np.abs(X), axis=0))
+    assert np.max(np.abs(np.array(ends) - X[1:]) / size) < 1e-6
+    assert c.kkt().inequality <= 1e-5 * max(1.0, float(np.max(np.abs(X))))
+
+
+@pytest.mark.parametrize("name", ["car", "storage"])
+def test_a_loop_is_that_of_ipopt(name: str) -> None:
+    stranger = known(name)
+    twin = Twin(stranger)
+    verdict = run(twin, Judge(twin), controller_of(stranger), 0)
+    assert verdict.lost == ""
+    assert verdict.far == 0
+    assert verdict.bad <= 0.05 * verdict.samples
+    assert verdict.outcome.cost == pytest.approx(by_ipopt()[name][0].cost, rel=0.1, abs=0.1)
+
+
+def test_the_committed_loops_are_those_of_the_twin() -> None:
+    found, kept = Twin(known("fishing")).run(3), by_ipopt()["fishing"][3]
+    assert found.cost == pytest.approx(kept.cost, rel=1e-4)
+    assert found.distance == pytest.approx(kept.distance, abs=1e-4)
+
+
+def _far(stranger: Stranger) -> float:
+    twin = Twin(stranger)
+    x = stranger.initial(0)
+    X, U = twin.guess(x)
+    for k in range(stranger.N):
+        X[k + 1] = np.asarray(twin.step(X[k], U[k])).ravel()
+    judge = Judge(twin)
+    assert judge.residual(X, U, x, False) < 1e-9
+    X[3] += 0.5 * np.max(np.abs(X), axis=0)
+    return judge.residual(X, U, x, False)
+
+
+def test_the_judge_sees_a_gap_and_a_row() -> None:
+    assert _far(known("fishing")) > 0.1
+    stranger = known("quaternion")
+    twin = Twin(stranger)
+    x = np.zeros(6)
+    X, U = twin.guess(x)
+    U[:, 0], U[:, 1] = 9.81, 1.0
+    assert Judge(twin).residual(X, U, x, False) < 1e-9
+    U[4, 2] = 0.5
+    assert Judge(twin).residual(X, U, x, False) >= 0.25
+
+
+def test_a_loop_that_is_worse_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a twin's loop that costs nothing, violates nothing and ends at the goal."""
+    stranger = replace(known("drone"), reach=1e-12)
+    ideal = {stranger.name: [Outcome(0.0, 0.0, 0.0, 0)] * STARTS}
+    monkeypatch.setattr("verification.strangers.loops.by_ipopt", lambda: ideal)
+    twin = Twin(stranger)
+    verdict = run(twin, Judge(twin), controller_of(known("drone")), 0)
+    assert "from the goal" in verdict.lost
+    assert verdict.statuses[Status.OK.name] > 50

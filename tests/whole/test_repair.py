@@ -1,0 +1,257 @@
+"""Samples that hold: the residual of a plan, NOT_CONVERGED, repair in prepare(), relaxation in the scales of rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from nmpc_codegen import OCP, ExactHessian, Options, RealTimeIteration, Status, build, generate, simulate
+from nmpc_codegen.runtime.controller import Controller
+from verification import problems
+from verification.routes import OURS, PURE, on
+from verification.strangers.problems import known
+
+N, DT = 12, 0.1
+MEASURED = replace(PURE, tolerance=0.1)
+
+
+def tilted(name: str = "tilted") -> OCP:
+    """A thrust in a direction d with d'd = 1: the first QP takes a long vector for one of length 1."""
+    ocp = OCP(name, T=N * DT, N=N)
+    x, v = ocp.state("x", size=2), ocp.state("v", size=2)
+    d = ocp.control("d", size=2)
+    ocp.dynamics({x: v, v: 4 * d - 0.3 * v * ca.sumsqr(v)})
+    ocp.least_squares(ca.vertcat(x - ca.DM([2, 1]), v, d - ca.DM([1, 0])), weight=[5, 5, 1, 1, 0.01, 0.01])
+    ocp.terminal_least_squares(ca.vertcat(x - ca.DM([2, 1]), v), weight=[50, 50, 10, 10])
+    ocp.subject_to(-3, d, 3)
+    ocp.subject_to(1, ca.sumsqr(d), 1, name="length")
+    return ocp
+
+
+@cache
+def _built(algorithm: RealTimeIteration, **more: Any) -> Controller:
+    return build(tilted(), Options(algorithm=algorithm, **more), "test")
+
+
+def made(algorithm: RealTimeIteration, **more: Any) -> Controller:
+    """A fresh controller whose plan has the length that it should have."""
+    c = _built(algorithm, **more).copy()
+    c.u[...] = [1.0, 0.0]
+    return c
+
+
+# The residual ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_residual_is_that_of_the_plan_that_was_linearised() -> None:
+    """Gaps in the scales of the states, and rows less what the last step predicted for them, recomputed in numpy."""
+    c, xhat = made(MEASURED), np.array([0.1, -0.2, 0.3, 0.0])
+    predicted, seen = None, set()
+    for _ in range(30):
+        X, U = c.x.copy(), c.u.copy()
+        ends = np.array([c.integrate(X[k], U[k], DT) for k in range(N)])
+        size = np.max(np.abs(X), axis=0)
+        size[size == 0] = 1.0
+        residual = np.max(np.abs(ends - X[1:]) / size)
+        if predicted is not None:  # 1 is the bound of the row and so its scale
+            residual = max(residual, np.max(np.abs(np.sum(U**2, axis=1) - predicted)))
+        assert c.prepare() is Status.OK
+        assert c.stats.residual == pytest.approx(residual, rel=1e-9, abs=1e-13)
+        c.feedback(xhat)
+        assert c.status is (Status.NOT_CONVERGED if residual > MEASURED.tolerance else Status.OK)
+        seen.add(c.status)
+        predicted = np.sum(U**2, axis=1) + np.sum(2 * U * c.view("step.du"), axis=1)
+    assert seen == {Status.OK, Status.NOT_CONVERGED}
+
+
+def test_what_has_changed_since_does_not_count() -> None:
+    """A far measured state, another reference and other bounds are no fault of the plan."""
+    c = made(replace(MEASURED, relaxation=1e5))
+    for _ in range(30):
+        c.step([0.1, 0.0, 0.0, 0.0])
+    before = c.stats.residual
+    c.set_reference([5.0, 5.0, 0, 0, 0, 0])
+    c.set_bounds("d[0]", -0.5, 0.5)
+    c.step([9.0, -9.0, 1.0, 1.0])
+    assert c.stats.residual <= max(before, 1e-6)
+
+
+def test_the_tail_of_a_shift_does_not_count() -> None:
+    """The crane with x_N = 0: the shifted plan misses its terminal row, and is OK."""
+    c = build(problems.CASES["crane"].make(), Options(algorithm=replace(MEASURED, shift="repeat")), "test")
+    log = simulate(c, [2.0, 0.0, 0.0, 0.0], 20)
+    assert np.all(log.status[2:] == Status.OK)
+
+
+def test_not_converged_is_no_failure() -> None:
+    """It raises nothing, no plan is given up, and the diagnosis and the summary explain it."""
+    c, x = made(MEASURED), np.zeros(4)
+    c.step(x)
+    for _ in range(4):
+        u = c.step(x, on_failure="raise")
+        if c.status is Status.NOT_CONVERGED:
+            break
+    assert c.status is Status.NOT_CONVERGED
+    assert np.all(np.isfinite(u))
+    assert not c.status.is_failure
+    assert int(c.view("failing")) == 0
+    text = c.diagnose()
+    assert "residual of the plan" in text
+    assert "RealTimeIteration(repair=3)" in text
+    summary = simulate(made(MEASURED), x, 4).summary()
+    assert "NOT_CONVERGED" in summary
+    assert "first that was not OK: sample 0" in summary
+
+
+def test_stats_after_a_step_are_those_of_the_plan() -> None:
+    c = made(RealTimeIteration())
+    c.step(np.zeros(4))
+    assert c.stats.kkt == c.kkt()
+    assert c.stats.kkt.stationarity > 0
+    assert "residual" in str(c.stats)
+
+
+# Repair ---------------------------------------------------------------------------------------------------------------
+
+
+def test_repair_brings_a_plan_home_that_plain_steps_lose() -> None:
+    """Only the first plan is far from the model; without repair, samples are never what their QP believes."""
+    x = np.array([-0.5, 0.5, 0.0, 0.0])
+    plain, repaired = (simulate(made(a), x, 40) for a in (MEASURED, RealTimeIteration()))
+    lengths = [np.abs(np.sum(log.u**2, axis=1) - 1) for log in (plain, repaired)]
+    assert np.sum(lengths[1] > 0.1) < np.sum(lengths[0] > 0.1)
+    assert np.sum(repaired.status != Status.OK) < np.sum(plain.status != Status.OK)
+    assert np.linalg.norm(repaired.x[-1, :2] - [2, 1]) < 0.5
+
+
+def test_a_repaired_plan_is_closer_to_the_model_or_as_it_was() -> None:
+    """Random plans: prepare() never raises the residual, and leaves a plan that it cannot improve bit for bit."""
+    random, unchanged, improved = np.random.default_rng(3), 0, 0
+    for _ in range(20):
+        plain, c = made(MEASURED), made(RealTimeIteration(shift=None))
+        for ctrl in (plain, c):
+            ctrl.step([0.0, 0.0, 0.0, 0.0])
+        c.x[...] += random.normal(size=c.x.shape)
+        plain.x[...], plain.u[...] = c.x, c.u
+        plain.view("row_residual")[...] = c.view("row_residual")
+        plain.prepare()
+        c.prepare()
+        assert c.stats.residual <= plain.stats.residual
+        assert c.stats.repairs <= 3
+        if c.stats.repairs == 0:
+            unchanged += 1
+            np.testing.assert_array_equal(c.x, plain.x)
+            np.testing.assert_array_equal(c.u, plain.u)
+        improved += c.stats.residual < 0.5 * plain.stats.residual
+    assert improved > 10
+
+
+@pytest.mark.parametrize("route", OURS)
+def test_the_same_inputs_give_the_same_bits(route: str) -> None:
+    c = build(tilted(), on(route, algorithm=RealTimeIteration()), "test")
+    twin, x = c.copy(), np.array([0.3, 0.1, -0.5, 0.0])
+    for _ in range(8):
+        u = c.step(x)
+        np.testing.assert_array_equal(twin.step(x), u)
+        x = c.integrate(x, u, DT)
+    np.testing.assert_array_equal(c._memory, twin._memory)
+
+
+def test_packages_for_microcontrollers_and_without_solve_do_not_repair() -> None:
+    for more in ({"solve": False}, {"processor": "scalar"}, {"goal": "size"}):
+        module = generate(tilted(), Options(**more))
+        assert "REPAIRS" not in module["tilted.h"]
+        assert "repair: 0" in module["tilted.json"]
+    assert "TILTED_REPAIRS 3" in generate(tilted())["tilted.h"]
+
+
+def test_the_worst_case_contains_the_repair() -> None:
+    worst = [
+        build(tilted(), Options(algorithm=RealTimeIteration(repair=n)), "test").description.report.worst_operations
+        for n in (0, 1, 2)
+    ]
+    first, second = (worst[n + 1]["prepare"] - worst[n]["prepare"] for n in (0, 1))
+    assert first > worst[0]["feedback"]
+    assert second == pytest.approx(first, rel=0.05)
+
+
+def test_steps_of_levels_follow_a_repaired_plan() -> None:
+    """Level C after a repaired level A is that of the plan which the repair has left."""
+    c = build(tilted(), Options(algorithm=RealTimeIteration(levels=True, shift=None)), "test")
+    c.step([0.4, 0.0, 0.0, 0.0])
+    c.x[...] += 0.5
+    c.prepare()
+    assert c.stats.repairs
+    np.testing.assert_array_equal(c.view("levels.x"), c.x)
+    c.feedback([0.4, 0.0, 0.0, 0.0])
+    assert c.prepare(level="C") is Status.OK
+
+
+# Relaxation -----------------------------------------------------------------------------------------------------------
+
+
+def stopped(unit: float, kind: str) -> OCP:
+    """A cart that cannot stop before a wall and a speed limit, whose rows are stated in other units."""
+    ocp = OCP("stopped", T=2.0, N=10)
+    x, v, a = ocp.state("x"), ocp.state("v"), ocp.control("a")
+    ocp.dynamics({x: v, v: a})
+    ocp.least_squares(ca.vertcat(x, v, a), weight=[1.0, 1.0, 0.1])
+    ocp.subject_to(-1, a, 1)
+    if kind == "state":
+        ocp.subject_to(-np.inf, x, 1.0, name="wall")
+    elif kind == "general":
+        ocp.subject_to(-np.inf, unit * (x + 0.1 * v), unit, name="wall")
+    elif kind == "end":
+        ocp.subject_to(-0.1 * unit, unit * (x + v**2), 0.1 * unit, at="end", name="wall")
+    else:
+        ocp.boundary(0, unit * (ocp.at_end(x) - 0.1 * ocp.at_start(x)), 0, name="wall")
+    ocp.subject_to(-0.5, v, 0.5, soft=(10.0, 1.0), name="limit")
+    return ocp
+
+
+@pytest.mark.few(5)
+@pytest.mark.parametrize("route", OURS)
+@pytest.mark.parametrize("kind", ["state", "general", "end", "coupled"])
+def test_hard_rows_give_way_in_their_own_units(route: str, kind: str) -> None:
+    """Every kind of row beside a soft one: the controls do not depend on the unit in which a row is stated, and the
+    violation is named."""
+    found = []
+    for unit in (1.0, 1e4):
+        c = build(stopped(unit, kind), on(route, algorithm=replace(PURE, relaxation="auto")), "test")
+        u = c.step([1.5, 2.0])
+        assert c.status is Status.RELAXED
+        assert c.stats.violated_row in ("wall", "wall_end")
+        found.append((u, c.stats.violation / unit))
+    np.testing.assert_allclose(found[1][0], found[0][0], rtol=1e-5, atol=1e-6)
+    if kind != "state":
+        assert found[1][1] == pytest.approx(found[0][1], rel=1e-4)
+
+
+def test_without_a_relaxation_the_plan_stays() -> None:
+    c = build(stopped(1.0, "state"), Options(algorithm=PURE), "test")
+    plan = c.x.copy()
+    c.step([1.5, 2.0])
+    assert c.status is Status.INFEASIBLE
+    np.testing.assert_array_equal(c.x, plan)
+
+
+def test_multipliers_of_a_penalty_do_not_enter_an_exact_hessian() -> None:
+    algorithm = replace(PURE, relaxation="auto")
+    c = build(stopped(1.0, "end"), Options(hessian=ExactHessian(), algorithm=algorithm), "test")
+    c.step([1.5, 2.0])
+    assert c.status is Status.RELAXED
+    assert not np.any(c.lam)
+
+
+def test_a_drone_commanded_by_a_quaternion_arrives() -> None:
+    stranger = known("quaternion")
+    c = build(stranger.ocp(), stranger.options(), "test")
+    log = simulate(c, np.zeros(6), 60)
+    assert np.linalg.norm(log.x[-1, :3] - [2, 1, 1]) < 0.05
+    far = np.abs(np.sum(log.u[:, 1:] ** 2, axis=1) - 1) > 0.2
+    assert np.sum(far & (log.status == Status.OK)) <= 1
