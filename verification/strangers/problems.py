@@ -1,4 +1,4 @@
-"""The strangers, and the cases of users beside them."""
+"""The strangers, and beside them cases that one QP per sample easily loses."""
 
 from __future__ import annotations
 

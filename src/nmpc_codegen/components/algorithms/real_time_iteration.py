@@ -50,6 +50,11 @@ PHASES = (
     EntryPoint("step", "Call prepare and feedback.", (_XHAT,), (_U0,)),
     EntryPoint("shift", "Move the plan by one interval."),
 )
+REPAIRING = EntryPoint(
+    "prepare",
+    "Preparation phase: linearise, condense, factorise; before that, repair a plan that is far from the model. A call "
+    "that fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly.",
+)
 SOLVE = EntryPoint(
     "solve",
     "Iterate from the present plan, with globalisation, until the KKT residual is at most tol or max_iterations is "
@@ -189,7 +194,8 @@ class RealTimeIteration(Defaults):
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
         optional = (*(FIRST if self.first_control else ()), *(LEVELS if self.leveled else ()))
-        return (*PHASES, *optional, *((SOLVE,) if solve else ()))
+        phases = (REPAIRING, *PHASES[1:]) if self.repair else PHASES
+        return (*phases, *optional, *((SOLVE,) if solve else ()))
 
     @property
     def leveled(self) -> bool:
