@@ -1,4 +1,4 @@
-"""Loops that one QP per sample easily loses: a drone round a pillar, a car past a parked one, a drone that tilts by a quaternion."""
+"""Loops that one QP per sample easily loses: a drone at a pillar, a car that passes another, a tilting drone."""
 
 from __future__ import annotations
 

@@ -26,10 +26,10 @@ from nmpc_codegen import (
     ExplicitRungeKutta,
     Mirror,
     Options,
-    RealTimeIteration,
     build,
 )
 from nmpc_codegen.runtime.status import Stats
+from verification.routes import PURE
 
 SAMPLES, JUMP = 160, 80
 JUMPS = {"undisturbed": (1.0, 1.0, 1.0), "S +20 %": (1.0, 1.2, 1.0), "X +10 %": (1.1, 1.0, 1.0)}
@@ -55,7 +55,7 @@ AUGMENTED = Options(
 EXACT = Options(
     integrator=ExplicitRungeKutta(RK4, steps=3),
     hessian=ExactHessian(Mirror(level="reduced")),
-    algorithm=RealTimeIteration(shift="periodic"),
+    algorithm=replace(PURE, shift="periodic"),
 )
 
 

@@ -8,7 +8,7 @@ Hessian without regularisation of the stages, over 120 samples. A plan starts at
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -29,10 +29,10 @@ from nmpc_codegen import (
     Options,
     ProblemError,
     Project,
-    RealTimeIteration,
     build,
 )
 from nmpc_codegen.economic import steady_state, tune
+from verification.routes import PURE
 
 EXACT = {
     "exact, mirrored stages": Mirror(level="stage"),
@@ -73,7 +73,7 @@ class Problem:
         hessian = (
             ExactHessian(EXACT[name]) if name in EXACT else tune(self.make(), Options(integrator=integrator)).hessian()
         )
-        return Options(integrator=integrator, hessian=hessian, algorithm=RealTimeIteration(shift=self.shift))
+        return Options(integrator=integrator, hessian=hessian, algorithm=replace(PURE, shift=self.shift))
 
 
 def orbit(controller: Controller, repeats: int) -> Figures:

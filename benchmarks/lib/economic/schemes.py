@@ -23,13 +23,13 @@ from nmpc_codegen import (
     EconomicGaussNewton,
     GaussNewton,
     Options,
-    RealTimeIteration,
     Status,
 )
 from nmpc_codegen.economic import Tuning, letempc_cost, letempc_terminal_cost, lqr_terminal_cost, tracking_cost
 from nmpc_codegen.economic.stage import SteadyStage, steady_stage
 from nmpc_codegen.frontend.classify import classify
 from verification.built import build_all
+from verification.routes import PURE
 
 Array = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ class Subject:
             "identity": EconomicGaussNewton(np.eye(self.tuning.M.shape[0]), np.eye(self.tuning.M_f.shape[0])),
             "least squares": GaussNewton(),
         }[scheme.hessian]
-        found: Options = replace(self.example.options(hessian), algorithm=RealTimeIteration(shift="repeat"))
+        found: Options = replace(self.example.options(hessian), algorithm=replace(PURE, shift="repeat"))
         return found
 
 

@@ -15,10 +15,12 @@ import numpy as np
 from scipy.optimize import linprog
 
 from benchmarks.lib.report import Report
-from nmpc_codegen import Controller, RealTimeIteration, Status, build
+from nmpc_codegen import Controller, Status, build
+from nmpc_codegen.frontend.classify import classify
 from verification.oracles.stage_qp import Array, Point, Shape, StageQP, row_values
 from verification.qp.draw import draw
 from verification.qp.stage_package import SOLVERS, answer, options, rounded, stage_ocp
+from verification.routes import PURE
 
 QPS = 1500  # per solver
 WEIGHT = 1e6
@@ -26,8 +28,9 @@ WEIGHT = 1e6
 TOLERANCE = 1e-5
 
 
-def least_violation(qp: StageQP, largest: bool) -> float:
-    """Least largest violation, or least sum of violations, of the rows by points within the bounds of the controls.
+def least_violation(qp: StageQP, largest: bool, weight: Array | float = 1.0) -> float:
+    """Least largest violation, or least sum of violations times ``weight``, of the rows by points within the bounds of
+    the controls.
 
     The variables are the controls, to which the states are affine, and the violations.
     """
@@ -40,7 +43,7 @@ def least_violation(qp: StageQP, largest: bool) -> float:
     A = np.vstack([np.hstack([value, slack])[above], np.hstack([-value, slack])[below]])
     b = np.concatenate([(qp.upper - constant)[above], (constant - qp.lower)[below]])
     bounds = [*zip(qp.lower_u.ravel(), qp.upper_u.ravel(), strict=True), *[(0, None)] * slack.shape[1]]
-    found = linprog(np.append(np.zeros(N * nu), np.ones(slack.shape[1])), A, b, bounds=bounds, method="highs")
+    found = linprog(np.append(np.zeros(N * nu), np.ones(slack.shape[1]) * weight), A, b, bounds=bounds, method="highs")
     return float(found.fun) if found.status == 0 else math.nan
 
 
@@ -74,29 +77,38 @@ class Count:
         self.examples.append(f"infeasible/{number}: {text}")
 
 
+def _weights(qp: StageQP, controller: Controller) -> Array:
+    """Penalties of the rows relative to the largest: the inverse of their scales, as the controller has found them."""
+    rows = classify(stage_ocp(qp.shape)).qp_rows
+    scale = np.array([controller.view("row_scale")[row] for _, _, _, row in rows])
+    weight = 1.0 / np.where(scale > 0, scale, 1.0)
+    return np.asarray(weight / weight.max())
+
+
 def check(count: Count, number: int, controller: Controller) -> None:
     """A relaxed QP against the linear program."""
     qp = rounded(draw("infeasible", number), "double")
-    least = least_violation(qp, largest=False)
-    if math.isnan(least):
-        return  # the linear program itself has failed
     controller.reset()
     found = answer(controller, qp)
+    weight = _weights(qp, controller)
+    least = least_violation(qp, largest=False, weight=weight)
+    if math.isnan(least):
+        return  # the linear program itself has failed
     count.qps += 1
     if found.status != Status.RELAXED:
         count.fault("not_relaxed", number, found.status.name)
         return
     amount, stats = violations(qp, found.point), controller.stats
     size = 1 + float(np.max(np.abs(_values(qp, found.point.du))))
-    if abs(amount.sum() - least) > TOLERANCE * size:
-        count.fault("sums", number, f"violations {amount.sum():.3e}, least sum {least:.3e}")
+    if abs(amount @ weight - least) > TOLERANCE * size:
+        count.fault("sums", number, f"violations {amount @ weight:.3e}, least sum {least:.3e}")
     if abs(abs(stats.violation) - amount.max()) > TOLERANCE * size or stats.violated_row is None:
         count.fault("stated", number, f"largest violation {amount.max():.3e}, stated {stats.violation:.3e}")
 
 
 def measure(report: Report, scale: float = 1.0) -> None:
     """Every solver with a relaxation."""
-    relaxed = RealTimeIteration(relaxation=WEIGHT)
+    relaxed = dataclasses.replace(PURE, relaxation=WEIGHT)
     for solver in SOLVERS:
         count, controllers = Count(), dict[Shape, Controller]()
         for number in range(math.ceil(QPS * scale)):
