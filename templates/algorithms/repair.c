@@ -104,11 +104,11 @@ static int stays_far(solver_t *s)
 }
 
 /* Repairs the plan that has just been linearised, with this status: while its residual is above the tolerance, after a
- * sample that failed, and before the first sample, while steps are long. */
+ * sample that failed or had to relax rows, and before the first sample, while steps are long. */
 static status_t repair(solver_t *s, status_t status)
 {
     const int first = s->samples == 0;
-    int wanted = first || s->failing > FINE;
+    int wanted = first || s->failing > FINE || s->stats.violated_row >= 0;
     s->stats.repairs = 0;
     s->was_far = is_far(s->stats.residual);
     for (int n = 0; n < REPAIRS && status == OK && (wanted || is_far(s->stats.residual)); n++) {
