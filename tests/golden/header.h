@@ -4,8 +4,8 @@
 golden_status_t golden_init(golden_solver_t *s);
 golden_status_t golden_reset(golden_solver_t *s);
 
-/* Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; feedback restarts a
- * plan that fails repeatedly. */
+/* Preparation phase: linearise, condense, factorise; before that, repair a plan that is far from the model. A call
+ * that fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly. */
 golden_status_t golden_prepare(golden_solver_t *s);
 
 /* Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return. */
@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 30c4408fe7ad7b60, sha256 1396cba8c811e5fad6137aa2f4366438db8857f7d8c8294616d12e1083e86381 */
+/* nmpc_codegen package 63d6fcb2521d2747, sha256 c0492589e38746e1fa3ac9f16798af73aa3204331c9d438de0f4b0f5eca9ff0d */
