@@ -13,6 +13,9 @@ static void algorithm_reset(solver_t *s)
 #if SHIFT || REPAIR
     s->samples = 0;
 #endif
+#if REPAIR
+    s->unconverged = 0;
+#endif
     s->failing = FINE;
 #if LEVELS
     s->levels.valid = 0;
@@ -137,6 +140,13 @@ status_t API(prepare)(solver_t *s)
 #endif
 #if LAGRANGIAN
     settle(s);
+#endif
+#if REPAIR
+    if (s->unconverged >= PATIENCE) { /* repair leads nowhere from here */
+        forget_plan(s);
+        start_at_measured(s);
+        s->unconverged = 0;
+    }
 #endif
 #if LEVELS
     status = evaluate(s, level);
@@ -326,12 +336,12 @@ static int recover_multipliers(solver_t *s)
 /* The status of a sample: NOT_CONVERGED instead of OK if its QP belongs to a plan that is far from the model. */
 static status_t judge(solver_t *s, status_t status)
 {
+    status = (status == OK && is_far(s->stats.residual)) ? NOT_CONVERGED : status;
 #if REPAIR
-    if (status == OK && stays_far(s)) {
-        return NOT_CONVERGED;
-    }
+    status = (status == OK && stays_far(s)) ? NOT_CONVERGED : status;
+    s->unconverged = (status == NOT_CONVERGED) ? s->unconverged + 1 : 0;
 #endif
-    return (status == OK && is_far(s->stats.residual)) ? NOT_CONVERGED : status;
+    return status;
 }
 
 /* Feedback phase: embeds the measured state s->xhat, solves the QP and takes the full step. States and controls change only on

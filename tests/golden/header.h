@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 63d6fcb2521d2747, sha256 c0492589e38746e1fa3ac9f16798af73aa3204331c9d438de0f4b0f5eca9ff0d */
+/* nmpc_codegen package 388f1d191f4c6585, sha256 b0a7c39fa72cfead4b3da35e6178efebe768c36e2465fb0e1121eee4f03259f2 */

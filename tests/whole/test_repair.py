@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from examples import quadrotor
 from nmpc_codegen import OCP, ExactHessian, Options, RealTimeIteration, Status, build, generate, simulate
 from nmpc_codegen.runtime.controller import Controller
 from verification import problems
@@ -255,3 +256,19 @@ def test_a_drone_commanded_by_a_quaternion_arrives() -> None:
     assert np.linalg.norm(log.x[-1, :3] - [2, 1, 1]) < 0.05
     far = np.abs(np.sum(log.u[:, 1:] ** 2, axis=1) - 1) > 0.2
     assert np.sum(far & (log.status == Status.OK)) <= 1
+
+
+def test_a_plan_that_repair_does_not_bring_back_is_given_up() -> None:
+    """A quadrotor after one sample with a reference far away: its plan leads nowhere, and the next ones start anew."""
+    c = build(quadrotor.build_ocp(), replace(quadrotor.options(), algorithm=RealTimeIteration()), "test")
+    rest = np.zeros(12)
+    for _ in range(5):
+        c.step(rest)
+    c.x[1:, 6:9] = 1e3
+    statuses = []
+    for _ in range(30):
+        c.step(rest)
+        statuses.append(c.status)
+    assert Status.NOT_CONVERGED in statuses
+    assert statuses[-1] is Status.OK
+    assert np.abs(c.x).max() < 1

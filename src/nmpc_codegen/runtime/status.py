@@ -266,9 +266,11 @@ def _worst_row(ctrl: Any) -> list[str]:
     stats = ctrl.stats
     if stats.violated_row is None:
         return []
+    hard = "relaxation=None" in str(ctrl.description.options)
+    choose = ', or choose RealTimeIteration(relaxation="auto")' if hard else ""
     return [
-        f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}: make it soft "
-        '(soft=(l1, l2)), widen it, or keep RealTimeIteration(relaxation="auto")'
+        f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}: make it soft, "
+        f"soft=(l1, l2), or widen it{choose}"
     ]
 
 

@@ -104,6 +104,10 @@ PATIENCE = 10
 REPAIR_TRIALS = 4
 #: Weight that relaxation="auto" stands for.
 RELAXATION = 1e4
+_FOLLOWED = (
+    Field("was_far", (), "1: the sample before left a residual", "keep", "int32"),
+    Field("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32"),
+)
 _SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
@@ -285,7 +289,7 @@ class RealTimeIteration(Defaults):
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             *((_SAMPLES,) if self.shift or self.repair else ()),
-            *((Field("was_far", (), "1: the sample before left a residual", "keep", "int32"),) if self.repair else ()),
+            *(_FOLLOWED if self.repair else ()),
             Field("row_residual", (), "of the hard rows, left by the last step", "keep", only="NONLINEAR_ROWS"),
             Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only="ROW_SCALES"),
             Field(
