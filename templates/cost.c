@@ -36,7 +36,7 @@ static real_t soft_penalties(const solver_t *s)
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         if (IS_SOFT(m)) {
-            total += soft_penalty(m, FABS(value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))));
+            total += soft_penalty(m, outside(s, m, value[m]));
         }
     }
     return total;

@@ -29,6 +29,12 @@ static inline void widen(real_t *size, const real_t *v, int n)
 
 #endif
 #if NG
+/* How far a value of row m is outside of its bounds. */
+static inline real_t outside(const solver_t *s, int m, real_t value)
+{
+    return FABS(value - clip(value, ROW_LOWER(s, m), ROW_UPPER(s, m)));
+}
+
 /* Values of all rows at the present iterate. */
 static void evaluate_rows(const solver_t *s, real_t *value)
 {

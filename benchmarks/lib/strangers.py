@@ -41,13 +41,12 @@ def loops(strangers: Sequence[Stranger], numbers: Sequence[int], scheme: str) ->
 
 
 def measure(report: Report, asked: Run) -> None:
-    """A line per problem, and the figures of all; open-loop chaotic plants count for their statuses alone."""
+    """A line per problem, and the figures of all."""
     numbers = [i for i, _ in asked.some(range(STARTS), LEAST)]
     found = loops(STRANGERS, numbers, "default")
     for stranger in STRANGERS:
         _report(report, stranger.name, found[stranger.name])
-    strange = [s for s in STRANGERS if s not in CASES]
-    judged = [v for s in strange if not s.chaotic for v in found[s.name]]
+    judged = [v for s in STRANGERS if s not in CASES for v in found[s.name]]
     every = [v for verdicts in found.values() for v in verdicts]
     samples = sum(v.samples for v in every)
     totals = {

@@ -8,6 +8,8 @@
 
 #include "algorithms/finish.c"
 
+#include "algorithms/judged.c"
+
 #include "algorithms/shooting_rows.c"
 
 #include "algorithms/shooting_sweeps.c"
@@ -203,10 +205,7 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
         status = recover(s, run_sample(s));
     }
     safe_control(s, u0);
-    if (status == OK && !(s->stats.violation <= residual_tolerance[0])) {
-        status = NOT_CONVERGED;
-    }
-    return finish(s, status);
+    return finish(s, judged(status, s->stats.violation));
 }
 
 #include "algorithms/shooting_kkt.c"

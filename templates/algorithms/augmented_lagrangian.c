@@ -130,6 +130,18 @@ static void finish_multipliers(solver_t *s)
 #endif
 }
 
+#if NG
+/* most = max(most, violation of every relaxed row in its scale). */
+static void enlarge_by_rows(const solver_t *s, real_t *most)
+{
+    for (int m = 0; m < NG; m++) {
+        if (row_relaxed[m] == 1) {
+            enlarge(most, outside(s, m, s->auglag.value[m]) * SQRT(row_weight[m]));
+        }
+    }
+}
+
+#endif
 /* Largest gap and violation of a relaxed row, in their scales. */
 static real_t violation_of(const solver_t *s)
 {
@@ -141,11 +153,7 @@ static real_t violation_of(const solver_t *s)
         }
     }
 #if NG
-    for (int m = 0; m < NG; m++) {
-        if (row_relaxed[m] == 1) {
-            enlarge(&most, (a->value[m] - clip(a->value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))) * SQRT(row_weight[m]));
-        }
-    }
+    enlarge_by_rows(s, &most);
 #endif
     return most;
 }
@@ -169,19 +177,14 @@ static real_t plan_residual(const solver_t *s)
         }
     }
 #if NG
-    for (int m = 0; m < NG; m++) {
-        if (row_relaxed[m] == 1) {
-            enlarge(&most, (a->value[m] - clip(a->value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))) * SQRT(row_weight[m]));
-        }
-    }
+    enlarge_by_rows(s, &most);
 #endif
     return most;
 }
 
-/* The status of a sample: NOT_CONVERGED instead of OK if its plan is far from the model. */
 static status_t judge(const solver_t *s, status_t status)
 {
-    return (status == OK && is_far(s->stats.residual)) ? NOT_CONVERGED : status;
+    return judged(status, s->stats.residual);
 }
 
 /* Feedback phase for the measured state s->xhat. The plan changes only if it stays finite. */

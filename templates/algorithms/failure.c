@@ -131,11 +131,11 @@ static status_t give_way(solver_t *s, status_t why)
     s->relaxation = relaxation_weight[0] * cost_scale(s, size);
     status = run_qp(s);
     s->relaxation = INF;
-    name_violation(s);
-    if (status != OK) {
-        return (why == INFEASIBLE) ? status : why;
+    if (why != INFEASIBLE && (status != OK || nothing_relaxed(s))) {
+        return (status == OK) ? OK : why;
     }
-    return (why != INFEASIBLE && nothing_relaxed(s)) ? OK : RELAXED;
+    name_violation(s);
+    return (status == OK) ? RELAXED : status;
 }
 #else
 /* Called if the QP is infeasible or has been given up: reports the violated row; there is no relaxation. */
@@ -157,4 +157,16 @@ static inline int is_given_up(status_t status)
 }
 
 #endif
+/* The QP of a sample, and where it has no solution the one with relaxed rows. */
+static status_t run_sample_qp(solver_t *s)
+{
+    const status_t status = run_qp(s);
+#if HARD_ROWS
+    if (is_given_up(status)) {
+        return give_way(s, status);
+    }
+#endif
+    return status;
+}
+
 #include "algorithms/recover.c"

@@ -60,3 +60,10 @@ static void forget_plan(solver_t *s)
     }
 #endif
 }
+
+/* Nothing of the plan is kept. */
+static void start_anew(solver_t *s)
+{
+    forget_plan(s);
+    start_at_measured(s);
+}

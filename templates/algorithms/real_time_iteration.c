@@ -143,8 +143,7 @@ status_t API(prepare)(solver_t *s)
 #endif
 #if REPAIR
     if (s->unconverged >= PATIENCE) { /* repair leads nowhere from here */
-        forget_plan(s);
-        start_at_measured(s);
+        start_anew(s);
         s->unconverged = 0;
     }
 #endif
@@ -333,10 +332,10 @@ static int recover_multipliers(solver_t *s)
 }
 #endif
 
-/* The status of a sample: NOT_CONVERGED instead of OK if its QP belongs to a plan that is far from the model. */
+/* The status of a sample; its QP belongs to the plan that was linearised. */
 static status_t judge(solver_t *s, status_t status)
 {
-    status = (status == OK && is_far(s->stats.residual)) ? NOT_CONVERGED : status;
+    status = judged(status, s->stats.residual);
 #if REPAIR
     status = (status == OK && stays_far(s)) ? NOT_CONVERGED : status;
     s->unconverged = (status == NOT_CONVERGED) ? s->unconverged + 1 : 0;
@@ -357,12 +356,7 @@ static status_t feedback_here(solver_t *s)
         renew_gradients(s);
     }
 #endif
-    status = run_qp(s);
-#if HARD_ROWS
-    if (is_given_up(status)) {
-        status = give_way(s, status);
-    }
-#endif
+    status = run_sample_qp(s);
     if (status != OK && status != RELAXED) {
         return status;
     }

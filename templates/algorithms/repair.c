@@ -26,11 +26,8 @@ static status_t run_qp_at_plan(solver_t *s)
     status_t status;
     memcpy(measured, s->xhat, sizeof measured);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
-    status = run_qp(s);
+    status = run_sample_qp(s);
 #if HARD_ROWS
-    if (is_given_up(status)) {
-        status = give_way(s, status);
-    }
     s->sqp.elastic = status == RELAXED;
 #endif
     memcpy(s->xhat, measured, sizeof s->xhat);

@@ -1,21 +1,12 @@
-/* Contract of this part: how far the plan at which a QP is linearised is from the model. The residual is the largest of
- *
- *     the gaps, each in the scale of its state: its largest magnitude in the plan, half the width of its bounds,
- *     what hard rows differ from what the last step predicted for them, each in the scale of its bounds or, if they
- *     are 0, of its value.
- *
- * What has changed since the step (measured state, bounds, references) and the end that a shift adds do not count. */
+/* Contract of this part: how far the plan at which a QP is linearised is from the model. The residual is the largest gap
+ * in the scale of its state. What has changed since the last step (measured state, bounds, references) and the end that
+ * a shift adds do not count. */
 
 #include "algorithms/scales.c"
 
 #if NONLINEAR_ROWS
-/* By how much a value is outside its bounds. */
-static inline real_t outside(const solver_t *s, int m, real_t value)
-{
-    return FABS(value - clip(value, ROW_LOWER(s, m), ROW_UPPER(s, m)));
-}
-
-/* Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that has been. */
+/* Rows count as well, by what they differ from what the last step predicted for them.
+ * Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that has been. */
 static real_t scale_of_row(solver_t *s, int m, real_t value)
 {
     real_t scale = R(0), *most = &s->row_scale[row_id[m]];

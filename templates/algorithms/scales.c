@@ -52,8 +52,4 @@ static void state_scales(const solver_t *s, real_t *size)
     }
 }
 
-/* Returns 1 if a residual is above the tolerance. */
-static inline int is_far(real_t residual)
-{
-    return !(residual <= residual_tolerance[0]);
-}
+#include "algorithms/judged.c"

@@ -46,8 +46,7 @@ static void settle(solver_t *s)
     if (s->unsettled == PATIENCE / 2) {
         forget_multipliers(s);
     } else if (s->unsettled >= PATIENCE) {
-        forget_plan(s);
-        start_at_measured(s);
+        start_anew(s);
         s->unsettled = 0;
     }
 }

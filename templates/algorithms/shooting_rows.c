@@ -288,7 +288,7 @@ static real_t row_terms_of_plan(solver_t *s, real_t *violation)
 #else
         sum += term;
 #endif
-        enlarge(violation, SQRT(row_weight[m]) * (value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))));
+        enlarge(violation, SQRT(row_weight[m]) * outside(s, m, value[m]));
     }
 #if LUMPED_ROWS
     s->shooting.lump = lump_multiplier(s) + row_penalty(s) * lump;

@@ -49,7 +49,7 @@ static measures_t measure(solver_t *s)
     real_t value[NG];
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-        const real_t v = FABS(value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m)));
+        const real_t v = outside(s, m, value[m]);
 #if SOFT_ROWS
         if (IS_SOFT(m)) {
             at.cost += soft_penalty(m, v);
@@ -319,7 +319,7 @@ static real_t slope_of(solver_t *s)
     for (int m = 0; m < NG; m++) {
         if (IS_SOFT(m)) {
             slope += soft_penalty(m, FABS(row_excess(s, m, R(0))));
-            slope -= soft_penalty(m, FABS(value[m] - clip(value[m], ROW_LOWER(s, m), ROW_UPPER(s, m))));
+            slope -= soft_penalty(m, outside(s, m, value[m]));
         }
     }
 #endif

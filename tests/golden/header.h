@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 388f1d191f4c6585, sha256 b0a7c39fa72cfead4b3da35e6178efebe768c36e2465fb0e1121eee4f03259f2 */
+/* nmpc_codegen package 84101c27656b26a6, sha256 bb2b86a91e796fba6e5d3d5eba1cd9a18e257081f34ecbf884f23f82bd8ffa9c */

@@ -234,6 +234,16 @@ def test_barriers_do_not_displace_the_rest() -> None:
     assert log.x[:, 0].min() >= -0.02
 
 
+@pytest.mark.parametrize("tolerance", [1e-6, 10.0])
+def test_a_plan_that_violates_a_hard_row_is_not_converged(tolerance: float) -> None:
+    ocp = samples.controls()
+    ocp.subject_to(-0.02, ocp.x[0], 10.0, name="wall")
+    controller = build(ocp, options(rows="quadratic", penalty=0.01, tolerance=tolerance), "test")
+    controller.step([0.0, -1.0])
+    assert 1e-6 < controller.stats.violation == controller.stats.residual < 10.0
+    assert controller.status is (Status.OK if tolerance > 1 else Status.NOT_CONVERGED)
+
+
 @pytest.mark.parametrize("rows", ["augmented_lagrangian", "smooth_l1"])
 @pytest.mark.parametrize("penalty", [(0.05, 0.0), (0.05, 0.2), (50.0, 0.0)])
 def test_soft_rows_that_are_violated(penalty: tuple[float, float], rows: str) -> None:

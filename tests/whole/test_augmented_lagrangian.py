@@ -247,6 +247,22 @@ def test_the_control_is_finite_and_inside_its_bounds(precision: Any, data: st.Da
     assert not controller.status.is_failure
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e3])
+def test_a_plan_that_is_far_from_the_model_is_not_converged(tolerance: float) -> None:
+    """By its largest gap in the scale of a state, recomputed in numpy."""
+    c = build(bioreactor.build_ocp(soft=True), loop_options(tolerance=tolerance), "test")
+    xhat = np.array(c.description.x_initial) * 1.1
+    c.step(xhat)
+    X, U = c.x, c.u
+    xhat[list(classify(bioreactor.build_ocp(soft=True)).accumulators)] = 0.0
+    ends = [c.integrate(x, u, dt) for x, u, dt in zip(X[:-1], U, c.description.dt, strict=True)]
+    size = np.max(np.abs(X), axis=0)
+    residual = np.max(np.abs(np.vstack([xhat - X[0], np.array(ends) - X[1:]])) / size)
+    assert c.stats.residual == pytest.approx(residual, rel=1e-6)
+    assert c.status is (Status.NOT_CONVERGED if residual > tolerance else Status.OK)
+    assert (residual > tolerance) == (tolerance < 1)
+
+
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_nothing_stays_in_the_work_arrays(number: float) -> None:
     """Numbers of an earlier sample that are not finite, also those in the padding of rows, change nothing later."""

@@ -130,9 +130,9 @@ def test_repair_brings_a_plan_home_that_plain_steps_lose() -> None:
     assert np.linalg.norm(repaired.x[-1, :2] - [2, 1]) < 0.5
 
 
-def test_a_repaired_plan_is_closer_to_the_model_or_as_it_was() -> None:
-    """Random plans: prepare() never raises the residual, and leaves a plan that it cannot improve bit for bit."""
-    random, unchanged, improved = np.random.default_rng(3), 0, 0
+def test_a_repaired_plan_is_closer_to_the_model() -> None:
+    """Random plans: prepare() never raises the residual, and halves it for most."""
+    random, improved = np.random.default_rng(3), 0
     for _ in range(20):
         plain, c = made(MEASURED), made(RealTimeIteration(shift=None))
         for ctrl in (plain, c):
@@ -144,12 +144,21 @@ def test_a_repaired_plan_is_closer_to_the_model_or_as_it_was() -> None:
         c.prepare()
         assert c.stats.residual <= plain.stats.residual
         assert c.stats.repairs <= 3
-        if c.stats.repairs == 0:
-            unchanged += 1
-            np.testing.assert_array_equal(c.x, plain.x)
-            np.testing.assert_array_equal(c.u, plain.u)
         improved += c.stats.residual < 0.5 * plain.stats.residual
     assert improved > 10
+
+
+def test_a_plan_that_cannot_be_improved_stays() -> None:
+    """The QP has no solution, and nothing may give way: bit for bit as it was."""
+    hard = RealTimeIteration(relaxation=None, shift=None)
+    c = build(stopped(1.0, "state"), Options(algorithm=hard), "test")
+    c.x[...], c.u[...] = [1.5, 2.0], 0.3
+    x, u = c.x.copy(), c.u.copy()
+    assert c.prepare() is Status.OK
+    assert c.stats.residual > hard.tolerance
+    assert c.stats.repairs == 0
+    np.testing.assert_array_equal(c.x, x)
+    np.testing.assert_array_equal(c.u, u)
 
 
 @pytest.mark.parametrize("route", OURS)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen import Controller, Options, build
+from nmpc_codegen import Controller, build
 from verification.strangers.statement import Array, Limit, Stranger
 from verification.strangers.twin import Loop, Outcome, Twin, by_ipopt
 
@@ -25,8 +25,8 @@ class Verdict:
     statuses: Counter[str]
     far: int
     repairs: int
-    lost: str = ""
-    samples: int = field(default=0)
+    lost: str
+    samples: int
 
     @property
     def bad(self) -> int:
@@ -81,9 +81,9 @@ def _violation(rows: list[Limit], values: Array) -> float:
     return float(np.max(np.maximum(lower - values, values - upper) / scale, initial=0.0))
 
 
-def controller_of(stranger: Stranger, options: Options | None = None) -> Controller:
+def controller_of(stranger: Stranger) -> Controller:
     """The controller of a user who says nothing but the integration steps."""
-    return build(stranger.ocp(), options or stranger.options(), "fast")
+    return build(stranger.ocp(), stranger.options(), "fast")
 
 
 def run(twin: Twin, judge: Judge, controller: Controller, number: int) -> Verdict:

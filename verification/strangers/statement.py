@@ -35,7 +35,7 @@ class Limit:
 @dataclass(frozen=True, eq=False)
 class Stranger:
     """``start``: the box of initial states; ``kick``: (sample, what is added to the state after it); ``distance``: of a
-    state from the goal, which is reached within ``reach``; ``chaotic``: an open-loop chaotic plant."""
+    state from the goal, which is reached within ``reach``."""
 
     name: str
     family: str
@@ -57,7 +57,6 @@ class Stranger:
     distance: Callable[[Array], float] | None = field(default=None, repr=False)
     reach: float = 0.0
     steps: int = 2
-    chaotic: bool = False
 
     @property
     def dt(self) -> float:

@@ -14,6 +14,15 @@ from nmpc_codegen.errors import ControllerError, NmpcError
 ROUNDING = 2.0**12
 
 
+#: Relative difference of two times that is rounding.
+SAME_TIME = 1e-9
+
+
+def is_same_time(one: float, other: float) -> bool:
+    """True if two times are equal up to rounding."""
+    return math.isclose(one, other, rel_tol=SAME_TIME, abs_tol=0.0)
+
+
 def checked_weight(
     W: NDArray[Any], what: str, error: type[NmpcError], eps: float = float(np.finfo(np.float64).eps)
 ) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status
-from nmpc_codegen.runtime.given import is_positive
+from nmpc_codegen.runtime.given import is_positive, is_same_time
 from nmpc_codegen.runtime.package_description import RowKind, Signal
 from nmpc_codegen.runtime.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, Curve, Trace, draw
 
@@ -30,7 +30,6 @@ LOG_BYTES = 2**31  # a larger log may not fit into memory, and the run would tak
 LOG_COLUMNS = 4  # status, cost, time and t
 LONG_RUN = 200  # number of steps from which a progress bar is shown
 SAME = 1e-6  # relative tolerance within which a row equals a signal, in single precision too
-SAME_TIME = 1e-9  # relative difference of two sampling times that is rounding
 STEP_SLACK = 1e-9  # relative tolerance: dt = 3 intervals, computed as a sum of floats, is 3 steps, not 4
 
 
@@ -233,7 +232,7 @@ def _interval(ctrl: Controller, dt: float | None) -> float:
         raise ControllerError(f"dt is {dt!r}; expected a positive number of seconds")
     if ctrl.description.discrete and dt != own:
         raise ControllerError(f"dt is {dt!r}, but the dynamics are a discrete map of dt = {own!r}: leave dt out")
-    if sampled is not None and not math.isclose(dt, sampled, rel_tol=SAME_TIME):
+    if sampled is not None and not is_same_time(dt, sampled):
         raise ControllerError(
             f"dt is {dt!r}, but the plan is shifted by {sampled!r} s before every sample: state the sampling time by "
             f"RealTimeIteration(sampling_time={dt!r}), or shift nothing, shift=None"

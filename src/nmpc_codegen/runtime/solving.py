@@ -109,7 +109,7 @@ def solve(ctrl: Controller, tol: float, max_iterations: int, globalization: Glob
         **parts,
         cost=ctrl.cost,
         kkt=ctrl.kkt(),
-        iterations=ctrl.stats.sqp_iterations,
+        iterations=_count(ctrl, "sqp_iterations"),
         time_ns=run.time_ns,
         controls=ctrl.names.controls,
         log=tuple(run.log),
@@ -123,13 +123,13 @@ def _searched(ctrl: Controller, run: _Run, tol: float, most: int) -> Status:
     for last in range(1 if steps else most, most + 1):
         if steps:
             ctrl.view("sqp.resumes")[...] = last > 1
-        before = ctrl.stats.sqp_iterations if last > 1 else 0
+        before = _count(ctrl, "sqp_iterations") if last > 1 else 0
         start = perf_counter_ns()
         status = ctrl.call_solve(tol, last)
         run.time_ns += perf_counter_ns() - start
-        if steps and ctrl.stats.sqp_iterations > before:
+        if steps and _count(ctrl, "sqp_iterations") > before:
             length = float(ctrl.view("sqp.length"))
-            run.log.append(_entry(ctrl, ctrl.stats.kkt, length, bool(ctrl.view("sqp.restoring"))))
+            run.log.append(_entry(ctrl, ctrl.kkt(), length, bool(ctrl.view("sqp.restoring"))))
         if status != Status.ITERATION_LIMIT:
             break
     if steps:
@@ -160,4 +160,9 @@ def _full_steps(ctrl: Controller, run: _Run, tol: float, most: int) -> Status:
 
 def _entry(ctrl: Controller, kkt: Kkt, length: float, restoring: bool) -> Iteration:
     active = sum(int(np.count_nonzero(ctrl.member(part))) for part in MULTIPLIERS[1:])
-    return Iteration(kkt, length, ctrl.stats.qp_iterations, active, restoring)
+    return Iteration(kkt, length, _count(ctrl, "qp_iterations"), active, restoring)
+
+
+def _count(ctrl: Controller, name: str) -> int:
+    """A counter of the last call, without the residuals that all stats contain; 0 if the algorithm has none."""
+    return int(ctrl.view(f"stats.{name}")) if name in ctrl.description.members("stats") else 0

@@ -7,11 +7,9 @@ import math
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.runtime.given import is_same_time
 
 SHIFTS = (None, "repeat", "periodic", "resample")
-
-#: Relative difference of two times that is rounding.
-SAME_TIME = 1e-9
 
 
 def check_sampling_time(algorithm: str, shift: str | None, sampling_time: float | None) -> None:
@@ -36,14 +34,9 @@ def auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | Non
             other = "repeat" if problem.uniform else "resample"
             other = "periodic" if problem.coupled_rows and problem.uniform else other
             return None, f'the problem has {reason}; shift="{other}" moves the plan all the same'
-    if sampling_time is not None and not is_same(sampling_time, problem.dt[0]):
+    if sampling_time is not None and not is_same_time(sampling_time, problem.dt[0]):
         return "resample", f"the sampling time {sampling_time:g} differs from the interval {problem.dt[0]:g}"
     return "repeat", "a sample is one interval"
-
-
-def is_same(sampling_time: float, interval: float) -> bool:
-    """True if a sampling time is an interval up to rounding."""
-    return math.isclose(sampling_time, interval, rel_tol=SAME_TIME, abs_tol=0.0)
 
 
 def sampled(shift: str | None, sampling_time: float | None, problem: Problem) -> float | None:
@@ -54,7 +47,7 @@ def sampled(shift: str | None, sampling_time: float | None, problem: Problem) ->
 def check_shift(algorithm: str, shift: str | None, sampling_time: float | None, problem: Problem) -> None:
     """Raise OptionError for a shift by one interval on a non-uniform grid or with another sampling time, or for
     resampling a discrete map."""
-    if shift in ("repeat", "periodic") and sampling_time is not None and not is_same(sampling_time, problem.dt[0]):
+    if shift in ("repeat", "periodic") and sampling_time is not None and not is_same_time(sampling_time, problem.dt[0]):
         raise OptionError(
             f'{algorithm}(shift="{shift}") moves the plan by one interval, {problem.dt[0]:g} s, and clashes with '
             f'sampling_time={sampling_time:g}; expected shift="resample" (--set algorithm.shift=resample)'

@@ -1,0 +1,11 @@
+/* Returns 1 if a residual is above the tolerance. */
+static inline int is_far(real_t residual)
+{
+    return !(residual <= residual_tolerance[0]);
+}
+
+/* The status of a sample: NOT_CONVERGED instead of OK if its plan is far from the model. */
+static inline status_t judged(status_t status, real_t residual)
+{
+    return (status == OK && is_far(residual)) ? NOT_CONVERGED : status;
+}
