@@ -276,6 +276,9 @@ static int recover_multipliers(solver_t *s)
     real_t least = R(0);
 #endif
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
+#if CURVED
+    add_terminal_curvature(s, s->step.dx[N], w);
+#endif
     for (int k = N; k >= 0; k--) {
 #if NE || NH || NH_N
         add_row_forces(s, k, w);
@@ -288,6 +291,9 @@ static int recover_multipliers(solver_t *s)
             break;
         }
         ADJOINT_STEP(&s->node[k - 1], HESSIAN(s, k - 1), s->step.dx[k - 1], s->step.du[k - 1], w);
+#if CURVED
+        add_curvature(s, k - 1, s->step.dx[k - 1], s->step.du[k - 1], w);
+#endif
 #if CHECK_GRADIENT
         held &= controls_hold(s, k - 1, w, &least);
 #endif

@@ -65,6 +65,10 @@ static measures_t measure(solver_t *s)
     return at;
 }
 
+#if CURVED
+#include "algorithms/convexify.c"
+
+#endif
 /* Saves the result of a QP. */
 static void put_step_aside(solver_t *s)
 {
@@ -73,6 +77,8 @@ static void put_step_aside(solver_t *s)
     for (int k = 0; k <= N; k++) {
         multiplier_of_qp(s, k, s->sqp.lam[k]);
     }
+#elif CURVED
+    multipliers_of_qp(s, s->sqp.lam);
 #endif
 }
 
@@ -148,6 +154,16 @@ static void update_scales(solver_t *s)
             enlarge(&size[i], *step_at(&s->step, k, i));
         }
     }
+#if STATE_ROWS
+    for (int m = 0; m < NG; m++) { /* what a state has to reach */
+#if GENERAL_ROWS || NE
+        if (row_kind[m] != ROW_STATE) {
+            continue;
+        }
+#endif
+        enlarge(&size[row_index[m]], clip(R(0), ROW_LOWER(s, m), ROW_UPPER(s, m)));
+    }
+#endif
     for (int i = 0; i < NX; i++) {
         grew |= raise_scale(&q->state_scale[i], size[i]);
     }
@@ -212,13 +228,22 @@ static int passes_filter(const sqp_t *q, const measures_t *at)
     return ok;
 }
 
-/* The filter rejects from now on what is not better than the base, up to rounding of the violation; the last of FILTER
- * entries gives way. */
+/* The filter rejects from now on what is not better than the base, up to rounding of the violation. Entries that it
+ * rejects leave; if there are FILTER others, the one with the largest violation gives way. */
 static void extend_filter(sqp_t *q)
 {
-    measures_t *entry = &q->filter[(q->entries < FILTER) ? q->entries++ : FILTER - 1];
-    entry->violation = (R(1) - R(1e-5)) * q->base.violation + TOL_MERIT_ROUNDING;
-    entry->cost = q->base.cost - R(1e-5) * q->base.violation * q->cost_scale;
+    const measures_t added = {(R(1) - R(1e-5)) * q->base.violation + TOL_MERIT_ROUNDING,
+        q->base.cost - R(1e-5) * q->base.violation * q->cost_scale};
+    int kept = 0, worst = 0;
+    for (int n = 0; n < q->entries; n++) {
+        if (q->filter[n].violation < added.violation || q->filter[n].cost < added.cost) {
+            q->filter[kept] = q->filter[n];
+            worst = (q->filter[kept].violation > q->filter[worst].violation) ? kept : worst;
+            kept++;
+        }
+    }
+    q->filter[(kept < FILTER) ? kept : worst] = added;
+    q->entries = (kept < FILTER) ? kept + 1 : FILTER;
 }
 
 /* Returns 1 if the present point is accepted after the step. While feasibility is restored, the violation has to decrease
@@ -233,7 +258,7 @@ static int accepts(solver_t *s)
     if (q->restoring) {
         return at.cost < INF && at.violation <= base->violation - R(1e-4) * q->length * q->gain;
     }
-    if (!passes_filter(q, &at) || (q->length > R(1) && at.violation > R(1e-6) * q->most_violation)) {
+    if (!passes_filter(q, &at)) {
         return 0;
     }
     if (descent > R(0) && base->violation <= R(1e-8) * q->most_violation &&
@@ -251,18 +276,24 @@ static int accepts(solver_t *s)
 /* Returns 1 if the step of the same QP with corrected constraints is accepted. */
 static int accepts_corrected(solver_t *s)
 {
+    int accepted = 0;
     correct_constraints(s);
     move_back(s);
+#if CURVED
+    push(s);
+#endif
     condense_rows(s);
-    if (run_qp(s) != OK || !step_is_finite(s)) {
-        return 0;
+    if (run_qp(s) == OK && step_is_finite(s)) {
+        take_step(s);
+        accepted = accepts(s);
     }
-    take_step(s);
-    if (!accepts(s)) {
-        return 0;
+    if (accepted) {
+        put_step_aside(s);
     }
-    put_step_aside(s);
-    return 1;
+#if CURVED
+    pull(s);
+#endif
+    return accepted;
 }
 
 /* Backtracking. If the full step is rejected, one second-order correction is tried. */
@@ -326,7 +357,7 @@ static real_t slope_of(solver_t *s)
     return slope;
 }
 
-#if LAGRANGIAN || STAGE_MULTIPLIERS
+#if CURVED || LAGRANGIAN || STAGE_MULTIPLIERS
 /* Moves a multiplier towards that of the QP, all the way if it is not finite. */
 static inline void approach(real_t *a, real_t b, real_t length)
 {
@@ -345,7 +376,7 @@ static void take_multipliers(solver_t *s)
         return;
     }
 #endif
-#if LAGRANGIAN || STAGE_MULTIPLIERS
+#if CURVED || LAGRANGIAN || STAGE_MULTIPLIERS
     const sqp_t *q = &s->sqp;
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
@@ -361,7 +392,7 @@ static void take_multipliers(solver_t *s)
     s->step = s->sqp.step;
     scatter_multipliers(s);
 #endif
-#if HAS_ADJOINT_STEP
+#if HAS_ADJOINT_STEP && !CURVED
     (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
 #else
     for (int k = 0; k <= N; k++) {
@@ -394,8 +425,6 @@ static real_t gain_of(const solver_t *s)
 }
 #endif
 
-#include "algorithms/accelerate.c"
-
 /* The line search; if no step passes the filter, feasibility is restored: until the filter is passed again, steps have
  * to reduce the violation alone. */
 static status_t search(solver_t *s)
@@ -406,13 +435,7 @@ static status_t search(solver_t *s)
     enlarge(&q->cost_scale, q->slope);
     q->restoring = q->elastic || (q->restoring && !passes_filter(q, &q->base));
     if (!q->restoring) {
-#if ACCELERATE
-        if (takes_accelerated(s)) {
-            return OK;
-        }
-#endif
-        /* Steps that grow are tried at four times the last length. */
-        q->length = (q->trend == GROWING) ? R(4) * ((q->length > R(1)) ? q->length : R(1)) : R(1);
+        q->length = R(1);
         const status_t status = line_search(s);
         if (status == OK || !(q->base.violation > R(16) * TOL_MERIT_ROUNDING)) {
             return status;
@@ -424,41 +447,104 @@ static status_t search(solver_t *s)
     return (q->gain > R(1e-8) * q->base.violation) ? line_search(s) : STALLED;
 }
 
-/* One globalised iteration after prepare_here(). */
+#if CURVED
+/* Away from feasibility, multipliers beyond what the cost can explain are scaled down: their Hessian would hide the cost
+ * from the next QP, whose multipliers would be larger still. */
+static void bound_multipliers(solver_t *s)
+{
+    const sqp_t *q = &s->sqp;
+    const real_t most = R(100) * ((q->cost_scale > q->cost_unit) ? q->cost_scale : q->cost_unit);
+    real_t largest = R(0);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            enlarge(&largest, s->lam[k][i] * scale_of(q->state_scale[i]));
+        }
+    }
+    if (!(q->base.violation > R(1e-4)) || largest <= most) {
+        return;
+    }
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            s->lam[k][i] *= most / largest;
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            s->mu_u[k][j] *= most / largest;
+        }
+    }
+#if NG
+    for (int m = 0; m < NG; m++) {
+        ROW_MULTIPLIER(s, m) *= most / largest;
+    }
+#endif
+}
+
+/* The shift of the next Hessian: more after a step that had to be shortened. Returns 1 if the same point may be tried
+ * again with more of it. */
+static int adapt_shifts(solver_t *s, status_t status)
+{
+    curved_t *c = &s->curved;
+    const real_t length = (status == STALLED) ? R(0) : s->sqp.length;
+    c->proximal = clip(c->proximal * ((length < R(1)) ? R(4) : R(0.25)), R(1e-8), R(1));
+    if (length < R(0.25)) {
+        const real_t growth = (length < R(0.01)) ? R(16) : R(4);
+        c->damping = (c->damping > R(0)) ? growth * c->damping : R(1e-3);
+    } else if (length >= R(1)) {
+        c->damping = (c->damping > R(1e-5)) ? R(0.25) * c->damping : R(0);
+    }
+    return status == STALLED && c->damping < R(1e6);
+}
+
+#endif
+/* The QP of the present linearisation. */
+static status_t form_qp(solver_t *s)
+{
+#if CURVED
+    if (!convexify(s)) {
+        return NUMERICAL_FAILURE;
+    }
+    push(s);
+#endif
+    return condense_prepare(s);
+}
+
+/* One globalised iteration at a point that has been linearised. */
 static status_t sqp_iteration(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     update_scales(s); /* a relaxed QP needs them */
-    status_t status = solve_qp(s);
+    status_t status = form_qp(s);
+    status = (status == OK) ? solve_qp(s) : status;
     if (status != OK) {
         return (status == ITERATION_LIMIT || status == STALLED) ? SUBPROBLEM_FAILED : status;
     }
-    update_scales(s);
-#if HARD_ROWS
-    const real_t before = q->base.violation;
+    put_step_aside(s);
+#if CURVED
+    pull(s);
 #endif
+    update_scales(s);
     q->base = measure(s);
     if (!step_is_finite(s) || !isfinite(q->base.violation) || !isfinite(q->base.cost)) {
         return NUMERICAL_FAILURE;
     }
-#if HARD_ROWS
-    q->slow = q->elastic && q->base.violation > R(0.999) * before;
-#endif
     if (!(q->most_violation < INF)) {
         q->most_violation = R(1e4) * ((q->base.violation > R(1)) ? q->base.violation : R(1));
     }
-    update_trend(s);
     memcpy(q->x, s->x, sizeof s->x);
     memcpy(q->u, s->u, sizeof s->u);
-    put_step_aside(s);
     status = search(s);
-    q->comparable = q->length >= R(1) && !q->restoring;
-#if REGULARIZE_REDUCED
-    const real_t growth = (q->length < R(1)) ? clip(R(1) / q->length, R(1), R(4)) : R(0.5);
-    q->caution = clip(growth * q->caution, R(1.0625), R(64));
+#if HARD_ROWS
+    q->slow = q->elastic && !(q->gain > R(1e-3) * q->base.violation);
+#endif
+#if CURVED
+    if (adapt_shifts(s, status)) {
+        return OK;
+    }
 #endif
     if (status == OK) {
         take_multipliers(s);
+#if CURVED
+        bound_multipliers(s);
+#endif
     }
     return status;
 }
@@ -491,41 +577,45 @@ static void start_search(solver_t *s, int attempts)
     s->row_residual = R(0);
 #endif
     s->sqp.attempts = (int32_t)attempts;
-#if REGULARIZE_REDUCED
-    s->sqp.caution = R(1.0625);
+#if CURVED
+    s->curved.proximal = R(1e-2);
+    s->curved.damping = R(0);
 #endif
     s->sqp.most_violation = s->sqp.base.violation = INF;
-#if ACCELERATE
-    s->sqp.milestone = INF;
-#endif
 #if HARD_ROWS
     s->sqp.row_weight = R(1000);
 #endif
 }
 
-/* Iterations until stats.sqp_iterations = last. If the search is resumed, the present point has been linearised. */
+/* Linearises the present point and evaluates the Hessian. */
+static void evaluate_here(solver_t *s)
+{
+#if CURVED
+    expand_curved(s);
+#else
+    linearize(s);
+#if HAS_PATH_HESSIAN || HAS_TERMINAL_HESSIAN || HAS_START_HESSIAN || HAS_INITIAL_HESSIAN || REGULARIZE_STAGES
+    hessian(s);
+#endif
+#endif
+#if SET_REFERENCE
+    s->renewal = UP_TO_DATE;
+#endif
+}
+
+/* Iterations until stats.sqp_iterations = last. */
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
     sqp_t *q = &s->sqp;
-#if REGULARIZE_REDUCED
-    q->in_solve = 1;
-#endif
     for (;; s->stats.sqp_iterations++) {
-        if (!q->resumes) {
-            const status_t prepared = prepare_here(s);
-            q->prepared = (int32_t)prepared;
-        }
-        q->resumes = 0;
+        evaluate_here(s);
         if (kkt_converged(s, tol)) {
             return OK;
         }
         if (s->stats.sqp_iterations >= last) {
             return ITERATION_LIMIT;
         }
-        status_t status = (status_t)q->prepared;
-        if (status == OK) {
-            status = sqp_iteration(s);
-        }
+        status_t status = sqp_iteration(s);
 #if HARD_ROWS
         if (q->elastic && (status == STALLED || (status == OK && q->slow))) {
             status = (q->row_weight < R(1e8)) ? OK : INFEASIBLE;
@@ -566,7 +656,7 @@ static status_t solve_here(solver_t *s, real_t tol, int last)
     }
 }
 
-#if LAGRANGIAN
+#if CURVED || LAGRANGIAN
 /* Returns 1 if all multipliers that the first Hessian may read are finite. */
 static int multipliers_are_finite(solver_t *s)
 {
@@ -608,19 +698,25 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
 #if SHIFT || REPAIR
         s->samples += (s->samples < MANY);
 #endif
-#if LAGRANGIAN
+#if CURVED || LAGRANGIAN
         if (!multipliers_are_finite(s)) {
             forget_multipliers(s);
         }
+#endif
+#if LAGRANGIAN
         s->unsettled = 0;
 #endif
         start_search(s, 0);
         s->stats.sqp_iterations = 0;
     }
-    status = solve_here(s, tol, max_iterations);
-#if REGULARIZE_REDUCED
-    s->sqp.in_solve = 0;
+#if CURVED
+    s->curved.in_solve = 1;
 #endif
+    status = solve_here(s, tol, max_iterations);
+#if CURVED
+    s->curved.in_solve = 0;
+#endif
+    s->sqp.resumes = 0;
 #if HARD_ROWS
     s->sqp.elastic = 0;
     if (status == INFEASIBLE) {

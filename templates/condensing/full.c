@@ -115,7 +115,11 @@ static void condense_store_rows(solver_t *s, int k, int column)
 static void condense_add_curvature(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {
+#if CURVED
+        real_t(*Q)[NZ] = s->curved.in_solve ? s->curved.Q[k] : HESSIAN(s, k);
+#else
         real_t(*Q)[NZ] = HESSIAN(s, k);
+#endif
         for (int j = 0; j < NU; ++j) {
             for (int i = 0; i <= j; ++i) {
                 s->qp.H[k * NU + j][k * NU + i] += Q[NX + j][NX + i];
@@ -134,8 +138,19 @@ static void condense_hessian(solver_t *s, int column)
 #else
     condense_clear(p->W);
 #endif
+#if CURVED
+    if (s->curved.in_solve) {
+        add_curved_panel(p->W, s->curved.Q_N[0], NX, NX, p->G[N]);
+    }
+#endif
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
         CONDENSE_BACKWARD_PANEL(p, &s->node[k], HESSIAN(s, k), k);
+#if CURVED
+        if (s->curved.in_solve) {
+            add_curved_panel(p->W, s->curved.Q[k][0], NZ, NX, p->G[k]);
+            add_curved_panel(p->T, s->curved.Q[k][NX], NZ, NU, p->G[k]);
+        }
+#endif
         condense_store_rows(s, k, column);
     }
 #if NF
@@ -265,8 +280,14 @@ static void condense_gradient(solver_t *s)
         STATE_STEP(&s->node[k], d->c[k], du, d->c[k + 1]);
     }
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, d->c[N], w);
+#if CURVED
+    add_terminal_curvature(s, d->c[N], w);
+#endif
     for (int k = N - 1; k >= 0; --k) {
         ADJOINT_STEP(&s->node[k], HESSIAN(s, k), d->c[k], du, w);
+#if CURVED
+        add_curvature(s, k, d->c[k], du, w);
+#endif
         for (int j = 0; j < NU; ++j) {
             d->g[k * NU + j] = w[NX + j];
         }

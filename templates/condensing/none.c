@@ -40,12 +40,22 @@ static inline real_t *stage_g(solver_t *s, int k)
 
 static inline real_t (*stage_Q(solver_t *s, int k))[NZS]
 {
+#if CURVED
+    if (s->curved.in_solve) {
+        return s->curved.Q[k];
+    }
+#endif
     return s->hessian.Q[NQ == 1 ? 0 : k];
 }
 
 /* The Hessian of the last stage, lower triangle. */
 static inline real_t (*stage_Q_N(solver_t *s))[NXS]
 {
+#if CURVED
+    if (s->curved.in_solve) {
+        return s->curved.Q_N;
+    }
+#endif
     return s->hessian.Q_N;
 }
 

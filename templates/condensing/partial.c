@@ -234,12 +234,20 @@ static void condense_matrices(solver_t *s)
         }
         for (j = 0; j < n; j++) {
             const int node = k * BLOCK + j;
+#if CURVED
+            condense_hessian(s, block, s->curved.in_solve ? s->curved.Q[node] : HESSIAN(s, node), node, j);
+#else
             condense_hessian(s, block, HESSIAN(s, node), node, j);
+#endif
             condense_forward(&s->node[node], s->blocks.G[node], (j + 1 < n) ? s->blocks.G[node + 1] : block->S, j);
         }
     }
     for (r = 0; r < NX; r++) {
+#if CURVED
+        memcpy(s->blocks.Q_N[r], s->curved.in_solve ? s->curved.Q_N[r] : s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
+#else
         memcpy(s->blocks.Q_N[r], s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
+#endif
     }
 }
 
@@ -261,6 +269,9 @@ static void condense_vectors(solver_t *s)
         for (j = n - 1; j >= 0; j--) {
             const int node = k * BLOCK + j;
             ADJOINT_STEP(&s->node[node], HESSIAN(s, node), s->blocks.c[node], none, w);
+#if CURVED
+            add_curvature(s, node, s->blocks.c[node], none, w);
+#endif
             for (i = 0; i < NU; i++) {
                 block->g[NXS + j * NU + i] = w[NX + i];
             }

@@ -5,38 +5,7 @@
 
 #include "hessians/first_order.c"
 
-/* Returns 1 if a multiplier of the dynamics is nonzero. */
-static int has_multipliers(const solver_t *s)
-{
-    int k, i;
-    for (k = 1; k <= N; k++) {
-        for (i = 0; i < NX; i++) {
-            if (s->lam[k][i] != R(0)) { /* exactly 0 only after reset */
-                return 1;
-            }
-        }
-    }
-    return 0;
-}
-
-/* lam_k = q_k + A_k' lam_{k+1}; the multiplier of a free component of x_0 is 0. */
-static void adjoint_node(solver_t *s, int k)
-{
-    const node_t *node = &s->node[k];
-    int i, j;
-    for (i = 0; i < NX; i++) {
-        real_t sum = node->g[i];
-        for (j = 0; j < NX; j++) {
-            sum += node->S[j][i] * s->lam[k + 1][j];
-        }
-        s->lam[k][i] = sum;
-    }
-#if NF
-    for (i = 0; k == 0 && i < NF; i++) {
-        s->lam[0][free_state[i]] = R(0);
-    }
-#endif
-}
+#include "hessians/first_multipliers.c"
 
 /* Before the first node: are multipliers computed, and Q without what a regularisation has written. */
 static inline void start_expansion(solver_t *s)

@@ -13,3 +13,7 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
     evaluate_node(s, k, &s->node[k], x_next);
 }
 #endif
+
+#if CURVED
+#include "hessians/curved.c"
+#endif

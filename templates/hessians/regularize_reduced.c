@@ -141,17 +141,6 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 #endif
 }
 
-/* A tenth for full steps; solve() takes less unless it had to shorten its steps. */
-static real_t mirror_share(const solver_t *s)
-{
-#if SOLVE
-    return R(0.1) * (s->sqp.in_solve ? s->sqp.caution - R(1) : R(1));
-#else
-    (void)s;
-    return R(0.1);
-#endif
-}
-
 /* If the condensed Hessian is not positive definite, it is formed again and the predicted working set is held, at first
  * weakly. If that is not sufficient, it is regularised. */
 static status_t condense_factorize(solver_t *s)
@@ -171,7 +160,7 @@ static status_t condense_factorize(solver_t *s)
         condense_matrices(s);
         memcpy(s->qp.side, predicted, sizeof predicted);
         hold_working_set(s, terms, (trial == 0) ? R(1) : R(256));
-        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, mirror_share(s), s->qp.work.basis.Q)) {
+        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, R(0.1), s->qp.work.basis.Q)) {
             return status;
         }
         status = qp_factorize(&s->qp);

@@ -85,25 +85,43 @@ static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
     memcpy(z + NXS, qp_stage_controls(q, k), sizeof z[0] * NUS);
 }
 
-/* y = g_k + Q_k z_k at the present point, for the components that stage k has. */
+#if CURVED || BLOCK_ROWS || !HAS_COST_GRADIENT || !HAS_TERMINAL_ADJOINT
+/* y = g_k + Q_k z_k at the present point, for the components that stage k has, with dense products. */
+static void qp_dense_gradient(solver_t *s, int k, real_t *y)
+{
+    real_t z[NZS];
+    if (k < NS) {
+        qp_stage_point(&s->qp, k, z);
+        memcpy(y, stage_g(s, k), sizeof z);
+        riccati_add_symmetric(y, stage_Q(s, k)[0], NZS, z, NZS);
+    } else {
+        memcpy(y, stage_g(s, NS), sizeof y[0] * NXS);
+        riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[NS], NXS);
+    }
+}
+
+#endif
+/* The same over the nonzeros of the Hessian where they are few. */
 static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
 {
+#if CURVED
+    if (s->curved.in_solve) {
+        qp_dense_gradient(s, k, y);
+        return;
+    }
+#endif
     if (k < NS) {
 #if HAS_COST_GRADIENT
         COST_GRADIENT(&s->node[k], stage_Q(s, k), s->qp.x[k], qp_stage_controls(&s->qp, k), y);
 #else
-        real_t z[NZS];
-        qp_stage_point(&s->qp, k, z);
-        memcpy(y, stage_g(s, k), sizeof z);
-        riccati_add_symmetric(y, stage_Q(s, k)[0], NZS, z, NZS);
+        qp_dense_gradient(s, k, y);
 #endif
         return;
     }
 #if HAS_TERMINAL_ADJOINT && !BLOCK_ROWS
     TERMINAL_ADJOINT(&s->terminal, stage_Q_N(s), s->qp.x[NS], y);
 #else
-    memcpy(y, stage_g(s, NS), sizeof y[0] * NXS);
-    riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[NS], NXS);
+    qp_dense_gradient(s, k, y);
 #endif
 }
 

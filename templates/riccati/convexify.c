@@ -103,28 +103,9 @@ static int riccati_try(solver_t *s, real_t hold, real_t shift)
     return riccati_factorize(s, NS);
 }
 
-#if SOLVE
-/* A shift between high / 4, with which the recursion fails, and high: the smallest one, up to a factor of
- * 4 to the power of 2^-BISECTIONS. */
-static real_t riccati_bisect(solver_t *s, real_t hold, real_t high)
-{
-    real_t low = R(0.25) * high;
-    for (int n = 0; n < BISECTIONS; n++) {
-        const real_t middle = SQRT(low * high);
-        if (riccati_try(s, hold, middle)) {
-            high = middle;
-        } else {
-            low = middle;
-        }
-    }
-    return high;
-}
-
-#endif
 /* The recursion with the smallest shift, up to a factor of four, for which it succeeds, plus one eighth, or twice this
- * shift if MIRROR, as if the negative eigenvalue changed its sign. A full step with a smaller one may be too long;
- * solve(), which limits steps, takes the smallest one more exactly, plus one sixteenth. The search starts at the shift of
- * the previous QP. Returns 0 if there is none. */
+ * shift if MIRROR, as if the negative eigenvalue changed its sign. A full step with a smaller one may be too long. The search
+ * starts at the shift of the previous QP. Returns 0 if there is none. */
 static int riccati_shift(solver_t *s, real_t hold)
 {
     const real_t least = regularization[0], before = s->riccati.shift;
@@ -146,12 +127,6 @@ static int riccati_shift(solver_t *s, real_t hold)
         }
         high *= R(0.25);
     }
-#if SOLVE
-    if (s->sqp.in_solve) {
-        s->riccati.shift = riccati_bisect(s, hold, high);
-        return riccati_try(s, hold, s->sqp.caution * s->riccati.shift);
-    }
-#endif
     s->riccati.shift = high;
     return riccati_try(s, hold, (MIRROR ? R(2) : R(1.125)) * high);
 }

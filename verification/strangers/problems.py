@@ -5,6 +5,18 @@ from __future__ import annotations
 from verification.strangers.arms import ARM, MAGLEV, PENDULUM
 from verification.strangers.cases import CAR, DRONE, QUATERNION
 from verification.strangers.ground import HOVERCRAFT, SHIP, TRAILER, UNICYCLE
+from verification.strangers.once import (
+    ACROBOT,
+    ARBITRAGE,
+    CART_POLE,
+    DOUBLE_PENDULUM,
+    FREE_TIME,
+    GATE,
+    ROBOT_ARM,
+    STEERING,
+    VAN_DER_POL,
+    ZERMELO,
+)
 from verification.strangers.plants import FISHING, REACTOR, SEIR, TANKS
 from verification.strangers.power import BOOST, HEAT_PUMP, RESERVOIR, STORAGE
 from verification.strangers.statement import Stranger
@@ -17,7 +29,14 @@ STRANGERS: tuple[Stranger, ...] = (
     *CASES,
 )
 
+#: Problems that are solved once, each from starts in its box.
+ONCE: tuple[Stranger, ...] = (
+    *STRANGERS,
+    *(CART_POLE, ACROBOT, DOUBLE_PENDULUM, GATE),
+    *(STEERING, ROBOT_ARM, VAN_DER_POL, FREE_TIME, ZERMELO, ARBITRAGE),
+)
+
 
 def known(name: str) -> Stranger:
     """The stranger of that name."""
-    return next(stranger for stranger in STRANGERS if stranger.name == name)
+    return next(stranger for stranger in ONCE if stranger.name == name)

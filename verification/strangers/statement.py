@@ -34,7 +34,8 @@ class Limit:
 
 @dataclass(frozen=True, eq=False)
 class Stranger:
-    """``start``: the box of initial states; ``kick``: (sample, what is added to the state after it); ``distance``: of a
+    """``start``: the box of initial states; ``free``: components of them that are only guesses; ``samples``: of a closed
+    loop, none if the problem is only solved; ``kick``: (sample, what is added to the state after it); ``distance``: of a
     state from the goal, which is reached within ``reach``."""
 
     name: str
@@ -45,8 +46,9 @@ class Stranger:
     controls: Mapping[str, tuple[float, float]]
     model: Function
     start: tuple[Sequence[float], Sequence[float]]
-    samples: int
-    kick: tuple[int, Sequence[float]]
+    samples: int = 0
+    kick: tuple[int, Sequence[float]] = (0, ())
+    free: Sequence[int] = ()
     residual: Function | None = None
     weight: Sequence[float] = ()
     end_residual: Callable[[Any], Any] | None = None
@@ -80,6 +82,8 @@ class Stranger:
         u = [ocp.control(name) for name in self.controls]
         X, U = ca.vertcat(*x), ca.vertcat(*u)
         ocp.dynamics(self.model(X, U))
+        for i in self.free:
+            ocp.free_initial(x[i])
         if self.residual is not None:
             ocp.least_squares(self.residual(X, U), weight=list(self.weight))
         if self.end_residual is not None:

@@ -60,7 +60,8 @@ class Twin:
         X, U = ca.SX.sym("X", nx, N + 1), ca.SX.sym("U", nu, N)
         start = ca.SX.sym("start", nx)
         slacks: list[Any] = []
-        rows: list[tuple[Any, float, float]] = [(X[:, 0] - start, 0.0, 0.0)]
+        given = [i for i in range(nx) if i not in s.free]
+        rows: list[tuple[Any, float, float]] = [(X[given, 0] - start[given], 0.0, 0.0)]
         rows += [(self.step(X[:, k], U[:, k]) - X[:, k + 1], 0.0, 0.0) for k in range(N)]
         cost = sum((self.stage(X[:, k], U[:, k]) for k in range(N)), ca.SX(0)) + _end_cost(s, X[:, N])
         for limit in s.limits:

@@ -108,7 +108,8 @@ class ModelFunctions:
     """All functions of a package that are lifted from CasADi.
 
     ``start``: the cost of node 0 in addition to that of the path. Its Hessian block and ``initial``, that of the
-    coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians.
+    coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians. ``exact``:
+    path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
     """
 
     interval: Interval
@@ -117,6 +118,7 @@ class ModelFunctions:
     terminal: StageModel
     initial: Routine | None
     coupled: Routine | None
+    exact: tuple[Routine, ...] = ()
 
     @property
     def routines(self) -> tuple[Routine, ...]:
@@ -130,7 +132,7 @@ class ModelFunctions:
                 *(*at_nodes, path.hessian, path.curvature, path.product),
                 *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature, terminal.product),
                 *(self.start.cost, self.start.gradient, self.start.hessian, self.initial),
-                *(*along_intervals, self.interval.curved),
+                *(*along_intervals, self.interval.curved, *self.exact),
                 *(path.rows, terminal.rows, self.coupled),
             )
         )

@@ -22,3 +22,10 @@ def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[s
         return options, ()
     why = f"the problem has a {sorted(beyond)[0]}"
     return replace(options, hessian=ExactHessian()), (f"hessian: {ExactHessian.name}; {why}",)
+
+
+def solves_exactly(options: Options, chosen: bool) -> bool:
+    """True if solve() has the exact Hessian although samples have another: nothing was ``chosen`` by the user, and the
+    package is not for a microcontroller, where a second Hessian is too much code."""
+    approximate = isinstance(options.hessian, GaussNewton) and "qp" in options.algorithm.needs
+    return approximate and chosen and options.solve and options.goal == "speed" and options.processor == "vector"

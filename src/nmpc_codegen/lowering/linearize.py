@@ -8,6 +8,7 @@ from typing import TypeVar
 import casadi as ca
 
 from nmpc_codegen.components.base import Algorithm, Component, Hessian, Integrator, Parts, refuse_unsupported
+from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import stage_costs, stage_model
 from nmpc_codegen.errors import ProblemError
@@ -17,7 +18,7 @@ from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
 from nmpc_codegen.ir.stage_products import Pattern, pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.choose import Choice, choose_qp
-from nmpc_codegen.lowering.choose_hessian import choose_hessian
+from nmpc_codegen.lowering.choose_hessian import choose_hessian, solves_exactly
 from nmpc_codegen.lowering.dimensions import multiple_of
 from nmpc_codegen.lowering.growth import growth
 from nmpc_codegen.lowering.stability import stability_warning
@@ -25,7 +26,7 @@ from nmpc_codegen.options import REGISTRIES, Goal, Math, Online, Options, Proces
 from nmpc_codegen.runtime.package_description import Precision
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Model(ModelFunctions):
     """The problem, the components that solve it with the reasons for their choice, and every function of the package.
 
@@ -81,6 +82,7 @@ def linearize(problem: Problem, options: Options) -> Model:
     """
     if problem.terminal_lqr is not None:
         raise ProblemError(f"OCP '{problem.name}': lqr_terminal_cost() is open; compiler.stated() computes it")
+    chosen = options.hessian is None
     options, of_hessian = choose_hessian(problem, options)
     options = options.with_defaults
     algorithm, of_algorithm = options.algorithm.decided(problem, options.solve and options.processor == "vector")
@@ -91,6 +93,8 @@ def linearize(problem: Problem, options: Options) -> Model:
     integrator, choices = _choose_integrator(problem, options)
     _check(problem, integrator, options.hessian)
     functions = _functions(problem, integrator, options.hessian, options.algorithm)
+    if solves_exactly(options, chosen):
+        functions = replace(functions, exact=_exact(problem, integrator, functions))
     constant = _constant_hessian(problem, online, functions)
     parts = Parts(integrator, options.algorithm, options.hessian)
     choice: Choice | None = None
@@ -157,6 +161,15 @@ def _functions(
         blocks.initial,
         _coupled(problem),
     )
+
+
+def _exact(problem: Problem, integrator: Integrator, functions: ModelFunctions) -> tuple[Routine, ...]:
+    """The exact Hessian of solve(), in routines of its own."""
+    blocks = ExactHessian().blocks(problem, stage_costs(problem), integrator)
+    curved = _with_zeros(blocks.curved, "g", _elements(functions.start.gradient))
+    ends = {"terminal_exact": blocks.terminal.hessian, "start_exact": blocks.start, "initial_exact": blocks.initial}
+    named = (replace(routine, name=name) for name, routine in ends.items() if isinstance(routine, Kernel))
+    return tuple(routine for routine in (curved, *named) if routine is not None)
 
 
 def _with_start(blocks: HessianModel) -> Block:

@@ -130,8 +130,9 @@ KERNELS = (
         for stage in ("path", "terminal")
         for part in ("cost", "gradient", "hessian", "rows", "curvature", "product")
     ),
-    *(f"start_{part}" for part in ("cost", "gradient", "hessian")),
-    "initial_hessian",
+    *(f"start_{part}" for part in ("cost", "gradient", "hessian", "exact")),
+    "terminal_exact",
+    *(f"initial_{part}" for part in ("hessian", "exact")),
     "coupled_rows",
 )
 
@@ -189,7 +190,9 @@ def _switches(model: Model) -> dict[str, int]:
     for component in parts.components:
         switches |= component.switches
     switches["TUNED"] *= int(any(switches[f"SET_{kind}"] for kind in ("PARAMETER", "WEIGHT", "BOUNDS")))
-    switches["ACCELERATE"] = int(not switches["LAGRANGIAN"])
+    switches["TWO_HESSIANS"] = int(bool(model.exact))
+    switches["CURVED"] = int(model.solve and bool(model.exact or switches.get("REGULARIZE_REDUCED")))
+    switches["KEEPS_MULTIPLIERS"] = int(switches["CURVED"] or switches["STAGE_MULTIPLIERS"])
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
     nonlinear = bool(switches["HAS_QP"] and model.nonlinear_rows)

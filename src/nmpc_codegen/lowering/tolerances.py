@@ -39,6 +39,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "ipm_violation": (2.0**8, "violation of a row without multiplier that is taken as rounding, relative to its size"),
     "ipm_ray": (2.0**12, "rest of a sum of row gradients that is taken as zero, relative to its terms"),
     "ipm_contradiction": (2.0**12, "contradiction of weighted bounds that may be rounding, relative to its terms"),
+    "curved_pivot": (2.0**12, "pivot of the Hessian of solve() that counts as zero, in units of its variable"),
     "unit": (1.0, "the machine epsilon; its square root separates a zero pivot from a positive one"),
     "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),
     "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),

@@ -97,7 +97,9 @@ _WITH_FIRST = "RealTimeIteration(first_control=True) (--set algorithm.first_cont
 MAX_TRIALS = 30
 FILTER = 16
 MAX_ATTEMPTS = 2
-MAX_WATCHED = 4
+# Shifts of an indefinite Hessian in solve(), each four times the one before, and bisections of the last interval.
+MAX_SHIFTS = 24
+BISECTIONS = 3
 #: Samples in a row without success, or without convergence, until more of the plan is given up.
 PATIENCE = 10
 #: Trial points of a step that repairs the plan.
@@ -279,7 +281,8 @@ class RealTimeIteration(Defaults):
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
             ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of solve() where rows cannot be satisfied, at most"),
-            ("MAX_WATCHED", MAX_WATCHED, "accelerated steps of solve() without the line search, at most"),
+            ("MAX_SHIFTS", MAX_SHIFTS, "shifts of an indefinite Hessian that are tried"),
+            ("BISECTIONS", BISECTIONS, "bisections of the last interval of shifts"),
             ("FILTER", FILTER, "pairs of violation and cost that solve() does not accept again"),
         )
 
@@ -314,10 +317,14 @@ class RealTimeIteration(Defaults):
             _stats(self.repair),
             _step(dims),
             _measures(),
-            _change(),
+            _curved(dims),
             _line_search(dims),
             Struct("solver", "", (*keep, *results)),
         )
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """No phase of a sample is part of solve()."""
+        return {"in_solve": (0, 0)}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The linearisation of all nodes; a gap is one subtraction per state."""
@@ -435,18 +442,31 @@ def _measures() -> Struct:
     )
 
 
-def _change() -> Struct:
-    """What solve() remembers of one component of its steps."""
+def _curved(dims: Dims) -> Struct:
+    """The exact Hessian of solve(), and what makes it convex."""
+    nodes = Size("N + 1", dims.N.value + 1)
     return Struct(
-        "change",
-        "a component z of the last two steps d of solve()",
+        "curved",
+        "exact Hessian of solve(), symmetric blocks, z = (x, u)",
         (
-            Field("last_d", (), "d of the last", "scratch"),
-            Field("last_end", (), "z + d of the last", "scratch"),
-            Field("d", (), "d, less that before", "scratch"),
-            Field("end", (), "z + d, less that before", "scratch"),
+            Field("Q", (dims.N, dims.nz, dims.nz), "path blocks", "scratch"),
+            Field("Q_N", (dims.nx, dims.nx), "terminal block", "scratch"),
+            Field("g", (nodes, dims.nz), "gradients without what is held", "scratch"),
+            Field("P", (dims.nx, dims.nx), "cost to go", "scratch"),
+            Field("M", (dims.nz, dims.nz), "cost to go of a stage", "scratch"),
+            Field("T", (dims.nx, dims.nz), "P [A B]", "scratch"),
+            Field("unit", (dims.nz,), "curvature that is typical of each variable", "scratch"),
+            Field("weight_u", (dims.N, dims.nu), "of the controls that are held, else 0", "scratch"),
+            Field("target_u", (dims.N, dims.nu), "their bounds", "scratch"),
+            Field("weight", (dims.ng,), "of the rows that are held, else 0", "scratch"),
+            Field("target", (dims.ng,), "their bounds", "scratch"),
+            Field("hold", (), "factor of the weights", "scratch"),
+            Field("shift", (), "smallest one that made the last indefinite Hessian convex", "scratch"),
+            Field("proximal", (), "shift of a Hessian that is only semidefinite", "scratch"),
+            Field("damping", (), "shift of every Hessian while steps are short", "scratch"),
+            Field("in_solve", (), "1: it is the Hessian of the QP", "scratch", "int32"),
         ),
-        only="ACCELERATE",
+        only="CURVED",
     )
 
 
@@ -460,30 +480,20 @@ def _line_search(dims: Dims) -> Struct:
             Field("x", (nodes, dims.nx), "states before the step", "scratch"),
             Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
             Field("step", (), "step that is tried, at its full length", "scratch", "step"),
-            Field("lam", (nodes, dims.nx), "multipliers of its QP", "scratch", only="STAGE_MULTIPLIERS"),
-            Field("change", (nodes, dims.nz), "of the step and its end", "scratch", "change", only="ACCELERATE"),
-            Field("comparable", (), "1: the last step had its full length", "scratch", "int32"),
-            Field("trend", (), "of the length of steps in one direction", "scratch", "int32"),
-            Field("square", (), "square of the norm of the step", "scratch"),
-            Field("gamma", (Size("2", 2),), "shares of the changes that are removed", "scratch", only="ACCELERATE"),
-            Field("watched", (), "steps taken that the filter rejected", "scratch", "int32", only="ACCELERATE"),
-            Field("milestone", (), "square at the first of them", "scratch", only="ACCELERATE"),
+            Field("lam", (nodes, dims.nx), "multipliers of its QP", "scratch", only="KEEPS_MULTIPLIERS"),
             Field("state_scale", (dims.nx,), "scales of the states", "scratch"),
             Field("row_weight", (), "penalty of the rows in the elastic QP", "scratch", only="HARD_ROWS"),
             Field("filter", (Size("FILTER", FILTER),), "pairs that the filter rejects", "scratch", "measures"),
             Field("entries", (), "entries of the filter", "scratch", "int32"),
             Field("restoring", (), "1: steps only have to reduce the violation", "scratch", "int32"),
             Field("length", (), "length of the last step", "scratch"),
-            Field("caution", (), "factor of shifts of the Hessian", "scratch", only="REGULARIZE_REDUCED"),
             Field("base", (), "measures before the step", "scratch", "measures"),
             Field("slope", (), "of the cost along the step", "scratch"),
             Field("gain", (), "reduction of the violation that the step promises", "scratch"),
             Field("cost_unit", (), "how much the cost may change", "scratch"),
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
-            Field("prepared", (), "status of the preparation", "scratch", "int32"),
             Field("attempts", (), "new starts", "scratch", "int32"),
-            Field("in_solve", (), "1 while solve() iterates", "scratch", "int32", only="REGULARIZE_REDUCED"),
             Field("resumes", (), "set to 1 before solve() goes on from where it reached its limit", "scratch", "int32"),
             Field(
                 *("slow", (), "1: an elastic QP that hardly reduced the violation", "scratch", "int32"),

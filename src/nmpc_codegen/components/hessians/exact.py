@@ -34,11 +34,6 @@ LEVELS = (("STAGES", "stage"), ("REDUCED", "reduced"))
 MAX_SWEEPS = 12
 MAX_QL = 30
 
-# Maximum number of shifts of the Hessian on stages; each shift is four times the previous one. The smallest one is then
-# approached by bisections.
-MAX_SHIFTS = 24
-BISECTIONS = 3
-
 # (largest size, number) of blocks that are decomposed at once, so that small blocks fill vector registers.
 LANES = ((8, 8), (16, 4))
 
@@ -198,8 +193,6 @@ class ExactHessian(Defaults):
         return (
             mirror,
             ("MAX_QL", MAX_QL, "QL iterations per eigenvalue"),
-            ("MAX_SHIFTS", MAX_SHIFTS, "shifts of the Hessian that are tried"),
-            ("BISECTIONS", BISECTIONS, "bisections of the last interval of shifts"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:

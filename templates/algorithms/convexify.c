@@ -1,0 +1,453 @@
+/* The exact Hessian of solve(), made convex on the stages of the problem, whatever the QP solver:
+ *
+ *     Q_k + sum_m w_m a_m a_m' + shift D,   D = diag(unit) on states and controls.
+ *
+ * The QP is strictly convex if and only if the pivots of the recursion
+ *
+ *     M = Q_k + S_k' P S_k,   P <- M_xx - M_xu M_uu^-1 M_ux
+ *
+ * are positive. If they are not, equations and the bounds and rows with a multiplier are held: w_m / 2 (a_m'z - bound)^2
+ * changes neither the step nor the multipliers of a QP in which they are active, and makes the Hessian convex if it is so
+ * on their null space (Finsler's lemma). If that is not sufficient, all variables are shifted. */
+
+#if TWO_HESSIANS
+#include "algorithms/linearize_with_curvature.c"
+
+#endif
+/* Writes the Hessian of the present linearisation to s->curved. */
+static void expand_curved(solver_t *s)
+{
+    curved_t *c = &s->curved;
+#if TWO_HESSIANS
+    linearize_with_curvature(s);
+#else
+    linearize(s);
+#if HAS_TERMINAL_HESSIAN || HAS_START_HESSIAN || HAS_INITIAL_HESSIAN
+    hessian(s);
+#endif
+    memcpy(c->Q, s->hessian.Q, sizeof c->Q);
+    memcpy(c->Q_N, s->hessian.Q_N, sizeof c->Q_N);
+#endif
+    memset(s->hessian.Q, 0, sizeof s->hessian.Q);
+    memset(s->hessian.Q_N, 0, sizeof s->hessian.Q_N);
+    for (int i = 0; i < NZ; i++) {
+        for (int j = 0; j < i; j++) {
+            for (int k = 0; k < N; k++) {
+                c->Q[k][j][i] = c->Q[k][i][j];
+            }
+        }
+    }
+    for (int i = 0; i < NX; i++) {
+        for (int j = 0; j < i; j++) {
+            c->Q_N[j][i] = c->Q_N[i][j];
+        }
+    }
+}
+
+/* Row `i` of the Hessian of node k. */
+static inline real_t *curved_row(curved_t *c, int k, int i)
+{
+    return (k < N) ? c->Q[k][i] : c->Q_N[i];
+}
+
+/* T = P S_k and M = Q_k + S_k' T + shift D, lower triangle. */
+static void curved_stage(solver_t *s, int k, real_t shift)
+{
+    curved_t *c = &s->curved;
+    const node_t *node = &s->node[k];
+    memset(c->T, 0, sizeof c->T);
+    for (int i = 0; i < NX; i++) {
+        for (int l = 0; l < NX; l++) {
+            for (int j = 0; j < NZ; j++) {
+                c->T[i][j] += c->P[i][l] * node->S[l][j];
+            }
+        }
+    }
+    for (int i = 0; i < NZ; i++) {
+        memcpy(c->M[i], c->Q[k][i], sizeof c->M[0]);
+        for (int l = 0; l < NX; l++) {
+            for (int j = 0; j <= i; j++) {
+                c->M[i][j] += node->S[l][i] * c->T[l][j];
+            }
+        }
+        c->M[i][i] += shift * c->unit[i];
+    }
+}
+
+/* Eliminates variable j of M, lower triangle, from those before it. Returns 0 if its pivot is not positive. */
+static int eliminate(curved_t *c, int j)
+{
+    const real_t pivot = c->M[j][j];
+    if (!(pivot > TOL_CURVED_PIVOT * c->unit[j]) || !isfinite(pivot)) {
+        return 0;
+    }
+    for (int i = 0; i < j; i++) {
+        const real_t factor = c->M[j][i] / pivot;
+        for (int l = 0; l <= i; l++) {
+            c->M[i][l] -= factor * c->M[j][l];
+        }
+    }
+    return 1;
+}
+
+#if NF
+/* Returns 1 if the cost to go is strictly convex in the free components of x_0. */
+static int free_pivots(curved_t *c)
+{
+    for (int f = NF - 1; f >= 0; f--) {
+        const int j = free_state[f];
+        const real_t pivot = c->P[j][j];
+        if (!(pivot > TOL_CURVED_PIVOT * c->unit[j]) || !isfinite(pivot)) {
+            return 0;
+        }
+        for (int e = 0; e < f; e++) {
+            const real_t factor = c->P[j][free_state[e]] / pivot;
+            for (int l = 0; l < f; l++) {
+                c->P[free_state[e]][free_state[l]] -= factor * c->P[j][free_state[l]];
+            }
+        }
+    }
+    return 1;
+}
+#endif
+
+/* Returns 1 if the QP with this shift is strictly convex. */
+static int is_convex(solver_t *s, real_t shift)
+{
+    curved_t *c = &s->curved;
+    memcpy(c->P, c->Q_N, sizeof c->P);
+    for (int i = 0; i < NX; i++) {
+        c->P[i][i] += shift * c->unit[i];
+    }
+    for (int k = N - 1; k >= 0; k--) {
+        curved_stage(s, k, shift);
+        for (int j = NZ - 1; j >= NX; j--) {
+            if (!eliminate(c, j)) {
+                return 0;
+            }
+        }
+        for (int i = 0; i < NX; i++) {
+            for (int j = 0; j <= i; j++) {
+                c->P[i][j] = c->P[j][i] = c->M[i][j];
+            }
+        }
+    }
+#if NF
+    return free_pivots(c);
+#else
+    return 1;
+#endif
+}
+
+/* Sizes of the variables: largest magnitudes in the plan, or half the width of their bounds. */
+static void sizes_of_variables(const solver_t *s, real_t *size)
+{
+    state_scales(s, size);
+    for (int j = 0; j < NU; j++) {
+        size[NX + j] = R(0);
+        for (int k = 0; k < N; k++) {
+            enlarge(&size[NX + j], s->u[k][j]);
+            enlarge_if_finite(&size[NX + j], R(0.5) * CONTROL_UPPER(s, k, j) - R(0.5) * CONTROL_LOWER(s, k, j));
+        }
+        size[NX + j] = scale_of(size[NX + j]);
+    }
+}
+
+/* unit = max(unit, C / size^2), where C is the most that the gradient says of a move by the size of a variable: a linear
+ * cost has a curvature of this kind. */
+static void raise_units(const solver_t *s, real_t *unit)
+{
+    real_t size[NZ], most = R(0);
+    sizes_of_variables(s, size);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
+            enlarge_if_finite(&most, ((k < N) ? s->node[k].g[i] : s->terminal.g[i]) * size[i]);
+        }
+    }
+    for (int i = 0; i < NZ; i++) {
+        enlarge(&unit[i], most / (size[i] * size[i]));
+        unit[i] = (unit[i] > R(0)) ? unit[i] : R(1);
+    }
+}
+
+/* Curvature that is typical of each variable: the largest |Q_jj| + sum_i S_ij^2 |Q_ii of the next node|, more for one
+ * with more curvature beside the diagonal than on it, and at least what the gradient tells. */
+static void find_units(solver_t *s)
+{
+    curved_t *c = &s->curved;
+    memset(c->unit, 0, sizeof c->unit);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NZ; j++) {
+            real_t sum = FABS(c->Q[k][j][j]);
+            for (int i = 0; i < NX; i++) {
+                sum += s->node[k].S[i][j] * s->node[k].S[i][j] * FABS(curved_row(c, k + 1, i)[i]);
+            }
+            enlarge(&c->unit[j], sum);
+        }
+    }
+    raise_units(s, c->unit);
+    for (int k = 0; k < N; k++) {
+        for (int i = 0; i < NZ; i++) {
+            for (int j = 0; j < i; j++) {
+                const real_t a = FABS(c->Q[k][i][j]), both = SQRT(c->unit[i]) * SQRT(c->unit[j]);
+                if (a > both) {
+                    c->unit[i] *= a / both;
+                    c->unit[j] *= a / both;
+                }
+            }
+        }
+    }
+}
+
+/* The bound to which a multiplier belongs. */
+static inline real_t bound_of(real_t lower, real_t upper, real_t mult)
+{
+    return (mult > R(0)) ? upper : lower;
+}
+
+#if NG
+/* Whether row m is held: an equation, a row with a multiplier, and a soft one at its kink. */
+static int row_is_held(const solver_t *s, int m)
+{
+    const real_t mult = FABS(s->sqp.step.mult[m]);
+#if SOFT_ROWS
+    if (IS_SOFT(m)) {
+        return mult > R(0) && mult < R(0.999) * row_l1[row_id[m]];
+    }
+#endif
+#if NE && NF
+    if (IS_COUPLED(m)) { /* couples x_0 with x_N */
+        return 0;
+    }
+#endif
+    return mult > R(0) || ROW_LOWER(s, m) >= ROW_UPPER(s, m);
+}
+
+/* Gradient of row m in (x, u) of its node. */
+static void row_normal(const solver_t *s, int m, real_t *a)
+{
+    memset(a, 0, NZ * sizeof *a);
+#if STATE_ROWS && (GENERAL_ROWS || NE)
+    if (row_kind[m] == ROW_STATE) {
+        a[row_index[m]] = R(1);
+        return;
+    }
+#elif STATE_ROWS
+    a[row_index[m]] = R(1);
+#endif
+#if GENERAL_ROWS || NE
+    memcpy(a, nodal_row(s, m), (size_t)((row_node[m] < N) ? NZ : NX) * sizeof *a);
+#endif
+}
+
+/* Weight with which row m of gradient a has the curvature of the units of its variables; 0 if it is not held. */
+static real_t row_weight(const solver_t *s, int m, const real_t *a)
+{
+    real_t sum = R(0);
+    if (!row_is_held(s, m)) {
+        return R(0);
+    }
+    for (int i = 0; i < NZ; i++) {
+        sum += a[i] * a[i] / s->curved.unit[i];
+    }
+    return (sum > R(0)) ? R(1) / sum : R(0);
+}
+
+/* Adds hold w a a' for all rows. */
+static void hold_rows(solver_t *s, real_t hold)
+{
+    real_t a[NZ];
+    for (int m = 0; m < NG; m++) {
+        const int n = (row_node[m] < N) ? NZ : NX;
+        const real_t weight = hold * s->curved.weight[m];
+        if (!(weight > R(0))) {
+            continue;
+        }
+        row_normal(s, m, a);
+        for (int i = 0; i < n; i++) {
+            for (int j = 0; a[i] != R(0) && j < n; j++) {
+                curved_row(&s->curved, row_node[m], i)[j] += weight * a[i] * a[j];
+            }
+        }
+    }
+}
+
+/* Adds the gradient of hold w / 2 (a'z - bound)^2 for all rows. */
+static void push_rows(solver_t *s)
+{
+    real_t a[NZ];
+    for (int m = 0; m < NG; m++) {
+        const real_t weight = s->curved.hold * s->curved.weight[m];
+        real_t *g = (row_node[m] < N) ? s->node[row_node[m]].g : s->terminal.g;
+        real_t value = ROW_CONSTANT(s, m);
+        if (!(weight > R(0))) {
+            continue;
+        }
+#if NE
+        for (int i = 0; IS_COUPLED(m) && i < NX; i++) {
+            value += s->coupled.J_0[row_index[m]][i] * (s->xhat[i] - s->x[0][i]);
+        }
+#endif
+        row_normal(s, m, a);
+        for (int i = 0; i < ((row_node[m] < N) ? NZ : NX); i++) {
+            g[i] += weight * (value - s->curved.target[m]) * a[i];
+        }
+    }
+}
+#endif
+
+/* Which bounds and rows are held, and where: those with a multiplier in the last QP. */
+static void predict_active(solver_t *s)
+{
+    curved_t *c = &s->curved;
+    c->hold = R(0);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t mult = s->sqp.step.mult_u[k][j];
+            c->weight_u[k][j] = (FABS(mult) > R(0)) ? c->unit[NX + j] : R(0);
+            c->target_u[k][j] = bound_of(CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j), mult);
+        }
+    }
+#if NG
+    real_t a[NZ];
+    for (int m = 0; m < NG; m++) {
+        row_normal(s, m, a);
+        c->weight[m] = row_weight(s, m, a);
+        c->target[m] = bound_of(ROW_LOWER(s, m), ROW_UPPER(s, m), s->sqp.step.mult[m]);
+    }
+#endif
+}
+
+/* Holds them with this curvature, in units, in place of the present one. */
+static void hold_active(solver_t *s, real_t hold)
+{
+    curved_t *c = &s->curved;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            c->Q[k][NX + j][NX + j] += (hold - c->hold) * c->weight_u[k][j];
+        }
+    }
+#if NG
+    hold_rows(s, hold - c->hold);
+#endif
+    c->hold = hold;
+}
+
+/* The gradients with what is held; pull() takes it away. */
+static void push(solver_t *s)
+{
+    curved_t *c = &s->curved;
+    for (int k = 0; k < N; k++) {
+        memcpy(c->g[k], s->node[k].g, sizeof c->g[0]);
+    }
+    memcpy(c->g[N], s->terminal.g, sizeof s->terminal.g);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            if (c->weight_u[k][j] > R(0)) {
+                s->node[k].g[NX + j] += c->hold * c->weight_u[k][j] * (s->u[k][j] - c->target_u[k][j]);
+            }
+        }
+    }
+#if NG
+    push_rows(s);
+#endif
+}
+
+static void pull(solver_t *s)
+{
+    for (int k = 0; k < N; k++) {
+        memcpy(s->node[k].g, s->curved.g[k], sizeof s->curved.g[0]);
+    }
+    memcpy(s->terminal.g, s->curved.g[N], sizeof s->terminal.g);
+}
+
+/* The smallest shift for which the QP is convex, up to a factor of 4 to the power of 2^-BISECTIONS; infinite if none is
+ * found. The search starts at the last one. */
+static real_t smallest_shift(solver_t *s)
+{
+    real_t high = (s->curved.shift > R(1e-8)) ? s->curved.shift : R(1e-3);
+    int trial = 0;
+    while (!is_convex(s, high)) {
+        if (trial++ == MAX_SHIFTS) {
+            return INF;
+        }
+        high *= R(4);
+    }
+    for (int n = 0; n < MAX_SHIFTS && trial == 0 && is_convex(s, R(0.25) * high); n++) {
+        high *= R(0.25);
+    }
+    real_t low = R(0.25) * high;
+    for (int n = 0; n < BISECTIONS; n++) {
+        const real_t middle = SQRT(low * high);
+        if (is_convex(s, middle)) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    return high;
+}
+
+/* Makes the Hessian convex. Returns 0 if that is impossible. */
+static int convexify(solver_t *s)
+{
+    curved_t *c = &s->curved;
+    real_t shift = c->damping;
+    find_units(s);
+    predict_active(s);
+    for (int trial = 0; trial < 3 && !is_convex(s, shift); trial++) {
+        if (trial < 2) {
+            hold_active(s, (trial == 0) ? R(1) : R(256));
+        } else {
+            enlarge(&shift, c->proximal);
+        }
+    }
+    if (!is_convex(s, shift)) {
+        c->shift = smallest_shift(s);
+        shift = R(1.125) * c->shift + c->damping;
+    }
+    for (int k = 0; k <= N && shift > R(0); k++) {
+        for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
+            curved_row(c, k, i)[i] += shift * c->unit[i];
+        }
+    }
+    return shift < INF;
+}
+
+#if HAS_ADJOINT_STEP
+/* Multipliers of the dynamics in the QP: lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + rows' mult. */
+static void multipliers_of_qp(solver_t *s, real_t (*lam)[NX])
+{
+    real_t w[NZ];
+    TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
+    add_terminal_curvature(s, s->step.dx[N], w);
+    for (int k = N; k >= 0; k--) {
+#if NG
+        real_t a[NZ];
+        for (int m = row_first[k]; m < row_first[k + 1]; m++) {
+            row_normal(s, m, a);
+            for (int i = 0; i < NX; i++) {
+                w[i] += a[i] * s->step.mult[m];
+            }
+        }
+#endif
+#if NE
+        for (int m = 0; k == 0 && m < NG; m++) {
+            for (int i = 0; IS_COUPLED(m) && i < NX; i++) {
+                w[i] += s->coupled.J_0[row_index[m]][i] * s->step.mult[m];
+            }
+        }
+#endif
+        memcpy(lam[k], w, sizeof lam[0]);
+        if (k > 0) {
+            ADJOINT_STEP(&s->node[k - 1], HESSIAN(s, k - 1), s->step.dx[k - 1], s->step.du[k - 1], w);
+            add_curvature(s, k - 1, s->step.dx[k - 1], s->step.du[k - 1], w);
+        }
+    }
+#if NF
+    for (int f = 0; f < NF; f++) {
+        lam[0][free_state[f]] = R(0);
+    }
+#endif
+}
+#endif

@@ -1,0 +1,45 @@
+#include "hessians/first_multipliers.c"
+
+/* Linearises all nodes, from the last to the first, and writes the exact Hessian to s->curved, lower triangles. */
+static void linearize_with_curvature(solver_t *s)
+{
+    curved_t *c = &s->curved;
+    const int adjoint = !has_multipliers(s);
+    real_t x_next[NX];
+    memset(c->Q, 0, sizeof c->Q);
+    memset(c->Q_N, 0, sizeof c->Q_N);
+#if HAS_TERMINAL_GRADIENT || NH_N
+    linearize_terminal(s, &s->terminal);
+#endif
+#if NE
+    COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
+#endif
+    if (adjoint) {
+        memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
+    }
+    for (int k = N - 1; k >= 0; k--) {
+        PATH_EXACT(s, k, x_next, &s->node[k].S[0][0], s->node[k].g, &c->Q[k][0][0]);
+        if (adjoint) {
+            adjoint_node(s, k);
+        }
+        complete_node(s, k, x_next, &s->node[k]);
+    }
+#if HAS_START_GRADIENT
+    add_start_gradient(s, s->node[0].g);
+#endif
+#if HAS_START_EXACT
+    real_t Q[NX * NX] = {R(0)};
+    START_EXACT(s, Q);
+    for (int i = 0; i < NX; i++) {
+        for (int j = 0; j <= i; j++) {
+            c->Q[0][i][j] += Q[i * NX + j];
+        }
+    }
+#endif
+#if HAS_INITIAL_EXACT
+    INITIAL_EXACT(s, &c->Q[0][0][0]);
+#endif
+#if HAS_TERMINAL_EXACT
+    TERMINAL_EXACT(s, &c->Q_N[0][0]);
+#endif
+}
