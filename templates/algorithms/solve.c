@@ -579,7 +579,7 @@ static void start_search(solver_t *s, int attempts)
     s->sqp.attempts = (int32_t)attempts;
 #if CURVED
     s->curved.proximal = R(1e-2);
-    s->curved.damping = R(0);
+    s->curved.damping = (attempts % 2 == 0) ? R(0) : R(0.1);
 #endif
     s->sqp.most_violation = s->sqp.base.violation = INF;
 #if HARD_ROWS

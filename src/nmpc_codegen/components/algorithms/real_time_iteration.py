@@ -96,7 +96,7 @@ _WITH_FIRST = "RealTimeIteration(first_control=True) (--set algorithm.first_cont
 
 MAX_TRIALS = 30
 FILTER = 16
-MAX_ATTEMPTS = 2
+MAX_ATTEMPTS = 3
 # Shifts of an indefinite Hessian in solve(), each four times the one before, and bisections of the last interval.
 MAX_SHIFTS = 24
 BISECTIONS = 3
