@@ -139,10 +139,13 @@ static int is_convex(solver_t *s, real_t shift)
 #endif
 }
 
-/* Sizes of the variables: largest magnitudes in the plan, or half the width of their bounds. */
+/* Sizes of the variables: largest magnitudes in the plan and of steps, or half the width of their bounds. */
 static void sizes_of_variables(const solver_t *s, real_t *size)
 {
     state_scales(s, size);
+    for (int i = 0; i < NX; i++) {
+        enlarge(&size[i], s->sqp.state_scale[i]);
+    }
     for (int j = 0; j < NU; j++) {
         size[NX + j] = R(0);
         for (int k = 0; k < N; k++) {

@@ -283,7 +283,14 @@ static int accepts_corrected(solver_t *s)
     push(s);
 #endif
     condense_rows(s);
-    if (run_qp(s) == OK && step_is_finite(s)) {
+#if HARD_ROWS
+    s->relaxation = s->sqp.elastic ? s->sqp.row_weight * s->sqp.cost_unit : INF;
+    const status_t status = run_qp(s);
+    s->relaxation = INF;
+#else
+    const status_t status = run_qp(s);
+#endif
+    if (status == OK && step_is_finite(s)) {
         take_step(s);
         accepted = accepts(s);
     }
