@@ -139,29 +139,15 @@ static int is_convex(solver_t *s, real_t shift)
 #endif
 }
 
-/* Sizes of the variables: largest magnitudes in the plan and of steps, or half the width of their bounds. */
-static void sizes_of_variables(const solver_t *s, real_t *size)
-{
-    state_scales(s, size);
-    for (int i = 0; i < NX; i++) {
-        enlarge(&size[i], s->sqp.state_scale[i]);
-    }
-    for (int j = 0; j < NU; j++) {
-        size[NX + j] = R(0);
-        for (int k = 0; k < N; k++) {
-            enlarge(&size[NX + j], s->u[k][j]);
-            enlarge_if_finite(&size[NX + j], R(0.5) * CONTROL_UPPER(s, k, j) - R(0.5) * CONTROL_LOWER(s, k, j));
-        }
-        size[NX + j] = scale_of(size[NX + j]);
-    }
-}
-
 /* unit = max(unit, C / size^2), where C is the most that the gradient says of a move by the size of a variable: a linear
  * cost has a curvature of this kind. */
 static void raise_units(const solver_t *s, real_t *unit)
 {
     real_t size[NZ], most = R(0);
-    sizes_of_variables(s, size);
+    control_sizes(s, size + NX);
+    for (int i = 0; i < NX; i++) {
+        size[i] = scale_of(s->sqp.state_scale[i]);
+    }
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
             enlarge_if_finite(&most, ((k < N) ? s->node[k].g[i] : s->terminal.g[i]) * size[i]);

@@ -65,23 +65,6 @@ static measures_t measure(solver_t *s)
     return at;
 }
 
-#if CURVED
-#include "algorithms/convexify.c"
-
-#endif
-/* Saves the result of a QP. */
-static void put_step_aside(solver_t *s)
-{
-    s->sqp.step = s->step;
-#if STAGE_MULTIPLIERS
-    for (int k = 0; k <= N; k++) {
-        multiplier_of_qp(s, k, s->sqp.lam[k]);
-    }
-#elif CURVED
-    multipliers_of_qp(s, s->sqp.lam);
-#endif
-}
-
 /* Returns to the base, from which the steps of this iteration start. */
 static void move_back(solver_t *s)
 {
@@ -138,6 +121,44 @@ static inline const real_t *gradient_of(const solver_t *s, int k)
     return (k < N) ? s->node[k].g : s->terminal.g;
 }
 
+/* Sizes of the controls: largest magnitudes in the plan, or half the width of their bounds. */
+static void control_sizes(const solver_t *s, real_t *size)
+{
+    for (int j = 0; j < NU; j++) {
+        size[j] = R(0);
+        for (int k = 0; k < N; k++) {
+            enlarge(&size[j], s->u[k][j]);
+            enlarge_if_finite(&size[j], R(0.5) * CONTROL_UPPER(s, k, j) - R(0.5) * CONTROL_LOWER(s, k, j));
+        }
+        size[j] = scale_of(size[j]);
+    }
+}
+
+/* Enlarges the sizes of the states to what a control of its size changes in an interval, and what they have to reach:
+ * near 0, magnitudes and steps may be no more than rounding errors. */
+static void enlarge_by_reach(const solver_t *s, real_t *size)
+{
+    real_t u[NU];
+    control_sizes(s, u);
+    for (int k = 0; k < N; k++) {
+        for (int i = 0; i < NX; i++) {
+            for (int j = 0; j < NU; j++) {
+                enlarge(&size[i], s->node[k].S[i][NX + j] * u[j]);
+            }
+        }
+    }
+#if STATE_ROWS
+    for (int m = 0; m < NG; m++) {
+#if GENERAL_ROWS || NE
+        if (row_kind[m] != ROW_STATE) {
+            continue;
+        }
+#endif
+        enlarge(&size[row_index[m]], clip(R(0), ROW_LOWER(s, m), ROW_UPPER(s, m)));
+    }
+#endif
+}
+
 /* Scales of states and rows: largest magnitudes over the horizon at the present point and of the present step. They only
  * grow; if one does, the measures of earlier points are not comparable any more, and the filter is cleared. cost_unit is
  * how much the cost may change along the horizon, at least 1: the largest |g_i| |z_i|. */
@@ -154,16 +175,7 @@ static void update_scales(solver_t *s)
             enlarge(&size[i], *step_at(&s->step, k, i));
         }
     }
-#if STATE_ROWS
-    for (int m = 0; m < NG; m++) { /* what a state has to reach */
-#if GENERAL_ROWS || NE
-        if (row_kind[m] != ROW_STATE) {
-            continue;
-        }
-#endif
-        enlarge(&size[row_index[m]], clip(R(0), ROW_LOWER(s, m), ROW_UPPER(s, m)));
-    }
-#endif
+    enlarge_by_reach(s, size);
     for (int i = 0; i < NX; i++) {
         grew |= raise_scale(&q->state_scale[i], size[i]);
     }
@@ -174,6 +186,23 @@ static void update_scales(solver_t *s)
         q->entries = 0;
         q->most_violation = INF;
     }
+}
+
+#if CURVED
+#include "algorithms/convexify.c"
+
+#endif
+/* Saves the result of a QP. */
+static void put_step_aside(solver_t *s)
+{
+    s->sqp.step = s->step;
+#if STAGE_MULTIPLIERS
+    for (int k = 0; k <= N; k++) {
+        multiplier_of_qp(s, k, s->sqp.lam[k]);
+    }
+#elif CURVED
+    multipliers_of_qp(s, s->sqp.lam);
+#endif
 }
 
 /* Second-order correction: the constraints of the QP take the values at base + step, where s is. As the step satisfies
