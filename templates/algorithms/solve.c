@@ -276,8 +276,9 @@ static void extend_filter(sqp_t *q)
 }
 
 /* Returns 1 if the present point is accepted after the step. While feasibility is restored, the violation has to decrease
- * by its share of `gain`, what the linearised rows and gaps promise. Otherwise the filter has to be passed, and the cost
- * has to fall if the step is expected to reduce it by more than it violates. */
+ * by its share of `gain`, what the linearised rows and gaps promise. Otherwise the filter has to be passed, the violation
+ * must not become more than ten times as large, and the cost has to fall if the step is expected to reduce it by more than
+ * it violates. */
 static int accepts(solver_t *s)
 {
     sqp_t *q = &s->sqp;
@@ -287,7 +288,7 @@ static int accepts(solver_t *s)
     if (q->restoring) {
         return at.cost < INF && at.violation <= base->violation - R(1e-4) * q->length * q->gain;
     }
-    if (!passes_filter(q, &at)) {
+    if (!passes_filter(q, &at) || at.violation > R(10) * base->violation + R(0.1)) {
         return 0;
     }
     if (descent > R(0) && base->violation <= R(1e-8) * q->most_violation &&
