@@ -20,11 +20,11 @@ static void expand_curved(solver_t *s)
     curved_t *c = &s->curved;
 #if TWO_HESSIANS
     linearize_with_curvature(s);
-#else
-    linearize(s);
-#if HAS_TERMINAL_HESSIAN || HAS_START_HESSIAN || HAS_INITIAL_HESSIAN
-    hessian(s);
+#if SET_REFERENCE
+    s->renewal = UP_TO_DATE;
 #endif
+#else
+    evaluate_here(s);
     memcpy(c->Q, s->hessian.Q, sizeof c->Q);
     memcpy(c->Q_N, s->hessian.Q_N, sizeof c->Q_N);
 #endif

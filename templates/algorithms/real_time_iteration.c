@@ -92,8 +92,8 @@ static real_t nodal_change(const solver_t *s, int m);
 #endif
 #include "algorithms/residual.c"
 
-/* Preparation phase: linearises, evaluates the Hessian, condenses and factorises. */
-static status_t prepare_here(solver_t *s)
+/* Linearises the present point and evaluates the Hessian. */
+static void evaluate_here(solver_t *s)
 {
     linearize(s);
 #if HAS_PATH_HESSIAN || HAS_TERMINAL_HESSIAN || HAS_START_HESSIAN || HAS_INITIAL_HESSIAN || REGULARIZE_STAGES
@@ -102,6 +102,12 @@ static status_t prepare_here(solver_t *s)
 #if SET_REFERENCE
     s->renewal = UP_TO_DATE;
 #endif
+}
+
+/* Preparation phase: evaluates, condenses and factorises. */
+static status_t prepare_here(solver_t *s)
+{
+    evaluate_here(s);
     return condense_prepare(s);
 }
 

@@ -624,28 +624,16 @@ static void start_search(solver_t *s, int attempts)
 #endif
 }
 
-/* Linearises the present point and evaluates the Hessian. */
-static void evaluate_here(solver_t *s)
-{
-#if CURVED
-    expand_curved(s);
-#else
-    linearize(s);
-#if HAS_PATH_HESSIAN || HAS_TERMINAL_HESSIAN || HAS_START_HESSIAN || HAS_INITIAL_HESSIAN || REGULARIZE_STAGES
-    hessian(s);
-#endif
-#endif
-#if SET_REFERENCE
-    s->renewal = UP_TO_DATE;
-#endif
-}
-
 /* Iterations until stats.sqp_iterations = last. */
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
     sqp_t *q = &s->sqp;
     for (;; s->stats.sqp_iterations++) {
+#if CURVED
+        expand_curved(s);
+#else
         evaluate_here(s);
+#endif
         if (kkt_converged(s, tol)) {
             return OK;
         }
@@ -707,6 +695,35 @@ static int multipliers_are_finite(solver_t *s)
 }
 
 #endif
+/* Begins with the plan and this state. Returns 0 if the state is not finite. */
+static int take_over(solver_t *s, const real_t xhat[NX])
+{
+    if (!take_state(s, xhat)) {
+        return 0;
+    }
+#if NF
+    for (int f = 0; f < NF; f++) {
+        const real_t guess = xhat[free_state[f]];
+        s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
+    }
+#endif
+    forget_violation(s);
+#if SHIFT || REPAIR
+    s->samples += (s->samples < MANY);
+#endif
+#if CURVED || LAGRANGIAN
+    if (!multipliers_are_finite(s)) {
+        forget_multipliers(s);
+    }
+#endif
+#if LAGRANGIAN
+    s->unsettled = 0;
+#endif
+    start_search(s, 0);
+    s->stats.sqp_iterations = 0;
+    return 1;
+}
+
 /* Starts from the plan, of which it gives up what is not finite, or resumes the last search. */
 status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
 {
@@ -721,30 +738,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     if (!(tol > R(0)) || max_iterations < 0) {
         return finish(s, BAD_ARGUMENT);
     }
-    if (!s->sqp.resumes) {
-        if (!take_state(s, xhat)) {
-            return finish(s, NOT_FINITE);
-        }
-#if NF
-        for (int f = 0; f < NF; f++) {
-            const real_t guess = xhat[free_state[f]];
-            s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
-        }
-#endif
-        forget_violation(s);
-#if SHIFT || REPAIR
-        s->samples += (s->samples < MANY);
-#endif
-#if CURVED || LAGRANGIAN
-        if (!multipliers_are_finite(s)) {
-            forget_multipliers(s);
-        }
-#endif
-#if LAGRANGIAN
-        s->unsettled = 0;
-#endif
-        start_search(s, 0);
-        s->stats.sqp_iterations = 0;
+    if (!s->sqp.resumes && !take_over(s, xhat)) {
+        return finish(s, NOT_FINITE);
     }
 #if CURVED
     s->curved.in_solve = 1;

@@ -145,7 +145,7 @@ def test_exceeded_budgets_leave_no_files(tmp_path: Path, capsys: pytest.CaptureF
     assert "--max-operations 100000" in err
     assert "try --set solve=False" in err
     assert not folder.exists()
-    assert main([PROBLEM, "-o", str(folder), "--max-ram", "16k"]) == 0
+    assert main([PROBLEM, "-o", str(folder), "--max-ram", "18k"]) == 0
 
 
 @pytest.mark.parametrize(

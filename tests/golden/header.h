@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 84101c27656b26a6, sha256 bb2b86a91e796fba6e5d3d5eba1cd9a18e257081f34ecbf884f23f82bd8ffa9c */
+/* nmpc_codegen package b88bb204a84d8d67, sha256 0f50803bc00c5b8e44e05ff8eed434cfbf1700135b86aeb65e9845fc02f433ae */

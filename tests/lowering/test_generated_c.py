@@ -143,10 +143,10 @@ def test_exercise_finds_defects(old: str, new: str, flags: tuple[str, ...]) -> N
 
 
 def test_stack(record_property: pytest.RecordProperty) -> None:
-    """No recursion, bounded stack: less than 2 kB for the crane."""
+    """No recursion, bounded stack: less than 2.25 kB for the crane, which solve() takes for second derivatives."""
     stack = quality.stack_use(problems.sources("crane"), "-O2")
     record_property("stack -O2", f"{stack.total} bytes, largest frame {stack.frame}")
-    assert 0 < stack.frame < stack.total < 2048
+    assert 0 < stack.frame < stack.total < 2304
 
 
 def test_two_controllers_in_one_program() -> None:

@@ -42,8 +42,8 @@ def built(name: str, route: str, **changes: object) -> Controller:
 @pytest.mark.few(3)
 @pytest.mark.parametrize("route", ["dense", "riccati"])
 @pytest.mark.parametrize(("name", "number"), [("swing_up", 2), ("swing_up", 4), ("quadrotor", 5)])
-def test_accelerated_gauss_newton_finds_the_solution_of_ipopt(name: str, number: int, route: str) -> None:
-    """Gauss-Newton steps alone contract by 0.8 per iteration, or not at all."""
+def test_solve_finds_the_solution_of_ipopt(name: str, number: int, route: str) -> None:
+    """Gauss-Newton steps, which the samples take, contract by 0.8 per iteration, or not at all."""
     problem, c = KNOWN[name], built(name, route).copy()
     x0 = problem.start(number)
     ocp, tableau = classify(problem.make()), replace(CLASSICAL, steps=problem.steps)
@@ -58,16 +58,16 @@ def test_accelerated_gauss_newton_finds_the_solution_of_ipopt(name: str, number:
 
 
 def test_multipliers_on_stages_move_as_far_as_the_step() -> None:
-    """The first step from this start has a quarter of its length, and so have the multipliers, which were 0."""
+    """The first step from this start is shortened, and so are the multipliers, which were 0."""
     x0 = KNOWN["swing_up"].start(0)
-    c = built("swing_up", "riccati", algorithm=PURE).copy()
+    c = built("swing_up", "riccati", algorithm=PURE, hessian=GaussNewton()).copy()
     searched, full = c.copy(), c.copy()
     entry = searched.solve(x0, max_iterations=1).log[0]
     full.prepare()
     full.feedback(x0, on_failure="raise")
-    assert entry.length == 0.25
+    assert 0 < entry.length < 1
     for name in ("lam", "mu_u", "mu_x"):
-        np.testing.assert_allclose(getattr(searched, name), 0.25 * getattr(full, name), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(getattr(searched, name), entry.length * getattr(full, name), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_the_summary_names_the_first_failure() -> None:
 
 
 def test_gauss_newton_without_curvature_still_ends() -> None:
-    """Whatever acceleration does, the plan is finite and the status true."""
+    """The plan is finite and the status true."""
     c = build(cases.disc(), Options(hessian=GaussNewton(convex_rows=False)), profile="test")
     solution = c.solve((1.0, 0.0))
     assert np.isfinite(solution.x).all()

@@ -39,6 +39,7 @@ SWITCHES = {
     "SMALL": 0,
     "SHIFT_RESAMPLE": 0,
     "REGULARIZE_REDUCED": 0,
+    "CURVED": 0,
     "SOLVE": 1,
     "STATE_ROWS": 1,
     "END_EQUATIONS": 1,

@@ -11,7 +11,7 @@ from nmpc_codegen.components.base import Algorithm, Component, Hessian, Integrat
 from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import stage_costs, stage_model
-from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
@@ -94,7 +94,8 @@ def linearize(problem: Problem, options: Options) -> Model:
     _check(problem, integrator, options.hessian)
     functions = _functions(problem, integrator, options.hessian, options.algorithm)
     if solves_exactly(options, chosen):
-        functions = replace(functions, exact=_exact(problem, integrator, functions))
+        functions, of_solve = _with_exact(problem, integrator, functions)
+        of_hessian = (*of_hessian, *of_solve)
     constant = _constant_hessian(problem, online, functions)
     parts = Parts(integrator, options.algorithm, options.hessian)
     choice: Choice | None = None
@@ -163,13 +164,19 @@ def _functions(
     )
 
 
-def _exact(problem: Problem, integrator: Integrator, functions: ModelFunctions) -> tuple[Routine, ...]:
-    """The exact Hessian of solve(), in routines of its own."""
-    blocks = ExactHessian().blocks(problem, stage_costs(problem), integrator)
+def _with_exact(
+    problem: Problem, integrator: Integrator, functions: ModelFunctions
+) -> tuple[ModelFunctions, tuple[str, ...]]:
+    """The functions with the exact Hessian of solve(), in routines of its own; the reason if there is none."""
+    try:
+        blocks = ExactHessian().blocks(problem, stage_costs(problem), integrator)
+    except OptionError as error:
+        return functions, (f"solve(): the Hessian of the samples; {error}",)
     curved = _with_zeros(blocks.curved, "g", _elements(functions.start.gradient))
     ends = {"terminal_exact": blocks.terminal.hessian, "start_exact": blocks.start, "initial_exact": blocks.initial}
     named = (replace(routine, name=name) for name, routine in ends.items() if isinstance(routine, Kernel))
-    return tuple(routine for routine in (curved, *named) if routine is not None)
+    exact = tuple(routine for routine in (curved, *named) if routine is not None)
+    return replace(functions, exact=exact), ("solve(): exact Hessian; nothing is chosen",)
 
 
 def _with_start(blocks: HessianModel) -> Block:
