@@ -141,6 +141,18 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 #endif
 }
 
+/* Adds 1e-6 |g_c| / size_c to the diagonal, where size_c is half the width of the bounds of control c: a linear cost has
+ * a curvature of this kind. */
+static void add_linear_units(solver_t *s)
+{
+    for (int c = 0; c < N * NU; c++) {
+        const real_t width = s->qp.upper[c] - s->qp.lower[c], size = (width < INF) ? R(0.5) * width : R(1);
+        if (size > R(0)) {
+            s->qp.H[c][c] += R(1e-6) * FABS(s->condensed.g[c]) / size;
+        }
+    }
+}
+
 /* If the condensed Hessian is not positive definite, it is formed again and the predicted working set is held, at first
  * weakly. If that is not sufficient, it is regularised. */
 static status_t condense_factorize(solver_t *s)
@@ -152,6 +164,13 @@ static status_t condense_factorize(solver_t *s)
 #if NG
     memset(s->condensed.held, 0, sizeof s->condensed.held);
 #endif
+    if (status == OK && s->qp.semidefinite) {
+        condense_matrices(s);
+        memcpy(s->qp.side, predicted, sizeof predicted);
+        add_linear_units(s);
+        s->condensed.regularized = 1;
+        return qp_factorize(&s->qp);
+    }
     if (!s->condensed.regularized) {
         return status;
     }

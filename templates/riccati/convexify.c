@@ -52,6 +52,19 @@ static void riccati_extend_units(solver_t *s, real_t *unit)
     }
 }
 
+/* A linear cost has the curvature |g_j| / size_j, where size_j is the magnitude of a control or half the width of its
+ * bounds: units are at least as large. */
+static void riccati_raise_units(solver_t *s, real_t *unit)
+{
+    for (int c = 0; c < N * NU; c++) {
+        const real_t width = s->qp.upper[c] - s->qp.lower[c], size = (width < INF) ? R(0.5) * width : R(1);
+        const real_t slope = FABS(stage_g(s, c / NUS)[NXS + c % NUS]);
+        if (size > R(0) && slope > unit[NXS + c % NUS] * size) {
+            unit[NXS + c % NUS] = slope / size;
+        }
+    }
+}
+
 #if NG
 /* Weight of row m that gives its direction the curvature hold, in units of the variables. */
 static real_t riccati_row_hold(const solver_t *s, int m, real_t hold)
@@ -172,8 +185,10 @@ static int riccati_convexify(solver_t *s)
     if (!riccati_units(s, r->unit)) {
         return 0;
     }
+    riccati_raise_units(s, r->unit);
     riccati_extend_units(s, r->unit);
-    found = riccati_try(s, R(1), R(0)) || riccati_try(s, R(256), R(0)) || riccati_shift(s, R(256));
+    found = riccati_try(s, R(0), R(1e-6)) || riccati_try(s, R(1), R(0)) || riccati_try(s, R(256), R(0)) ||
+        riccati_shift(s, R(256));
     if (found) {
         riccati_keep_diagonal(s);
     }

@@ -34,9 +34,9 @@ class Limit:
 
 @dataclass(frozen=True, eq=False)
 class Stranger:
-    """``start``: the box of initial states; ``free``: components of them that are only guesses; ``samples``: of a closed
-    loop, none if the problem is only solved; ``kick``: (sample, what is added to the state after it); ``distance``: of a
-    state from the goal, which is reached within ``reach``."""
+    """``start``: the box of initial states; ``free``: components of them that are only guesses; ``samples``: of a
+    closed loop, none if the problem is only solved; ``kick``: (sample, what is added to the state after it);
+    ``distance``: of a state from the goal, which is reached within ``reach``."""
 
     name: str
     family: str
