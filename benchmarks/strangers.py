@@ -1,4 +1,4 @@
-"""Closed loops of strangers: python -m benchmarks.strangers [--scale S] [--json FILE] [--table FILE]
+"""Strangers: python -m benchmarks.strangers [--part loops|solve] [--scale S] [--json FILE] [--table FILE]
 
 It ends with an exit status of 1 if a figure is beyond its limit. ``--table`` writes the loops with and without repair
 and relaxation in place of the table of a Markdown file (docs/strangers.md).
@@ -19,6 +19,8 @@ from benchmarks.lib.run import Run
 def main() -> int:
     """The command line."""
     command = argparse.ArgumentParser("benchmarks.strangers", description=__doc__)
+    parts = {"loops": strangers.measure, "solve": strangers.measure_solve}
+    command.add_argument("--part", choices=parts, help="closed loops or cold starts of solve() alone (default both)")
     command.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the loops (default all)")
     command.add_argument("--json", metavar="FILE", help="write all records")
     command.add_argument("--table", metavar="FILE", type=Path, help="write the table of this file anew, and stop")
@@ -31,7 +33,8 @@ def main() -> int:
         return 0
     report, run = Report(), Run(options.scale, commits(), Path())
     report.topic = "strangers"
-    strangers.measure(report, run)
+    for part in [options.part] if options.part else parts:
+        parts[part](report, run)
     report.print_matrix("strangers")
     if options.json:
         report.write(options.json, commit=head(), scale=run.scale, seed=run.seed)

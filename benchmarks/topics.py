@@ -50,6 +50,7 @@ MATRICES = frozenset({*PAGE, "speed/levels", "convergence/routes"})
 
 TOPICS: dict[str, Topic] = {
     **PAGE,
+    "strangers/solve": strangers.measure_solve,
     "speed/first_control": plain(levels.first_control),
     "speed/levels": plain(levels.levels),
     "speed/choice": plain(choice.measure),

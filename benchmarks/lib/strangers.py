@@ -1,4 +1,4 @@
-"""Closed loops of strangers with default options, against loops with IPOPT in every sample."""
+"""Strangers with default options: closed loops against loops with IPOPT in every sample, cold starts of solve()."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from benchmarks.lib.report import Report
 from benchmarks.lib.run import Run
-from nmpc_codegen import RealTimeIteration
+from nmpc_codegen import Options, RealTimeIteration
 from verification.built import build_all
 from verification.routes import PURE
+from verification.strangers import linear, solves
 from verification.strangers.loops import Judge, Verdict, run
-from verification.strangers.problems import CASES, STRANGERS
+from verification.strangers.problems import CASES, ONCE, OPEN, STRANGERS
 from verification.strangers.statement import Stranger
 from verification.strangers.twin import STARTS, Twin
 
 LEAST = 3
-LOST, NOT_OK = 0.02, 0.02
+LOST, NOT_OK, UNSOLVED = 0.02, 0.02, 0.02
 
 #: The defaults and what they are compared with in the table.
 SCHEMES: Mapping[str, RealTimeIteration] = {
@@ -60,6 +63,51 @@ def measure(report: Report, asked: Run) -> None:
         report.add(key, value, case="all", n=n, limit=limit)
     for line in lost(found, numbers):
         print(line)
+
+
+def measure_solve(report: Report, asked: Run) -> None:
+    """Cold starts of solve() that IPOPT solves: a line per problem, and the figures of all."""
+    numbers = [i for i, _ in asked.some(range(solves.STARTS), LEAST)]
+    built = build_all((s.ocp(), s.options()) for s in ONCE)
+    every: list[tuple[solves.Solve, solves.Solve]] = []
+    failed: set[str] = set()
+    for stranger, controller in zip(ONCE, built, strict=True):
+        theirs, mine = solves.by_ipopt()[stranger.name], solves.solves(stranger, controller, numbers)
+        pairs = [(m, theirs[i]) for i, m in zip(numbers, mine, strict=True) if theirs[i].solved]
+        every += pairs
+        _report_solves(report, stranger.name, pairs)
+        for i, m in zip(numbers, mine, strict=True):
+            if not m.solved:
+                failed.add(stranger.name)
+                print(f"not solved: {stranger.name}/{i}: {m.status} after {m.iterations}")
+        if stranger.name == "free_time":
+            error = max(abs(m.cost - t.cost) / t.cost for m, t in pairs)
+            report.add("free_time_error", error, case="all", n=len(pairs), limit=1e-4)
+    share = sum(m.solved for m, _ in every) / len(every)
+    report.add("not solved", 1 - share, "share", case="all", n=len(every), limit=UNSOLVED)
+    report.add("false_infeasible", sum(m.status == "INFEASIBLE" for m, _ in every), case="all", n=len(every), limit=0)
+    good = [pair for pair in every if pair[0].solved]
+    report.add("worse optimum", sum(m.is_worse(t) for m, t in good) / len(good), "share", case="all", n=len(good))
+    report.add("iterations", float(np.median([m.iterations for m, _ in good])), "median", case="all", n=len(good))
+    report.add("of IPOPT", float(np.median([t.iterations for _, t in good])), "median", case="all", n=len(good))
+    report.add("open_not_solved", len(set(OPEN) & failed), case="all", n=len(OPEN), limit=1)
+    _measure_linear(report)
+
+
+def _measure_linear(report: Report) -> None:
+    """Loops whose samples are linear programs."""
+    for case, controller in zip(linear.CASES, build_all((c.ocp(), Options()) for c in linear.CASES), strict=True):
+        bad, worst = case.run(controller)
+        report.add(f"{case.name}_not_ok", bad, "samples", case="all", n=case.samples, limit=0)
+        report.add(f"{case.name}_error", worst, "cost", case="all", n=case.samples, limit=linear.SAME)
+
+
+def _report_solves(report: Report, name: str, pairs: Sequence[tuple[solves.Solve, solves.Solve]]) -> None:
+    good = [pair for pair in pairs if pair[0].solved]
+    report.add("not solved", len(pairs) - len(good), "starts", case=name, n=len(pairs))
+    report.add("worse optimum", sum(m.is_worse(t) for m, t in good), "starts", case=name, n=len(good))
+    for key, values in (("iterations", [m.iterations for m, _ in good]), ("of IPOPT", [t.iterations for _, t in good])):
+        report.add(key, float(np.median(values)) if values else float("nan"), "median", case=name, n=len(good))
 
 
 def lost(found: Mapping[str, list[Verdict]], numbers: Sequence[int]) -> Iterable[str]:

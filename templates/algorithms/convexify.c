@@ -395,6 +395,7 @@ static int convexify(solver_t *s)
         c->shift = smallest_shift(s);
         shift = R(1.125) * c->shift + c->damping;
     }
+    c->used = shift;
     for (int k = 0; k <= N && shift > R(0); k++) {
         for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
             curved_row(c, k, i)[i] += shift * c->unit[i];

@@ -36,6 +36,9 @@ ONCE: tuple[Stranger, ...] = (
     *(STEERING, ROBOT_ARM, VAN_DER_POL, FREE_TIME, ZERMELO, ARBITRAGE),
 )
 
+#: Those of ONCE that users found unsolved.
+OPEN: tuple[str, ...] = (*("steering", "robot_arm", "acrobot", "gate", "double_pendulum", "van_der_pol", "arbitrage"),)
+
 
 def known(name: str) -> Stranger:
     """The stranger of that name."""

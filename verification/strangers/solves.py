@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
@@ -62,7 +63,7 @@ def solves_of_ipopt(name: str) -> list[Solve]:
     return found
 
 
-def solves(stranger: Stranger, controller: Controller, numbers: range) -> list[Solve]:
+def solves(stranger: Stranger, controller: Controller, numbers: Iterable[int]) -> list[Solve]:
     """solve() of this controller from the same plans."""
     twin, ocp, found = Twin(stranger), classify(stranger.ocp()), []
     tableau = replace(CLASSICAL, steps=stranger.steps)

@@ -65,7 +65,8 @@ def choose_qp(
     problem: Problem, options: Options, constant_hessian: bool, model: ModelFunctions, grown: Growth
 ) -> Choice:
     """Condensing and QP solver: those that are given, adapted to the problem, completed by the choice that takes the
-    fewest operations of those that keep enough digits. The reason for this choice is the table of all candidates.
+    fewest operations of those that keep enough digits. The reason for this choice is the table of all candidates. The
+    QP of a problem without any curvature is a linear program, whose degenerate vertices the recursion takes best.
 
     Raises:
         OptionError: the two that are given clash, or too few digits remain with every condensing that fits.
@@ -77,7 +78,9 @@ def choose_qp(
         reasons = (*_instead(given, condensing), *grown.warning(problem, condensing))
         return Choice(condensing, options.qp, reasons)
     fitting = list(_pairs(given, options.qp))
-    if (
+    if given is None and options.qp is None and not (model.path.Q or model.terminal.Q):
+        fitting = list(_pairs(NoCondensing(), None))
+    elif (
         given is None
         and options.qp is None
         and _mirrors_few(problem, options)

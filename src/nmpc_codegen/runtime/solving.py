@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -10,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime import convergence
+from nmpc_codegen.runtime.convergence import Iteration
 from nmpc_codegen.runtime.given import is_integer, is_positive
 from nmpc_codegen.runtime.status import Kkt, Status
 
@@ -19,21 +23,6 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 Globalization = Literal["filter", "full_step"]
 MULTIPLIERS = ("lam", "mu_x", "mu_u", "mu", "mu_N", "eta")
-
-
-@dataclass(frozen=True)
-class Iteration:
-    """One SQP iteration.
-
-    kkt: residuals at its end; length: of its step, 1 for the full one; qp_iterations: of its last QP; active: number of
-    bounds and rows with a multiplier; restoring: its step only had to reduce the violation of constraints.
-    """
-
-    kkt: Kkt
-    length: float
-    qp_iterations: int
-    active: int
-    restoring: bool
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,6 +47,24 @@ class Solution:
     time_ns: int
     controls: tuple[str, ...] = ()  # names of the controls
     log: tuple[Iteration, ...] = ()  # one entry per iteration
+
+    def convergence_table(self, file: str | os.PathLike[str] | None = None) -> str:
+        """The iterations in aligned columns: cost, KKT residuals by parts and relative, length of the step, shift of
+        the Hessian, iterations of the QP, active bounds and rows. ``file``: also written there, comma-separated."""
+        if file is not None:
+            Path(file).write_text(convergence.comma_separated(self.log), encoding="utf-8")
+        return convergence.table(self.log)
+
+    def plot_convergence(self, file: str | os.PathLike[str] | None = None) -> Any:
+        """Figure of the residuals, step lengths and shifts of all iterations; written to ``file`` if one is given.
+
+        Raises:
+            ControllerError: there is no iteration.
+        """
+        if not self.log:
+            raise ControllerError("plot_convergence(): solve() took no iteration; expected at least one")
+        title = f"{self.status.name} after {self.iterations} iterations, cost {self.cost:.6g}"
+        return convergence.draw(self.log, title, self.status != Status.OK, file)
 
     def __str__(self) -> str:
         names = self.controls or tuple(f"u[{j}]" for j in range(self.u.shape[1]))
@@ -160,7 +167,8 @@ def _full_steps(ctrl: Controller, run: _Run, tol: float, most: int) -> Status:
 
 def _entry(ctrl: Controller, kkt: Kkt, length: float, restoring: bool) -> Iteration:
     active = sum(int(np.count_nonzero(ctrl.member(part))) for part in MULTIPLIERS[1:])
-    return Iteration(kkt, length, _count(ctrl, "qp_iterations"), active, restoring)
+    shift = float(ctrl.view("curved.used")) if "curved" in ctrl.description.members("solver") else 0.0
+    return Iteration(kkt, length, _count(ctrl, "qp_iterations"), active, restoring, ctrl.cost, shift)
 
 
 def _count(ctrl: Controller, name: str) -> int:

@@ -462,6 +462,7 @@ def _curved(dims: Dims) -> Struct:
             Field("target", (dims.ng,), "their bounds", "scratch"),
             Field("hold", (), "factor of the weights", "scratch"),
             Field("shift", (), "smallest one that made the last indefinite Hessian convex", "scratch"),
+            Field("used", (), "shift of the last QP", "scratch"),
             Field("proximal", (), "shift of a Hessian that is only semidefinite", "scratch"),
             Field("damping", (), "shift of every Hessian while steps are short", "scratch"),
             Field("in_solve", (), "1: it is the Hessian of the QP", "scratch", "int32"),
