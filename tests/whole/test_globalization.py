@@ -1,4 +1,4 @@
-"""solve() from cold starts: accelerated steps, new starts, its log, full steps, multipliers of shortened steps."""
+"""solve() from cold starts: exact second derivatives, new starts, its log, full steps, multipliers of shortened steps."""
 
 from __future__ import annotations
 

@@ -213,7 +213,7 @@ def diagnosis(ctrl: Any, measured: Array) -> str:
     status = ctrl.status
     stale = [_stale(ctrl)] if ctrl.stats.stale_hessian else []
     if status == Status.OK:
-        return "\n".join([str(status), *stale])
+        return "\n".join([str(status), *_left_by_samples(ctrl), *stale])
     broken = _broken_plan(ctrl, measured) or _broken_model(ctrl)
     lines = [str(status), *broken, *_worst_row(ctrl), *_advice(ctrl), *stale]
     return "\n".join(dict.fromkeys(lines))
@@ -231,6 +231,25 @@ def _stale(ctrl: Any) -> str:
         if any(np.any(present != present.dtype.type(bound)) for present, bound in bounds):
             changed.append(row.name)
     return f"{STALE} (not at their declared values: {', '.join(changed)})" if changed else STALE
+
+
+#: Relative KKT residual of a sample above which steps with another Hessian than that of solve() may be the cause.
+FAR_FROM_OPTIMAL = 0.01
+
+
+def _solves_exactly(ctrl: Any) -> bool:
+    """Whether solve() has the exact Hessian although samples have another."""
+    return "hessian=GaussNewton(" in str(ctrl.description.options) and "in_solve" in ctrl.description.members("curved")
+
+
+def _left_by_samples(ctrl: Any) -> list[str]:
+    """That the plan is not optimal, which may be due to the steps of the samples."""
+    if not _solves_exactly(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
+        return []
+    return [
+        f"the plan is not optimal, relative KKT residual {ctrl.kkt().relative:.1e}: where it does not fall from sample "
+        "to sample, Gauss-Newton steps leave the optimum that solve() finds: try Options(hessian=ExactHessian())"
+    ]
 
 
 def _broken_plan(ctrl: Any, measured: Array) -> list[str]:
@@ -295,7 +314,7 @@ def _advice(ctrl: Any) -> list[str]:
         kkt = ctrl.kkt()
         part = max(kkt.parts, key=lambda name: float(np.nan_to_num(kkt.parts[name], nan=np.inf)))
         lines.append(f"largest residual: {part} {kkt.parts[part]:.1e}")
-        if "hessian=GaussNewton(" in options:
+        if "hessian=GaussNewton(" in options and not _solves_exactly(ctrl):
             lines.append("Gauss-Newton steps ignore curvature and may cycle: try Options(hessian=ExactHessian())")
         if status == Status.SUBPROBLEM_FAILED:
             lines.append("the QP solver gave up: try another, Options(qp=...), or scale states, controls and rows")

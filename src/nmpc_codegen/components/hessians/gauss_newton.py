@@ -28,7 +28,8 @@ class GaussNewton(Defaults):
     """Gauss-Newton Hessian; ``levenberg_marquardt`` >= 0 is added to its diagonal.
 
     ``convex_rows`` adds mu_i d2 h_i of every general row for which it is positive semidefinite, with the multipliers of
-    the last QP; with discs and other convex rows solve() needs this to converge. Linear rows have none.
+    the last QP; with discs and other convex rows steps need this to converge. Linear rows have none. If this Hessian is
+    given, and not chosen by the compiler, solve() has it, too.
     """
 
     convex_rows: bool = option(True, Flag())

@@ -9,8 +9,8 @@ the reduced Hessian is not formed: its diagonal is shifted, in units D of the va
 
     H + 9/8 s D   (project)      H + 2 s D   (mirror)      s: the smallest of 1e-3 4^n with H + s D positive definite
 
-The condensed Hessian is treated in units of its variables, too. solve() changes both Hessians less, and more after a
-step that it had to shorten.
+The condensed Hessian is treated in units of its variables, too. solve() has a way of its own
+(templates/algorithms/convexify.c).
 """
 
 from __future__ import annotations
