@@ -204,11 +204,6 @@ static int row_is_held(const solver_t *s, int m)
         return mult > R(0) && mult < R(0.999) * row_l1[row_id[m]];
     }
 #endif
-#if NE && NF
-    if (IS_COUPLED(m)) { /* couples x_0 with x_N */
-        return 0;
-    }
-#endif
     return mult > R(0) || ROW_LOWER(s, m) >= ROW_UPPER(s, m);
 }
 

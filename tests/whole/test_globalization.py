@@ -1,4 +1,4 @@
-"""solve() from cold starts: exact second derivatives, new starts, its log, full steps, multipliers of shortened steps."""
+"""solve() from cold starts: new starts, its log, full steps, multipliers of shortened steps, units."""
 
 from __future__ import annotations
 

@@ -24,8 +24,15 @@ def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[s
     return replace(options, hessian=ExactHessian()), (f"hessian: {ExactHessian.name}; {why}",)
 
 
-def solves_exactly(options: Options, chosen: bool) -> bool:
+def couples_free_start(problem: Problem) -> bool:
+    """True if rows couple x_N with components of x_0 that the solver chooses: equations of the first and the last stage,
+    which a recursion over the stages alone cannot hold. solve() then leaves an indefinite Hessian to the QP's route."""
+    return bool(problem.coupled_rows and problem.free_initial)
+
+
+def solves_exactly(problem: Problem, options: Options, chosen: bool) -> bool:
     """True if solve() has the exact Hessian although samples have another: nothing was ``chosen`` by the user, and the
     package is not for a microcontroller, where a second Hessian is too much code."""
     approximate = isinstance(options.hessian, GaussNewton) and "qp" in options.algorithm.needs
-    return approximate and chosen and options.solve and options.goal == "speed" and options.processor == "vector"
+    roomy = options.solve and options.goal == "speed" and options.processor == "vector"
+    return approximate and chosen and roomy and not couples_free_start(problem)

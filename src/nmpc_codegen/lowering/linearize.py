@@ -93,7 +93,7 @@ def linearize(problem: Problem, options: Options) -> Model:
     integrator, choices = _choose_integrator(problem, options)
     _check(problem, integrator, options.hessian)
     functions = _functions(problem, integrator, options.hessian, options.algorithm)
-    if solves_exactly(options, chosen):
+    if solves_exactly(problem, options, chosen):
         functions, of_solve = _with_exact(problem, integrator, functions)
         of_hessian = (*of_hessian, *of_solve)
     constant = _constant_hessian(problem, online, functions)

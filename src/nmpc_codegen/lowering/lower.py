@@ -32,6 +32,7 @@ from nmpc_codegen.ir.kernel import OpCount, called_functions
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.ir.tuning import PANEL
+from nmpc_codegen.lowering.choose_hessian import couples_free_start
 from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.lowering.generated import own_names
 from nmpc_codegen.lowering.linearize import Model
@@ -191,7 +192,8 @@ def _switches(model: Model) -> dict[str, int]:
         switches |= component.switches
     switches["TUNED"] *= int(any(switches[f"SET_{kind}"] for kind in ("PARAMETER", "WEIGHT", "BOUNDS")))
     switches["TWO_HESSIANS"] = int(bool(model.exact))
-    switches["CURVED"] = int(model.solve and bool(model.exact or switches.get("REGULARIZE_REDUCED")))
+    exact = bool(model.exact or switches.get("REGULARIZE_REDUCED"))
+    switches["CURVED"] = int(model.solve and exact and not couples_free_start(p))
     switches["KEEPS_MULTIPLIERS"] = int(switches["CURVED"] or switches["STAGE_MULTIPLIERS"])
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
