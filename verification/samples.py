@@ -386,6 +386,7 @@ SAMPLES = (
     Sample("everything looped", everything, _interior(integrator=LOOPED, online=FIXED, precision="single")),
     Sample("arrival dense", arrival, _dense(hessian=ExactHessian(), solve=False, algorithm=LEVELS)),
     Sample("arrival riccati", arrival, _riccati(hessian=ExactHessian(), integrator=LOOPED, solve=False)),
+    Sample("arrival on path dense", arrival_on_path, _dense()),
     Sample("arrival on path interior", arrival_on_path, _interior()),
     Sample("ring dense twice", ring, _dense()),
     Sample("ring dense", ring, _dense(hessian=ExactHessian(), algorithm=RELAXED)),

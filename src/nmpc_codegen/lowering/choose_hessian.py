@@ -25,8 +25,8 @@ def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[s
 
 
 def couples_free_start(problem: Problem) -> bool:
-    """True if rows couple x_N with components of x_0 that the solver chooses: equations of the first and the last stage,
-    which a recursion over the stages alone cannot hold. solve() then leaves an indefinite Hessian to the QP's route."""
+    """True if rows couple x_N with components of x_0 that the solver chooses: a recursion over the stages alone cannot
+    hold such equations. solve() then leaves an indefinite Hessian to the route of the QP."""
     return bool(problem.coupled_rows and problem.free_initial)
 
 
