@@ -317,8 +317,8 @@ static void hold_active(solver_t *s, real_t hold)
     c->hold = hold;
 }
 
-/* The gradients with what is held; pull() takes it away. */
-static void push(solver_t *s)
+/* Adds to the gradients what is held; restore_gradients() takes it away. */
+static void push_to_bounds(solver_t *s)
 {
     curved_t *c = &s->curved;
     for (int k = 0; k < N; k++) {
@@ -337,7 +337,7 @@ static void push(solver_t *s)
 #endif
 }
 
-static void pull(solver_t *s)
+static void restore_gradients(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
         memcpy(s->node[k].g, s->curved.g[k], sizeof s->curved.g[0]);
@@ -372,23 +372,30 @@ static real_t smallest_shift(solver_t *s)
     return high;
 }
 
-/* Makes the Hessian convex. Returns 0 if that is impossible. */
+/* Makes the Hessian convex: as it is, with little or much of the predicted active set held, with the proximal shift, or
+ * with the smallest shift. Returns 0 if that is impossible. */
 static int convexify(solver_t *s)
 {
     curved_t *c = &s->curved;
     real_t shift = c->damping;
     find_units(s);
     predict_active(s);
-    for (int trial = 0; trial < 3 && !is_convex(s, shift); trial++) {
+    int convex = is_convex(s, shift);
+    for (int trial = 0; trial < 3 && !convex; trial++) {
         if (trial < 2) {
             hold_active(s, (trial == 0) ? R(1) : R(256));
         } else {
             enlarge(&shift, c->proximal);
         }
+        convex = is_convex(s, shift);
     }
-    if (!is_convex(s, shift)) {
-        c->shift = smallest_shift(s);
-        shift = R(1.125) * c->shift + c->damping;
+    if (!convex) {
+        const real_t least = smallest_shift(s);
+        if (!(least < INF)) {
+            return 0;
+        }
+        c->shift = least;
+        shift = R(1.125) * least + c->damping;
     }
     c->used = shift;
     for (int k = 0; k <= N && shift > R(0); k++) {
@@ -396,7 +403,7 @@ static int convexify(solver_t *s)
             curved_row(c, k, i)[i] += shift * c->unit[i];
         }
     }
-    return shift < INF;
+    return 1;
 }
 
 #if HAS_ADJOINT_STEP

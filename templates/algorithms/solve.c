@@ -310,7 +310,7 @@ static int accepts_corrected(solver_t *s)
     correct_constraints(s);
     move_back(s);
 #if CURVED
-    push(s);
+    push_to_bounds(s);
 #endif
     condense_rows(s);
 #if HARD_ROWS
@@ -328,7 +328,7 @@ static int accepts_corrected(solver_t *s)
         put_step_aside(s);
     }
 #if CURVED
-    pull(s);
+    restore_gradients(s);
 #endif
     return accepted;
 }
@@ -539,7 +539,7 @@ static status_t form_qp(solver_t *s)
     if (!convexify(s)) {
         return NUMERICAL_FAILURE;
     }
-    push(s);
+    push_to_bounds(s);
 #endif
     return condense_prepare(s);
 }
@@ -556,7 +556,7 @@ static status_t sqp_iteration(solver_t *s)
     }
     put_step_aside(s);
 #if CURVED
-    pull(s);
+    restore_gradients(s);
 #endif
     update_scales(s);
     q->base = measure(s);

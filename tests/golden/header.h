@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package b88bb204a84d8d67, sha256 0f50803bc00c5b8e44e05ff8eed434cfbf1700135b86aeb65e9845fc02f433ae */
+/* nmpc_codegen package c30e81075c1981cb, sha256 f8af7ddce191dc83e44523b27781fa43caffa2ffb02d89e149cae06e65f3835e */

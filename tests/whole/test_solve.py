@@ -1,176 +1,321 @@
-"""solve() where IPOPT solves: swing-ups, minimum time, linear costs, on every route; its table and its picture."""
+"""solve() of the generated C against IPOPT, and its KKT residuals and cost against those recomputed in NumPy."""
 
 from __future__ import annotations
 
-import csv
-from dataclasses import replace
-from functools import cache
-from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
-from scipy.optimize import linprog
 
-from nmpc_codegen import (
-    OCP,
-    Controller,
-    ControllerError,
-    ExactHessian,
-    GaussNewton,
-    Options,
-    RealTimeIteration,
-    Status,
-    build,
-)
-from verification.routes import ROUTES
-from verification.strangers import linear, solves
-from verification.strangers.problems import OPEN, known
+from nmpc_codegen import OCP, ExactHessian, GaussNewton, Options, RealTimeIteration, build, simulate
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import solve_reference
+from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.solving import Solution
+from nmpc_codegen.runtime.status import Status
+from verification import problems
+from verification.problems import CASES
+
+#: General rows, optimised.
+FAST = ("path_rows",)
+MULTIPLIERS = ("lam", "mu_x", "mu_u", "mu", "mu_N")
 
 
-@cache
-def built(name: str, route: str | None = None, **changes: object) -> Controller:
-    stranger = known(name)
-    options = stranger.options()
-    if route is not None:
-        condensing, qp = ROUTES[route]
-        options = replace(options, condensing=condensing, qp=qp)
-    return build(stranger.ocp(), replace(options, **changes), profile="test")
+def relative(a: Any, b: Any) -> float:
+    """Largest difference per component, relative to max(1, largest |b| of the component)."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    return float(np.max(np.abs(a - b) / np.maximum(1.0, np.max(np.abs(b), axis=0, initial=0.0)), initial=0.0))
 
 
-@pytest.mark.few(3)
-@pytest.mark.parametrize("name", OPEN)
-def test_what_users_found_unsolved(name: str) -> None:
-    """The first three starts, each to the optimum of IPOPT or to another one; no false INFEASIBLE."""
-    found = solves.solves(known(name), built(name).copy(), range(3))
-    assert all(solve.solved for solve in found)
-
-
-@pytest.mark.few(3)
-@pytest.mark.parametrize("route", ["dense", "riccati", "interior", "partial"])
-@pytest.mark.parametrize("name", ["steering", "gate", "free_time"])
-def test_the_route_does_not_decide(name: str, route: str) -> None:
-    assert solves.solves(known(name), built(name, route).copy(), range(1))[0].solved
-
-
-@pytest.mark.parametrize("guess", [0.1, 0.5, 3.0])
-def test_a_free_end_time_from_short_and_long_guesses(guess: float) -> None:
-    """min int T^2 + u^2 + T^2 of a double integrator, x = 10, |u| <= 2: 43.8724 at T = 4.47926 by IPOPT."""
-    c = built("free_time").copy()
-    c.x[:] = [0.0, 0.0, guess]
-    solution = c.solve([0.0, 0.0, guess], max_iterations=200)
+def assert_equal_to_ipopt(name: str, solution: Solution, tolerance: float = 1e-6) -> None:
+    reference = problems.reference(name)
+    assert reference.success
     assert solution.status == Status.OK
-    assert solution.cost == pytest.approx(43.872408, rel=1e-6)
-    assert solution.x[0, 2] == pytest.approx(4.47926, abs=1e-4)
+    assert relative(solution.u, reference.u) <= tolerance
+    assert relative(solution.x, reference.x) <= tolerance
+    assert abs(solution.cost - reference.cost) <= 1e-2 * tolerance * abs(reference.cost)
 
 
-@pytest.mark.few(3)
-@pytest.mark.parametrize("route", [None, "riccati", "interior", "partial"])
-@pytest.mark.parametrize("case", linear.CASES, ids=lambda case: case.name)
-def test_linear_programs_as_linprog_solves_them(case: linear.LinearCase, route: str | None) -> None:
-    """Every sample and every solve() of a day is OK and has the cost of linprog."""
-    condensing, qp = (None, None) if route is None else ROUTES[route]
-    c = build(case.ocp(), Options(condensing=condensing, qp=qp), profile="test")
-    bad, worst = replace(case, samples=24).run(c)
-    assert bad == 0
-    assert worst <= linear.SAME
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_equal_to_ipopt(name: str) -> None:
+    """Some in profile "fast", in which gcc 12 removed a call without the pragma in solver.c.jinja."""
+    case = CASES[name]
+    solution = problems.controller(name, "fast" if name in FAST else "test").solve(case.x0, tol=1e-10)
+    assert_equal_to_ipopt(name, solution)
+    assert problems.active_kinds(name, solution) >= case.active
+    residuals = kkt_residuals(problems.problem(name), problems.point(solution), problems.case_data(name), case.tableau)
+    assert residuals.worst <= 2e-9  # the tolerance is relative to the terms of the residuals
+    assert problems.is_regular(name, solution)
+    for which in MULTIPLIERS:
+        assert relative(getattr(solution, which), getattr(problems.reference(name), which)) <= 1e-5
 
 
-@pytest.mark.parametrize("route", ["dense", "riccati", "interior"])
-def test_no_curvature_at_all(route: str) -> None:
-    """Neither state nor control in a cost that is constant but for one linear term, N = 1: the bound is the optimum."""
-    ocp = OCP("slope", T=1.0, N=1)
-    x, u = ocp.state("x", initial=1.0), ocp.control("u")
-    ocp.dynamics({x: u})
-    ocp.terminal_cost(2 * x)
-    ocp.subject_to(-3, u, 4)
-    condensing, qp = ROUTES[route]
-    c = build(ocp, Options(condensing=condensing, qp=qp), profile="test")
-    best = linprog([2.0], bounds=[(-3, 4)]).fun + 2.0
-    assert c.step([1.0]) == pytest.approx(-3.0)
-    assert c.status == Status.OK
-    assert c.solve([1.0]).cost == pytest.approx(best)
+@pytest.mark.parametrize(("name", "profile"), [("crane", "verify"), ("crane", "test")])
+def test_every_profile(name: str, profile: str) -> None:
+    """The same iterations in every profile, up to rounding."""
+    solution = problems.controller(name, profile).solve(CASES[name].x0, tol=1e-10)
+    assert_equal_to_ipopt(name, solution)
+    fast = problems.controller(name, "fast").solve(CASES[name].x0, tol=1e-10)
+    assert solution.iterations == fast.iterations
+    np.testing.assert_allclose(solution.u, fast.u, rtol=0, atol=1e-11)
 
 
-def _fletcher() -> OCP:
-    """min (1 + u)^2 + (-2 u^2 + u - 1)^2, whose minimum 0 is one from which Gauss-Newton steps lead away by -2."""
-    ocp = OCP("fletcher", T=1.0, N=2)
+@pytest.mark.parametrize(("name", "tol"), [("crane", 2e-3), ("path_rows", 1e-4), ("dense_weight", 1e-4)])
+def test_single_precision(name: str, tol: float) -> None:
+    """The crane's multipliers reach 80, so that its residuals cannot be as small as the others'."""
+    solution = problems.controller(name, "test", "single").solve(CASES[name].x0, tol=tol)
+    assert_equal_to_ipopt(name, solution, 1e-3)
+
+
+def perturbed(name: str) -> tuple[Controller, Any]:
+    """A controller at an iterate that is not optimal; multipliers keep their signs and zeros."""
+    c = problems.controller(name)
+    c.solve(CASES[name].x0, tol=1e-10)
+    rng = np.random.default_rng(7)
+    for which in ("x", "u", *MULTIPLIERS):
+        view = c.view(which)
+        view *= 1 + 0.3 * rng.uniform(-1, 1, view.shape)
+        if which in ("x", "u", "lam"):
+            view += 0.2 * rng.uniform(-1, 1, view.shape)
+    return c, problems.point(c)
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_kkt_residuals(name: str) -> None:
+    """kkt() away from the solution, where no part is zero by coincidence."""
+    c, point = perturbed(name)
+    ours = c.kkt()
+    theirs = kkt_residuals(problems.problem(name), point, problems.case_data(name), CASES[name].tableau)
+    assert theirs.worst > 1e-2
+    assert ours.stationarity == pytest.approx(theirs.stationarity, rel=1e-10)
+    assert ours.equality == pytest.approx(theirs.equality, rel=1e-10)
+    assert ours.inequality == pytest.approx(theirs.inequality, rel=1e-10)
+    rows = problems.problem(name).rows
+    if all(r.lower < r.upper for r in rows):  # the C code counts equalities in the part "inequality"
+        assert ours.complementarity == pytest.approx(theirs.complementarity, rel=1e-10)
+
+
+@pytest.mark.parametrize("part", ["x", "u", "lam", "mu_u"])
+def test_residuals_of_a_plan_that_is_not_finite(part: str) -> None:
+    """NaN at one node shows, whatever the residuals of the other nodes are."""
+    c = problems.controller("crane").copy()
+    assert c.solve((1.0, 0.0, 0.0, 0.0)).status == Status.OK
+    for node in range(len(getattr(c, part))):
+        broken = c.copy()
+        getattr(broken, part)[node, 0] = np.nan
+        residuals = broken.kkt()
+        assert np.isnan(residuals.stationarity) or np.isnan(residuals.equality), node
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_cost(name: str) -> None:
+    c, point = perturbed(name)
+    data = problems.case_data(name)
+    expected = evaluate_cost(problems.problem(name), point.x, point.u, data, CASES[name].tableau)
+    assert c.cost == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["crane", "crane_weight"])
+def test_crane_kkt(name: str) -> None:
+    """The residuals at which solve() stopped, relative to the terms that they sum, are those that NumPy finds."""
+    solution = problems.controller(name).solve(CASES[name].x0, tol=1e-10)
+    theirs = kkt_residuals(problems.problem(name), problems.point(solution), problems.case_data(name))
+    for part in ("stationarity", "equality", "inequality", "complementarity"):
+        assert getattr(solution.kkt, part) <= 1e-8
+        assert getattr(theirs, part) <= 1e-8
+
+
+def test_warm_start_needs_no_iteration() -> None:
+    c = problems.controller("path_rows")
+    first = c.solve(CASES["path_rows"].x0, tol=1e-9)
+    again = c.solve(CASES["path_rows"].x0, tol=1e-9)
+    assert first.iterations > 2
+    assert again.iterations == 0
+    np.testing.assert_array_equal(again.u, first.u)
+
+
+def test_a_warm_started_loop_begins_with_the_solution() -> None:
+    """The plan of solve() belongs to the first sample, so that this sample does not shift it."""
+    c = build(CASES["crane"].make(), Options(algorithm=RealTimeIteration(shift="repeat")), profile="test")
+    x0 = (0.8, 0.2, 0.1, 0.0)
+    solution = c.copy().solve(x0, tol=1e-10)
+    log = simulate(c, x0, 1, warm_start=True)
+    np.testing.assert_allclose(log.u[0], solution.u[0], atol=1e-9)
+
+
+def test_start_elsewhere() -> None:
+    """From another guess, and for another xhat, the answer equals that of IPOPT."""
+    c = problems.controller("crane")
+    c.solve((0.3, 0.0, 0.0, 0.0))
+    c.u[:] = 0.7
+    assert_equal_to_ipopt("crane", c.solve(CASES["crane"].x0, tol=1e-10))
+
+
+def test_iteration_limit() -> None:
+    c = problems.controller("crane")
+    solution = c.solve(CASES["crane"].x0, tol=1e-10, max_iterations=1)
+    assert solution.status == Status.ITERATION_LIMIT
+    assert solution.iterations == 1
+    assert solution.kkt.equality > 1e-10
+    assert c.status == Status.ITERATION_LIMIT
+
+
+def test_infeasible_and_recovered() -> None:
+    """The elastic QP leads to a point of least violation, which is no solution; the next solve is independent of it."""
+    c = problems.controller("crane")
+    solution = c.solve((1.0, 0.0, 0.5, 0.0))
+    assert solution.status == Status.INFEASIBLE
+    assert np.isfinite(c.x).all()
+    assert solution.kkt.inequality > 1e-3
+    assert np.abs(solution.u).max() <= 1.0
+    assert_equal_to_ipopt("crane", c.solve(CASES["crane"].x0, tol=1e-10))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_state_not_finite(bad: float) -> None:
+    c = problems.controller("crane")
+    assert c.solve((0.0, bad, 0.0, 0.0)).status == Status.NOT_FINITE
+    assert_equal_to_ipopt("crane", c.solve(CASES["crane"].x0, tol=1e-10))
+
+
+def test_never_ok_without_being_solved() -> None:
+    """At the iteration limit the status states it, and the residuals are the true ones."""
+    ocp: OCP = problems.disc()
+    without = Options(hessian=GaussNewton(convex_rows=False))
+    solution = build(ocp, without, profile="test").solve((1.0, 0.0), tol=1e-8, max_iterations=3)
+    assert solution.status == Status.ITERATION_LIMIT
+    assert max(vars(solution.kkt).values()) > 1e-3
+    assert np.isfinite(solution.x).all()
+
+
+def test_single_interval_by_hand() -> None:
+    """x' = u, one Euler-exact interval: min 1/2 (W x0^2 + R u^2 + P (x0 + T u)^2), u = -P T x0 / (R + P T^2)."""
+    ocp = OCP("point", T=0.5, N=1)
     x, u = ocp.state("x"), ocp.control("u")
-    ocp.dynamics({x: -x})
-    ocp.least_squares(ca.vertcat(u + 1, -2 * u**2 + u - 1, x), weight=[1.0, 1.0, 1.0])
-    ocp.subject_to(-1, u, 1)
+    ocp.dynamics({x: u})
+    ocp.least_squares(u, weight=[0.2])
+    ocp.terminal_least_squares(x, weight=[3.0])
+    solution = build(ocp, profile="test").solve((2.0,), tol=1e-12)
+    expected = -3.0 * 0.5 * 2.0 / (0.2 + 3.0 * 0.25)
+    assert solution.u[0, 0] == pytest.approx(expected, rel=1e-14)
+    assert solution.lam[1, 0] == pytest.approx(3.0 * (2.0 + 0.5 * expected), rel=1e-13)
+    assert solution.cost == pytest.approx(0.1 * expected**2 + 1.5 * (2.0 + 0.5 * expected) ** 2, rel=1e-14)
+
+
+def test_convex_rows_make_the_disc_converge() -> None:
+    """The curvature of an active convex row, which plain Gauss-Newton lacks: equal to IPOPT in a few iterations."""
+    ocp = problems.disc()
+    solution = build(ocp, Options(hessian=GaussNewton(convex_rows=True)), "test").solve((1.0, 0.0), tol=1e-8)
+    reference = solve_reference(classify(ocp), x0=[1.0, 0.0])
+    assert solution.status == Status.OK
+    assert solution.iterations <= 15
+    np.testing.assert_allclose(solution.u, reference.u, atol=1e-6)
+    np.testing.assert_allclose(solution.cost, reference.cost, rtol=1e-8)
+
+
+def test_concave_rows_are_left_out() -> None:
+    """Outside a disc: the curvature is negative definite, and the iterates are those of plain Gauss-Newton."""
+    solutions = []
+    for convex_rows in (False, True):
+        ocp = OCP("outside", T=1.0, N=4)
+        x, y = ocp.state("x", initial=1.0), ocp.state("y", initial=0.4)
+        u, w = ocp.control("u"), ocp.control("w")
+        ocp.dynamics({x: u, y: w})
+        ocp.least_squares(ca.vertcat(x, y, u, w), weight=[1.0, 1.0, 0.1, 0.1], reference=[-1.0, 0.2, 0.0, 0.0])
+        ocp.subject_to(0.25, x**2 + y**2, np.inf)
+        options = Options(hessian=GaussNewton(convex_rows=convex_rows))
+        solutions.append(build(ocp, options, "test").solve((1.0, 0.4)))
+    plain, convex = solutions
+    assert plain.status == convex.status == Status.OK
+    assert np.abs(plain.mu).max() > 1e-3
+    assert plain.iterations == convex.iterations
+    np.testing.assert_array_equal(plain.u, convex.u)
+
+
+def free_start(rows: bool, N: int = 6) -> OCP:
+    """A pendulum whose angle is measured and whose initial speed is chosen by the solver."""
+    ocp = OCP("free_start", T=1.2, N=N)
+    phi, omega = ocp.state("phi", initial=0.8), ocp.state("omega", initial=0.1)
+    torque = ocp.control("torque")
+    ocp.dynamics({phi: omega, omega: -9.81 * ca.sin(phi) + torque})
+    ocp.least_squares(ca.vertcat(phi, omega, torque), weight=[3.0, 0.2, 0.1], reference=[0.5, 0.0, 0.0])
+    ocp.terminal_least_squares(phi, weight=[10.0])
+    ocp.free_initial(omega)
+    ocp.subject_to(-8, torque, 8)
+    if rows:
+        ocp.subject_to(-0.6, omega, 0.6)
+        ocp.subject_to(-np.inf, phi**2 + 0.1 * omega**2, 0.7, at="end")
     return ocp
 
 
-def test_samples_may_leave_the_plan_of_solve() -> None:
-    c = build(_fletcher(), Options(algorithm=RealTimeIteration(shift=None)), profile="test")
-    c.u[:] = 0.05
-    solution = c.solve([0.0])
+@pytest.mark.parametrize(("rows", "N"), [(False, 1), (True, 6)])
+def test_free_components_of_the_initial_state(rows: bool, N: int) -> None:
+    ocp = free_start(rows, N)
+    reference = solve_reference(classify(ocp), x0=[0.8, 0.1])
+    assert reference.success
+    c = build(ocp, profile="test")
+    solution = c.solve((0.8, 0.1), tol=1e-9)
     assert solution.status == Status.OK
-    assert np.abs(solution.u).max() < 1e-6
-    c.u[:] = 1e-6
-    for _ in range(40):
-        c.step([0.0])
-    assert np.abs(c.u).max() > 0.01
-    assert "Options(hessian=ExactHessian())" in c.diagnose()
-    exact = build(_fletcher(), Options(hessian=ExactHessian(), algorithm=RealTimeIteration(shift=None)), profile="test")
-    exact.u[:] = 1e-6
-    for _ in range(40):
-        exact.step([0.0])
-    assert np.abs(exact.u).max() < 1e-9
-    assert exact.diagnose() == str(Status.OK)
+    assert relative(solution.x, reference.x) <= 1e-6
+    assert relative(solution.u, reference.u) <= 1e-6
+    assert abs(solution.cost - reference.cost) <= 1e-8 * reference.cost
+    assert relative(solution.lam, reference.lam) <= 1e-5
+    assert relative(solution.mu_x, reference.mu_x) <= 1e-5
+    assert solution.lam[0, 1] == 0.0
+    assert abs(solution.x[0, 1] - 0.1) > 1e-2
+    if rows and N > 1:
+        assert np.abs(solution.mu_x).max() > 1e-3
 
 
-def test_the_second_hessian_is_for_those_who_choose_none() -> None:
-    """Given, for size and without solve() there is one Hessian; the report says which solve() has."""
-    stranger = known("unicycle")
-
-    def second(**changes: object) -> bool:
-        c = build(stranger.ocp(), replace(stranger.options(), **changes), profile="test")
-        said = any("solve(): exact Hessian" in choice for choice in c.description.report.choices)
-        assert said == ("in_solve" in c.description.members("curved"))
-        return said
-
-    assert second()
-    assert not second(hessian=GaussNewton())
-    assert not second(goal="size")
-    assert not second(solve=False)
+def test_a_free_component_need_not_be_measured() -> None:
+    """In solve() it is the initial guess, NaN keeps that of the plan; step() ignores it."""
+    c = build(free_start(True), profile="test")
+    solution = c.solve((0.8, np.nan), tol=1e-9)
+    assert solution.status == Status.OK
+    for noise in (0.0, np.nan, 100.0):
+        d = c.copy()
+        np.testing.assert_allclose(d.step((0.8, noise), on_failure="raise"), solution.u[0], atol=1e-7)
+        np.testing.assert_allclose(d.x, solution.x, atol=1e-7)
+    assert c.solve((np.nan, 0.0)).status == Status.NOT_FINITE
 
 
-def test_samples_are_the_same_with_and_without_solve() -> None:
-    """The Hessian of solve() leaves samples alone, before and after."""
-    stranger = known("unicycle")
-    plain = RealTimeIteration(repair=0)
-    start = stranger.initial(0)
-    with_solve, without = (
-        build(stranger.ocp(), replace(stranger.options(), algorithm=plain, solve=solve), profile="test")
-        for solve in (True, False)
-    )
-    with_solve.solve(start)
-    with_solve.reset()
-    for c in (with_solve, without):
-        c.x[:] = start
-    for _ in range(5):
-        assert np.array_equal(with_solve.step(start), without.step(start))
-        assert np.array_equal(with_solve.x, without.x)
+def test_all_of_the_initial_state_free() -> None:
+    """Nothing is measured: the optimum does not depend on xhat."""
+    ocp = free_start(False)
+    ocp.free_initial("phi")
+    c = build(ocp, profile="test")
+    first = c.solve((0.8, 0.1), tol=1e-9)
+    reference = solve_reference(classify(ocp), x0=[0.8, 0.1])
+    assert first.status == Status.OK
+    assert relative(first.x, reference.x) <= 1e-6
+    np.testing.assert_allclose(c.solve((-0.3, 1.0), tol=1e-9).x, first.x, atol=1e-6)
 
 
-def test_table_and_picture(tmp_path: Path) -> None:
-    c = built("steering").copy()
-    start = known("steering").initial(0)
-    c.x[:] = start
-    solution = c.solve(start)
-    text = solution.convergence_table(tmp_path / "log.csv")
-    lines = text.splitlines()
-    assert len(lines) == 1 + solution.iterations
-    assert lines[0].split()[:2] == ["iteration", "cost"]
-    with (tmp_path / "log.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [float(row["relative"]) for row in rows] == [entry.kkt.relative for entry in solution.log]
-    assert float(rows[-1]["stationarity"]) == solution.kkt.stationarity
-    assert float(rows[-1]["cost"]) == solution.cost
-    assert max(float(row["shift"]) for row in rows) > 0
-    solution.plot_convergence(tmp_path / "log.png")
-    assert (tmp_path / "log.png").read_bytes()[:4] == b"\x89PNG"
-    with pytest.raises(ControllerError, match="no iteration"):
-        replace(solution, log=()).plot_convergence()
+@pytest.mark.parametrize("hessian", [GaussNewton(), ExactHessian()])
+def test_solve_after_shift_of_a_row_that_begins_at_node_1(hessian: Any) -> None:
+    """Where x_0 is given, the bound of v and the row of v^2 hold from node 1 on.
+
+    At node 0 their multipliers would be forces of no row, which no QP replaces.
+    """
+    ocp = OCP("held", T=2.0, N=8)
+    p, v, u = ocp.state("p"), ocp.state("v", initial=1.0), ocp.control("u")
+    ocp.dynamics({p: v, v: u})
+    ocp.least_squares(ca.vertcat(p, v, u), weight=[1.0, 0.1, 0.1], reference=[9.0, 0.0, 0.0])
+    ocp.terminal_least_squares(ca.vertcat(p, v), weight=[1.0, 0.1], reference=[9.0, 0.0])
+    ocp.subject_to(-1, v, 1)
+    ocp.subject_to(-np.inf, v**2 + 0.1 * p, 1.05)
+    c = build(ocp, Options(hessian=hessian), "test")
+    x = np.array([0.0, 1.0])
+    assert c.solve(x, tol=1e-10).status == Status.OK
+    assert c.mu_x[1, 1] > 1e-3
+    assert c.mu[4:].max() > 1e-3
+    for _ in range(8):
+        x = np.array(c.integrate(x, c.u[0], 0.25))
+        c.shift()
+        assert not c.mu_x[0].any()
+        solution = c.solve(x, tol=1e-10, max_iterations=20)
+        assert solution.status == Status.OK, c.diagnose()
+        np.testing.assert_allclose(solution.u, c.copy().solve(x, tol=1e-10, globalization="full_step").u, atol=1e-7)
+    assert c.mu[1, 0] > 1e-3

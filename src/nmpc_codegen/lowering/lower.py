@@ -191,10 +191,7 @@ def _switches(model: Model) -> dict[str, int]:
     for component in parts.components:
         switches |= component.switches
     switches["TUNED"] *= int(any(switches[f"SET_{kind}"] for kind in ("PARAMETER", "WEIGHT", "BOUNDS")))
-    switches["TWO_HESSIANS"] = int(bool(model.exact))
-    exact = bool(model.exact or switches.get("REGULARIZE_REDUCED"))
-    switches["CURVED"] = int(model.solve and exact and not couples_free_start(p))
-    switches["KEEPS_MULTIPLIERS"] = int(switches["CURVED"] or switches["STAGE_MULTIPLIERS"])
+    switches |= _hessian_of_solve(model, switches)
     relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
     elastic = relaxable or any(row.soft is not None for row in p.rows)
     nonlinear = bool(switches["HAS_QP"] and model.nonlinear_rows)
@@ -204,6 +201,17 @@ def _switches(model: Model) -> dict[str, int]:
     checked = eliminates and not switches.get("APPROXIMATE", 0)
     gradient = condensing is not None and checked and condensing.gives == "condensed"
     return {**switches, "CHECK_STEP": int(checked), "CHECK_GRADIENT": int(gradient)}
+
+
+def _hessian_of_solve(model: Model, switches: Mapping[str, int]) -> dict[str, int]:
+    """Whether solve() has a Hessian of its own, makes it convex by itself, and keeps multipliers of its QPs."""
+    exact = bool(model.exact or switches.get("REGULARIZE_REDUCED"))
+    curved = model.solve and exact and not couples_free_start(model.problem)
+    return {
+        "TWO_HESSIANS": int(bool(model.exact)),
+        "CURVED": int(curved),
+        "KEEPS_MULTIPLIERS": int(curved or switches["STAGE_MULTIPLIERS"]),
+    }
 
 
 def _gradients_of_cost(model: Model, switches: Mapping[str, int], eliminates: bool) -> dict[str, int]:
