@@ -412,7 +412,9 @@ static void multipliers_of_qp(solver_t *s, real_t (*lam)[NX])
 {
     real_t w[NZ];
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
-    add_terminal_curvature(s, s->step.dx[N], w);
+    if (s->curved.in_solve) {
+        add_terminal_curvature(s, s->step.dx[N], w);
+    }
     for (int k = N; k >= 0; k--) {
 #if NG
         real_t a[NZ];
@@ -433,7 +435,9 @@ static void multipliers_of_qp(solver_t *s, real_t (*lam)[NX])
         memcpy(lam[k], w, sizeof lam[0]);
         if (k > 0) {
             ADJOINT_STEP(&s->node[k - 1], HESSIAN(s, k - 1), s->step.dx[k - 1], s->step.du[k - 1], w);
-            add_curvature(s, k - 1, s->step.dx[k - 1], s->step.du[k - 1], w);
+            if (s->curved.in_solve) {
+                add_curvature(s, k - 1, s->step.dx[k - 1], s->step.du[k - 1], w);
+            }
         }
     }
 #if NF

@@ -283,7 +283,9 @@ static int recover_multipliers(solver_t *s)
 #endif
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
 #if CURVED
-    add_terminal_curvature(s, s->step.dx[N], w);
+    if (s->curved.in_solve) {
+        add_terminal_curvature(s, s->step.dx[N], w);
+    }
 #endif
     for (int k = N; k >= 0; k--) {
 #if NE || NH || NH_N
@@ -298,7 +300,9 @@ static int recover_multipliers(solver_t *s)
         }
         ADJOINT_STEP(&s->node[k - 1], HESSIAN(s, k - 1), s->step.dx[k - 1], s->step.du[k - 1], w);
 #if CURVED
-        add_curvature(s, k - 1, s->step.dx[k - 1], s->step.du[k - 1], w);
+        if (s->curved.in_solve) {
+            add_curvature(s, k - 1, s->step.dx[k - 1], s->step.du[k - 1], w);
+        }
 #endif
 #if CHECK_GRADIENT
         held &= controls_hold(s, k - 1, w, &least);

@@ -133,20 +133,23 @@ static void condense_hessian(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
     const int first = condense_first_node(column);
+#if CURVED
+    const int curved = s->curved.in_solve;
+#endif
 #if TERMINAL_BLOCK
     CONDENSE_TERMINAL_PANEL(p, s->hessian.Q_N);
 #else
     condense_clear(p->W);
 #endif
 #if CURVED
-    if (s->curved.in_solve) {
+    if (curved) {
         add_curved_panel(p->W, s->curved.Q_N[0], NX, NX, p->G[N]);
     }
 #endif
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
         CONDENSE_BACKWARD_PANEL(p, &s->node[k], HESSIAN(s, k), k);
 #if CURVED
-        if (s->curved.in_solve) {
+        if (curved) {
             add_curved_panel(p->W, s->curved.Q[k][0], NZ, NX, p->G[k]);
             add_curved_panel(p->T, s->curved.Q[k][NX], NZ, NU, p->G[k]);
         }
@@ -281,12 +284,16 @@ static void condense_gradient(solver_t *s)
     }
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, d->c[N], w);
 #if CURVED
-    add_terminal_curvature(s, d->c[N], w);
+    if (s->curved.in_solve) {
+        add_terminal_curvature(s, d->c[N], w);
+    }
 #endif
     for (int k = N - 1; k >= 0; --k) {
         ADJOINT_STEP(&s->node[k], HESSIAN(s, k), d->c[k], du, w);
 #if CURVED
-        add_curvature(s, k, d->c[k], du, w);
+        if (s->curved.in_solve) {
+            add_curvature(s, k, d->c[k], du, w);
+        }
 #endif
         for (int j = 0; j < NU; ++j) {
             d->g[k * NU + j] = w[NX + j];

@@ -270,7 +270,9 @@ static void condense_vectors(solver_t *s)
             const int node = k * BLOCK + j;
             ADJOINT_STEP(&s->node[node], HESSIAN(s, node), s->blocks.c[node], none, w);
 #if CURVED
-            add_curvature(s, node, s->blocks.c[node], none, w);
+            if (s->curved.in_solve) {
+                add_curvature(s, node, s->blocks.c[node], none, w);
+            }
 #endif
             for (i = 0; i < NU; i++) {
                 block->g[NXS + j * NU + i] = w[NX + i];

@@ -5,7 +5,7 @@
 /* w += Q_k (dx, du). */
 static void add_curvature(const solver_t *s, int k, const real_t *dx, const real_t *du, real_t *w)
 {
-    for (int i = 0; s->curved.in_solve && i < NZ; i++) {
+    for (int i = 0; i < NZ; i++) {
         for (int j = 0; j < NX; j++) {
             w[i] += s->curved.Q[k][i][j] * dx[j];
         }
@@ -18,7 +18,7 @@ static void add_curvature(const solver_t *s, int k, const real_t *dx, const real
 /* w += Q_N dx. */
 static void add_terminal_curvature(const solver_t *s, const real_t *dx, real_t *w)
 {
-    for (int i = 0; s->curved.in_solve && i < NX; i++) {
+    for (int i = 0; i < NX; i++) {
         for (int j = 0; j < NX; j++) {
             w[i] += s->curved.Q_N[i][j] * dx[j];
         }

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package c30e81075c1981cb, sha256 f8af7ddce191dc83e44523b27781fa43caffa2ffb02d89e149cae06e65f3835e */
+/* nmpc_codegen package 2a0d5dadaf5f5cfb, sha256 db34adc64ea3f49ddc89d624675c4fe4a5ad16e76588933b8c0bb69d725e40e5 */
