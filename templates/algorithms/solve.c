@@ -552,6 +552,14 @@ static status_t sqp_iteration(solver_t *s)
     status_t status = form_qp(s);
     status = (status == OK) ? solve_qp(s) : status;
     if (status != OK) {
+#if CURVED
+        restore_gradients(s);
+        if (s->curved.damping < R(1)) { /* a QP with more curvature may have a solution */
+            s->curved.damping = (s->curved.damping > R(0)) ? R(16) * s->curved.damping : R(1e-3);
+            q->length = R(0);
+            return OK;
+        }
+#endif
         return (status == ITERATION_LIMIT || status == STALLED) ? SUBPROBLEM_FAILED : status;
     }
     put_step_aside(s);
@@ -665,7 +673,13 @@ static void start_elsewhere(solver_t *s)
         interval_value(s, k, s->x[k + 1]);
     }
     forget_multipliers(s);
+#if HARD_ROWS
+    const int32_t infeasible = s->sqp.infeasible;
+#endif
     start_search(s, s->sqp.attempts + 1);
+#if HARD_ROWS
+    s->sqp.infeasible = infeasible;
+#endif
 }
 
 static status_t solve_here(solver_t *s, real_t tol, int last)
@@ -674,8 +688,15 @@ static status_t solve_here(solver_t *s, real_t tol, int last)
         const status_t status = iterate(s, tol, last);
         const int ends =
             status == OK || status == ITERATION_LIMIT || (status == STALLED && !(s->sqp.base.violation > R(1e-4)));
+#if HARD_ROWS
+        s->sqp.infeasible |= status == INFEASIBLE;
+#endif
         if (ends || s->sqp.attempts == MAX_ATTEMPTS || s->stats.sqp_iterations++ >= last) {
+#if HARD_ROWS
+            return (!ends && s->sqp.infeasible) ? INFEASIBLE : status;
+#else
             return status;
+#endif
         }
         start_elsewhere(s);
     }
@@ -698,6 +719,7 @@ static int multipliers_are_finite(solver_t *s)
 /* Begins with the plan and this state. Returns 0 if the state is not finite. */
 static int take_over(solver_t *s, const real_t xhat[NX])
 {
+    s->stats.sqp_iterations = 0;
     if (!take_state(s, xhat)) {
         return 0;
     }
@@ -720,7 +742,6 @@ static int take_over(solver_t *s, const real_t xhat[NX])
     s->unsettled = 0;
 #endif
     start_search(s, 0);
-    s->stats.sqp_iterations = 0;
     return 1;
 }
 

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 2a0d5dadaf5f5cfb, sha256 db34adc64ea3f49ddc89d624675c4fe4a5ad16e76588933b8c0bb69d725e40e5 */
+/* nmpc_codegen package f9497c81095b84e9, sha256 8e212cb847a3220d4bacb7de4d817bdbfcb59a9c99acf2f7b2bb9fb2d8164113 */

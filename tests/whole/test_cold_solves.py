@@ -174,3 +174,20 @@ def test_table_and_picture(tmp_path: Path) -> None:
     assert (tmp_path / "log.png").read_bytes()[:4] == b"\x89PNG"
     with pytest.raises(ControllerError, match="no iteration"):
         replace(solution, log=()).plot_convergence()
+
+
+@pytest.mark.parametrize("route", [None, "dense", "interior"])
+def test_an_infeasible_linear_program_names_its_row(route: str | None) -> None:
+    """Heat of at most 1 a node cannot fill a store with 9 in 8 nodes."""
+    ocp = OCP("store", T=8.0, N=8)
+    heat, u, price = ocp.state("heat"), ocp.control("u"), ocp.parameter("price", value=0.1)
+    ocp.dynamics({heat: u})
+    ocp.stage_cost(price * u)
+    ocp.subject_to(0, u, 1)
+    ocp.subject_to(9, heat, 10, at="end", name="full")
+    condensing, qp = (None, None) if route is None else ROUTES[route]
+    c = build(ocp, Options(condensing=condensing, qp=qp), profile="test")
+    assert c.solve([0.0]).status == Status.INFEASIBLE
+    assert "row 'full_end' at node 8 is violated by 1" in c.diagnose()
+    assert c.solve([2.0]).status == Status.OK
+    assert c.solve([np.nan]).iterations == 0

@@ -38,7 +38,7 @@ class Status(IntEnum):
     INFEASIBLE = (
         2,
         "the constraints cannot be met",
-        "no plan satisfies the constraints; the control is safe but not optimal",
+        "no plan was found that satisfies the constraints; the control is safe but not optimal",
     )
     RELAXED = 3, "soft solution: rows were relaxed", "constraints had to be relaxed"
     NUMERICAL_FAILURE = (

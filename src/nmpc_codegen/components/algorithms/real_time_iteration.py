@@ -495,6 +495,7 @@ def _line_search(dims: Dims) -> Struct:
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
             Field("attempts", (), "new starts", "scratch", "int32"),
+            Field("infeasible", (), "1: one of them ended where rows contradict", "scratch", "int32", only="HARD_ROWS"),
             Field("resumes", (), "set to 1 before solve() goes on from where it reached its limit", "scratch", "int32"),
             Field(
                 *("slow", (), "1: an elastic QP that hardly reduced the violation", "scratch", "int32"),
