@@ -557,6 +557,7 @@ static status_t sqp_iteration(solver_t *s)
         if (s->curved.damping < R(1)) { /* a QP with more curvature may have a solution */
             s->curved.damping = (s->curved.damping > R(0)) ? R(16) * s->curved.damping : R(1e-3);
             q->length = R(0);
+            q->elastic = 0;
             return OK;
         }
 #endif

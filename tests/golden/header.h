@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package f9497c81095b84e9, sha256 8e212cb847a3220d4bacb7de4d817bdbfcb59a9c99acf2f7b2bb9fb2d8164113 */
+/* nmpc_codegen package 67bd5845bcb26078, sha256 e334fe9efa699317397d6b74dab778f8e1120e2b0935dcc6cc818d6cd31af0ef */

@@ -498,7 +498,7 @@ def _line_search(dims: Dims) -> Struct:
             Field("infeasible", (), "1: one of them ended where rows contradict", "scratch", "int32", only="HARD_ROWS"),
             Field("resumes", (), "set to 1 before solve() goes on from where it reached its limit", "scratch", "int32"),
             Field(
-                *("slow", (), "1: an elastic QP that hardly reduced the violation", "scratch", "int32"),
+                *("slow", (), "1: an elastic QP that promises hardly any progress", "scratch", "int32"),
                 only="HARD_ROWS",
             ),
             Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
