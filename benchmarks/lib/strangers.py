@@ -12,6 +12,7 @@ from benchmarks.lib.report import Report
 from benchmarks.lib.run import Run
 from nmpc_codegen import Options, RealTimeIteration
 from verification.built import build_all
+from verification.convergence.starts import Attempt
 from verification.routes import PURE
 from verification.strangers import linear, solves
 from verification.strangers.loops import Judge, Verdict, run
@@ -69,7 +70,7 @@ def measure_solve(report: Report, asked: Run) -> None:
     """Cold starts of solve() that IPOPT solves: a line per problem, and the figures of all."""
     numbers = [i for i, _ in asked.some(range(solves.STARTS), LEAST)]
     built = build_all((s.ocp(), s.options()) for s in ONCE)
-    every: list[tuple[solves.Solve, solves.Solve]] = []
+    every: list[tuple[Attempt, Attempt]] = []
     failed: set[str] = set()
     for stranger, controller in zip(ONCE, built, strict=True):
         theirs, mine = solves.by_ipopt()[stranger.name], solves.solves(stranger, controller, numbers)
@@ -87,7 +88,9 @@ def measure_solve(report: Report, asked: Run) -> None:
     report.add("not solved", 1 - share, "share", case="all", n=len(every), limit=UNSOLVED)
     report.add("false_infeasible", sum(m.status == "INFEASIBLE" for m, _ in every), case="all", n=len(every), limit=0)
     good = [pair for pair in every if pair[0].solved]
-    report.add("worse optimum", sum(m.is_worse(t) for m, t in good) / len(good), "share", case="all", n=len(good))
+    report.add(
+        "worse optimum", sum(solves.is_worse(m, t) for m, t in good) / len(good), "share", case="all", n=len(good)
+    )
     report.add("iterations", float(np.median([m.iterations for m, _ in good])), "median", case="all", n=len(good))
     report.add("of IPOPT", float(np.median([t.iterations for _, t in good])), "median", case="all", n=len(good))
     report.add("open_not_solved", len(set(OPEN) & failed), case="all", n=len(OPEN), limit=1)
@@ -102,10 +105,10 @@ def _measure_linear(report: Report) -> None:
         report.add(f"{case.name}_error", worst, "cost", case="all", n=case.samples, limit=linear.SAME)
 
 
-def _report_solves(report: Report, name: str, pairs: Sequence[tuple[solves.Solve, solves.Solve]]) -> None:
+def _report_solves(report: Report, name: str, pairs: Sequence[tuple[Attempt, Attempt]]) -> None:
     good = [pair for pair in pairs if pair[0].solved]
     report.add("not solved", len(pairs) - len(good), "starts", case=name, n=len(pairs))
-    report.add("worse optimum", sum(m.is_worse(t) for m, t in good), "starts", case=name, n=len(good))
+    report.add("worse optimum", sum(solves.is_worse(m, t) for m, t in good), "starts", case=name, n=len(good))
     for key, values in (("iterations", [m.iterations for m, _ in good]), ("of IPOPT", [t.iterations for _, t in good])):
         report.add(key, float(np.median(values)) if values else float("nan"), "median", case=name, n=len(good))
 

@@ -91,15 +91,7 @@ static real_t cost_scale(const solver_t *s, const real_t *size)
 static void scale_rows(solver_t *s, real_t *size)
 {
     state_scales(s, size);
-    for (int j = 0; j < NU; j++) {
-        real_t *most = &size[NX + j];
-        *most = R(0);
-        for (int k = 0; k < N; k++) {
-            enlarge(most, s->u[k][j]);
-            enlarge_if_finite(most, R(0.5) * CONTROL_UPPER(s, k, j) - R(0.5) * CONTROL_LOWER(s, k, j));
-        }
-        *most = scale_of(*most);
-    }
+    control_sizes(s, size + NX);
     for (int m = 0; m < NG; m++) {
         enlarge(&s->row_scale[row_id[m]], row_terms(s, m, size));
     }

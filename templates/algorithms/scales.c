@@ -52,4 +52,19 @@ static void state_scales(const solver_t *s, real_t *size)
     }
 }
 
+#if SOLVE || RELAX
+/* Sizes of the controls: largest magnitudes in the plan, or half the width of their bounds. */
+static void control_sizes(const solver_t *s, real_t *size)
+{
+    for (int j = 0; j < NU; j++) {
+        size[j] = R(0);
+        for (int k = 0; k < N; k++) {
+            enlarge(&size[j], s->u[k][j]);
+            enlarge_if_finite(&size[j], R(0.5) * CONTROL_UPPER(s, k, j) - R(0.5) * CONTROL_LOWER(s, k, j));
+        }
+        size[j] = scale_of(size[j]);
+    }
+}
+
+#endif
 #include "algorithms/judged.c"

@@ -121,19 +121,6 @@ static inline const real_t *gradient_of(const solver_t *s, int k)
     return (k < N) ? s->node[k].g : s->terminal.g;
 }
 
-/* Sizes of the controls: largest magnitudes in the plan, or half the width of their bounds. */
-static void control_sizes(const solver_t *s, real_t *size)
-{
-    for (int j = 0; j < NU; j++) {
-        size[j] = R(0);
-        for (int k = 0; k < N; k++) {
-            enlarge(&size[j], s->u[k][j]);
-            enlarge_if_finite(&size[j], R(0.5) * CONTROL_UPPER(s, k, j) - R(0.5) * CONTROL_LOWER(s, k, j));
-        }
-        size[j] = scale_of(size[j]);
-    }
-}
-
 /* Enlarges the sizes of the states to what a control of its size changes in an interval, and what they have to reach:
  * near 0, magnitudes and steps may be no more than rounding errors. */
 static void enlarge_by_reach(const solver_t *s, real_t *size)
@@ -303,6 +290,17 @@ static int accepts(solver_t *s)
     return 1;
 }
 
+#if HARD_ROWS
+/* Solves the QP with its rows relaxed. */
+static status_t run_relaxed_qp(solver_t *s)
+{
+    s->relaxation = s->sqp.row_weight * s->sqp.cost_unit;
+    const status_t status = run_qp(s);
+    s->relaxation = INF;
+    return status;
+}
+
+#endif
 /* Returns 1 if the step of the same QP with corrected constraints is accepted. */
 static int accepts_corrected(solver_t *s)
 {
@@ -314,9 +312,7 @@ static int accepts_corrected(solver_t *s)
 #endif
     condense_rows(s);
 #if HARD_ROWS
-    s->relaxation = s->sqp.elastic ? s->sqp.row_weight * s->sqp.cost_unit : INF;
-    const status_t status = run_qp(s);
-    s->relaxation = INF;
+    const status_t status = s->sqp.elastic ? run_relaxed_qp(s) : run_qp(s);
 #else
     const status_t status = run_qp(s);
 #endif
@@ -356,14 +352,9 @@ static status_t line_search(solver_t *s)
  * penalty row_weight. */
 static status_t solve_qp(solver_t *s)
 {
-    status_t status = run_qp(s);
+    const status_t status = run_qp(s);
     s->sqp.elastic = is_given_up(status);
-    if (s->sqp.elastic) {
-        s->relaxation = s->sqp.row_weight * s->sqp.cost_unit;
-        status = run_qp(s);
-        s->relaxation = INF;
-    }
-    return status;
+    return s->sqp.elastic ? run_relaxed_qp(s) : status;
 }
 #else
 static status_t solve_qp(solver_t *s)

@@ -141,15 +141,13 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 #endif
 }
 
-/* Adds 1e-6 |g_c| / size_c to the diagonal, where size_c is half the width of the bounds of control c: a linear cost has
- * a curvature of this kind. */
+#include "hessians/linear_curvature.c"
+
+/* Adds a share of the curvature of linear costs to the diagonal. */
 static void add_linear_units(solver_t *s)
 {
     for (int c = 0; c < N * NU; c++) {
-        const real_t width = s->qp.upper[c] - s->qp.lower[c], size = (width < INF) ? R(0.5) * width : R(1);
-        if (size > R(0)) {
-            s->qp.H[c][c] += R(1e-6) * FABS(s->condensed.g[c]) / size;
-        }
+        s->qp.H[c][c] += R(1e-6) * linear_curvature(s->condensed.g[c], s->qp.lower[c], s->qp.upper[c]);
     }
 }
 

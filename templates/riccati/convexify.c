@@ -52,15 +52,16 @@ static void riccati_extend_units(solver_t *s, real_t *unit)
     }
 }
 
-/* A linear cost has the curvature |g_j| / size_j, where size_j is the magnitude of a control or half the width of its
- * bounds: units are at least as large. */
+#include "hessians/linear_curvature.c"
+
+/* Units are at least the curvature of linear costs. */
 static void riccati_raise_units(solver_t *s, real_t *unit)
 {
     for (int c = 0; c < N * NU; c++) {
-        const real_t width = s->qp.upper[c] - s->qp.lower[c], size = (width < INF) ? R(0.5) * width : R(1);
-        const real_t slope = FABS(stage_g(s, c / NUS)[NXS + c % NUS]);
-        if (size > R(0) && slope > unit[NXS + c % NUS] * size) {
-            unit[NXS + c % NUS] = slope / size;
+        const real_t slope = stage_g(s, c / NUS)[NXS + c % NUS];
+        const real_t least = linear_curvature(slope, s->qp.lower[c], s->qp.upper[c]);
+        if (least > unit[NXS + c % NUS]) {
+            unit[NXS + c % NUS] = least;
         }
     }
 }

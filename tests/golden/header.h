@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 67bd5845bcb26078, sha256 e334fe9efa699317397d6b74dab778f8e1120e2b0935dcc6cc818d6cd31af0ef */
+/* nmpc_codegen package 68a8fdc08a49052a, sha256 3ee9005f080f4e7d28bae0bbbfe4cd10bf4bff8729dd56a358c401226660838c */

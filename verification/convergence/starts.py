@@ -16,12 +16,15 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmpc_codegen import Controller, build
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, Tableau, kkt_residuals, node_data
 from nmpc_codegen.runtime.package_description import Names
+from nmpc_codegen.runtime.solving import Solution
 from verification.convergence.problems import StartProblem, problems
 
 RESULTS = Path(__file__).with_name("ipopt.json")
@@ -41,11 +44,25 @@ class Attempt:
     explained: bool = True
 
 
+def recorded(file: Path) -> dict[str, list[Attempt]]:
+    """The attempts in a file, by problem."""
+    found = json.loads(file.read_text(encoding="utf-8"))
+    return {name: [Attempt(*row) for row in rows] for name, rows in found.items()}
+
+
+def is_solved(ocp: Problem, tableau: Tableau, solution: Solution, x0: NDArray[np.float64]) -> bool:
+    """True if the status is OK and the KKT residuals, recomputed from the problem, vanish."""
+    point = Point(**{name: getattr(solution, name) for name in Point.__dataclass_fields__})
+    multipliers = (solution.lam, solution.mu, solution.mu_N, solution.eta)
+    size = max(1.0, *(float(np.max(np.abs(m), initial=0.0)) for m in multipliers))
+    residual = kkt_residuals(ocp, point, node_data(ocp, x0=x0), tableau).worst
+    return bool(solution.status.name == "OK" and residual <= SOLVED * size)
+
+
 @cache
 def by_ipopt() -> dict[str, list[Attempt]]:
     """IPOPT's attempts, by problem and number of the start."""
-    found = json.loads(RESULTS.read_text(encoding="utf-8"))
-    return {name: [Attempt(*row) for row in rows] for name, rows in found.items()}
+    return recorded(RESULTS)
 
 
 def known(name: str) -> StartProblem:
@@ -78,10 +95,7 @@ def attempts(name: str, controller: Controller, numbers: Sequence[int]) -> list[
         x0 = problem.start(number)
         controller.reset()
         mine = controller.solve(x0)
-        point = Point(**{name: getattr(mine, name) for name in Point.__dataclass_fields__})
-        size = max(1.0, *(float(np.max(np.abs(m), initial=0.0)) for m in (mine.lam, mine.mu, mine.mu_N, mine.eta)))
-        residual = kkt_residuals(ocp, point, node_data(ocp, x0=x0), tableau).worst
-        good = mine.status.name == "OK" and residual <= SOLVED * size
+        good = is_solved(ocp, tableau, mine, x0)
         explained = mine.status.name == "OK" or is_explained(controller.diagnose(), controller.names)
         found.append(Attempt(good, mine.iterations, mine.cost, mine.status.name, explained))
     return found

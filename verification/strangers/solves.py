@@ -11,15 +11,14 @@ import argparse
 import json
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
 from nmpc_codegen import Controller
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, kkt_residuals, node_data
+from nmpc_codegen.oracle.trajectory import CLASSICAL
+from verification.convergence.starts import WORSE, Attempt, is_solved, recorded
 from verification.strangers.problems import ONCE, known
 from verification.strangers.statement import Stranger
 from verification.strangers.twin import Twin
@@ -27,43 +26,31 @@ from verification.strangers.twin import Twin
 RESULTS = Path(__file__).with_name("solves.json")
 STARTS = 10
 ITERATIONS = 300
-SOLVED = 1e-6  # KKT residual relative to the largest multiplier
-WORSE = 1e-4  # of the cost, relative
 
 
-@dataclass(frozen=True)
-class Solve:
-    """One start: whether it was solved, iterations, cost, status."""
-
-    solved: bool
-    iterations: int
-    cost: float
-    status: str
-
-    def is_worse(self, other: Solve) -> bool:
-        """True if the optimum is dearer than another one."""
-        return self.cost > other.cost + WORSE * max(1.0, abs(other.cost))
+def is_worse(one: Attempt, other: Attempt) -> bool:
+    """True if the optimum of one is dearer than that of another."""
+    return one.cost > other.cost + WORSE * max(1.0, abs(other.cost))
 
 
 @cache
-def by_ipopt() -> dict[str, list[Solve]]:
+def by_ipopt() -> dict[str, list[Attempt]]:
     """IPOPT's solves, by problem and number of the start."""
-    found = json.loads(RESULTS.read_text(encoding="utf-8"))
-    return {name: [Solve(*row) for row in rows] for name, rows in found.items()}
+    return recorded(RESULTS)
 
 
-def solves_of_ipopt(name: str) -> list[Solve]:
+def solves_of_ipopt(name: str) -> list[Attempt]:
     """IPOPT from the plan that stays at the start."""
     twin, found = Twin(known(name)), []
     for number in range(STARTS):
         start = twin.stranger.initial(number)
         good, cost, _, _ = twin.solve(start, *twin.guess(start))
         stats = twin.solver.stats()
-        found.append(Solve(good, int(stats["iter_count"]), float(f"{cost:.10g}"), stats["return_status"]))
+        found.append(Attempt(good, int(stats["iter_count"]), float(f"{cost:.10g}"), stats["return_status"]))
     return found
 
 
-def solves(stranger: Stranger, controller: Controller, numbers: Iterable[int]) -> list[Solve]:
+def solves(stranger: Stranger, controller: Controller, numbers: Iterable[int]) -> list[Attempt]:
     """solve() of this controller from the same plans."""
     twin, ocp, found = Twin(stranger), classify(stranger.ocp()), []
     tableau = replace(CLASSICAL, steps=stranger.steps)
@@ -72,11 +59,8 @@ def solves(stranger: Stranger, controller: Controller, numbers: Iterable[int]) -
         controller.reset()
         controller.x[:], controller.u[:] = twin.guess(start)
         mine = controller.solve(start, max_iterations=ITERATIONS)
-        point = Point(**{name: getattr(mine, name) for name in Point.__dataclass_fields__})
-        size = max(1.0, *(float(np.max(np.abs(m), initial=0.0)) for m in (mine.lam, mine.mu, mine.mu_N, mine.eta)))
-        good = mine.status.name == "OK"
-        good = good and kkt_residuals(ocp, point, node_data(ocp, x0=start), tableau).worst <= SOLVED * size
-        found.append(Solve(good, mine.iterations, mine.cost, mine.status.name))
+        good = is_solved(ocp, tableau, mine, start)
+        found.append(Attempt(good, mine.iterations, mine.cost, mine.status.name))
     return found
 
 
