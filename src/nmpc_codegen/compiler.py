@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from nmpc_codegen.bounds.package import settled
-from nmpc_codegen.errors import OptionError
+from nmpc_codegen.errors import OptionError, warn
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
@@ -37,7 +37,7 @@ from nmpc_codegen.runtime.seal import sealed, sealed_beside
 class Package:
     """An exported folder, the absolute paths of its files, and the compiler's report.
 
-    report: ram_bytes, ram_bytes_by_struct, operations per function, choices (with reasons), looped (routines).
+    report: ram_bytes, ram_bytes_by_struct, operations per function, choices (with reasons), warnings, looped routines.
     """
 
     directory: Path
@@ -49,18 +49,34 @@ class Package:
 def generate(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:
     """Run the pipeline up to text; return path -> contents of every file of the package.
 
+    A ProblemWarning says what is likely to give poor results, here and in export() and build(): an unstable integrator,
+    lost digits, derivatives that are not finite at the first plan, a control without influence there.
+
     Raises:
         ProblemError: the problem is stated wrongly.
         OptionError: options clash, or a component does not support the problem.
     """
     with COMPILING:
         module = compiled(ocp, options, name)
-        return sealed(render(module), module.name)
+        sources = sealed(render(module), module.name)
+    _warn(module)
+    return sources
+
+
+def _warn(module: CModule) -> None:
+    """Issue what the compiler warns of as Python warnings."""
+    for text in module.description.report.warnings:
+        warn(f"{module.name}: {text}")
 
 
 def for_every_goal(ocp: OCP, options: Options, name: str | None = None) -> dict[str, Sources]:
     """Goal -> the files of the package with this goal, for a processor without a vector unit."""
-    return {goal: generate(ocp, replace(options, goal=goal, processor="scalar"), name) for goal in GOALS}
+    found: dict[str, Sources] = {}
+    for goal in GOALS:
+        with COMPILING:
+            module = compiled(ocp, replace(options, goal=goal, processor="scalar"), name)
+            found[goal] = sealed(render(module), module.name)
+    return found
 
 
 def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
@@ -121,6 +137,7 @@ def export(
         )
     with COMPILING:
         sources = sealed(render(module), module.name)
+    _warn(module)
     if more is not None:
         sources |= sealed_beside(more(sources), sources[f"{module.name}.c"])
     folder = write(directory, sources, force=force)
@@ -147,4 +164,5 @@ def build(
         sources = sealed(render(module), module.name)
         if target.lanes > 1:
             sources[f"{module.name}_host.c"] = host_unit(module, target.lanes, target.avx512, target.tiles)
+    _warn(module)
     return load(sources, module.name, profile, lanes=target.lanes)

@@ -1,5 +1,11 @@
 """All errors and warnings that the package raises on purpose."""
 
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+
 __all__ = [
     "BuildError",
     "ControllerError",
@@ -42,3 +48,14 @@ class DerivativeError(NmpcError, ValueError):
 
 class ProblemWarning(UserWarning):
     """The problem is valid, but a part of it is likely to give poor results."""
+
+
+_PACKAGE = str(Path(__file__).parent)
+
+
+def warn(text: str) -> None:
+    """Issue a ProblemWarning at the line outside of this package that called it."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, ProblemWarning, stacklevel=level)

@@ -62,7 +62,7 @@ static void linearize_plan(solver_t *s)
 /* Evaluates and linearises the plan; its multipliers are those of the augmented Lagrangian. */
 static status_t prepare_here(solver_t *s)
 {
-    project_plan(s);
+    (void)project_plan(s);
 #if NE
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
     couple_start(s, -R(1));
@@ -190,7 +190,7 @@ static status_t judge(const solver_t *s, status_t status)
 /* Feedback phase for the measured state s->xhat. The plan changes only if it stays finite. */
 static status_t feedback_here(solver_t *s)
 {
-    int moved = 0;
+    int moved = 0, renewed = project_plan(s); /* bounds may have changed since prepare */
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
     s->auglag.proximal = proximal_weight[0];
@@ -201,17 +201,16 @@ static status_t feedback_here(solver_t *s)
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
 #endif
 #if SET_REFERENCE
-    if (s->renewal != UP_TO_DATE) {
+    renewed |= (s->renewal != UP_TO_DATE);
+    s->renewal = UP_TO_DATE;
+#elif SET_WEIGHT || SET_PARAMETER
+    renewed = 1;
+#endif
+    if (renewed) {
         evaluate_path(s);
         estimate_multipliers(s);
         linearize_plan(s);
-        s->renewal = UP_TO_DATE;
     }
-#elif SET_WEIGHT || SET_PARAMETER
-    evaluate_path(s);
-    estimate_multipliers(s);
-    linearize_plan(s);
-#endif
     if (!isfinite(merit(s))) {
         return NUMERICAL_FAILURE;
     }

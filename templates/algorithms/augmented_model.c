@@ -196,20 +196,26 @@ static void set_box(solver_t *s)
 #endif
 }
 
-/* Moves the plan into its bounds. */
-static void project_plan(solver_t *s)
+/* Moves the plan into its bounds. Returns 1 if it was outside. */
+static int project_plan(solver_t *s)
 {
+    int outside = 0;
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            s->u[k][j] = safe_value(s, k, j);
+            const real_t u = safe_value(s, k, j);
+            outside |= (s->u[k][j] != u);
+            s->u[k][j] = u;
         }
     }
 #if STATE_ROWS
     for (int m = 0; m < NG; m++) {
         if (!row_relaxed[m]) {
             real_t *x = &s->x[row_node[m]][row_index[m]];
-            *x = clip(*x, ROW_LOWER(s, m), ROW_UPPER(s, m));
+            const real_t inside = clip(*x, ROW_LOWER(s, m), ROW_UPPER(s, m));
+            outside |= (*x != inside);
+            *x = inside;
         }
     }
 #endif
+    return outside;
 }

@@ -256,7 +256,7 @@ static void move_plan(solver_t *s)
             s->u[k][j] += a->d[k][NX + j];
         }
     }
-    project_plan(s);
+    (void)project_plan(s);
 }
 
 /* Takes the move back. */

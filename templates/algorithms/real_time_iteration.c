@@ -377,7 +377,7 @@ static status_t feedback_here(solver_t *s)
         return status;
     }
 #if CHECK_STEP
-    if (!step_sizes(s, size)) {
+    if (!step_sizes(s, size) || !plan_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
 #if HARD_ROWS
@@ -386,7 +386,7 @@ static status_t feedback_here(solver_t *s)
     }
 #endif
 #else
-    if (!step_is_finite(s)) {
+    if (!step_is_finite(s) || !plan_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
 #endif

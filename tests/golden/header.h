@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 68a8fdc08a49052a, sha256 3ee9005f080f4e7d28bae0bbbfe4cd10bf4bff8729dd56a358c401226660838c */
+/* nmpc_codegen package e867beeec5bdb48f, sha256 a8bbea5b8c0c0abc304600e9a617c4a6a49b60b6e87803bbeb6bdc206aaece34 */

@@ -22,6 +22,7 @@ from nmpc_codegen import (
     OptionError,
     Options,
     PartialCondensing,
+    ProblemWarning,
     RiccatiActiveSet,
     Status,
     build,
@@ -133,7 +134,8 @@ def test_points_without_derivatives_do_not_count() -> None:
     finite = growth(classify(of(True)), ExplicitRungeKutta(), "single")
     assert finite.factor(30) > 2.0
     assert growth(classify(of(False)), ExplicitRungeKutta(), "single") == Growth((), "single")
-    assert generate(of(False), Options(precision="single"))
+    with pytest.warns(ProblemWarning, match="equation of x at nodes 0..29: sqrt"):
+        assert generate(of(False), Options(precision="single"))
 
 
 def test_products_that_overflow() -> None:
@@ -157,7 +159,8 @@ def test_condensing_that_cannot_work_is_refused() -> None:
     blocks = Options(condensing=PartialCondensing(40), precision="single")
     with pytest.raises(OptionError, match=r"PartialCondensing.*40 intervals.*NoCondensing"):
         generate(cart_pole(60), blocks)
-    assert generate(cart_pole(60), Options(condensing=FullCondensing(), qp=DenseActiveSet()))
+    with pytest.warns(ProblemWarning, match="condensing full: the open loop grows"):
+        assert generate(cart_pole(60), Options(condensing=FullCondensing(), qp=DenseActiveSet()))
 
 
 def test_the_compiler_leaves_out_what_loses_digits_and_says_so() -> None:
@@ -166,9 +169,11 @@ def test_the_compiler_leaves_out_what_loses_digits_and_says_so() -> None:
     assert "full" not in table
     assert any("condensing: full not considered; the open loop grows" in choice for choice in found)
     assert not any("grows" in choice for choice in choices(cart_pole(30), Options()))
-    assert any(choice.startswith("warning: condensing full") for choice in choices(cart_pole(20), DENSE))
+    with pytest.warns(ProblemWarning, match=r"condensing full: .*grows.*; try Options\(condensing=NoCondensing\(\)\)"):
+        assert not any("grows" in choice for choice in choices(cart_pole(20), DENSE))
 
 
+@pytest.mark.filterwarnings("ignore:.*the open loop grows")
 @pytest.mark.parametrize(
     ("N", "options"),
     [(60, Options(precision="single")), (45, Options(condensing=FullCondensing(), qp=DenseActiveSet()))],
@@ -182,6 +187,7 @@ def test_closed_loop_of_what_keeps_the_digits(N: int, options: Options) -> None:
     assert worst_difference(found, exact) < 80 * 1e-3
 
 
+@pytest.mark.filterwarnings("ignore:.*the open loop grows")
 def test_what_the_estimate_misses_is_not_called_ok(monkeypatch: pytest.MonkeyPatch) -> None:
     """Full condensing in single precision, not refused: what is called OK is right, or a failure is reported."""
     require_tool("cc")
@@ -200,6 +206,7 @@ def test_what_the_estimate_misses_is_not_called_ok(monkeypatch: pytest.MonkeyPat
     assert Status.NUMERICAL_FAILURE in statuses
 
 
+@pytest.mark.filterwarnings("ignore:.*the open loop grows")
 @pytest.mark.parametrize("condensing", [FullCondensing(), PartialCondensing(30)])
 def test_rows_that_the_eliminated_states_violate(monkeypatch: pytest.MonkeyPatch, condensing: Condensing) -> None:
     """x_N = 0 of an unstable plant, the states recomputed from the controls that are called OK."""

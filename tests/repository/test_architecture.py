@@ -62,6 +62,7 @@ ONLY_IN = {
         "components/stage_cost",
         "lowering/choose_hessian",
         "lowering/linearize",
+        "lowering/first_plan",
         "lowering/stability",
         "lowering/growth",
     },

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen import Controller, Status
+from nmpc_codegen.runtime.diagnosis.rows import path_bounds
 
 Array = np.ndarray
 
@@ -46,7 +47,7 @@ class Data:
             self.good[kind] = np.array(values[0] if per_node and values.size else values, copy=True)
         self.parameters = [np.array(self._parameter(i)) for i in range(len(controller.description.parameters))]
         rows = range(len(controller.names.rows))
-        self.bounds = [controller.path_bounds(i) for i in rows]
+        self.bounds = [path_bounds(controller, i) for i in rows]
 
     def _size(self, kind: str) -> int:
         terminal = kind.startswith("terminal")

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nmpc_codegen import Controller, Status
+from nmpc_codegen.runtime.diagnosis.rows import path_bounds
 from verification.robustness.hostile import Data, spoiled
 
 Array = np.ndarray
@@ -74,7 +75,7 @@ class Assault:
 
     def bounds(self) -> tuple[Array, Array]:
         """Of the controls, as they are stored now."""
-        pairs = [(-np.inf, np.inf) if row is None else self.c.path_bounds(row) for row in self.rows]
+        pairs = [(-np.inf, np.inf) if row is None else path_bounds(self.c, row) for row in self.rows]
         return np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
 
     def states(self, count: int) -> Array:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen.errors import ProblemError, ProblemWarning
+from nmpc_codegen.errors import ProblemError, warn
 from nmpc_codegen.frontend.checks import (
     MAX_SIZE,
     NONSMOOTH,
@@ -258,11 +257,9 @@ class OCP:
     def _warn_nonsmooth(self, name: str, expression: Any) -> None:
         found = sorted({NONSMOOTH[op] for op in check_operations(expression, "dynamics") if op in NONSMOOTH})
         if found:
-            warnings.warn(
+            warn(
                 f"dynamics of '{name}' contain {', '.join(found)}: derivatives jump or vanish there, "
-                "and Newton-type iterations may stall",
-                ProblemWarning,
-                stacklevel=3,
+                "and Newton-type iterations may stall"
             )
 
     # Cost ------------------------------------------------------------------------------------------------------------

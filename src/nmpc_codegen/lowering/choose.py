@@ -48,12 +48,14 @@ CLOSE = 1.5
 
 @dataclass(frozen=True)
 class Choice:
-    """Condensing, QP solver, the reasons for them, and the candidates with other solvers that are close to them."""
+    """Condensing, QP solver, the reasons for them, the candidates with other solvers that are close to them, and
+    warnings of the digits that they cost."""
 
     condensing: Condensing
     qp: QpSolver
     reasons: tuple[str, ...] = ()
     rivals: tuple[Choice, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -75,8 +77,7 @@ def choose_qp(
     if given is not None and options.qp is not None:
         _check_forms(given, options.qp)
         condensing = given.adapted(problem)
-        reasons = (*_instead(given, condensing), *grown.warning(problem, condensing))
-        return Choice(condensing, options.qp, reasons)
+        return Choice(condensing, options.qp, _instead(given, condensing), warnings=grown.warning(problem, condensing))
     fitting = list(_pairs(given, options.qp))
     if given is None and options.qp is None and not (model.path.Q or model.terminal.Q):
         fitting = list(_pairs(NoCondensing(), None))
@@ -107,8 +108,10 @@ def choose_qp(
     def chosen(c: Candidate) -> Choice:
         words = [f"condensing: {c.condensing.name}"] if given is None else []
         words += [f"qp: {c.qp.name}"] if options.qp is None else []
-        lossy = grown.warning(problem, c.condensing) or grown.left_out(problem, [pair[0] for pair in fitting])
-        return Choice(c.condensing, c.qp, (*_instead(given, c.condensing), f"{', '.join(words)}; {why}", *lossy))
+        warned = grown.warning(problem, c.condensing)
+        lossy = () if warned else grown.left_out(problem, [pair[0] for pair in fitting])
+        reasons = (*_instead(given, c.condensing), f"{', '.join(words)}; {why}", *lossy)
+        return Choice(c.condensing, c.qp, reasons, warnings=warned)
 
     close = (chosen(c) for c in others if c.operations <= CLOSE * best.operations)
     return replace(chosen(best), rivals=tuple(close))

@@ -56,7 +56,7 @@ class Growth:
 
     def describe(self, intervals: int) -> str:
         """The factor and the digits that remain."""
-        left, given = (-math.log10(e) for e in (self.error(intervals), EPS[self.precision]))
+        left, given = (abs(math.log10(e)) for e in (self.error(intervals), EPS[self.precision]))
         return (
             f"the open loop grows by a factor of {self.factor(intervals):.2g} over {intervals} intervals, which leaves "
             f"the controls about {left:.0f} of {given:.0f} digits in {self.precision} precision"
@@ -82,7 +82,8 @@ class Growth:
             )
         if self.spares(problem, condensing):
             return ()
-        return (f"warning: condensing {condensing.label}; {self.describe(intervals)}",)
+        advice = "try Options(condensing=NoCondensing())" if intervals > 1 else "shorten the intervals"
+        return (f"condensing {condensing.label}: {self.describe(intervals)}; {advice}",)
 
     def left_out(self, problem: Problem, candidates: Iterable[Condensing]) -> tuple[str, ...]:
         """The reason for not choosing those candidates that cost many digits; none if there are none."""
@@ -136,15 +137,20 @@ def _interval(step: Function, problem: Problem, x: Array, u: Array, dt: float, s
     return S
 
 
-def points(problem: Problem) -> list[tuple[Array, Array]]:
-    """(x, u) of the first plan, and with the states at the references that the path or the terminal cost names."""
+def first_plan(problem: Problem) -> tuple[Array, Array]:
+    """(x, u) at all nodes of the first plan: initial states, and controls at their references inside their bounds."""
     u = np.zeros(problem.nu)
     for j, position in enumerate(problem.control_reference):
         u[j] = problem.path.reference[position] if position >= 0 else 0.0
     for row in problem.rows:
         if row.kind == "control":
             u[row.index] = np.clip(u[row.index], row.lower, row.upper)
-    start = problem.x_initial
+    return problem.x_initial, u
+
+
+def points(problem: Problem) -> list[tuple[Array, Array]]:
+    """(x, u) of the first plan, and with the states at the references that the path or the terminal cost names."""
+    start, u = first_plan(problem)
     states = [start, *(_at_reference(stage, start) for stage in (problem.path, problem.terminal))]
     return [(x, u) for x in np.unique(states, axis=0)]
 

@@ -13,6 +13,7 @@ from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import stage_costs, stage_model
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.problem import Problem, Stage
+from nmpc_codegen.frontend.program import program
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
 from nmpc_codegen.ir.stage_products import Pattern, pattern
@@ -20,9 +21,11 @@ from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.choose import Choice, choose_qp
 from nmpc_codegen.lowering.choose_hessian import choose_hessian, solves_exactly
 from nmpc_codegen.lowering.dimensions import multiple_of
+from nmpc_codegen.lowering.first_plan import first_plan_warnings
 from nmpc_codegen.lowering.growth import growth
 from nmpc_codegen.lowering.stability import stability_warning
 from nmpc_codegen.options import REGISTRIES, Goal, Math, Online, Options, Processor
+from nmpc_codegen.runtime.diagnosis.program import Program
 from nmpc_codegen.runtime.package_description import Precision
 
 
@@ -31,8 +34,9 @@ class Model(ModelFunctions):
     """The problem, the components that solve it with the reasons for their choice, and every function of the package.
 
     ``choice``: condensing and QP solver with their reasons, if the algorithm has a QP; ``reasons``: those for other
-    parts. ``constant_hessian``: the path Hessian block is the same at all nodes. ``nonlinear_rows``: a hard row
-    is no affine function of states and controls.
+    parts; ``warned``: what is likely to give poor results; ``program``: for runtime/diagnosis. ``constant_hessian``:
+    the path Hessian block is the same at all nodes. ``nonlinear_rows``: a hard row is no affine function of states and
+    controls.
     """
 
     problem: Problem
@@ -42,6 +46,8 @@ class Model(ModelFunctions):
     math: Math
     solve: bool
     reasons: tuple[str, ...]
+    warned: tuple[str, ...]
+    program: Program
     choice: Choice | None
     constant_hessian: bool
     nonlinear_rows: bool
@@ -57,6 +63,11 @@ class Model(ModelFunctions):
     def choices(self) -> tuple[str, ...]:
         """All choices with their reasons."""
         return (*self.reasons, *(() if self.choice is None else self.choice.reasons))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is likely to give poor results, with the remedies."""
+        return (*self.warned, *(() if self.choice is None else self.choice.warnings))
 
     @property
     def options(self) -> Options:
@@ -105,6 +116,9 @@ def linearize(problem: Problem, options: Options) -> Model:
         parts = replace(parts, condensing=choice.condensing, qp=choice.qp)
     _check(problem, *parts.components)
     parts.algorithm.check_parts(parts)
+    found = program(problem)
+    second = bool(functions.exact) or isinstance(options.hessian, ExactHessian)
+    warned = (*stability_warning(problem, integrator), *first_plan_warnings(problem, found, second))
     notes = (note for component in parts.components for note in component.notes(problem))
     return Model(
         **{field.name: getattr(functions, field.name) for field in fields(ModelFunctions)},
@@ -116,7 +130,9 @@ def linearize(problem: Problem, options: Options) -> Model:
         solve=options.solve,
         goal=options.goal,
         processor=options.processor,
-        reasons=(*choices, *stability_warning(problem, integrator), *of_hessian, *of_algorithm, *notes),
+        reasons=(*choices, *of_hessian, *of_algorithm, *notes),
+        warned=warned,
+        program=found,
         choice=choice,
         constant_hessian=constant,
         nonlinear_rows=_nonlinear_rows(problem),

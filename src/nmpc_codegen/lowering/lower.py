@@ -489,6 +489,7 @@ def _description(
         online=model.online.layouts,
         options=repr(model.options),
         report=report,
+        program=model.program,
     )
 
 
@@ -514,5 +515,6 @@ def _report(
         operations=counts,
         linearization_operations=counts.get("linearize", OpCount()).total,
         choices=model.choices,
+        warnings=model.warnings,
         looped=tuple(r.name for r in _printed(model) if len(r.kernels) > 1),
     )

@@ -39,12 +39,13 @@ def stability_warning(problem: Problem, integrator: Integrator) -> tuple[str, ..
         return ()
     worst = modes[np.argmax(np.abs(modes))]
     remedy = (
-        f"{needed} steps per interval are needed (--set integrator.steps={needed})"
+        f"{needed} steps per interval are needed: ExplicitRungeKutta({integrator.tableau.name}, steps={needed}), or "
+        f"--set integrator.steps={needed}"
         if needed is not None
         else "no number of steps up to 1,000 is sufficient: the model may be too stiff for an explicit scheme"
     )
     return (
-        f"warning: integrator {integrator.tableau.name} with steps={integrator.steps} is unstable at the initial state "
+        f"integrator {integrator.tableau.name} with steps={integrator.steps} is unstable at the initial state "
         f"or a reference, where the model has the eigenvalue {worst:.3g} 1/s; {remedy}",
     )
 

@@ -46,6 +46,8 @@ class CompiledPackage:
             self._same(f"the size {size}", value, getattr(self.lib, f"{self.name.upper()}_{size}", None))
         unknown = self.ffi.error if isinstance(self.ffi.error, tuple) else (self.ffi.error,)
         try:
+            dims = self.description.dims
+            self.description.program.check((dims.nx, dims.nu, dims.np))
             layouts = {struct.name: self.description.dtype(struct.name) for struct in self.description.structs}
             for name, layout in layouts.items():
                 self._check_layout(name, layout)

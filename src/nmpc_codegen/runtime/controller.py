@@ -20,10 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.compiled import COUNTERS, NEWTON, CompiledPackage, aligned, restored
+from nmpc_codegen.runtime.diagnosis.diagnose import diagnosis
 from nmpc_codegen.runtime.given import checked_array, checked_bound, is_integer, level_number, ndim, stored_weight
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
-from nmpc_codegen.runtime.status import Kkt, Stats, Status, diagnosis
+from nmpc_codegen.runtime.status import Kkt, Stats, Status
 
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
@@ -57,6 +58,7 @@ class Controller:
         self._starts_at_measured = "REPAIRS" in self.description.sizes
         self._prepare_ns = 0
         self._feedback_ns = 0
+        self._solved = False  # the last call was solve()
         self._expect(self._call("init", self._s), "init")
 
     # -- the real-time iteration ------------------------------------------------------------------------------------
@@ -155,6 +157,7 @@ class Controller:
                 feasibility; or "full_step", the real-time iteration repeated.
         """
         self._measure(xhat)
+        self._solved = True
         return solve(self, tol, max_iterations, globalization)
 
     def call_solve(self, tol: float, last: int) -> Status:
@@ -278,15 +281,6 @@ class Controller:
             status = self._call("set_bounds", self._s, row, k, one_low, one_high)
             self._expect(status, "set_bounds", f"row {self.names.rows[row]!r}, node {node}")
 
-    def path_bounds(self, row: int) -> tuple[float, float]:
-        """Smallest lower and largest upper bound of scalar row number ``row`` over its path nodes at present."""
-        info, layout = self.description.rows[row], self.description.online["bounds"]
-        if layout == "fixed":
-            return info.lower, info.upper
-        nodes = [k for k in info.nodes if k < self.dims.N] if layout == "node" else [0]
-        lower, upper = (self._view(which)[..., nodes, row] for which in ("lower", "upper"))
-        return float(lower.min()), float(upper.max())
-
     # -- the iterate and what is known about it ---------------------------------------------------------------------
 
     @property
@@ -347,8 +341,12 @@ class Controller:
         return Status(int(self._struct["status"]))
 
     def diagnose(self) -> str:
-        """Why the last call was not OK, in the user's names, and what to try; a few lines."""
-        return diagnosis(self, self._xhat)
+        """Why the last call was not OK, in the user's names, and what to try; a few lines.
+
+        It names what is not finite with its node and operation, violated rows, the largest gap of the plan, repeats the
+        warnings of the compiler and gives advice for the options in force.
+        """
+        return diagnosis(self, self._xhat, self._solved)
 
     @property
     def stats(self) -> Stats:
@@ -507,6 +505,7 @@ class Controller:
 
     def _measure(self, xhat: ArrayLike) -> None:
         """Copy the measured state to the buffer that C reads. NaN is passed on, as the C code handles it."""
+        self._solved = False
         if type(xhat) is np.ndarray and xhat.dtype == self._real and xhat.shape == self._xhat.shape:
             self._xhat[:] = xhat
         else:

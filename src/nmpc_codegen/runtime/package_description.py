@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime.diagnosis.program import Program
 
 Precision = Literal["double", "single"]
 Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
@@ -238,8 +239,8 @@ class Report:
     ``ram_bytes``: size of the solver struct; ``ram_bytes_by_struct``: sizes of the structs in it; ``operations``: of
     one call of every C function for which they do not depend on data; ``linearization_operations``: of all nodes
     together; ``worst_operations``: at most, of "prepare" and "feedback" at the caps on iterations and of the "sample"
-    that calls both; empty if unknown; ``choices``: the chosen components and
-    the reasons; ``looped``: functions with loops instead of straight-line code.
+    that calls both; empty if unknown; ``choices``: the chosen components and the reasons; ``warnings``: what is likely
+    to give poor results; ``looped``: functions with loops instead of straight-line code.
     """
 
     ram_bytes: int = 0
@@ -248,6 +249,7 @@ class Report:
     linearization_operations: int = 0
     worst_operations: Mapping[str, int] = field(default_factory=dict)
     choices: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
     looped: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -259,6 +261,7 @@ class Report:
             "linearization_operations": self.linearization_operations,
             "worst_operations": dict(self.worst_operations),
             "choices": list(self.choices),
+            "warnings": list(self.warnings),
             "looped": list(self.looped),
         }
 
@@ -286,6 +289,7 @@ class PackageDescription:
     online: Layouts
     options: str
     report: Report
+    program: Program = field(default_factory=Program)
 
     @property
     def dims(self) -> Dimensions:
@@ -348,6 +352,7 @@ class PackageDescription:
             "rows": [_row_entry(r) for r in self.rows],
             "entry_points": [asdict(e) for e in self.entry_points],
             "report": self.report.as_dict(),
+            "program": asdict(self.program),
         }
         for kind in ("states", "controls", "parameters"):
             entries[kind] = [vars(s) for s in entries[kind]]

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status
+from nmpc_codegen.runtime.diagnosis.rows import parameters, path_bounds, row_values
 from nmpc_codegen.runtime.given import is_positive, is_same_time
 from nmpc_codegen.runtime.package_description import RowKind, Signal
 from nmpc_codegen.runtime.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, Curve, Trace, draw
@@ -53,7 +54,9 @@ class Log:
     time_unit: str
     h: Array  # (steps, number of rows)
     rows: tuple[Trace, ...]
-    failure: str = ""  # why the first sample that was not OK was not, as Controller.diagnose() said then
+    reasons: Mapping[Status, str] = field(
+        default_factory=dict
+    )  # what diagnose() said at the first sample with a status
 
     def __str__(self) -> str:
         return self.summary()
@@ -66,17 +69,30 @@ class Log:
         """True if every sample was solved."""
         return bool(np.all(self.status == Status.OK))
 
+    @property
+    def failure(self) -> str:
+        """What diagnose() said at the first sample that was not OK; "" if all were."""
+        bad = [Status(s) for s in self.status if s != Status.OK]
+        return self.reasons[bad[0]] if bad else ""
+
+    @property
+    def failures(self) -> int:
+        """Number of samples whose status is a failure: neither OK nor NOT_CONVERGED."""
+        return sum(Status(s).is_failure for s in self.status)
+
     def summary(self) -> str:
-        """A summary in a few lines: length, statuses, when and why the first sample failed, times, last state."""
+        """A summary in a few lines: length, statuses, when and why the first sample with each of them other than OK was
+        not OK, times, last state."""
         counts = {Status(s).name: int(np.sum(self.status == s)) for s in np.unique(self.status)}
         outcome = ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
         last = ", ".join(f"{trace.name} = {value:.6g}" for trace, value in zip(self.states, self.x[-1], strict=True))
         lines = [f"{self.name}: {len(self.u)} samples over {self.t[-1]:g} {self.time_unit}".rstrip()]
         lines.append(f"status: {outcome}")
-        failed = np.flatnonzero(self.status != Status.OK)
-        if len(failed):
-            when = f"sample {failed[0]}, t = {self.t[failed[0]]:g} {self.time_unit}"
-            lines.append(f"first that was not OK: {when}: " + "\n    ".join(self.failure.splitlines()))
+        for status in sorted(self.reasons, key=lambda s: int(np.argmax(self.status == s))):
+            if status != Status.OK:
+                first = int(np.argmax(self.status == status))
+                when = f"sample {first}, t = {self.t[first]:g} {self.time_unit}"
+                lines.append(f"first {status.name}: {when}: " + "\n    ".join(self.reasons[status].splitlines()))
         if len(self.time_ns):
             median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
             lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")
@@ -137,16 +153,16 @@ def simulate(
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
             something other than a finite state.
     """
-    rows = _PathRows(ctrl)
-    _check_steps(steps, ctrl, len(rows.numbers))
+    numbers = _path_rows(ctrl)
+    _check_steps(steps, ctrl, len(numbers))
     interval = _interval(ctrl, dt)
     nx, nu = ctrl.dims.nx, ctrl.dims.nu
     move = plant or _own_plant(ctrl)
     x, u = np.zeros((steps + 1, nx)), np.zeros((steps, nu))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
-    h = np.zeros((steps, len(rows.numbers)))
+    p = np.zeros((steps, ctrl.dims.np))
     x[0] = _state(x0, nx, "x0")
-    failure = ""
+    reasons: dict[Status, str] = {}
     if warm_start:
         _solve_first(ctrl, x[0], reference)
     for k in _progress(range(steps), ctrl.description.name):
@@ -154,53 +170,30 @@ def simulate(
             reference(k, ctrl)
         u[k] = ctrl.step(x[k])
         status[k], cost[k], time_ns[k] = ctrl.status, ctrl.cost, ctrl.time_ns
-        if status[k] != Status.OK and not failure:
-            failure = ctrl.diagnose()
-        h[k] = rows.values(x[k], u[k])
+        if status[k] not in reasons:
+            reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
+        p[k] = parameters(ctrl)[0]
         x[k + 1] = _state(move(x[k].copy(), u[k].copy(), interval), nx, f"the plant's state after sample {k}")
         if disturbance is not None:
             x[k + 1] += _state(disturbance(k, x[k].copy()), nx, f"the disturbance of sample {k}")
-    own, bounds = _own_axes(ctrl, rows.numbers, h, x, u)
+    h = row_values(ctrl, x[:-1], u, p)[:, numbers]
+    own, bounds = _own_axes(ctrl, numbers, h, x, u)
     states, controls = _traces(ctrl, bounds)
     time_unit = "samples" if ctrl.description.discrete else "s"
     t = interval * np.arange(steps + 1, dtype=np.float64)
-    general = tuple(Trace(ctrl.names.rows[rows.numbers[i]], "", *ctrl.path_bounds(rows.numbers[i])) for i in own)
+    general = tuple(Trace(ctrl.names.rows[numbers[i]], "", *path_bounds(ctrl, numbers[i])) for i in own)
     name = ctrl.description.name
-    return Log(name, t, x, u, status, cost, time_ns, states, controls, time_unit, h[:, own], general, failure)
+    return Log(name, t, x, u, status, cost, time_ns, states, controls, time_unit, h[:, own], general, reasons)
 
 
-class _PathRows:
-    """The general path rows that apply in a closed loop, and their values h(x, u, p_0).
-
-    A second controller linearises at x and u and stores the values of node 0. It is reset before, so that it does not
-    shift its plan. The parameters are the only run-time data that h depends on.
-    """
-
-    def __init__(self, ctrl: Controller) -> None:
-        self._ctrl, self._twin = ctrl, ctrl.copy()
-        try:
-            self._h = self._twin.view("node.h")
-        except AttributeError:  # an algorithm that stores no linearisation
-            self._h = np.zeros((ctrl.dims.N, 0))
-        self.numbers = tuple(i for i in range(len(ctrl.description.rows)) if self._shown(i))
-
-    def _shown(self, number: int) -> bool:
-        """True for a row that applies to a sample: it holds at node 0, or at several nodes before the end."""
-        row = self._ctrl.description.rows[number]
-        path = [k for k in row.nodes if k < self._ctrl.dims.N]
-        return row.kind == "general" and 0 <= row.index < self._h.shape[1] and (0 in path or len(path) > 1)
-
-    def values(self, x: Array, u: Array) -> Array:
-        """Values of the rows ``numbers`` at x (nx,), u (nu,) and the present parameters of node 0."""
-        if not self.numbers:
-            return np.zeros(0)
-        self._twin.reset()
-        self._twin.x[:], self._twin.u[:] = x, u
-        if self._ctrl.dims.np and self._ctrl.description.online["parameter"] != "fixed":
-            self._twin.view("p")[:] = self._ctrl.view("p")[0]
-        self._twin.prepare()
-        rows = self._ctrl.description.rows
-        return self._h[0, [rows[i].index for i in self.numbers]].astype(np.float64)
+def _path_rows(ctrl: Controller) -> list[int]:
+    """Numbers of the general rows that apply to a sample: they hold at node 0, or at several nodes before the end."""
+    found = []
+    for i, row in enumerate(ctrl.description.rows):
+        path = [k for k in row.nodes if k < ctrl.dims.N]
+        if row.kind == "general" and row.index >= 0 and (0 in path or len(path) > 1):
+            found.append(i)
+    return found
 
 
 def _solve_first(ctrl: Controller, x0: Array, reference: Reference | None) -> None:
@@ -276,7 +269,7 @@ def _progress(samples: range, name: str) -> Iterable[int]:
 
 
 def _own_axes(
-    ctrl: Controller, numbers: tuple[int, ...], h: Array, x: Array, u: Array
+    ctrl: Controller, numbers: list[int], h: Array, x: Array, u: Array
 ) -> tuple[list[int], dict[str, tuple[float, float]]]:
     """Columns of h with an axis of their own, and bounds of the others: soft rows on a bare state or control."""
     signals = dict(zip((*ctrl.names.states, *ctrl.names.controls), (*x[:-1].T, *u.T), strict=True))
@@ -284,7 +277,7 @@ def _own_axes(
     for i, number in enumerate(numbers):
         name = ctrl.names.rows[number]
         if name in signals and np.allclose(h[:, i], signals[name], rtol=SAME, atol=0.0):
-            bounds[name] = ctrl.path_bounds(number)
+            bounds[name] = path_bounds(ctrl, number)
         else:
             own.append(i)
     return own, bounds
@@ -293,7 +286,7 @@ def _own_axes(
 def _traces(ctrl: Controller, soft: dict[str, tuple[float, float]]) -> tuple[tuple[Trace, ...], tuple[Trace, ...]]:
     """Names, units and present simple bounds of states and controls, or the bounds of the soft row of that name."""
     bounds: dict[tuple[RowKind, int], tuple[float, float]] = {
-        (row.kind, row.index): ctrl.path_bounds(i)
+        (row.kind, row.index): path_bounds(ctrl, i)
         for i, row in enumerate(ctrl.description.rows)
         if row.kind == "control" or (row.kind == "state" and len(row.nodes) > 1)
     }

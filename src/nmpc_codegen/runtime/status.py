@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
@@ -44,12 +43,12 @@ class Status(IntEnum):
     NUMERICAL_FAILURE = (
         4,
         "numerical failure: a factorisation broke down or a number is not finite",
-        "a factorisation broke down; the control is safe but not optimal",
+        "a factorisation broke down, or a number is not finite; the control is safe but not optimal",
     )
     NOT_FINITE = (
         5,
         "the measured state is not finite",
-        "the state, the data or the iterate contains a NaN or an infinity; the control is a safe one",
+        "the measured state contains a NaN or an infinity; the control is a safe one",
     )
     NOT_PREPARED = (
         6,
@@ -200,140 +199,3 @@ class Stats:
             f"conjugate gradients: {self.cg_iterations} iterations, {self.negative_curvature} negative curvatures",
             f"preconditioner: {self.shifts} shifts; largest gap or violation {self.violation:.3g}",
         )
-
-
-# Diagnosis ------------------------------------------------------------------------------------------------------------
-
-
-def diagnosis(ctrl: Any, measured: Array) -> str:
-    """Why the last call of a Controller was not OK: node, state or row by its name, and what to try.
-
-    ``measured``: the state (nx,) that it was given.
-    """
-    status = ctrl.status
-    stale = [_stale(ctrl)] if ctrl.stats.stale_hessian else []
-    if status == Status.OK:
-        return "\n".join([str(status), *_left_by_samples(ctrl), *stale])
-    broken = _broken_plan(ctrl, measured) or _broken_model(ctrl)
-    lines = [str(status), *broken, *_worst_row(ctrl), *_advice(ctrl), *stale]
-    return "\n".join(dict.fromkeys(lines))
-
-
-def _stale(ctrl: Any) -> str:
-    """STALE, and which parameters and bounds have other values than the declared ones."""
-    description, changed = ctrl.description, []
-    p, declared = ctrl.member("p"), [v for s in description.parameters for v in s.value]
-    if p.size:
-        differs = np.any(p != np.asarray(declared, dtype=p.dtype), axis=0)
-        changed += [name for name, other in zip(ctrl.names.parameters, differs, strict=True) if other]
-    for i, row in enumerate(description.rows if ctrl.member("lower").size else ()):
-        bounds = ((ctrl.view("lower")[:, i], row.lower), (ctrl.view("upper")[:, i], row.upper))
-        if any(np.any(present != present.dtype.type(bound)) for present, bound in bounds):
-            changed.append(row.name)
-    return f"{STALE} (not at their declared values: {', '.join(changed)})" if changed else STALE
-
-
-#: Relative KKT residual of a sample above which steps with another Hessian than that of solve() may be the cause.
-FAR_FROM_OPTIMAL = 0.01
-
-
-def _solves_exactly(ctrl: Any) -> bool:
-    """Whether solve() has the exact Hessian although samples have another."""
-    return "hessian=GaussNewton(" in str(ctrl.description.options) and "in_solve" in ctrl.description.members("curved")
-
-
-def _left_by_samples(ctrl: Any) -> list[str]:
-    """That the plan is not optimal, which may be due to the steps of the samples."""
-    if not _solves_exactly(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
-        return []
-    return [
-        f"the plan is not optimal, relative KKT residual {ctrl.kkt().relative:.1e}: where it does not fall from sample "
-        "to sample, Gauss-Newton steps leave the optimum that solve() finds: try Options(hessian=ExactHessian())"
-    ]
-
-
-def _broken_plan(ctrl: Any, measured: Array) -> list[str]:
-    """The first number of the measured state or of the plan that is not finite."""
-    names = ctrl.names
-    unknown = [n for n, v in zip(names.states, measured, strict=True) if not np.isfinite(v)]
-    if unknown and ctrl.status == Status.NOT_FINITE:
-        return [f"measured {', '.join(unknown)} is not finite"]
-    for what, array, columns in (("state", ctrl.x, names.states), ("control", ctrl.u, names.controls)):
-        bad = np.argwhere(~np.isfinite(array))
-        if len(bad):
-            node, i = bad[0]
-            return [f"{what} {columns[i]} at node {node} of the plan is not finite: call reset(), or write the plan"]
-    return []
-
-
-def _broken_model(ctrl: Any) -> list[str]:
-    """The first interval over which the model yields no finite state."""
-    for k, dt in enumerate(ctrl.description.dt):
-        end = np.asarray(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt))
-        bad = [name for name, value in zip(ctrl.names.states, end, strict=True) if not np.isfinite(value)]
-        if bad:
-            pairs = zip(ctrl.names.states, ctrl.x[k], strict=True)
-            start = ", ".join(f"{name} = {value:.4g}" for name, value in pairs)
-            return [
-                f"the model yields no finite {', '.join(bad)} at the end of interval {k}, from {start}: try bounds "
-                "that keep the plan inside the domain of the model, more integration steps, or another start"
-            ]
-    return []
-
-
-def _worst_row(ctrl: Any) -> list[str]:
-    stats = ctrl.stats
-    if stats.violated_row is None:
-        return []
-    hard = "relaxation=None" in str(ctrl.description.options)
-    choose = ', or choose RealTimeIteration(relaxation="auto")' if hard else ""
-    return [
-        f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}: make it soft, "
-        f"soft=(l1, l2), or widen it{choose}"
-    ]
-
-
-def _largest_gap(ctrl: Any) -> list[str]:
-    """Where the plan is farthest from the model, in units of the state's largest value."""
-    ends = [np.asarray(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt)) for k, dt in enumerate(ctrl.description.dt)]
-    gaps = np.abs(np.array(ends) - ctrl.x[1:])
-    relative = gaps / (1e-9 + np.max(np.abs(ctrl.x), axis=0))
-    if not np.all(np.isfinite(relative)) or np.max(relative) < 1e-6:
-        return []
-    node, i = np.unravel_index(int(np.argmax(relative)), relative.shape)
-    return [
-        f"the plan misses the model most in state {ctrl.names.states[i]} at node {node + 1}: by {gaps[node, i]:.3g}"
-    ]
-
-
-def _advice(ctrl: Any) -> list[str]:
-    """What to try, by the status and the options of the package."""
-    status, options, lines = ctrl.status, str(ctrl.description.options), []
-    if status in (Status.ITERATION_LIMIT, Status.STALLED, Status.SUBPROBLEM_FAILED):
-        lines += _largest_gap(ctrl)
-        kkt = ctrl.kkt()
-        part = max(kkt.parts, key=lambda name: float(np.nan_to_num(kkt.parts[name], nan=np.inf)))
-        lines.append(f"largest residual: {part} {kkt.parts[part]:.1e}")
-        if "hessian=GaussNewton(" in options and not _solves_exactly(ctrl):
-            lines.append("Gauss-Newton steps ignore curvature and may cycle: try Options(hessian=ExactHessian())")
-        if status == Status.SUBPROBLEM_FAILED:
-            lines.append("the QP solver gave up: try another, Options(qp=...), or scale states, controls and rows")
-        lines.append("call solve() before the first step(), or start from another plan: write ctrl.x and ctrl.u")
-    elif status == Status.NUMERICAL_FAILURE:
-        if "regularization=None" in options:
-            lines.append("the Hessian may be indefinite: try ExactHessian(regularization=Mirror())")
-        if "precision='single'" in options:
-            lines.append('rounding may be the cause: try Options(precision="double")')
-        lines.append("check the scales of states, controls and rows; after further failures the plan restarts")
-        lines.append("try another QP solver, Options(qp=...), or Options(hessian=GaussNewton())")
-    elif status == Status.NOT_CONVERGED:
-        lines += _largest_gap(ctrl)
-        lines.append(
-            f"residual of the plan that was linearised: {ctrl.stats.residual:.2g}; one QP per sample does not follow it"
-        )
-        if "repair=0" in options:
-            lines.append("let prepare() repair the plan: RealTimeIteration(repair=3)")
-        lines.append("call solve() before the first step(), sample more often, or bound the states")
-    elif status == Status.NOT_PREPARED:
-        lines.append("call prepare() before feedback(), or step()")
-    return lines

@@ -1,0 +1,190 @@
+"""A problem as a program that needs no CasADi: values of its rows, and operations whose values or derivatives need not
+be finite: sqrt, hypot, atan2, pow, log, / and more.
+
+The operations are found in all parts of the problem at once, after equal expressions have been merged, and written in
+the user's names. runtime/diagnosis/domains.py tests them at the nodes of a plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import casadi as ca
+
+from nmpc_codegen.frontend.problem import Problem, Stage, symbols
+from nmpc_codegen.ir.casadi_types import Expression, elements
+from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, lift, opcode_name
+from nmpc_codegen.runtime.diagnosis.domains import EDGES
+from nmpc_codegen.runtime.diagnosis.program import Operation, Program, Quantity, Step
+
+#: Longer texts of operations are cut.
+LONGEST = 60
+
+
+def program(problem: Problem) -> Program:
+    """Rows, operations with an edge, their operands and the parts of the problem that they occur in."""
+    x, u, p, dt = symbols(problem.nx, problem.nu, problem.np)
+    rows = list(_rows(problem, x, u, p))
+    parts = [*_parts(problem, x, u, p, dt), *((quantity, value) for quantity, value, _ in rows)]
+    function = ca.Function("parts", [x, u, p, dt], [ca.densify(ca.vertcat(*(e for _, e in parts)))])
+    ports = [Port("x", problem.nx), Port("u", problem.nu), Port("p", problem.np), Port("dt", 1)]
+    kernel = lift(function, "parts", "", ports, [Port("value", len(parts))])
+    suspects = [i for i, ins in enumerate(kernel.instructions) if _name(ins) in EDGES]
+    value_of = {element: value for _, element, value in kernel.stores}
+    of_rows = [value_of[len(parts) - len(rows) + i] for i in range(len(rows))]
+    needed = [*of_rows, *(a for i in suspects for a in kernel.instructions[i].args)]
+    steps, new = _steps(kernel, needed, problem.dt[0])
+    places = {place: new[value] for (_, _, place), value in zip(rows, of_rows, strict=True)}
+    numbers = range(len(problem.rows))
+    return Program(
+        steps,
+        tuple((places.get((i, 0), -1), places.get((i, 1), -1)) for i in numbers),
+        tuple(_operations(kernel, problem, [quantity for quantity, _ in parts], suspects, new)),
+    )
+
+
+def _operations(
+    kernel: Kernel, problem: Problem, quantities: Sequence[Quantity], suspects: Sequence[int], new: Mapping[int, int]
+) -> Iterator[Operation]:
+    texts, moved = _texts(kernel, problem), _moved(kernel)
+    occurs = _occurrences(kernel, quantities, suspects)
+    for i in suspects:
+        a, b = kernel.instructions[i].args[0], kernel.instructions[i].args[-1]
+        name = _name(kernel.instructions[i])
+        yield Operation(name, texts[i], (new[a], new[b]), (moved[a], moved[b]), occurs[i])
+
+
+def _parts(
+    problem: Problem, x: Expression, u: Expression, p: Expression, dt: Expression
+) -> Iterator[tuple[Quantity, Expression]]:
+    """Dynamics, residuals and general costs, with their names and nodes."""
+    last, kind = problem.N - 1, "map" if problem.discrete else "equation"
+    for name, value in zip(problem.state_names, elements(ca.densify(problem.dynamics(x, u, p))), strict=True):
+        yield Quantity(f"the {kind} of {name}", 0, last), value
+    for stage, words, first, end in (
+        (problem.start, "start ", 0, 0),
+        (problem.path, "", 0, last),
+        (problem.terminal, "terminal ", problem.N, problem.N),
+    ):
+        for name, expression in _of_stage(stage):
+            yield Quantity(f"the {words}{name}", first, end), _given(expression, stage, x, u, p, dt)
+
+
+def _given(
+    expression: Expression, stage: Stage, x: Expression, u: Expression, p: Expression, dt: Expression
+) -> Expression:
+    """An expression of a stage in these symbols."""
+    given = ca.vertcat(x, u if stage.nu else ca.SX(0, 1), p, dt)
+    return ca.substitute(expression, ca.vertcat(stage.x, stage.u, stage.p, stage.dt), given)
+
+
+def _rows(
+    problem: Problem, x: Expression, u: Expression, p: Expression
+) -> Iterator[tuple[Quantity, Expression, tuple[int, int]]]:
+    """General rows, with their names, nodes and places: (position in rows, 1 at the end of the horizon)."""
+    for number, row in enumerate(problem.rows):
+        if row.kind != "general":
+            continue
+        path = [k for k in row.nodes if k < problem.N]
+        ends = (path[0], path[-1]) if path else (0, -1)
+        for end, stage, index, (first, last) in (
+            (0, problem.path, row.index, ends),
+            (1, problem.terminal, row.index_terminal, (problem.N, problem.N)),
+        ):
+            if index >= 0:
+                value = _given(stage.h[index], stage, x, u, p, stage.dt)
+                yield Quantity(f"row '{row.name}'", first, last), value, (number, end)
+
+
+def _of_stage(stage: Stage) -> Iterator[tuple[str, Expression]]:
+    for name, residual in zip(stage.y_names, elements(stage.y), strict=True):
+        yield f"residual '{name}'", residual
+    if stage.cost is not None:
+        yield "general cost", stage.cost
+    if stage.cost_rate is not None:
+        yield "integrated cost", stage.cost_rate
+
+
+def _name(ins: Instruction) -> str:
+    return opcode_name(ins.opcode).removeprefix("OP_").lower()
+
+
+def _moved(kernel: Kernel) -> list[bool]:
+    """For every value, True if it depends on states or controls."""
+    marks: list[bool] = []
+    for ins in kernel.instructions:
+        marks.append(ins.args[0] < 2 if ins.opcode == ca.OP_INPUT else any(marks[a] for a in ins.args))
+    return marks
+
+
+def _occurrences(
+    kernel: Kernel, quantities: Sequence[Quantity], suspects: Sequence[int]
+) -> dict[int, tuple[Quantity, ...]]:
+    """For every operation, the parts whose value depends on it."""
+    users: list[int] = [0] * len(kernel.instructions)  # bit j: part j
+    for _, element, value in kernel.stores:
+        users[value] |= 1 << element
+    for i in range(len(users) - 1, -1, -1):
+        if kernel.instructions[i].opcode in OPERATIONS:
+            for a in kernel.instructions[i].args:
+                users[a] |= users[i]
+    return {i: tuple(q for j, q in enumerate(quantities) if users[i] >> j & 1) for i in suspects}
+
+
+#: Binding of the operators in a text: sums, products, and what needs no parentheses.
+_BINDING = {ca.OP_ADD: 1, ca.OP_SUB: 1, ca.OP_NEG: 1, ca.OP_TWICE: 2, ca.OP_MUL: 2, ca.OP_DIV: 2, ca.OP_INV: 2}
+_ATOM = 3
+_WRITTEN = {ca.OP_SQ: "{0}**2", ca.OP_TWICE: "2 * {0}"}
+
+
+def _texts(kernel: Kernel, problem: Problem) -> list[str]:
+    """Every value as a text in the user's names; long ones are cut."""
+    names = (problem.state_names, problem.control_names, problem.parameter_names, ("dt",))
+    texts: list[str] = []
+    binding: list[int] = []
+    for ins in kernel.instructions:
+        binds = _ATOM
+        if ins.opcode == ca.OP_INPUT:
+            text = names[ins.args[0]][ins.args[1]]
+        elif ins.opcode == ca.OP_CONST:
+            text, binds = f"{ins.constant:.6g}", _ATOM if ins.constant >= 0 else 0
+        else:
+            operation = OPERATIONS[ins.opcode]
+            binds = _ATOM if operation.function else _BINDING.get(ins.opcode, 0 if ins.opcode != ca.OP_SQ else 2)
+            needs = [0 if operation.function else _ATOM if n or ins.opcode == ca.OP_SQ else binds for n in range(2)]
+            if ins.opcode in (ca.OP_ADD, ca.OP_MUL):
+                needs[1] = binds
+            operands = [texts[a] if binding[a] >= needs[n] else f"({texts[a]})" for n, a in enumerate(ins.args)]
+            form = _WRITTEN.get(ins.opcode, operation.c)
+            text = form.format(*operands, fn=operation.function, one="1", zero="0")
+            if len(text) > LONGEST:
+                text, binds = f"{operation.function}(...)", _ATOM
+        texts.append(text)
+        binding.append(binds)
+    return texts
+
+
+def _steps(kernel: Kernel, needed: Sequence[int], dt: float) -> tuple[tuple[Step, ...], dict[int, int]]:
+    """The steps of the needed values, for an interval of length ``dt``, and the new numbers of the values."""
+    live = [False] * len(kernel.instructions)
+    for i in needed:
+        live[i] = True
+    for i in range(len(live) - 1, -1, -1):
+        if live[i] and kernel.instructions[i].opcode in OPERATIONS:
+            for a in kernel.instructions[i].args:
+                live[a] = True
+    new: dict[int, int] = {}
+    steps: list[Step] = []
+    for i, ins in enumerate(kernel.instructions):
+        if live[i]:
+            new[i] = len(steps)
+            steps.append(_step(ins, new, dt))
+    return tuple(steps), new
+
+
+def _step(ins: Instruction, new: dict[int, int], dt: float) -> Step:
+    if ins.opcode == ca.OP_CONST:
+        return ("const", 0, 0, float(ins.constant))
+    if ins.opcode == ca.OP_INPUT:
+        return ("const", 0, 0, dt) if ins.args[0] == 3 else ("input", ins.args[0], ins.args[1], 0.0)
+    return (_name(ins), new[ins.args[0]], new[ins.args[-1]], 0.0)

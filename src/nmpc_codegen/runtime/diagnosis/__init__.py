@@ -1,0 +1,1 @@
+"""Why a call was not OK: what is not finite, what is violated, what to try."""

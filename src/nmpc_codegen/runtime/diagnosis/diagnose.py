@@ -1,0 +1,192 @@
+"""The text of Controller.diagnose(): what happened, where, and what to try with the options in force."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nmpc_codegen.runtime.diagnosis.advice import advice, row_advice
+from nmpc_codegen.runtime.diagnosis.domains import in_words, locate
+from nmpc_codegen.runtime.diagnosis.program import Array
+from nmpc_codegen.runtime.diagnosis.rows import parameters, violations
+from nmpc_codegen.runtime.status import STALE, Status
+
+if TYPE_CHECKING:
+    from nmpc_codegen.runtime.controller import Controller
+
+#: Relative KKT residual of a sample above which steps with another Hessian than that of solve() may be the cause.
+FAR_FROM_OPTIMAL = 0.01
+#: Gap of a state, relative to its largest value, below which it explains nothing.
+SMALL_GAP = 1e-6
+#: Most lines of one kind, and most states of a list.
+MOST, LISTED = 3, 12
+
+#: Statuses that a number that is not finite can cause.
+_OF_NUMBERS = (
+    *(Status.NUMERICAL_FAILURE, Status.NOT_FINITE, Status.STALLED),
+    *(Status.ITERATION_LIMIT, Status.SUBPROBLEM_FAILED),
+)
+#: Statuses of calls that have evaluated nothing.
+_BEFORE = (Status.OK, Status.NOT_FINITE, Status.NOT_PREPARED)
+
+
+def diagnosis(ctrl: Controller, measured: Array, solved: bool) -> str:
+    """Why the last call of a Controller was not OK: node, state or row by its name, and what to try.
+
+    Args:
+        ctrl: the controller.
+        measured: the state (nx,) that it was given.
+        solved: the last call was solve().
+    """
+    status = ctrl.status
+    stale = [_stale(ctrl)] if ctrl.stats.stale_hessian else []
+    if status == Status.OK:
+        return "\n".join([str(status), *_left_by_samples(ctrl), *stale])
+    broken = next(filter(None, (list(search) for search in _broken(ctrl, measured))), [])
+    warnings = () if status in _BEFORE else ctrl.description.report.warnings
+    warned = [f"warning at build: {text}" for text in warnings if not any(line in text for line in broken)]
+    where = [] if broken else [*_rows(ctrl, solved), *_largest_gap(ctrl), *advice(ctrl, solved)]
+    return "\n".join(dict.fromkeys([str(status), *broken, *warned, *where, *stale]))
+
+
+def solves_exactly(ctrl: Controller) -> bool:
+    """Whether solve() has the exact Hessian although samples have another."""
+    return "hessian=GaussNewton(" in ctrl.description.options and "in_solve" in ctrl.description.members("curved")
+
+
+def _left_by_samples(ctrl: Controller) -> list[str]:
+    """That the plan is not optimal, which may be due to the steps of the samples."""
+    if not solves_exactly(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
+        return []
+    return [
+        f"the plan is not optimal, relative KKT residual {ctrl.kkt().relative:.1e}: where it does not fall from sample "
+        "to sample, Gauss-Newton steps leave the optimum that solve() finds: try Options(hessian=ExactHessian())"
+    ]
+
+
+def _stale(ctrl: Controller) -> str:
+    """STALE, and which parameters and bounds have other values than the declared ones."""
+    description, changed = ctrl.description, []
+    p, declared = ctrl.member("p"), [v for s in description.parameters for v in s.value]
+    if p.size:
+        differs = np.any(p != np.asarray(declared, dtype=p.dtype), axis=0)
+        changed += [name for name, other in zip(ctrl.names.parameters, differs, strict=True) if other]
+    for i, row in enumerate(description.rows if ctrl.member("lower").size else ()):
+        bounds = ((ctrl.view("lower")[:, i], row.lower), (ctrl.view("upper")[:, i], row.upper))
+        if any(np.any(present != present.dtype.type(bound)) for present, bound in bounds):
+            changed.append(row.name)
+    return f"{STALE} (not at their declared values: {', '.join(changed)})" if changed else STALE
+
+
+# -- what is not finite -----------------------------------------------------------------------------------------------
+
+
+def _broken(ctrl: Controller, measured: Array) -> Iterator[Iterator[str]]:
+    """Searches for numbers that are not finite; the first one that finds some explains the failure."""
+    if ctrl.status == Status.NOT_FINITE:
+        yield _measured(ctrl, measured)
+    yield _plan(ctrl)
+    if ctrl.status in _OF_NUMBERS:
+        yield _domains(ctrl)
+        yield _model(ctrl)
+        yield _linearisation(ctrl)
+
+
+def _measured(ctrl: Controller, measured: Array) -> Iterator[str]:
+    unknown = [n for n, v in zip(ctrl.names.states, measured, strict=True) if not np.isfinite(v)]
+    if unknown:
+        yield f"measured {', '.join(unknown)} is not finite: hand over the last good value, or an estimate"
+
+
+def _plan(ctrl: Controller) -> Iterator[str]:
+    """The first number of the plan that is not finite."""
+    for what, array, columns in (("state", ctrl.x, ctrl.names.states), ("control", ctrl.u, ctrl.names.controls)):
+        bad = np.argwhere(~np.isfinite(array))
+        if len(bad):
+            node, i = bad[0]
+            yield f"{what} {columns[i]} at node {node} of the plan is not finite: call reset(), or write the plan"
+            return
+
+
+def _domains(ctrl: Controller) -> Iterator[str]:
+    """Operations that have no finite value or derivative at the plan, and what to write instead."""
+    second = "hessian=ExactHessian(" in ctrl.description.options or solves_exactly(ctrl)
+    x, u = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u))
+    found = locate(ctrl.description.program, x, u, parameters(ctrl), second)
+    yield from list(in_words(found))[:MOST]
+
+
+def _model(ctrl: Controller) -> Iterator[str]:
+    """The first interval over which the model yields no finite state."""
+    for k, end in enumerate(_ends(ctrl)):
+        bad = [name for name, value in zip(ctrl.names.states, end, strict=True) if not np.isfinite(value)]
+        if bad:
+            pairs = zip(ctrl.names.states, ctrl.x[k], strict=True)
+            start = ", ".join(f"{name} = {value:.4g}" for name, value in list(pairs)[:LISTED])
+            yield (
+                f"the model yields no finite {', '.join(bad)} at the end of interval {k}, from {start}: try bounds "
+                "that keep the plan inside the domain of the model, more integration steps, or another start"
+            )
+            return
+
+
+#: Members of a linearised node -> what they are.
+_PARTS: Mapping[str, str] = {
+    "b": "the gap of the plan at the end",
+    "S": "the derivatives of the model",
+    "h": "the rows",
+    "J": "the derivatives of the rows",
+    "g": "the gradient of the cost",
+}
+
+
+def _linearisation(ctrl: Controller) -> Iterator[str]:
+    """The first interval whose linearisation is not finite; the plan to which it belongs may have been given up."""
+    first: dict[str, int] = {}
+    for part in _PARTS:
+        if part in ctrl.description.members("node"):
+            array = ctrl.view(f"node.{part}")
+            bad = np.flatnonzero(~np.isfinite(array.reshape(ctrl.dims.N, -1)).all(axis=1))
+            if len(bad):
+                first[part] = int(bad[0])
+    if first:
+        part = min(first, key=lambda name: first[name])
+        yield (
+            f"not finite at interval {first[part]}: {_PARTS[part]}; the plan held a NaN or an infinity there, or "
+            "numbers so large that the problem has no finite value; it restarts at the measured state"
+        )
+
+
+# -- where it is far from a solution ----------------------------------------------------------------------------------
+
+
+def _rows(ctrl: Controller, solved: bool) -> Iterator[str]:
+    """The hard rows that the last QP, or the plan, violates most."""
+    status, stats = ctrl.status, ctrl.stats
+    if status in (Status.INFEASIBLE, Status.RELAXED) and stats.violated_row is not None:
+        found = [f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}"]
+        others = [] if status == Status.INFEASIBLE and not solved else violations(ctrl)
+        yield f"{found[0]}: {row_advice(ctrl)}"
+        more = [str(v) for v in others if v.row.name != stats.violated_row][: MOST - 1]
+        if more:
+            yield f"of the plan, also {'; '.join(more)}"
+    elif status not in _BEFORE:
+        yield from map(str, violations(ctrl)[:MOST])
+
+
+def _ends(ctrl: Controller) -> Iterator[Array]:
+    return (np.asarray(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt)) for k, dt in enumerate(ctrl.description.dt))
+
+
+def _largest_gap(ctrl: Controller) -> Iterator[str]:
+    """Where the plan is farthest from the model, in units of the state's largest value."""
+    if ctrl.status in (*_BEFORE, Status.INFEASIBLE, Status.RELAXED):
+        return
+    gaps = np.abs(np.asarray(list(_ends(ctrl)), dtype=np.float64) - ctrl.x[1:])
+    relative = gaps / (1e-9 + np.max(np.abs(ctrl.x), axis=0))
+    if np.all(np.isfinite(relative)) and np.max(relative) >= SMALL_GAP:
+        node, i = divmod(int(np.argmax(relative)), relative.shape[1])
+        state = f"{ctrl.names.states[i]} at node {node + 1}"
+        yield f"the plan misses the model most in state {state}: by {gaps[node, i]:.3g}"

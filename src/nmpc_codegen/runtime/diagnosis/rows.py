@@ -1,0 +1,98 @@
+"""Values of the rows at a plan, and what they violate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nmpc_codegen.runtime.diagnosis.program import Array
+
+if TYPE_CHECKING:
+    from nmpc_codegen.runtime.controller import Controller
+    from nmpc_codegen.runtime.package_description import Row
+
+#: Violations up to this part of the size of a row are rounding, or what a QP solver leaves.
+NEGLIGIBLE = 1e-6
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A row outside its bounds by ``amount``; ``size``: its largest finite bound, at least its value / 1000."""
+
+    row: Row
+    node: int
+    amount: float
+    size: float
+
+    def __str__(self) -> str:
+        return f"row {self.row.name!r} at node {self.node} is violated by {self.amount:.3g}"
+
+
+def parameters(ctrl: Controller) -> Array:
+    """Parameters of all nodes, (N+1, np); the declared ones if they are fixed."""
+    d = ctrl.dims
+    if ctrl.description.online["parameter"] == "fixed":
+        declared = np.array([v for s in ctrl.description.parameters for v in s.value])
+        return np.tile(declared, (d.N + 1, 1))
+    stored = ctrl.member("p")
+    if len(stored) == d.N + 1 or not stored.size:
+        return np.asarray(stored, dtype=np.float64).reshape(d.N + 1, d.np)
+    return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
+
+
+def row_values(ctrl: Controller, x: Array, u: Array, p: Array, end: bool = False) -> Array:
+    """Values of all general rows at x (n, nx), u (n, nu), p (n, np) -> (n, number of rows), NaN for other rows.
+
+    end: those of the end of the horizon.
+    """
+    program = ctrl.description.program
+    out = np.full((len(x), len(program.rows)), np.nan)
+    if any(place[end] >= 0 for place in program.rows):
+        with np.errstate(all="ignore"):
+            values = program.values(x, u, p)
+        for i, place in enumerate(program.rows):
+            if place[end] >= 0:
+                out[:, i] = values[place[end]]
+    return out
+
+
+def bounds_at(ctrl: Controller, row: int, node: int) -> tuple[float, float]:
+    """Present bounds of scalar row number ``row`` at a node."""
+    info = ctrl.description.rows[row]
+    if ctrl.description.online["bounds"] == "fixed":
+        return info.lower, info.upper
+    stored = [ctrl.view(which) for which in ("lower", "upper")]
+    place = node if len(stored[0]) == ctrl.dims.N + 1 else 0 if node < ctrl.dims.N else -1
+    return float(stored[0][place, row]), float(stored[1][place, row])
+
+
+def path_bounds(ctrl: Controller, row: int) -> tuple[float, float]:
+    """Smallest lower and largest upper bound of a scalar row over its nodes before the end at present."""
+    found = [bounds_at(ctrl, row, k) for k in ctrl.description.rows[row].nodes if k < ctrl.dims.N]
+    return min(lower for lower, _ in found), max(upper for _, upper in found)
+
+
+def violations(ctrl: Controller) -> list[Violation]:
+    """Hard rows that the plan violates, at their worst nodes; those that are worst in their size come first."""
+    x, u, p = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u, parameters(ctrl)))
+    held = np.append(u, u[-1:], axis=0)
+    path, end = row_values(ctrl, x[:-1], u, p[:-1]), row_values(ctrl, x[-1:], held[-1:], p[-1:], end=True)
+    general = np.append(path, end, axis=0)
+    worst = []
+    for number, row in enumerate(ctrl.description.rows):
+        if row.soft is None and row.kind != "coupled":
+            column = {"control": held, "state": x, "general": general}[row.kind]
+            values = column[:, number if row.kind == "general" else row.index]
+            nodes = (k for k in row.nodes if k or row.kind != "state")  # x_0 is measured
+            found = (_violation(row, k, float(values[k]), *bounds_at(ctrl, number, k)) for k in nodes)
+            worst += sorted((v for v in found if v is not None), key=lambda v: -v.amount)[:1]
+    return sorted(worst, key=lambda v: -v.amount / v.size)
+
+
+def _violation(row: Row, node: int, value: float, lower: float, upper: float) -> Violation | None:
+    amount = max(value - upper, lower - value)
+    size = max((abs(b) for b in (lower, upper) if np.isfinite(b)), default=0.0)
+    size = max(size, 1e-3 * abs(value), 1e-300)
+    return Violation(row, node, amount, size) if amount > NEGLIGIBLE * size else None
