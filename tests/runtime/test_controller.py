@@ -261,7 +261,7 @@ def test_bounds_of_a_row_a_vector_and_the_terminal_node(toy: Controller) -> None
     ("call", "arguments", "message"),
     [
         ("set_reference", ([1.0],), r"reference has shape \(1,\); expected \(3,\)"),
-        ("set_reference", (np.zeros((3, 3)),), r"reference has shape \(3, 3\); expected \(4, 3\)"),
+        ("set_reference", (np.zeros((3, 3)),), r"reference has shape \(3, 3\); expected \(3,\), or \(4, 3\)"),
         ("set_reference", ([1.0, np.nan, 0.0],), "reference holds a NaN"),
         ("set_reference", ([[1.0], [1.0, 2.0]],), "reference is no array of numbers"),
         ("set_parameter", ("m", [[1.0], [1.0, 2.0]]), "parameter 'm' is no array of numbers"),
@@ -281,7 +281,7 @@ def test_bounds_of_a_row_a_vector_and_the_terminal_node(toy: Controller) -> None
         ("set_terminal_weight", (np.eye(3),), r"terminal weight has shape \(3, 3\); expected \(2, 2\)"),
         ("set_parameter", ("M", 1.0), "no parameter 'M'; there is m, d"),
         ("set_parameter", ("d", 1.0), r"parameter 'd' has shape \(\); expected \(2,\)"),
-        ("set_parameter", ("d", np.zeros((4, 2))), r"parameter 'd' has shape \(4, 2\); expected \(5, 2\)"),
+        ("set_parameter", ("d", np.zeros((4, 2))), r"parameter 'd' has shape \(4, 2\); expected \(2,\), or \(5, 2\)"),
         ("set_parameter", ("m", np.inf), "parameter 'm' holds a NaN or an infinity"),
         ("set_bounds", ("b", 0.0, 1.0), r"no row 'b'; there is a, box\[0\], box\[1\]"),
         ("set_bounds", ("a", 1.0, 0.0), r"bounds of 'a': lower \[1.0\] above upper \[0.0\]"),

@@ -17,6 +17,9 @@ from verification import problems
 from verification.routes import OURS, PURE, on
 from verification.strangers.problems import known
 
+#: A direction of length 1 starts at 0, where the gradient of its length vanishes.
+pytestmark = pytest.mark.filterwarnings("ignore:.*its gradient vanishes at the first plan")
+
 N, DT = 12, 0.1
 MEASURED = replace(PURE, tolerance=0.1)
 

@@ -27,7 +27,8 @@ EPILOG = (
     "The file defines an OCP called `ocp`, or a function problem() or build_ocp() that returns one. It may also define "
     "`options`, or a function options() that returns them; problem() may return a pair (OCP, Options) instead. If none "
     "of these names is defined, the only OCP in the file is used. "
-    "Exit status: 0 for success, 1 if the problem, the options or the check failed, 2 for wrong usage."
+    "Exit status: 0 for success, 1 if the problem, the options, the check or a sample of the simulation failed, 2 for "
+    "wrong usage."
 )
 
 
@@ -70,6 +71,12 @@ def parser() -> Parser:
     )
     add("--check", action="store_true", help="compile with warnings as errors, solve the problem, compare with IPOPT")
     add("--simulate", type=int, metavar="STEPS", help="simulate the closed loop from the declared initial state")
+    add(
+        "--allow-failures",
+        type=int,
+        metavar="N",
+        help="how many samples of the simulation may fail (default 0); OK and NOT_CONVERGED are no failures",
+    )
     add("--plot", metavar="FILE", help="write a picture of the simulation (.png, .pdf, .svg)")
     add("--target", choices=list(TARGETS), help="microcontroller: scalar code, a certificate, a bare-metal replay")
     add("--level", choices=LEVELS, help=f"optimisation level of the code for the target (default {LEVELS[0]})")
@@ -103,8 +110,11 @@ def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
         for flag in ("level", "verify", "max_flash", "max_stack"):
             if getattr(arguments, flag):
                 yield f"--{flag.replace('_', '-')} needs --target NAME"
-    if arguments.plot is not None and arguments.simulate is None:
-        yield "--plot needs --simulate STEPS"
+    for flag in ("plot", "allow_failures"):
+        if getattr(arguments, flag) is not None and arguments.simulate is None:
+            yield f"--{flag.replace('_', '-')} needs --simulate STEPS"
+    if arguments.allow_failures is not None and arguments.allow_failures < 0:
+        yield f"--allow-failures {arguments.allow_failures}: expected a number of samples >= 0"
     for flag, look in (("output", _folder), ("plot", _picture)):
         value = getattr(arguments, flag)
         try:

@@ -69,12 +69,12 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": firmware.more}
     with saying_warnings(printer):
         package = export(ocp, options, str(folder), name=name, **given)
-    _print_package(printer, package, folder, arguments.verbose)
-    passed = firmware.report(printer)
-    if arguments.check:
-        passed = check(ocp, options, folder, name, printer) and passed
+        _print_package(printer, package, folder, arguments.verbose)
+        passed = firmware.report(printer)
+        if arguments.check:
+            passed = check(ocp, options, folder, name, printer) and passed
     if arguments.simulate is not None:
-        _simulate(folder, name, arguments.simulate, arguments.plot, printer)
+        passed = _simulate(arguments, folder, name, printer) and passed
     return 0 if passed else 1
 
 
@@ -97,18 +97,24 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Opti
     return ocp, apply_settings(options, settings)
 
 
-def _simulate(folder: Path, name: str, samples: int, picture: str | None, printer: Printer) -> None:
+def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: Printer) -> bool:
+    """Print the summary of a closed loop; False if more samples failed than are allowed."""
     from nmpc_codegen.runtime.package import open_package
     from nmpc_codegen.runtime.simulate import simulate
 
+    samples, allowed = arguments.simulate, arguments.allow_failures or 0
     if samples >= LONG_SIMULATION:
         printer.line(f"simulating {samples:,} samples")
     controller = open_package(str(folder), name=name)
     log = simulate(controller, controller.description.x_initial, samples)
     printer.line(log.summary())
-    if picture is not None:
-        log.plot(picture)
-        printer.line(f"picture: {picture}")
+    if arguments.plot is not None:
+        log.plot(arguments.plot)
+        printer.line(f"picture: {arguments.plot}")
+    if log.failures > allowed:
+        limit = f", --allow-failures {allowed}" if allowed else ""
+        printer.error(f"simulation FAILED: {log.failures} of {samples} samples{limit}; {log.first_failure}")
+    return log.failures <= allowed
 
 
 def _print_package(printer: Printer, package: Package, folder: Path, verbose: bool) -> None:

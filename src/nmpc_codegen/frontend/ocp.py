@@ -37,9 +37,11 @@ from nmpc_codegen.frontend.statement import (
     StageName,
     Statement,
     intersection,
+    misplaced,
 )
 from nmpc_codegen.frontend.symbol import Symbol, is_comparison, row_call
 from nmpc_codegen.ir.naming import check_package_name
+from nmpc_codegen.runtime.diagnosis.foreign_names import OF_PROBLEM, missing
 
 __all__ = ["OCP"]
 
@@ -95,6 +97,10 @@ class OCP:
                 "name, T, N and intervals are given to OCP(...), everything else to its methods"
             )
         super().__setattr__(attribute, value)
+
+    def __getattr__(self, attribute: str) -> Any:
+        """Explain attributes that do not exist, those of other tools among them."""
+        raise missing("OCP", attribute, OF_PROBLEM, dir(self))
 
     @property
     def discrete(self) -> bool | None:
@@ -555,7 +561,7 @@ class OCP:
                     else f"{what} contains a symbol '{symbol.name()}' that was not declared in this OCP"
                 )
             if element.kind not in kinds:
-                raise ProblemError(f"{what} contains {_misplaced(element, kinds)}")
+                raise ProblemError(f"{what} contains {misplaced(element, kinds)}")
         check_operations(expression, what)
         return expression
 
@@ -571,15 +577,6 @@ class OCP:
 
     def _kinds(self, scalar: Any) -> set[str]:
         return {e.kind for e in map(self._element, ca.symvar(scalar)) if e is not None}
-
-
-def _misplaced(element: Element, kinds: tuple[Kind, ...]) -> str:
-    """Explain why this symbol is not allowed in an expression of the given kinds."""
-    if element.kind in ("start", "end"):
-        return f"at_{element.kind}({element.name}), which is allowed in boundary() only"
-    if kinds == ("start", "end"):
-        return f"the {element.kind} '{element.name}'; write at_start(...) or at_end(...) of states"
-    return f"the {element.kind} '{element.name}'; only these may occur: {', '.join(kinds)}"
 
 
 def _require_three(lower: Any, expr: Any, upper: Any, what: str, method: str) -> None:

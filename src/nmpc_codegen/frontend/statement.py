@@ -78,3 +78,12 @@ def intersection(new: Statement, i: int, old: Statement, j: int, what: str) -> t
             f"'{old.names[j]}' stated before, in [{old.lower[j]:g}, {old.upper[j]:g}]"
         )
     return float(lower), float(upper)
+
+
+def misplaced(element: Element, kinds: tuple[Kind, ...]) -> str:
+    """Explain why this symbol is not allowed in an expression of the given kinds."""
+    if element.kind in ("start", "end"):
+        return f"at_{element.kind}({element.name}), which is allowed in boundary() only"
+    if kinds == ("start", "end"):
+        return f"the {element.kind} '{element.name}'; write at_start(...) or at_end(...) of states"
+    return f"the {element.kind} '{element.name}'; only these may occur: {', '.join(kinds)}"

@@ -71,25 +71,32 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
 
 
 def _without_influence(problem: Problem, x: Array, u: Array) -> Iterator[str]:
-    """Controls whose first derivatives vanish in dynamics, cost and rows at their first value, whatever the states."""
+    """Controls whose first derivatives vanish in dynamics, cost and rows at their first value, whatever the states, the
+    parameters and the other controls that do have an influence."""
     path = problem.path
     f = problem.dynamics(path.x, path.u, path.p)
-    slope = ca.vertcat(*(ca.gradient(part, path.u) for part in _costs(path)), ca.SX(0, 1))
+    slopes = ca.vertcat(ca.SX(0, problem.nu), *(ca.jacobian(part, path.u) for part in _costs(path)))
     jacobians = [ca.jacobian(f, path.u), ca.jacobian(path.h, path.u)]
-    evaluate = _function(path, [ca.densify(j) for j in (*jacobians, ca.reshape(slope, problem.nu, -1).T)])
-    stated = [ca.sum1(ca.DM(jacobians[0].sparsity(), 1))[0, j] for j in range(problem.nu)]
-    influence = np.zeros(problem.nu)
-    for state in (x, *_drawn(x)):
-        for part in evaluate(state, u, problem.p_value, problem.dt[0]):
-            size = np.abs(np.asarray(part, dtype=float)).reshape(-1, problem.nu)
-            influence += np.where(np.isfinite(size), size, 1.0).sum(axis=0)
-    for j, name in enumerate(problem.control_names):
-        if float(stated[j]) and influence[j] == 0:
-            yield (
-                f"control '{name}' has no influence to first order on dynamics, cost and rows at the first plan, where "
-                f"it is {u[j]:g}: no iteration moves it from there; write another first value, ctrl.u[:, {j}] = ..., "
-                "after build() and after every reset(), or state a residual of it with another reference"
-            )
+    evaluate = _function(path, [ca.densify(j) for j in (*jacobians, slopes)])
+    moves = np.array([not any(rows) for rows in np.asarray(ca.DM(jacobians[0].sparsity(), 1)).T], dtype=bool)
+    found = np.ones(problem.nu, dtype=bool)
+    while np.any(found & ~moves):
+        found = np.zeros(problem.nu, dtype=bool)
+        for k in range(DRAWN):
+            control = np.where(moves, u + _noise(problem.nu, k), u)
+            parts = evaluate(_drawn(x)[k], control, problem.p_value + _noise(problem.np, k), problem.dt[0])
+            for part in parts:
+                size = np.abs(np.asarray(part, dtype=float)).reshape(-1, problem.nu)
+                found |= np.any((size > 0) | ~np.isfinite(size), axis=0)
+        found &= ~moves
+        moves |= found
+    for j in np.flatnonzero(~moves):
+        yield (
+            f"control '{problem.control_names[j]}' has no influence to first order on dynamics, cost and rows at the "
+            f"first plan, where it is {u[j]:g}: no iteration moves it from there; write another first value, "
+            f"ctrl.u[:, {j}] = ..., after build() and after every reset(), or state a residual of it with another "
+            "reference"
+        )
 
 
 def _costs(stage: Stage) -> list[Expression]:
@@ -107,9 +114,10 @@ def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
         z = ca.vertcat(stage.x, stage.u)
         evaluate = _function(stage, [ca.densify(stage.h), ca.densify(ca.jacobian(stage.h, z))])
         h, J = (np.asarray(v, dtype=float) for v in evaluate(x, control, problem.p_value, problem.dt[0]))
+        other = np.asarray(evaluate(x, control, problem.p_value + _noise(problem.np, 0), problem.dt[0])[1], dtype=float)
         for row in problem.rows:
             at = row.index if stage is problem.path else row.index_terminal
-            if row.kind != "general" or at < 0 or np.any(J[at]):
+            if row.kind != "general" or at < 0 or np.any(J[at]) or np.any(other[at]):
                 continue
             value = h[at, 0]
             room = min(_room(value - row.lower, row.lower), _room(row.upper - value, row.upper))

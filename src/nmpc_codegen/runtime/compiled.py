@@ -6,10 +6,12 @@ The description is compared with the compiled code before it determines the layo
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,3 +139,26 @@ def aligned(size: int) -> NDArray[np.uint8]:
     raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
     start = -raw.ctypes.data % ALIGNMENT
     return raw[start : start + size]
+
+
+def write_state(file: str | os.PathLike[str] | IO[bytes], fingerprint: str, memory: NDArray[np.uint8]) -> None:
+    """Write the bytes of a struct and the fingerprint of its package as an .npz archive."""
+    content = {"package": np.array(fingerprint), "state": np.asarray(memory)}
+    if isinstance(file, str | os.PathLike):
+        with Path(file).open("wb") as stream:
+            np.savez(stream, allow_pickle=False, **content)
+    else:
+        np.savez(file, allow_pickle=False, **content)
+
+
+def read_state(
+    file: str | os.PathLike[str] | IO[bytes], package: CompiledPackage, shape: tuple[int, ...]
+) -> NDArray[np.uint8]:
+    """The bytes that write_state() has written for this package; ControllerError if they are of another one."""
+    with np.load(file, allow_pickle=False) as archive:
+        if not {"package", "state"} <= set(archive):
+            raise ControllerError(f"{file} is not a state that Controller.save() wrote")
+        fingerprint, state = str(archive["package"]), np.asarray(archive["state"])
+    if fingerprint != package.fingerprint or state.shape != shape:
+        raise ControllerError(f"{file} holds the state of another package than this {package.name}")
+    return state

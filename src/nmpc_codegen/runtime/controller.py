@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from time import perf_counter_ns
 from typing import IO, Any, Literal, NoReturn, Self
 
@@ -19,9 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.compiled import COUNTERS, NEWTON, CompiledPackage, aligned, restored
+from nmpc_codegen.runtime import compiled, given
+from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.diagnosis.diagnose import diagnosis
-from nmpc_codegen.runtime.given import checked_array, checked_bound, is_integer, level_number, ndim, stored_weight
+from nmpc_codegen.runtime.diagnosis.foreign_names import OF_CONTROLLER, missing
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
 from nmpc_codegen.runtime.status import Kkt, Stats, Status
@@ -29,7 +29,7 @@ from nmpc_codegen.runtime.status import Kkt, Stats, Status
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
 #: Stats of an algorithm without counters.
-_NO_COUNTS = {**dict.fromkeys((*COUNTERS, *NEWTON), 0), "violation": 0.0}
+_NO_COUNTS = {**dict.fromkeys((*compiled.COUNTERS, *compiled.NEWTON), 0), "violation": 0.0}
 
 EVERY_NODE = -1  # <NAME>_ALL of the C package
 
@@ -49,7 +49,7 @@ class Controller:
         self.dims: Dimensions = self.description.dims
         self.names: Names = self.description.names
         self._real = self.description.real
-        self._memory = aligned(package.dtype.itemsize)
+        self._memory = compiled.aligned(package.dtype.itemsize)
         self._struct: NDArray[np.void] = self._memory.view(package.dtype).reshape(())
         self._s = package.ffi.from_buffer(f"{package.name}_solver_t *", self._memory)
         self._xhat, self._xhat_c = self._buffer(self.dims.nx)
@@ -101,7 +101,7 @@ class Controller:
                 the gradient of the Lagrangian; "D": nothing. After a failure and after solve() the level is A.
         """
         start = perf_counter_ns()
-        number = level_number(level)
+        number = given.level_number(level)
         status = self._call("prepare_level", self._s, number) if number else self._call("prepare", self._s)
         self._prepare_ns = perf_counter_ns() - start
         return self._judge(status, "prepare", on_failure)
@@ -111,7 +111,7 @@ class Controller:
 
         It needs RealTimeIteration(levels=True). The plan changes only if the status is OK or RELAXED.
         """
-        return self._judge(self._call("iterate", self._s, level_number(level)), "iterate", on_failure)
+        return self._judge(self._call("iterate", self._s, given.level_number(level)), "iterate", on_failure)
 
     def feedback(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
         """Solve the prepared problem for the measured state (nx,); return the control (nu,) as step() does."""
@@ -184,10 +184,9 @@ class Controller:
         """Set the reference of the path residual.
 
         Args:
-            y: (ny,); or (N, ny), one row per node; or {name of a residual: value}, which does not change the others.
+            y: (ny,); or (N, ny), one row per node, (N,) if ny = 1; or {name of a residual: value}, the others stay.
             node: 0..N-1, or None for every node. Online(reference="shared") allows only None, and no (N, ny).
         """
-        call, shape = "set_reference", (self.dims.ny,)
         each = self._each_node("reference", "the reference", node)
         self._expect_some(self.dims.ny, "path residual")
         if isinstance(y, Mapping):
@@ -195,12 +194,9 @@ class Controller:
             current = self._view("yref")
             for k in range(self.dims.N) if node is None and each else [node]:
                 row = current[self._node(k)] if each else current[0]
-                self._send(call, self._replaced(row, columns), k)
-        elif node is None and ndim(y) == 2 and each:
-            for k, row in enumerate(self._array("reference", y, (self.dims.N, self.dims.ny))):
-                self._send(call, row, k)
+                self._send("set_reference", self._replaced(row, columns), k)
         else:
-            self._send(call, self._array("reference", y, shape), node)
+            self._send_data("set_reference", "reference", y, self.dims.ny, self.dims.N if each else 0, node)
 
     def set_terminal_reference(self, y: ArrayLike | Mapping[str, float]) -> None:
         """Set the reference of the terminal residual: (ny_N,), or {name: value}."""
@@ -215,6 +211,9 @@ class Controller:
     def set_weight(self, W: ArrayLike, node: int | None = None) -> None:
         """Set the weight of the path residual, symmetric positive semidefinite up to rounding; (W + W') / 2 is stored.
 
+        Rows and columns of residuals that were stated with scale_with_dt are multiplied by dt_k wherever W is used, so
+        give them as in least_squares().
+
         Args:
             W: its diagonal (ny,) or the matrix (ny, ny); or (N, ny, ny), one matrix per node. Off-diagonal entries
                 require a weight that was declared with some, or Online(dense_weight=True).
@@ -223,19 +222,21 @@ class Controller:
         each, ny = self._each_node("weight", "the weight", node), self.dims.ny
         self._expect_some(ny, "path residual")
         dense = self._view("W").ndim == 3
-        if node is None and each and ndim(W) == 3:
+        if node is None and each and given.ndim(W) == 3:
             matrices = self._array("weight", W, (self.dims.N, ny, ny))
-            checked = [stored_weight(w, f"weight of node {k}", self._real, ny, dense) for k, w in enumerate(matrices)]
+            checked = [
+                given.stored_weight(w, f"weight of node {k}", self._real, ny, dense) for k, w in enumerate(matrices)
+            ]
             for k, one in enumerate(checked):
                 self._send("set_weight", one, k)
         else:
-            self._send("set_weight", stored_weight(W, "weight", self._real, ny, dense), node)
+            self._send("set_weight", given.stored_weight(W, "weight", self._real, ny, dense), node)
 
     def set_terminal_weight(self, W: ArrayLike) -> None:
         """Set the weight of the terminal residual: (ny_N,) or (ny_N, ny_N)."""
         self._each_node("weight", "the terminal weight")
         self._expect_some(self.dims.ny_N, "terminal residual")
-        value = stored_weight(W, "terminal weight", self._real, self.dims.ny_N, self._view("W_N").ndim == 2)
+        value = given.stored_weight(W, "terminal weight", self._real, self.dims.ny_N, self._view("W_N").ndim == 2)
         self._expect(self._call("set_terminal_weight", self._s, self._pointer(value)), "set_terminal_weight")
 
     def set_parameter(self, name: str, value: ArrayLike, node: int | None = None) -> None:
@@ -243,7 +244,7 @@ class Controller:
 
         Args:
             name: the declared name; a vector parameter is set as a whole.
-            value: a number, or (size,); or one row per node, (N+1, size), with node=None.
+            value: a number, or (size,); or one row per node, (N+1, size), with node=None; (N+1,) if size = 1.
             node: 0..N, or None for every node. Online(parameter="shared") allows None and N, and no (N+1, size).
         """
         signals = self.description.parameters
@@ -251,13 +252,7 @@ class Controller:
         size = signals[index].size
         what = f"parameter {name!r}"
         each = self._each_node("parameter", what, node, terminal=True)
-        if node is None and ndim(value) == 2 and each:
-            rows = self._array(what, value, (self.dims.N + 1, size))
-            for k, row in enumerate(rows):
-                self._send("set_parameter", row, k, index)
-            return
-        one = np.reshape(value, (1,)) if size == 1 and ndim(value) == 0 else value
-        self._send("set_parameter", self._array(what, one, (size,)), node, index)
+        self._send_data("set_parameter", what, value, size, self.dims.N + 1 if each else 0, node, index)
 
     def set_bounds(self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None = None) -> None:
         """Set the bounds of a row, or of all rows of a vector by its base name.
@@ -271,7 +266,7 @@ class Controller:
         rows = self._rows(name)
         self._each_node("bounds", f"the bounds of {name!r}", node, terminal=True)
         low, high = (
-            checked_bound(value, f"{which} bound of {name!r}", self._real, len(rows))
+            given.checked_bound(value, f"{which} bound of {name!r}", self._real, len(rows))
             for which, value in (("lower", lower), ("upper", upper))
         )
         if np.any(low > high):
@@ -354,7 +349,7 @@ class Controller:
         found: Any = self._struct["stats"] if "stats" in self.description.members("solver") else {}
         counts = _NO_COUNTS | {name: found[name] for name in self.description.members("stats")}
         return Stats(
-            **{name: int(counts[name]) for name in (*COUNTERS[:5], *NEWTON)},
+            **{name: int(counts[name]) for name in (*compiled.COUNTERS[:5], *compiled.NEWTON)},
             violated_row=self._violated_row(),
             violated_node=int(counts["violated_node"]) if self._violated_row() else None,
             violation=float(counts["violation"]),
@@ -411,6 +406,10 @@ class Controller:
         sizes = f"N={d.N}, nx={d.nx}, nu={d.nu}, np={d.np}"
         return f"<Controller {self._package.name}: {sizes}, {self.profile}, {self.nbytes} bytes, {self.status.name}>"
 
+    def __getattr__(self, attribute: str) -> Any:
+        """Explain attributes that do not exist, those of other tools among them."""
+        raise missing("Controller", attribute, OF_CONTROLLER, dir(type(self)))
+
     # -- copies -----------------------------------------------------------------------------------------------------
 
     def copy(self) -> Self:
@@ -426,26 +425,16 @@ class Controller:
 
     def __reduce__(self) -> tuple[Any, ...]:
         package = self._package
-        return restored, (package.reload, dict(package.files), package.name, package.profile, self._memory.tobytes())
+        state = self._memory.tobytes()
+        return compiled.restored, (package.reload, dict(package.files), package.name, package.profile, state)
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
         """Write the state, the bytes of the struct and the fingerprint of its package, as an .npz archive."""
-        content = {"package": np.array(self._package.fingerprint), "state": np.asarray(self._memory)}
-        if isinstance(file, str | os.PathLike):
-            with Path(file).open("wb") as stream:
-                np.savez(stream, allow_pickle=False, **content)
-        else:
-            np.savez(file, allow_pickle=False, **content)
+        compiled.write_state(file, self._package.fingerprint, self._memory)
 
     def load(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
         """Load a state that save() wrote; it must come from the same C package, but the profile may differ."""
-        with np.load(file, allow_pickle=False) as archive:
-            if not {"package", "state"} <= set(archive):
-                raise ControllerError(f"{file} is not a state that Controller.save() wrote")
-            package, state = str(archive["package"]), archive["state"]
-        if package != self._package.fingerprint or state.shape != self._memory.shape:
-            raise ControllerError(f"{file} holds the state of another package than this {self._package.name}")
-        self._memory[:] = state
+        self._memory[:] = compiled.read_state(file, self._package, self._memory.shape)
 
     # -- inner ------------------------------------------------------------------------------------------------------
 
@@ -513,7 +502,7 @@ class Controller:
 
     def _array(self, what: str, value: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Array:
         """``value`` as an array of the given shape in the working precision."""
-        return checked_array(value, what, self._real, shape, finite)
+        return given.checked_array(value, what, self._real, shape, finite)
 
     def _each_node(self, option: Kind, what: str, node: int | None = None, terminal: bool = False) -> bool:
         """True if this kind of data is stored for every node; ControllerError if ``node`` cannot be set.
@@ -545,13 +534,20 @@ class Controller:
         """Node number for C; None: every node. The C code checks whether data of this node can be set."""
         if node is None:
             return EVERY_NODE
-        if not is_integer(node) or not 0 <= node <= self.dims.N:
+        if not given.is_integer(node) or not 0 <= node <= self.dims.N:
             raise ControllerError(f"node is {node!r}; expected None or an integer in 0..{self.dims.N}")
         return int(node)
 
     def _send(self, call: str, value: Array, node: int | None, *leading: int) -> None:
         status = self._call(call, self._s, *leading, self._node(node), self._pointer(value))
         self._expect(status, call, "every node" if node is None else f"node {node}")
+
+    def _send_data(
+        self, call: str, what: str, value: ArrayLike, size: int, nodes: int, node: int | None, *leading: int
+    ) -> None:
+        """Send ``size`` numbers for a node or for all, or one row per node if ``nodes`` are stored."""
+        for k, row in given.by_node(value, what, self._real, size, 0 if node is not None else nodes):
+            self._send(call, row, node if k is None else k, *leading)
 
     def _lookup(self, name: str, known: Sequence[str], kind: str) -> int:
         if name not in known:

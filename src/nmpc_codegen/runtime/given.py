@@ -55,9 +55,14 @@ def checked_weight(
 
 
 def checked_array(
-    value: ArrayLike, what: str, real: np.dtype[Any], shape: tuple[int, ...], finite: bool = True
+    value: ArrayLike,
+    what: str,
+    real: np.dtype[Any],
+    shape: tuple[int, ...],
+    finite: bool = True,
+    also: str = "",
 ) -> NDArray[Any]:
-    """``value`` as an array of the given type and shape.
+    """``value`` as an array of the given type and shape; ``also``: other shapes that the caller takes.
 
     Raises:
         ControllerError: it is not such an array, or, with ``finite``, it contains a NaN or an infinity.
@@ -70,7 +75,7 @@ def checked_array(
     except (TypeError, ValueError) as error:
         raise ControllerError(f"{what} is no array of numbers; expected shape {shape}: {error}") from error
     if array.shape != shape:
-        raise ControllerError(f"{what} has shape {array.shape}; expected {shape}")
+        raise ControllerError(f"{what} has shape {array.shape}; expected {shape}{f', or {also}' if also else ''}")
     if finite and not np.all(np.isfinite(array)):
         raise ControllerError(f"{what} holds a NaN or an infinity: {array.tolist()}")
     return array
@@ -78,7 +83,8 @@ def checked_array(
 
 def stored_weight(W: ArrayLike, what: str, real: np.dtype[Any], size: int, matrix: bool) -> NDArray[Any]:
     """The checked weight in the form that a struct stores: diagonal (size,) or matrix (size, size)."""
-    given = checked_array(W, what, real, (size,) if ndim(W) == 1 else (size, size))
+    shapes = [(size,), (size, size)] if ndim(W) == 1 else [(size, size), (size,)]
+    given = checked_array(W, what, real, shapes[0], also=f"{shapes[1]}")
     square = np.diag(given) if given.ndim == 1 else given
     dense = checked_weight(square, what, ControllerError, float(np.finfo(real).eps))
     diagonal = np.diag(dense)
@@ -116,6 +122,28 @@ def is_positive(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
     return math.isfinite(value) and bool(value > 0)
+
+
+def by_node(
+    value: ArrayLike, what: str, real: np.dtype[Any], size: int, nodes: int
+) -> list[tuple[int | None, NDArray[Any]]]:
+    """(None, array of ``size`` numbers) for all nodes, or (node, array) for each of ``nodes``; 0: only the former.
+
+    One number is a row if ``size`` is 1.
+
+    Raises:
+        ControllerError: other shapes; the message lists all that are taken.
+    """
+    single: list[tuple[int, ...]] = [(size,), ()] if size == 1 else [(size,)]
+    rows: list[tuple[int, ...]] = [(nodes, size)] if nodes else []
+    if size == 1 and nodes > 1:
+        rows.append((nodes,))
+    taken = [*single, *rows]
+    shape = next((s for s in taken if ndim(value) == len(s) and np.shape(value) == s), (size,))
+    array = checked_array(value, what, real, shape, also=", or ".join(map(str, taken[1:])))
+    if shape in rows:
+        return list(enumerate(array.reshape(nodes, size)))
+    return [(None, array.reshape(size))]
 
 
 def ndim(value: ArrayLike) -> int:

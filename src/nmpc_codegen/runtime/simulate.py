@@ -80,6 +80,21 @@ class Log:
         """Number of samples whose status is a failure: neither OK nor NOT_CONVERGED."""
         return sum(Status(s).is_failure for s in self.status)
 
+    @property
+    def first_failure(self) -> str:
+        """When, where and why a sample failed first; "" if none did."""
+        return next((self._first(status) for status in self._in_order() if status.is_failure), "")
+
+    def _in_order(self) -> list[Status]:
+        """The statuses that occur, in the order of their first samples."""
+        return sorted(map(Status, self.reasons), key=lambda s: int(np.argmax(self.status == s)))
+
+    def _first(self, status: Status) -> str:
+        """The first sample with a status: its number, its time and what diagnose() said."""
+        first = int(np.argmax(self.status == status))
+        when = f"sample {first}, t = {self.t[first]:g} {self.time_unit}".rstrip()
+        return f"first {status.name}: {when}: " + "\n    ".join(self.reasons[status].splitlines())
+
     def summary(self) -> str:
         """A summary in a few lines: length, statuses, when and why the first sample with each of them other than OK was
         not OK, times, last state."""
@@ -88,11 +103,7 @@ class Log:
         last = ", ".join(f"{trace.name} = {value:.6g}" for trace, value in zip(self.states, self.x[-1], strict=True))
         lines = [f"{self.name}: {len(self.u)} samples over {self.t[-1]:g} {self.time_unit}".rstrip()]
         lines.append(f"status: {outcome}")
-        for status in sorted(self.reasons, key=lambda s: int(np.argmax(self.status == s))):
-            if status != Status.OK:
-                first = int(np.argmax(self.status == status))
-                when = f"sample {first}, t = {self.t[first]:g} {self.time_unit}"
-                lines.append(f"first {status.name}: {when}: " + "\n    ".join(self.reasons[status].splitlines()))
+        lines += [self._first(status) for status in self._in_order() if status != Status.OK]
         if len(self.time_ns):
             median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
             lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")

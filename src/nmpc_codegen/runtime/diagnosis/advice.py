@@ -78,18 +78,26 @@ def _of_solve(ctrl: Controller) -> Iterator[str]:
     if "hessian=GaussNewton(" in options and "in_solve" not in ctrl.description.members("curved"):
         yield "Gauss-Newton steps ignore curvature and may cycle: try Options(hessian=ExactHessian())"
     if status == Status.SUBPROBLEM_FAILED:
+        yield from _more_qp_iterations(options)
         yield from _another_qp(options)
         yield "scale states, controls and rows to magnitudes near 1"
     yield "start from another plan: write ctrl.x and ctrl.u before solve()"
 
 
 def _of_qp(ctrl: Controller) -> Iterator[str]:
-    options, count = ctrl.description.options, ctrl.stats.qp_iterations
-    solver = options.partition("qp=")[2].partition("(")[0]
-    if ctrl.status == Status.ITERATION_LIMIT and _value(options.partition("qp=")[2], "max_iterations"):
-        yield f"the QP solver stopped at its limit of {count} iterations: {solver}(max_iterations={2 * max(count, 1)})"
+    options = ctrl.description.options
+    if ctrl.status == Status.ITERATION_LIMIT:
+        yield from _more_qp_iterations(options)
     yield from _another_qp(options)
     yield "scale states, controls and rows to magnitudes near 1"
+
+
+def _more_qp_iterations(options: str) -> Iterator[str]:
+    """That the QP solver has a limit, and a higher one."""
+    solver, _, limits = options.partition("qp=")[2].partition("(")
+    limit = _value(limits, "max_iterations")
+    if limit.isdigit():
+        yield f"its QP solver stops after {limit} iterations: try Options(qp={solver}(max_iterations={10 * int(limit)}))"
 
 
 def _another_qp(options: str) -> Iterator[str]:

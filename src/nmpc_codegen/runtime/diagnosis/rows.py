@@ -69,8 +69,9 @@ def bounds_at(ctrl: Controller, row: int, node: int) -> tuple[float, float]:
 
 
 def path_bounds(ctrl: Controller, row: int) -> tuple[float, float]:
-    """Smallest lower and largest upper bound of a scalar row over its nodes before the end at present."""
-    found = [bounds_at(ctrl, row, k) for k in ctrl.description.rows[row].nodes if k < ctrl.dims.N]
+    """Smallest lower and largest upper bound of a scalar row at present over its nodes before the end, else at it."""
+    nodes = [k for k in ctrl.description.rows[row].nodes if k < ctrl.dims.N] or [ctrl.dims.N]
+    found = [bounds_at(ctrl, row, k) for k in nodes]
     return min(lower for lower, _ in found), max(upper for _, upper in found)
 
 

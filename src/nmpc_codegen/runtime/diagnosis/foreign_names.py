@@ -1,0 +1,85 @@
+"""Attributes that other tools have, and what replaces them here; close spellings of those that exist."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+
+_COST = "least_squares(expr, weight), or stage_cost(expr) for a general cost; at the end terminal_cost(expr)"
+_ROW = "subject_to(lower, expression, upper)"
+_DYNAMICS = "dynamics({state: derivative})"
+_NO_DAE = (
+    "algebraic equations are not supported: solve them for their variable and insert it, or replace them by fast "
+    "differential equations, eps z' = g"
+)
+
+#: Name in acados, ACADO, CasADi's Opti, do-mpc, rockit -> what OCP has instead.
+OF_PROBLEM: Mapping[str, str] = {
+    "algebraic": _NO_DAE,
+    "algebraic_state": _NO_DAE,
+    "add_alg": _NO_DAE,
+    "minimize": _COST,
+    "add_objective": _COST,
+    "set_objective": _COST,
+    "minimizeLSQ": "least_squares(expr, weight)",
+    "minimizeLSQEndTerm": "terminal_least_squares(expr, weight)",
+    "minimizeLagrangeTerm": "stage_cost(expr, integrate=True)",
+    "minimizeMayerTerm": "terminal_cost(expr)",
+    "set_rterm": "a state for the control, u' = du, with the rate du as the control: least_squares(du, weight)",
+    "integral": "stage_cost(expr, integrate=True)",
+    "cost": _COST,
+    "constraints": _ROW,
+    "subjectTo": _ROW,
+    "bounds": "subject_to(lower, symbol, upper)",
+    "bounded": _ROW,
+    "set_nl_cons": f"{_ROW}, with soft=(l1, l2) for a soft row",
+    "model": "OCP itself: state(), control(), parameter(), dynamics()",
+    "set_der": _DYNAMICS,
+    "set_rhs": _DYNAMICS,
+    "set_next": "dynamics({state: next state}, discrete=True)",
+    "set_variable": "state(name), control(name) or parameter(name)",
+    "variable": "state(name) or control(name)",
+    "input": "control(name)",
+    "set_initial": "state(name, initial=...) for x_0, or ctrl.x and ctrl.u of the built controller",
+    "set_value": "parameter(name, value=...), or ctrl.set_parameter(name, value) of the built controller",
+    "set_tvp_fun": "parameter(name), and ctrl.set_parameter(name, values) with one row per node",
+    "set_p_fun": "parameter(name), and ctrl.set_parameter(name, value)",
+    "at_t0": "at_start(expr), in boundary(); or at='start' of subject_to()",
+    "at_tf": "at_end(expr), in boundary(); or at='end' of subject_to()",
+    "solver": "build(ocp, options)",
+    "solver_options": "build(ocp, Options(...))",
+    "setup": "build(ocp, options)",
+    "solve": "build(ocp).solve(xhat)",
+    "dims": "sizes follow from the declarations: N, x, u, p",
+    "free_time": "a state for the end time that scales dynamics(), constant and named by free_initial()",
+}
+
+#: The same for a built controller.
+OF_CONTROLLER: Mapping[str, str] = {
+    "make_step": "step(xhat)",
+    "solve_for_x0": "step(xhat), or solve(xhat)",
+    "set": "set_reference(), set_parameter(), set_bounds(), or write ctrl.x[k] and ctrl.u[k]",
+    "get": "ctrl.x, ctrl.u, ctrl.lam: arrays of all nodes",
+    "cost_set": "set_weight(W), set_reference(y)",
+    "constraints_set": "set_bounds(name, lower, upper, node)",
+    "get_cost": "ctrl.cost",
+    "get_residuals": "ctrl.kkt()",
+    "get_stats": "ctrl.stats",
+    "get_status": "ctrl.status",
+    "print_statistics": "print(ctrl.stats), and solution.convergence_table()",
+    "set_initial_guess": "write ctrl.x (N+1, nx) and ctrl.u (N, nu)",
+    "options_set": "Options(...), given to build()",
+    "x0": "step(xhat)",
+    "simulate": "nmpc_codegen.simulate(ctrl, x0, steps)",
+}
+
+
+def missing(owner: str, attribute: str, foreign: Mapping[str, str], known: list[str]) -> AttributeError:
+    """The error for an attribute that ``owner`` lacks, with what to write instead, if that is known."""
+    text = f"{owner} has no attribute {attribute!r}"
+    close = get_close_matches(attribute, [name for name in known if not name.startswith("_")], n=1, cutoff=0.75)
+    if attribute in foreign:
+        text += f"; here: {foreign[attribute]}"
+    elif close and not attribute.startswith("_"):
+        text += f"; did you mean {close[0]!r}?"
+    return AttributeError(text)
