@@ -278,7 +278,7 @@ def meant(error: BaseException, file: Path) -> bool:
     frames = [Path(f.filename) for f in traceback.extract_tb(error.__traceback__)]
     ours = [f for f in frames if f == file or package in f.parents]
     if isinstance(error, AttributeError) and "has no attribute" in str(error):  # explained by the object itself
-        ours = ours[:-2]
+        ours = ours[:-1]
     syntax = isinstance(error, SyntaxError) and error.filename == str(file)
     return isinstance(error, NmpcError) or syntax or (bool(ours) and ours[-1] == file)
 

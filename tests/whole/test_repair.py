@@ -109,7 +109,7 @@ def test_not_converged_is_no_failure() -> None:
     assert "RealTimeIteration(repair=3)" in text
     summary = simulate(made(MEASURED), x, 4).summary()
     assert "NOT_CONVERGED" in summary
-    assert "first that was not OK: sample 0" in summary
+    assert "first NOT_CONVERGED: sample 0" in summary
 
 
 def test_stats_after_a_step_are_those_of_the_plan() -> None:

@@ -79,8 +79,7 @@ def _without_influence(problem: Problem, x: Array, u: Array) -> Iterator[str]:
     jacobians = [ca.jacobian(f, path.u), ca.jacobian(path.h, path.u)]
     evaluate = _function(path, [ca.densify(j) for j in (*jacobians, slopes)])
     moves = np.array([not any(rows) for rows in np.asarray(ca.DM(jacobians[0].sparsity(), 1)).T], dtype=bool)
-    found = np.ones(problem.nu, dtype=bool)
-    while np.any(found & ~moves):
+    for _ in range(problem.nu):  # each pass may move a control that gives others an influence
         found = np.zeros(problem.nu, dtype=bool)
         for k in range(DRAWN):
             control = np.where(moves, u + _noise(problem.nu, k), u)
@@ -88,7 +87,6 @@ def _without_influence(problem: Problem, x: Array, u: Array) -> Iterator[str]:
             for part in parts:
                 size = np.abs(np.asarray(part, dtype=float)).reshape(-1, problem.nu)
                 found |= np.any((size > 0) | ~np.isfinite(size), axis=0)
-        found &= ~moves
         moves |= found
     for j in np.flatnonzero(~moves):
         yield (

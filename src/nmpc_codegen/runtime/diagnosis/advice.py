@@ -97,7 +97,8 @@ def _more_qp_iterations(options: str) -> Iterator[str]:
     solver, _, limits = options.partition("qp=")[2].partition("(")
     limit = _value(limits, "max_iterations")
     if limit.isdigit():
-        yield f"its QP solver stops after {limit} iterations: try Options(qp={solver}(max_iterations={10 * int(limit)}))"
+        more = f"Options(qp={solver}(max_iterations={10 * int(limit)}))"
+        yield f"the QP solver stops after {limit} iterations: try {more}"
 
 
 def _another_qp(options: str) -> Iterator[str]:
