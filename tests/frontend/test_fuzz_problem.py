@@ -275,10 +275,9 @@ def with_another_token(text: str, rng: random.Random) -> str:
 def meant(error: BaseException, file: Path) -> bool:
     """True for an error of ours, and for one that Python raises in the file itself or in code that the file calls."""
     package = Path(nmpc_codegen.__file__).parent
-    frames = [Path(f.filename) for f in traceback.extract_tb(error.__traceback__)]
+    found = traceback.extract_tb(error.__traceback__)
+    frames = [Path(f.filename) for f in found if f.name != "__getattr__"]  # which explains a missing attribute
     ours = [f for f in frames if f == file or package in f.parents]
-    if isinstance(error, AttributeError) and "has no attribute" in str(error):  # explained by the object itself
-        ours = ours[:-1]
     syntax = isinstance(error, SyntaxError) and error.filename == str(file)
     return isinstance(error, NmpcError) or syntax or (bool(ours) and ours[-1] == file)
 
