@@ -80,7 +80,9 @@ def test_rows_have_the_values_of_casadi() -> None:
     """All operations at once, at both ends of the horizon."""
 
     def everything(x: ca.SX, v: ca.SX) -> ca.SX:
-        smooth = [f(1.5 + ca.fabs(x) / 4, 0.5 + v**2) for n, f in SUSPECTS.items() if n not in ("asin", "acos", "atanh")]
+        smooth = [
+            f(1.5 + ca.fabs(x) / 4, 0.5 + v**2) for n, f in SUSPECTS.items() if n not in ("asin", "acos", "atanh")
+        ]
         bounded = [f(x / 9, v) for n, f in SUSPECTS.items() if n in ("asin", "acos", "atanh")]
         others = [
             *(ca.sin(x), ca.cos(v), ca.tan(x), ca.atan(v), ca.tanh(x), ca.asinh(v), ca.erf(x), ca.sign(v), ca.floor(x)),
@@ -105,7 +107,9 @@ def test_rows_have_the_values_of_casadi() -> None:
     for k in range(20):
         both = [float(value) for value in f(*z[k], *w[k], *q[k])]
         (path, end), (only, none) = of.rows[names.index("all")], of.rows[names.index("path")]
-        assert [values[path][k], values[end][k], values[only][k]] == pytest.approx([both[0], both[0], both[1]], rel=1e-12)
+        assert [values[path][k], values[end][k], values[only][k]] == pytest.approx(
+            [both[0], both[0], both[1]], rel=1e-12
+        )
         assert none == -1
 
 

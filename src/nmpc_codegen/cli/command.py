@@ -113,7 +113,8 @@ def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: P
         printer.line(f"picture: {arguments.plot}")
     if log.failures > allowed:
         limit = f", --allow-failures {allowed}" if allowed else ""
-        printer.error(f"simulation FAILED: {log.failures} of {samples} samples{limit}; {log.first_failure}")
+        why = "; ".join(line.strip() for line in log.first_failure.splitlines())
+        printer.error(f"simulation FAILED: {log.failures} of {samples} samples{limit}; {why}")
     return log.failures <= allowed
 
 

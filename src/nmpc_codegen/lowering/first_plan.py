@@ -123,8 +123,8 @@ def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
                 yield (
                     f"row '{row.name}': its gradient vanishes at the first plan, where it is {value:g} and its bounds "
                     f"are {row.lower:g} and {row.upper:g}, so no QP can hold it: start elsewhere (initial=, references "
-                    "of controls, or ctrl.x and ctrl.u after build()), or state it without squares, as the two rows "
-                    "-g v <= w and w <= g v instead of w**2 <= g**2 v**2"
+                    "of controls, or ctrl.x and ctrl.u after build()), or state a cone without squares: -g v <= w and "
+                    "w <= g v instead of w**2 <= g**2 v**2"
                 )
 
 

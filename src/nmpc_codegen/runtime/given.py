@@ -140,7 +140,7 @@ def by_node(
         rows.append((nodes,))
     taken = [*single, *rows]
     shape = next((s for s in taken if ndim(value) == len(s) and np.shape(value) == s), (size,))
-    array = checked_array(value, what, real, shape, also=", or ".join(map(str, taken[1:])))
+    array = checked_array(value, what, real, shape, also=" or ".join(str(s) if s else "a number" for s in taken[1:]))
     if shape in rows:
         return list(enumerate(array.reshape(nodes, size)))
     return [(None, array.reshape(size))]

@@ -73,6 +73,7 @@ def _of_solve(ctrl: Controller) -> Iterator[str]:
     yield f"relative KKT residual {kkt.relative:.1e} after {count} iterations; {largest}"
     if kkt.relative < NEARLY_SOLVED:
         yield f"that is nearly a solution: solve(tol={2 * kkt.relative:.0e}) accepts it"
+        return
     if status == Status.ITERATION_LIMIT:
         yield f"more iterations: solve(max_iterations={10 * max(count, 1)})"
     if "hessian=GaussNewton(" in options and "in_solve" not in ctrl.description.members("curved"):
@@ -98,7 +99,7 @@ def _more_qp_iterations(options: str) -> Iterator[str]:
     limit = _value(limits, "max_iterations")
     if limit.isdigit():
         more = f"Options(qp={solver}(max_iterations={10 * int(limit)}))"
-        yield f"the QP solver stops after {limit} iterations: try {more}"
+        yield f"the QP solver stops at max_iterations={limit}: try {more}"
 
 
 def _another_qp(options: str) -> Iterator[str]:

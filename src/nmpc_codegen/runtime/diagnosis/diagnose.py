@@ -43,11 +43,11 @@ def diagnosis(ctrl: Controller, measured: Array, solved: bool) -> str:
     status = ctrl.status
     stale = [_stale(ctrl)] if ctrl.stats.stale_hessian else []
     if status == Status.OK:
-        return "\n".join([str(status), *_left_by_samples(ctrl), *stale])
+        return "\n".join([str(status), *_plan(ctrl), *_left_by_samples(ctrl), *stale])
     broken = next(filter(None, (list(search) for search in _broken(ctrl, measured))), [])
     warnings = () if status in _BEFORE else ctrl.description.report.warnings
     warned = [f"warning at build: {text}" for text in warnings if not any(line in text for line in broken)]
-    where = [] if broken else [*_rows(ctrl, solved), *_largest_gap(ctrl), *advice(ctrl, solved)]
+    where = [] if broken else [*_rows(ctrl, solved), *_largest_gap(ctrl, solved), *advice(ctrl, solved)]
     return "\n".join(dict.fromkeys([str(status), *broken, *warned, *where, *stale]))
 
 
@@ -134,7 +134,7 @@ def _model(ctrl: Controller) -> Iterator[str]:
 
 #: Members of a linearised node -> what they are.
 _PARTS: Mapping[str, str] = {
-    "b": "the gap of the plan at the end",
+    "b": "the gap at its end",
     "S": "the derivatives of the model",
     "h": "the rows",
     "J": "the derivatives of the rows",
@@ -154,9 +154,18 @@ def _linearisation(ctrl: Controller) -> Iterator[str]:
     if first:
         part = min(first, key=lambda name: first[name])
         yield (
-            f"not finite at interval {first[part]}: {_PARTS[part]}; the plan held a NaN or an infinity there, or "
-            "numbers so large that the problem has no finite value; it restarts at the measured state"
+            f"not finite at interval {first[part]}: {_PARTS[part]}{_states(ctrl, part, first[part])}; the plan held a "
+            "NaN or an infinity there, or numbers so large that the problem has no finite value; it restarts at the "
+            "measured state"
         )
+
+
+def _states(ctrl: Controller, part: str, interval: int) -> str:
+    """The states whose gap or derivatives are not finite."""
+    if part not in "bS":
+        return ""
+    bad = ~np.isfinite(ctrl.view(f"node.{part}")[interval].reshape(ctrl.dims.nx, -1)).all(axis=1)
+    return f" of {', '.join(name for name, is_bad in zip(ctrl.names.states, bad, strict=True) if is_bad)}"
 
 
 # -- where it is far from a solution ----------------------------------------------------------------------------------
@@ -172,7 +181,7 @@ def _rows(ctrl: Controller, solved: bool) -> Iterator[str]:
         more = [str(v) for v in others if v.row.name != stats.violated_row][: MOST - 1]
         if more:
             yield f"of the plan, also {'; '.join(more)}"
-    elif status not in _BEFORE:
+    elif solved or status == Status.NOT_CONVERGED:
         yield from map(str, violations(ctrl)[:MOST])
 
 
@@ -180,9 +189,9 @@ def _ends(ctrl: Controller) -> Iterator[Array]:
     return (np.asarray(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt)) for k, dt in enumerate(ctrl.description.dt))
 
 
-def _largest_gap(ctrl: Controller) -> Iterator[str]:
+def _largest_gap(ctrl: Controller, solved: bool) -> Iterator[str]:
     """Where the plan is farthest from the model, in units of the state's largest value."""
-    if ctrl.status in (*_BEFORE, Status.INFEASIBLE, Status.RELAXED):
+    if ctrl.status in (Status.INFEASIBLE, Status.RELAXED) or not (solved or ctrl.status == Status.NOT_CONVERGED):
         return
     gaps = np.abs(np.asarray(list(_ends(ctrl)), dtype=np.float64) - ctrl.x[1:])
     relative = gaps / (1e-9 + np.max(np.abs(ctrl.x), axis=0))

@@ -19,7 +19,7 @@ NEGLIGIBLE = 1e-6
 
 @dataclass(frozen=True)
 class Violation:
-    """A row outside its bounds by ``amount``; ``size``: its largest finite bound, at least its value / 1000."""
+    """A row outside its bounds by ``amount``; ``size``: its largest finite bound or value in the plan."""
 
     row: Row
     node: int
@@ -87,13 +87,12 @@ def violations(ctrl: Controller) -> list[Violation]:
             column = {"control": held, "state": x, "general": general}[row.kind]
             values = column[:, number if row.kind == "general" else row.index]
             nodes = (k for k in row.nodes if k or row.kind != "state")  # x_0 is measured
-            found = (_violation(row, k, float(values[k]), *bounds_at(ctrl, number, k)) for k in nodes)
-            worst += sorted((v for v in found if v is not None), key=lambda v: -v.amount)[:1]
+            most = float(np.nanmax(np.abs(values), initial=0.0))
+            found = (_violation(row, k, float(values[k]), most, *bounds_at(ctrl, number, k)) for k in nodes)
+            worst += sorted((v for v in found if v.amount > NEGLIGIBLE * v.size), key=lambda v: -v.amount)[:1]
     return sorted(worst, key=lambda v: -v.amount / v.size)
 
 
-def _violation(row: Row, node: int, value: float, lower: float, upper: float) -> Violation | None:
-    amount = max(value - upper, lower - value)
+def _violation(row: Row, node: int, value: float, most: float, lower: float, upper: float) -> Violation:
     size = max((abs(b) for b in (lower, upper) if np.isfinite(b)), default=0.0)
-    size = max(size, 1e-3 * abs(value), 1e-300)
-    return Violation(row, node, amount, size) if amount > NEGLIGIBLE * size else None
+    return Violation(row, node, max(value - upper, lower - value), max(size, most, 1e-300))
