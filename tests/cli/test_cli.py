@@ -161,6 +161,37 @@ def test_what_is_listed_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
         assert apply_settings(Options(), [*first, (key, word)]), (key, word)
 
 
+# -- failures and warnings --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize(
+    ("allowed", "status"), [([], 1), (["--allow-failures", "19"], 1), (["--allow-failures", "20"], 0)]
+)
+def test_samples_that_fail(
+    allowed: list[str], status: int, state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A row that no control meets at node 1: all samples are relaxed, and the first is explained."""
+    file = state_problem('ocp = cart()\nocp.subject_to(9, ocp.x[1], 10, at=[1], name="fast")')
+    assert main([file, "-o", str(tmp_path / "c"), "--simulate", "20", *allowed]) == status
+    out, err = said(capsys)
+    assert "RELAXED 20" in out
+    limit = f", {' '.join(allowed)}" if allowed else ""
+    failed = f"simulation FAILED: 20 of 20 samples{limit}; first RELAXED: sample 0, t = 0 s: no plan meets "
+    assert (failed in err) == bool(status)
+    assert ("; row 'fast' at node 1 is violated by " in err) == bool(status)
+
+
+@pytest.mark.usefixtures("compiler")
+def test_warnings_are_said_once(state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """On the error stream, not among the choices; also where --check exports another package."""
+    norm = "import casadi as ca\nocp = cart(initial=0.0)\nocp.least_squares(ca.norm_2(ocp.x), weight=1)"
+    main([state_problem(norm), "-o", str(tmp_path / "c"), "--check", "--set", "solve=False"])
+    out, err = said(capsys)
+    assert err.count("warning: cart: the first plan has no finite derivatives: the residual 'y_3' at nodes 0..4") == 1
+    assert "no finite derivatives" not in out
+
+
 # -- usage ------------------------------------------------------------------------------------------------------------
 
 
@@ -169,6 +200,8 @@ def test_what_is_listed_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ([], "the file that states the problem is missing"),
         (["p.py", "--plot", "x.png"], "--plot needs --simulate"),
+        (["p.py", "--allow-failures", "3"], "--allow-failures needs --simulate"),
+        (["p.py", "--simulate", "3", "--allow-failures", "-1"], "--allow-failures -1: expected a number of samples"),
         (["p.py", "--simulate", "0"], "expected at least one step"),
         (["p.py", "--simulate", "many"], "invalid int value: 'many'"),
         (["p.py", "--set", "steps"], "--set steps: expected KEY=VALUE"),

@@ -131,7 +131,7 @@ def test_operations_belong_to_parts_in_the_names_of_the_user() -> None:
         ),
         "u / r[1]": (Quantity("the equation of r[0]", 0, 3),),
         "log(r[0] * 3 - 2)": (Quantity("the general cost", 0, 3),),
-        "atan2(r[0], w)": (Quantity("row 'angle_end'", 4, 4),),
+        "atan2(r[0], w)": (Quantity("row 'angle_end'", 4, 4, squares=True),),
     }
 
 

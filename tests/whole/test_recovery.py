@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, Controller, Options, Status, build
+from nmpc_codegen import OCP, AugmentedLagrangian, Controller, NoCondensing, Options, Status, build
 from verification.routes import PURE
 
 
@@ -122,3 +122,38 @@ def test_the_next_sample_uses_all_changes(linear: Controller) -> None:
     fresh.step([0.7])
     np.testing.assert_allclose(after, fresh.step([0.7]), rtol=1e-9)
     assert not np.allclose(after, between(linear, "reference")[1])
+
+
+@pytest.mark.parametrize(
+    "options", [Options(), Options(condensing=NoCondensing()), Options(algorithm=AugmentedLagrangian())]
+)
+@pytest.mark.parametrize(("member", "value"), [("x", np.inf), ("x", np.nan), ("u", -np.inf), ("u", np.nan)])
+def test_a_plan_that_is_spoilt_after_prepare_is_not_called_ok(options: Options, member: str, value: float) -> None:
+    """The plan is finite after every OK, and the next good sample is OK."""
+    ctrl = build(oscillator(), options, "test")
+    recovered(ctrl, [0.4, 0.0], 5)
+    ctrl.prepare()
+    getattr(ctrl, member)[3, 0] = value
+    u0 = ctrl.feedback([0.4, 0.0])
+    assert np.all(np.isfinite(u0))
+    assert ctrl.status == Status.NUMERICAL_FAILURE or (np.all(np.isfinite(ctrl.x)) and np.all(np.isfinite(ctrl.u)))
+    recovered(ctrl, [0.4, 0.0], 4)
+
+
+@pytest.mark.parametrize("options", [Options(), Options(algorithm=AugmentedLagrangian())])
+def test_bounds_that_change_after_prepare_hold_in_the_whole_plan(options: Options) -> None:
+    ocp = OCP("bounded", T=1.0, N=5)
+    x, u = ocp.state("x", initial=0.5), ocp.control("u")
+    ocp.dynamics({x: ca.sin(x) + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=1)
+    ocp.subject_to(-1, u, 1)
+    ctrl = build(ocp, options, "test")
+    for lower, upper in ((-0.9, -0.9), (-0.2, 0.1), (-1.0, 1.0)):
+        for _ in range(5):
+            ctrl.step([0.5])
+        ctrl.prepare()
+        ctrl.set_bounds("u", lower, upper)
+        u0 = ctrl.feedback([0.5])
+        assert ctrl.status == Status.OK
+        assert np.all((ctrl.u >= lower) & (ctrl.u <= upper))
+        assert lower <= u0[0] <= upper

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from rich.table import Table
 
 from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.compiler import generate, stated
-from nmpc_codegen.errors import OptionError
+from nmpc_codegen.errors import OptionError, ProblemWarning
 from nmpc_codegen.oracle.reference import Reference, Tableau, node_data
 from nmpc_codegen.runtime.build import load
 
@@ -41,7 +42,10 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     controller = load(files, name, "verify", warnings_as_errors=True)
     if not options.solve:
         printer.line("--check: the package has no solve(); the same package with solve() is checked instead")
-        controller = load(generate(ocp, replace(options, solve=True), name), name, "verify", warnings_as_errors=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ProblemWarning)  # export() has said them
+            files = generate(ocp, replace(options, solve=True), name)
+        controller = load(files, name, "verify", warnings_as_errors=True)
     solution = controller.solve(problem.x_initial, CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS)
     nlp = Reference(problem, *_tableau(options))
     data = node_data(problem)

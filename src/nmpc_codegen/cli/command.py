@@ -69,10 +69,10 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": firmware.more}
     with saying_warnings(printer):
         package = export(ocp, options, str(folder), name=name, **given)
-        _print_package(printer, package, folder, arguments.verbose)
-        passed = firmware.report(printer)
-        if arguments.check:
-            passed = check(ocp, options, folder, name, printer) and passed
+    _print_package(printer, package, folder, arguments.verbose)
+    passed = firmware.report(printer)
+    if arguments.check:
+        passed = check(ocp, options, folder, name, printer) and passed
     if arguments.simulate is not None:
         passed = _simulate(arguments, folder, name, printer) and passed
     return 0 if passed else 1

@@ -133,17 +133,10 @@ def undisturbed(printer: Printer, file: str, verbose: bool) -> Iterator[None]:
 
 @contextlib.contextmanager
 def saying_warnings(printer: Printer) -> Iterator[None]:
-    """Print the text of each warning of the package on one line, once."""
-    said: set[str] = set()
-
-    def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        if str(message) not in said:
-            said.add(str(message))
-            printer.error(f"warning: {message}", style="yellow")
-
+    """Print the text of each warning of the package on one line."""
     with warnings.catch_warnings():
         warnings.simplefilter("always")
-        warnings.showwarning = show
+        warnings.showwarning = lambda text, *_, **__: printer.error(f"warning: {text}", style="yellow")
         yield
 
 

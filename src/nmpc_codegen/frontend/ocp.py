@@ -264,8 +264,8 @@ class OCP:
         found = sorted({NONSMOOTH[op] for op in check_operations(expression, "dynamics") if op in NONSMOOTH})
         if found:
             warn(
-                f"dynamics of '{name}' contain {', '.join(found)}: derivatives jump or vanish there, "
-                "and Newton-type iterations may stall"
+                f"dynamics of '{name}' contain {', '.join(found)}: derivatives jump or vanish there, and Newton-type "
+                "iterations may stall; smooth a switch at s = 0, e.g. by 0.5 * (1 + tanh(s / 0.01))"
             )
 
     # Cost ------------------------------------------------------------------------------------------------------------

@@ -51,7 +51,7 @@ def _operations(
     for i in suspects:
         a, b = kernel.instructions[i].args[0], kernel.instructions[i].args[-1]
         name = _name(kernel.instructions[i])
-        yield Operation(name, texts[i], (new[a], new[b]), (moved[a], moved[b]), occurs[i])
+        yield Operation(name, texts[i], (texts[a], texts[b]), (new[a], new[b]), (moved[a], moved[b]), occurs[i])
 
 
 def _parts(
@@ -93,7 +93,8 @@ def _rows(
         ):
             if index >= 0:
                 value = _given(stage.h[index], stage, x, u, p, stage.dt)
-                yield Quantity(f"row '{row.name}'", first, last), value, (number, end)
+                squares = row.soft is None and row.lower <= 0 < row.upper
+                yield Quantity(f"row '{row.name}'", first, last, squares), value, (number, end)
 
 
 def _of_stage(stage: Stage) -> Iterator[tuple[str, Expression]]:

@@ -127,6 +127,7 @@ class CModule:
     sections: tuple[Section, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
     diagonal_weight: bool
+    scaled_weight: bool
     diagonal_weight_N: bool
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # integer member -> least and largest value
     one_step: Callable[[], Kernel] | None = None  # an integration step with its Jacobian, for units of a host

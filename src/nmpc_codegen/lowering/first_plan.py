@@ -66,7 +66,7 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
         kind, option = ("state", "initial") if i < problem.nx else ("parameter", "value")
         yield (
             f"{kind} '{names[i]}' is 0 at the first plan and scales all derivatives, so nothing moves there: "
-            f"give it another value, ocp.{kind}({names[i].partition('[')[0]!r}, {option}=...)"
+            f"give it another value, e.g. ocp.{kind}({names[i].partition('[')[0]!r}, {option}=1.0)"
         )
 
 
@@ -90,10 +90,10 @@ def _without_influence(problem: Problem, x: Array, u: Array) -> Iterator[str]:
         moves |= found
     for j in np.flatnonzero(~moves):
         yield (
-            f"control '{problem.control_names[j]}' has no influence to first order on dynamics, cost and rows at the "
-            f"first plan, where it is {u[j]:g}: no iteration moves it from there; write another first value, "
-            f"ctrl.u[:, {j}] = ..., after build() and after every reset(), or state a residual of it with another "
-            "reference"
+            f"control '{problem.control_names[j]}' is {u[j]:g} at the first plan, where its first derivatives in "
+            f"dynamics, cost and rows vanish: no iteration moves it. Write another value, e.g. ctrl.u[:, {j}] = 0.1, "
+            "after build() and after every reset(); or state a residual of it with another reference; or take the "
+            "whole term that contains it as the control"
         )
 
 
@@ -120,11 +120,12 @@ def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
             value = h[at, 0]
             room = min(_room(value - row.lower, row.lower), _room(row.upper - value, row.upper))
             if room <= ACTIVE:
+                cone = "; a cone w**2 <= g**2 v**2 is better stated as -g v <= w and w <= g v"
                 yield (
                     f"row '{row.name}': its gradient vanishes at the first plan, where it is {value:g} and its bounds "
-                    f"are {row.lower:g} and {row.upper:g}, so no QP can hold it: start elsewhere (initial=, references "
-                    "of controls, or ctrl.x and ctrl.u after build()), or state a cone without squares: -g v <= w and "
-                    "w <= g v instead of w**2 <= g**2 v**2"
+                    f"are {row.lower:g} and {row.upper:g}, so that QPs do not see it: start where it has one, by "
+                    "initial=, references of controls, or ctrl.x and ctrl.u after build()"
+                    f"{cone if row.lower != row.upper else ''}"
                 )
 
 

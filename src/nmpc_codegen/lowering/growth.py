@@ -58,8 +58,8 @@ class Growth:
         """The factor and the digits that remain."""
         left, given = (abs(math.log10(e)) for e in (self.error(intervals), EPS[self.precision]))
         return (
-            f"the open loop grows by a factor of {self.factor(intervals):.2g} over {intervals} intervals, which leaves "
-            f"the controls about {left:.0f} of {given:.0f} digits in {self.precision} precision"
+            f"the open loop grows by a factor of {self.factor(intervals):.2g} over {intervals} intervals, whose square "
+            f"in the Hessian leaves the controls about {left:.0f} of {given:.0f} digits in {self.precision} precision"
         )
 
     def spares(self, problem: Problem, condensing: Condensing) -> bool:

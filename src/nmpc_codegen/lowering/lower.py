@@ -97,6 +97,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
             ("h_N", problem.terminal.h_names),
         ),
         diagonal_weight=problem.path.diagonal_weight,
+        scaled_weight=any(problem.path.scale_with_dt),
         diagonal_weight_N=problem.terminal.diagonal_weight,
         ranges={name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()},
         one_step=model.interval.one_step,
@@ -382,11 +383,20 @@ def _settings(model: Model, dims: Dims) -> tuple[Setting, ...]:
             None,
             "reference of the terminal residual",
         ),
-        *setting("weight", "W", "default_weight", weight, path, "weight of the path residual"),
+        *setting("weight", "W", "default_weight", weight, path, f"weight of the path residual{_scaled(p)}"),
         *setting("weight", "W_N", "default_terminal_weight", weight_N, None, "weight of the terminal residual"),
         *setting("bounds", "lower", "default_lower", (dims.nr,), every, "lower bounds of the rows"),
         *setting("bounds", "upper", "default_upper", (dims.nr,), every, "upper bounds of the rows"),
     )
+
+
+def _scaled(p: Problem) -> str:
+    """Which weights are multiplied by the length of the interval where they are used, for a comment."""
+    names = [name for name, scaled in zip(p.path.y_names, p.path.scale_with_dt, strict=True) if scaled]
+    if not names:
+        return ""
+    which = "" if len(names) == p.path.ny else f" of {', '.join(names)}"
+    return f"; what is stored{which} is multiplied by dt_k where it is used"
 
 
 #: Values of k that are allowed besides ALL, for every kind of data that can be changed at run time.

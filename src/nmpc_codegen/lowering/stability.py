@@ -39,8 +39,8 @@ def stability_warning(problem: Problem, integrator: Integrator) -> tuple[str, ..
         return ()
     worst = modes[np.argmax(np.abs(modes))]
     remedy = (
-        f"{needed} steps per interval are needed: ExplicitRungeKutta({integrator.tableau.name}, steps={needed}), or "
-        f"--set integrator.steps={needed}"
+        f"{needed} steps per interval are needed for stability: ExplicitRungeKutta({integrator.tableau.name}, "
+        f"steps={needed}), or --set integrator.steps={needed}"
         if needed is not None
         else "no number of steps up to 1,000 is sufficient: the model may be too stiff for an explicit scheme"
     )

@@ -516,7 +516,8 @@ class Controller:
         layout, k = self.description.online[option], self._node(node)
         if layout == "fixed":
             raise ControllerError(
-                f'{self._package.name}: {what} cannot be set: it was generated with Online({option}="fixed")'
+                f'{self._package.name}: {what} cannot be set: it was generated with Online({option}="fixed"); '
+                f'generate it with "shared" or "node"'
             )
         if layout == "shared" and k != EVERY_NODE and not (terminal and k == self.dims.N):
             allowed = f"None or {self.dims.N}" if terminal else "None"
@@ -551,7 +552,8 @@ class Controller:
 
     def _lookup(self, name: str, known: Sequence[str], kind: str) -> int:
         if name not in known:
-            raise ControllerError(f"{self._package.name} has no {kind} {name!r}; there is {', '.join(known) or 'none'}")
+            there = ", ".join(map(repr, known)) or "none"
+            raise ControllerError(f"{self._package.name} has no {kind} {name!r}; those that exist: {there}")
         return known.index(name)
 
     def _rows(self, name: str) -> list[int]:

@@ -140,7 +140,9 @@ def by_node(
         rows.append((nodes,))
     taken = [*single, *rows]
     shape = next((s for s in taken if ndim(value) == len(s) and np.shape(value) == s), (size,))
-    array = checked_array(value, what, real, shape, also=" or ".join(str(s) if s else "a number" for s in taken[1:]))
+    others = ["a number"] if size == 1 else []
+    others += [f"one row per node, {' or '.join(map(str, rows))}"] if rows else []
+    array = checked_array(value, what, real, shape, also=", or ".join(others))
     if shape in rows:
         return list(enumerate(array.reshape(nodes, size)))
     return [(None, array.reshape(size))]

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status
+from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
 from nmpc_codegen.runtime.diagnosis.rows import parameters, path_bounds, row_values
 from nmpc_codegen.runtime.given import is_positive, is_same_time
 from nmpc_codegen.runtime.package_description import RowKind, Signal
@@ -93,7 +94,8 @@ class Log:
         """The first sample with a status: its number, its time and what diagnose() said."""
         first = int(np.argmax(self.status == status))
         when = f"sample {first}, t = {self.t[first]:g} {self.time_unit}".rstrip()
-        return f"first {status.name}: {when}: " + "\n    ".join(self.reasons[status].splitlines())
+        why = self.reasons[status].removeprefix(f"{status.name}: ")
+        return f"first {status.name}: {when}: " + "\n    ".join(why.splitlines())
 
     def summary(self) -> str:
         """A summary in a few lines: length, statuses, when and why the first sample with each of them other than OK was
@@ -103,7 +105,8 @@ class Log:
         last = ", ".join(f"{trace.name} = {value:.6g}" for trace, value in zip(self.states, self.x[-1], strict=True))
         lines = [f"{self.name}: {len(self.u)} samples over {self.t[-1]:g} {self.time_unit}".rstrip()]
         lines.append(f"status: {outcome}")
-        lines += [self._first(status) for status in self._in_order() if status != Status.OK]
+        reasons = "\n".join(self._first(status) for status in self._in_order() if status != Status.OK).splitlines()
+        lines += [line for i, line in enumerate(reasons) if WARNED not in line or line not in reasons[:i]]
         if len(self.time_ns):
             median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
             lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")

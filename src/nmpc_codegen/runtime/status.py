@@ -39,7 +39,11 @@ class Status(IntEnum):
         "the constraints cannot be met",
         "no plan was found that satisfies the constraints; the control is safe but not optimal",
     )
-    RELAXED = 3, "soft solution: rows were relaxed", "constraints had to be relaxed"
+    RELAXED = (
+        3,
+        "soft solution: rows were relaxed",
+        "no plan meets all hard rows; the control is that of the plan that violates them least",
+    )
     NUMERICAL_FAILURE = (
         4,
         "numerical failure: a factorisation broke down or a number is not finite",

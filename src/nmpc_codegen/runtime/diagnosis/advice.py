@@ -15,26 +15,38 @@ if TYPE_CHECKING:
 
 #: Relative KKT residual that is as small as rounding lets solve() come on badly scaled problems.
 NEARLY_SOLVED = 1e-5
+#: Iterations of solve() after which more of them are not all that may help.
+MANY = 50
+
+SCALE = "scale states, controls and rows to magnitudes near 1"
 
 
-def advice(ctrl: Controller, solved: bool) -> Iterator[str]:
-    """What to try; ``solved``: the last call was solve()."""
+def advice(ctrl: Controller, solved: bool, warned: bool) -> Iterator[str]:
+    """What to try, the most likely remedy first.
+
+    Args:
+        ctrl: the controller.
+        solved: the last call was solve().
+        warned: the compiler has warned of something, which comes before advice that fits every failure.
+    """
     options, status = ctrl.description.options, ctrl.status
     if status == Status.NOT_PREPARED:
         yield "call prepare() before feedback(), or step()"
     elif status == Status.NUMERICAL_FAILURE:
         yield from _numerical(options)
+        yield from () if warned else (SCALE, *_another_qp(options))
     elif status == Status.NOT_CONVERGED:
         yield from _not_converged(ctrl)
     elif status in (Status.ITERATION_LIMIT, Status.STALLED, Status.SUBPROBLEM_FAILED):
-        yield from _of_solve(ctrl) if solved else _of_qp(ctrl)
+        yield from _of_solve(ctrl, warned) if solved else _of_qp(options)
 
 
-def row_advice(ctrl: Controller) -> str:
-    """What to do about a row that cannot hold."""
+def row_advice(ctrl: Controller, node: int | None) -> str:
+    """What to do about a row that cannot hold at a node."""
+    longer = "lengthen the horizon, " if node == ctrl.dims.N else ""
     hard = "relaxation=None" in ctrl.description.options
     choose = ', or choose RealTimeIteration(relaxation="auto")' if hard else ""
-    return f"make it soft, soft=(l1, l2), or widen it{choose}"
+    return f"{longer}widen it or the bounds of the controls, or make it soft, subject_to(..., soft=(l1, l2)){choose}"
 
 
 def _numerical(options: str) -> Iterator[str]:
@@ -44,62 +56,58 @@ def _numerical(options: str) -> Iterator[str]:
         yield "if a control has no weight, give it one, or try Options(hessian=GaussNewton(levenberg_marquardt=1e-8))"
     if "precision='single'" in options:
         yield 'rounding may be the cause: try Options(precision="double")'
-    yield "scale states, controls and rows to magnitudes near 1"
-    yield from _another_qp(options)
 
 
 def _not_converged(ctrl: Controller) -> Iterator[str]:
-    options, sampled = ctrl.description.options, "algorithm=RealTimeIteration(" in ctrl.description.options
-    if sampled:
+    options = ctrl.description.options
+    if "algorithm=RealTimeIteration(" in options:
+        more = ": let prepare() repair the plan, RealTimeIteration(repair=3)" if "repair=0" in options else ""
         yield (
             f"residual of the plan that was linearised: {ctrl.stats.residual:.2g}, tolerance "
-            f"{_value(options, 'tolerance')}; one QP per sample does not follow it"
+            f"{_value(options, 'tolerance')}; one QP per sample does not follow it{more}"
         )
-        if "repair=0" in options:
-            yield "let prepare() repair the plan: RealTimeIteration(repair=3)"
     else:
-        name = options.partition("algorithm=")[2].partition("(")[0]
-        yield f"the plan is far from its rows or the model: more iterations per sample, {name}(iterations=...)"
-    if "solve" in {e.name for e in ctrl.description.entry_points}:
+        name, _, given = options.partition("algorithm=")[2].partition("(")
+        now = _value(given, "iterations")
+        count = str(3 * int(now)) if now.isdigit() else "..."
+        yield f"more iterations per sample: {name}(iterations={count})"
+    if ctrl.description.offers("solve"):
         yield "call solve() before the first step(), or simulate(..., warm_start=True)"
-    yield "sample more often, or bound the states"
+    yield "if it goes on, sample more often, or bound the states where the model is strongly nonlinear"
 
 
-def _of_solve(ctrl: Controller) -> Iterator[str]:
+def _of_solve(ctrl: Controller, warned: bool) -> Iterator[str]:
     options, status, kkt = ctrl.description.options, ctrl.status, ctrl.kkt()
     part = max(kkt.parts, key=lambda name: float(np.nan_to_num(kkt.parts[name], nan=np.inf)))
     count = int(ctrl.stats.sqp_iterations)
-    largest = f"the largest part is {part}, {kkt.parts[part]:.1e}"
+    largest = f"the largest one is that of {part}, {kkt.parts[part]:.1e} in its units"
     yield f"relative KKT residual {kkt.relative:.1e} after {count} iterations; {largest}"
     if kkt.relative < NEARLY_SOLVED:
-        yield f"that is nearly a solution: solve(tol={2 * kkt.relative:.0e}) accepts it"
+        yield f"that is nearly a solution, and rounding may forbid less: solve(tol={2 * kkt.relative:.0e}) accepts it"
         return
     if status == Status.ITERATION_LIMIT:
         yield f"more iterations: solve(max_iterations={10 * max(count, 1)})"
     if "hessian=GaussNewton(" in options and "in_solve" not in ctrl.description.members("curved"):
-        yield "Gauss-Newton steps ignore curvature and may cycle: try Options(hessian=ExactHessian())"
-    if status == Status.SUBPROBLEM_FAILED:
-        yield from _more_qp_iterations(options)
-        yield from _another_qp(options)
-        yield "scale states, controls and rows to magnitudes near 1"
-    yield "start from another plan: write ctrl.x and ctrl.u before solve()"
+        yield "if that is not enough: Options(hessian=ExactHessian()), as Gauss-Newton steps ignore curvature"
+    limited = list(_more_qp_iterations(options)) if status == Status.SUBPROBLEM_FAILED else []
+    yield from limited
+    if not warned and not limited and (count >= MANY or status != Status.ITERATION_LIMIT):
+        yield from (*_another_qp(options), SCALE) if status == Status.SUBPROBLEM_FAILED else ()
+        yield "start from another plan: write ctrl.x and ctrl.u before solve()"
 
 
-def _of_qp(ctrl: Controller) -> Iterator[str]:
-    options = ctrl.description.options
-    if ctrl.status == Status.ITERATION_LIMIT:
-        yield from _more_qp_iterations(options)
-    yield from _another_qp(options)
-    yield "scale states, controls and rows to magnitudes near 1"
+def _of_qp(options: str) -> Iterator[str]:
+    limited = list(_more_qp_iterations(options))
+    yield from limited or (*_another_qp(options), SCALE)
 
 
 def _more_qp_iterations(options: str) -> Iterator[str]:
-    """That the QP solver has a limit, and a higher one."""
+    """That the QP solver has a limit that was stated, and a higher one."""
     solver, _, limits = options.partition("qp=")[2].partition("(")
     limit = _value(limits, "max_iterations")
     if limit.isdigit():
         more = f"Options(qp={solver}(max_iterations={10 * int(limit)}))"
-        yield f"the QP solver stops at max_iterations={limit}: try {more}"
+        yield f"the QP solver stops at max_iterations={limit}: {more}, or leave it out"
 
 
 def _another_qp(options: str) -> Iterator[str]:

@@ -23,6 +23,9 @@ SMALL_GAP = 1e-6
 #: Most lines of one kind, and most states of a list.
 MOST, LISTED = 3, 12
 
+#: What precedes a warning of the compiler.
+WARNED = "warning at build: "
+
 #: Statuses that a number that is not finite can cause.
 _OF_NUMBERS = (
     *(Status.NUMERICAL_FAILURE, Status.NOT_FINITE, Status.STALLED),
@@ -43,12 +46,24 @@ def diagnosis(ctrl: Controller, measured: Array, solved: bool) -> str:
     status = ctrl.status
     stale = [_stale(ctrl)] if ctrl.stats.stale_hessian else []
     if status == Status.OK:
-        return "\n".join([str(status), *_plan(ctrl), *_left_by_samples(ctrl), *stale])
+        spoilt = [f"since then: {text}" for text in _plan(ctrl)]
+        return "\n".join([str(status), *spoilt, *_left_by_samples(ctrl), *stale])
     broken = next(filter(None, (list(search) for search in _broken(ctrl, measured))), [])
     warnings = () if status in _BEFORE else ctrl.description.report.warnings
-    warned = [f"warning at build: {text}" for text in warnings if not any(line in text for line in broken)]
-    where = [] if broken else [*_rows(ctrl, solved), *_largest_gap(ctrl, solved), *advice(ctrl, solved)]
-    return "\n".join(dict.fromkeys([str(status), *broken, *warned, *where, *stale]))
+    warned = [f"{WARNED}{text}" for text in warnings if not any(line in text for line in broken)]
+    tried = [] if broken else [*advice(ctrl, solved, bool(warned))]
+    where = [] if broken else [*_rows(ctrl, solved), *_largest_gap(ctrl, solved)]
+    return "\n".join(dict.fromkeys([_headline(status, solved, bool(broken)), *broken, *where, *tried, *warned, *stale]))
+
+
+def _headline(status: Status, solved: bool, broken: bool) -> str:
+    """The status and its meaning, as far as it is known."""
+    if broken and status == Status.NUMERICAL_FAILURE:
+        return f"{status.name}: a number is not finite; the control is safe but not optimal"
+    if not solved and status in (Status.ITERATION_LIMIT, Status.STALLED):
+        why = "stopped at its limit of iterations" if status == Status.ITERATION_LIMIT else "made no further progress"
+        return f"{status.name}: the QP of the sample {why}; the control is safe but not optimal"
+    return str(status)
 
 
 def solves_exactly(ctrl: Controller) -> bool:
@@ -125,16 +140,17 @@ def _model(ctrl: Controller) -> Iterator[str]:
         if bad:
             pairs = zip(ctrl.names.states, ctrl.x[k], strict=True)
             start = ", ".join(f"{name} = {value:.4g}" for name, value in list(pairs)[:LISTED])
+            first = "check the measured state and its units; " if k == 0 else "bound the states; "
             yield (
-                f"the model yields no finite {', '.join(bad)} at the end of interval {k}, from {start}: try bounds "
-                "that keep the plan inside the domain of the model, more integration steps, or another start"
+                f"the model yields no finite {', '.join(bad)} at the end of interval {k}, from {start}: {first}or take "
+                "more integration steps"
             )
             return
 
 
 #: Members of a linearised node -> what they are.
 _PARTS: Mapping[str, str] = {
-    "b": "the gap at its end",
+    "b": "the gap",
     "S": "the derivatives of the model",
     "h": "the rows",
     "J": "the derivatives of the rows",
@@ -153,19 +169,18 @@ def _linearisation(ctrl: Controller) -> Iterator[str]:
                 first[part] = int(bad[0])
     if first:
         part = min(first, key=lambda name: first[name])
+        k = first[part]
+        what = f"state {_gaps(ctrl, k)} at node {k + 1}" if part == "b" else f"{_PARTS[part]} at node {k}"
         yield (
-            f"not finite at interval {first[part]}: {_PARTS[part]}{_states(ctrl, part, first[part])}; the plan held a "
-            "NaN or an infinity there, or numbers so large that the problem has no finite value; it restarts at the "
-            "measured state"
+            f"not finite in the plan that was linearised: {what}; the plan has been restarted at the measured state; "
+            "if that happens again, check what writes to ctrl.x and ctrl.u, and bound the states"
         )
 
 
-def _states(ctrl: Controller, part: str, interval: int) -> str:
-    """The states whose gap or derivatives are not finite."""
-    if part not in "bS":
-        return ""
-    bad = ~np.isfinite(ctrl.view(f"node.{part}")[interval].reshape(ctrl.dims.nx, -1)).all(axis=1)
-    return f" of {', '.join(name for name, is_bad in zip(ctrl.names.states, bad, strict=True) if is_bad)}"
+def _gaps(ctrl: Controller, interval: int) -> str:
+    """The states whose gap at the end of an interval is not finite."""
+    bad = ~np.isfinite(ctrl.view("node.b")[interval])
+    return ", ".join(name for name, is_bad in zip(ctrl.names.states, bad, strict=True) if is_bad)
 
 
 # -- where it is far from a solution ----------------------------------------------------------------------------------
@@ -177,7 +192,7 @@ def _rows(ctrl: Controller, solved: bool) -> Iterator[str]:
     if status in (Status.INFEASIBLE, Status.RELAXED) and stats.violated_row is not None:
         found = [f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}"]
         others = [] if status == Status.INFEASIBLE and not solved else violations(ctrl)
-        yield f"{found[0]}: {row_advice(ctrl)}"
+        yield f"{found[0]}: {row_advice(ctrl, stats.violated_node)}"
         more = [str(v) for v in others if v.row.name != stats.violated_row][: MOST - 1]
         if more:
             yield f"of the plan, also {'; '.join(more)}"

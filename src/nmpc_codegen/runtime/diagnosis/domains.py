@@ -27,6 +27,7 @@ class Finding:
     operation: Operation
     operands: tuple[float, float]
     order: int
+    squares: bool = False
 
     @property
     def arguments(self) -> str:
@@ -34,7 +35,7 @@ class Finding:
         first, second = (f"{value + 0.0:.3g}" for value in self.operands)
         if self.operation.name in ("div", "inv"):
             return f"the denominator is {second if self.operation.name == 'div' else first}"
-        if self.operation.operands[0] == self.operation.operands[1]:
+        if self.operation.operands[0] == self.operation.operands[1] or self.operation.name == "constpow":
             return f"its argument is {first}"
         return f"its arguments are {first} and {second}"
 
@@ -44,12 +45,15 @@ class Finding:
 
     @property
     def remedy(self) -> str:
-        """What to write instead, or to keep away from."""
+        """What to write instead, and where the plan has to stay."""
         edge = EDGES[self.operation.name]
-        if self.order == 0 or not edge.instead:
-            return KEEP_AWAY
-        square = "state the bound on the square instead, or " if self.where.startswith("row") else ""
-        return f"{square}write {edge.instead}"
+        a, b = (f"({text})" if " " in text else text for text in self.operation.texts)
+        found = ["bound the square instead"] if self.squares and edge.root else []
+        if edge.instead and (self.order or not edge.root):
+            found.append(f"write {edge.instead.format(a=a, b=b, sum=self.operation.texts[0])}")
+        if self.nodes[-1] > 0 and not (edge.root and self.order):
+            found.append("keep the plan away from there: bounds, initial=, ctrl.x, ctrl.u")
+        return "; or ".join(found) or "the measured state is outside of the domain: check its units"
 
 
 def _nodes(nodes: tuple[int, ...]) -> str:
@@ -107,7 +111,8 @@ def _of_operation(operation: Operation, values: Sequence[Array], second: bool) -
         nodes = tuple(int(k) for k in np.flatnonzero(bad) if part.first <= k <= part.last)
         if nodes:
             k = nodes[0]
-            found.append(Finding(part.name, nodes, operation, (float(a[k]), float(b[k])), int(order[k])))
+            operands = (float(a[k]), float(b[k]))
+            found.append(Finding(part.name, nodes, operation, operands, int(order[k]), part.squares))
     return found
 
 
@@ -116,14 +121,16 @@ def _of_operation(operation: Operation, values: Sequence[Array], second: bool) -
 
 @dataclass(frozen=True)
 class Edge:
-    """Where the derivatives of an operation are not finite although its value is: of first, and only of second order.
+    """Where derivatives of an operation are not finite although its value is: of first, and only of second order.
 
-    ``instead``: what is finite there; "" if there is nothing of the kind.
+    ``instead``: what is finite there, with the operands {a} and {b}, and {sum} for the first one in a sum; "" if there
+    is nothing of the kind. ``root``: it is a norm.
     """
 
     first: Test
     second: Test = lambda a, b: np.zeros(a.shape, dtype=bool)
     instead: str = ""
+    root: bool = False
 
 
 def _never(a: Array, b: Array) -> Array:
@@ -139,26 +146,30 @@ def _power_second(a: Array, b: Array) -> Array:
 
 
 POWERS = ("pow", "constpow")
-ROOT = "sqrt(... + 1e-6)"
+
+#: Parts of an expression that are finite everywhere.
+_POWER = "pow(sqrt({a}**2 + 1e-6), {b}) if {a} >= 0"
+_LOG = "log(fmax({a}, 1e-3))"
+_QUOTIENT = "{a} * {b} / ({b}**2 + 1e-6)"
+_INVERSE = "{a} / ({a}**2 + 1e-6)"
+_ANGLE = "the direction (sin, cos) instead of the angle, or atan2({a}, {b} + 1e-3) if {b} >= 0"
 
 EDGES: Mapping[str, Edge] = {
-    "sqrt": Edge(lambda a, b: a <= 0, instead=ROOT),
-    "hypot": Edge(lambda a, b: (a == 0) & (b == 0), instead="sqrt(a**2 + b**2 + 1e-6)"),
-    "atan2": Edge(lambda a, b: (a == 0) & (b == 0)),
-    "pow": Edge(_power_first, _power_second),
-    "constpow": Edge(_power_first, _power_second),
-    "log": Edge(lambda a, b: a <= 0),
+    "sqrt": Edge(lambda a, b: a <= 0, instead="sqrt({sum} + 1e-6)", root=True),
+    "hypot": Edge(lambda a, b: (a == 0) & (b == 0), instead="sqrt({a}**2 + {b}**2 + 1e-6)", root=True),
+    "atan2": Edge(lambda a, b: (a == 0) & (b == 0), instead=_ANGLE),
+    "pow": Edge(_power_first, _power_second, instead=_POWER),
+    "constpow": Edge(_power_first, _power_second, instead=_POWER),
+    "log": Edge(lambda a, b: a <= 0, instead=_LOG),
     "log1p": Edge(lambda a, b: a <= -1),
     "asin": Edge(lambda a, b: np.abs(a) >= 1),
     "acos": Edge(lambda a, b: np.abs(a) >= 1),
     "acosh": Edge(lambda a, b: a <= 1),
     "atanh": Edge(lambda a, b: np.abs(a) >= 1),
-    "div": Edge(lambda a, b: b == 0),
-    "inv": Edge(lambda a, b: a == 0),
+    "div": Edge(lambda a, b: b == 0, instead=_QUOTIENT),
+    "inv": Edge(lambda a, b: a == 0, instead=_INVERSE),
     "exp": Edge(_never),
     "expm1": Edge(_never),
     "sinh": Edge(_never),
     "cosh": Edge(_never),
 }
-
-KEEP_AWAY = "keep the plan away from there by bounds, or start elsewhere: another initial=, ctrl.x, ctrl.u"

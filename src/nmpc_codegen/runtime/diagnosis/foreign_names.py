@@ -9,8 +9,8 @@ _COST = "least_squares(expr, weight), or stage_cost(expr) for a general cost; at
 _ROW = "subject_to(lower, expression, upper)"
 _DYNAMICS = "dynamics({state: derivative})"
 _NO_DAE = (
-    "algebraic equations are not supported: solve them for their variable and insert it, or replace them by fast "
-    "differential equations, eps z' = g"
+    "algebraic equations 0 = g(x, z) are not supported: solve them for z and insert it, or state z' = g / eps if "
+    "dg/dz < 0, z' = -g / eps if dg/dz > 0, with as many integration steps as the warning names"
 )
 
 #: Name in acados, ACADO, CasADi's Opti, do-mpc, rockit -> what OCP has instead.

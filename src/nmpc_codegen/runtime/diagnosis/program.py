@@ -22,22 +22,28 @@ Step = tuple[str, int, int, float]
 
 @dataclass(frozen=True)
 class Quantity:
-    """A part of the problem by its name, e.g. "row 'leash'", that is evaluated at the nodes first..last."""
+    """A part of the problem by its name, e.g. "row 'leash'", that is evaluated at the nodes first..last.
+
+    ``squares``: the bound may be stated on the square instead: a hard row without a lower bound above 0.
+    """
 
     name: str
     first: int
     last: int
+    squares: bool = False
 
 
 @dataclass(frozen=True)
 class Operation:
     """An operation and its text; ``operands``: one or two steps of the program, or the second one again.
 
-    ``moved``: which of the operands depend on states and controls; ``quantities``: the parts that it occurs in.
+    ``texts``: those of the operands; ``moved``: which of them depend on states and controls; ``quantities``: the parts
+    that it occurs in.
     """
 
     name: str
     text: str
+    texts: tuple[str, str]
     operands: tuple[int, int]
     moved: tuple[bool, bool]
     quantities: tuple[Quantity, ...]
