@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from examples.crane import build_ocp
-from nmpc_codegen import OCP, GaussNewton, OptionError, Options, build, generate
+from nmpc_codegen import OCP, GaussNewton, OptionError, Options, Status, build, generate
 from nmpc_codegen.cli import main
 from nmpc_codegen.runtime.build import WARNINGS
 from tests.snippets import ROOT, blocks, changed, copy_tree, documents, install_command, run
@@ -178,6 +178,16 @@ def test_pages_for_newcomers(page: str, scale: float) -> None:
     assert np.abs(solution.u).max() == pytest.approx(1.0)
     path = np.sum(solution.x[:-1] ** 2) + np.sum(solution.u**2)
     assert solution.cost == pytest.approx(scale * path / 2 + 5 * np.sum(solution.x[-1] ** 2) / 2, rel=1e-12)
+
+
+@pytest.mark.usefixtures("compiler")
+def test_status_page(tmp_path: Path) -> None:
+    """Its program meets the statuses that it asserts, and the page names every status."""
+    (block,) = blocks("docs/statuses.md")
+    printed = run([sys.executable, "-c", block.text], tmp_path, (ROOT / "src",))
+    assert "first RELAXED: sample 0, t = 0 s: no plan meets all hard rows" in printed
+    text = (ROOT / "docs" / "statuses.md").read_text(encoding="utf-8")
+    assert [s.name for s in Status if not re.search(rf"^\| {s.name} \|", text, re.MULTILINE)] == []
 
 
 STATED = [(page, i) for page in documents() for i, block in enumerate(blocks(page)) if block.states_a_problem]
