@@ -215,6 +215,9 @@ static status_t feedback_here(solver_t *s)
         return NUMERICAL_FAILURE;
     }
     assemble(s);
+    if (!gradient_is_finite(&s->auglag)) {
+        return NUMERICAL_FAILURE;
+    }
     for (int n = 0; n < ITERATIONS; n++) {
         if (moved) {
             linearize_plan(s);

@@ -196,6 +196,12 @@ static void set_box(solver_t *s)
 #endif
 }
 
+/* Returns 1 if the gradient is finite. */
+static int gradient_is_finite(const auglag_t *a)
+{
+    return all_finite(a->g[0], (N + 1) * LDZ);
+}
+
 /* Moves the plan into its bounds. Returns 1 if it was outside. */
 static int project_plan(solver_t *s)
 {

@@ -49,6 +49,9 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
     int since = 0;
     for (int n = 0; n < max_iterations; n++) {
         assemble(s);
+        if (!gradient_is_finite(a)) {
+            return NUMERICAL_FAILURE;
+        }
         if (residual_of(s) <= tol) {
             return OK;
         }

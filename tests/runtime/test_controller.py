@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from nmpc_codegen import OCP, build, generate
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.compiled import ALIGNMENT
@@ -432,3 +433,44 @@ def test_python_runs_while_c_solves() -> None:
     assert end - start > 0.05
     middle = [t for t in stamps if start + 0.2 * (end - start) < t < end - 0.2 * (end - start)]
     assert len(middle) >= 5
+
+
+# Shapes with one number per node, names of other tools ---------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("compiler")
+def test_scalars_per_node_need_no_second_dimension() -> None:
+    """set_parameter() takes (N+1,), set_reference() (N,) for one residual; both take a number for all nodes."""
+    ocp = OCP("single", T=1.0, N=4)
+    x, u, m = ocp.state("x"), ocp.control("u"), ocp.parameter("m", value=1.0)
+    ocp.dynamics({x: u * m})
+    ocp.least_squares(x, weight=1, scale_with_dt=True)
+    ocp.terminal_least_squares(x, weight=1)
+    ctrl = build(ocp, profile="test")
+    ctrl.set_parameter("m", [1, 2, 3, 4, 5])
+    np.testing.assert_array_equal(ctrl.view("p")[:, 0], [1, 2, 3, 4, 5])
+    ctrl.set_parameter("m", 7.0)
+    np.testing.assert_array_equal(ctrl.view("p")[:, 0], 5 * [7.0])
+    ctrl.set_parameter("m", 9.0, node=2)
+    assert ctrl.view("p")[2, 0] == 9.0
+    ctrl.set_reference([1, 2, 3, 4])
+    np.testing.assert_array_equal(ctrl.view("yref")[:, 0], [1, 2, 3, 4])
+    ctrl.set_reference(0.5)
+    np.testing.assert_array_equal(ctrl.view("yref")[:, 0], 4 * [0.5])
+    for bad in ([1, 2, 3], [1, 2, 3, 4, 5]):
+        with pytest.raises(ControllerError, match=r"\(1,\), or a number, or one row per node, \(4, 1\) or \(4,\)"):
+            ctrl.set_reference(bad)
+    with pytest.raises(ControllerError, match=r"has shape \(5,\); expected \(1,\), or a number$"):
+        ctrl.set_parameter("m", [1, 2, 3, 4, 5], node=1)
+    header = generate(ocp)["single.h"]
+    assert "weight of the path residual; that is multiplied by dt_k in use" in header
+
+
+def test_names_of_other_tools_are_explained(toy: Controller) -> None:
+    with pytest.raises(AttributeError, match=r"'set'; here: set_reference\(\), set_parameter\(\)"):
+        toy.set(0, "x", 1.0)
+    with pytest.raises(AttributeError, match=r"'statuss'; did you mean 'status'\?"):
+        _ = toy.statuss
+    with pytest.raises(AttributeError, match=r"no attribute 'zebra'$"):
+        _ = toy.zebra
+    assert not hasattr(toy, "__array__")

@@ -396,7 +396,7 @@ def _scaled(p: Problem) -> str:
     if not names:
         return ""
     which = "" if len(names) == p.path.ny else f" of {', '.join(names)}"
-    return f"; what is stored{which} is multiplied by dt_k where it is used"
+    return f"; that{which} is multiplied by dt_k in use"
 
 
 #: Values of k that are allowed besides ALL, for every kind of data that can be changed at run time.

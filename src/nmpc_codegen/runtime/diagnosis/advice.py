@@ -38,7 +38,12 @@ def advice(ctrl: Controller, solved: bool, warned: bool) -> Iterator[str]:
     elif status == Status.NOT_CONVERGED:
         yield from _not_converged(ctrl)
     elif status in (Status.ITERATION_LIMIT, Status.STALLED, Status.SUBPROBLEM_FAILED):
-        yield from _of_solve(ctrl, warned) if solved else _of_qp(options)
+        yield from _of_solve(ctrl, warned) if solved or not has_qp(options) else _of_qp(options)
+
+
+def has_qp(options: str) -> bool:
+    """Whether the algorithm solves QPs."""
+    return "qp=None" not in options
 
 
 def row_advice(ctrl: Controller, node: int | None) -> str:
@@ -112,7 +117,7 @@ def _more_qp_iterations(options: str) -> Iterator[str]:
 
 def _another_qp(options: str) -> Iterator[str]:
     """Another way to solve the QP than the one in force."""
-    if "qp=" not in options:
+    if not has_qp(options):
         return
     if "condensing=NoCondensing(" not in options:
         yield "try another QP solver: Options(condensing=NoCondensing())"

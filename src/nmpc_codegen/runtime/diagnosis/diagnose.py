@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nmpc_codegen.runtime.diagnosis.advice import advice, row_advice
+from nmpc_codegen.runtime.diagnosis.advice import advice, has_qp, row_advice
 from nmpc_codegen.runtime.diagnosis.domains import in_words, locate
 from nmpc_codegen.runtime.diagnosis.program import Array
 from nmpc_codegen.runtime.diagnosis.rows import parameters, violations
@@ -53,14 +53,15 @@ def diagnosis(ctrl: Controller, measured: Array, solved: bool) -> str:
     warned = [f"{WARNED}{text}" for text in warnings if not any(line in text for line in broken)]
     tried = [] if broken else [*advice(ctrl, solved, bool(warned))]
     where = [] if broken else [*_rows(ctrl, solved), *_largest_gap(ctrl, solved)]
-    return "\n".join(dict.fromkeys([_headline(status, solved, bool(broken)), *broken, *where, *tried, *warned, *stale]))
+    return "\n".join(dict.fromkeys([_headline(ctrl, solved, bool(broken)), *broken, *where, *tried, *warned, *stale]))
 
 
-def _headline(status: Status, solved: bool, broken: bool) -> str:
+def _headline(ctrl: Controller, solved: bool, broken: bool) -> str:
     """The status and its meaning, as far as it is known."""
+    status = ctrl.status
     if broken and status == Status.NUMERICAL_FAILURE:
         return f"{status.name}: a number is not finite; the control is safe but not optimal"
-    if not solved and status in (Status.ITERATION_LIMIT, Status.STALLED):
+    if not solved and has_qp(ctrl.description.options) and status in (Status.ITERATION_LIMIT, Status.STALLED):
         why = "stopped at its limit of iterations" if status == Status.ITERATION_LIMIT else "made no further progress"
         return f"{status.name}: the QP of the sample {why}; the control is safe but not optimal"
     return str(status)
@@ -148,14 +149,8 @@ def _model(ctrl: Controller) -> Iterator[str]:
             return
 
 
-#: Members of a linearised node -> what they are.
-_PARTS: Mapping[str, str] = {
-    "b": "the gap",
-    "S": "the derivatives of the model",
-    "h": "the rows",
-    "J": "the derivatives of the rows",
-    "g": "the gradient of the cost",
-}
+#: Members of a linearised node.
+_PARTS = ("b", "S", "h", "J", "g")
 
 
 def _linearisation(ctrl: Controller) -> Iterator[str]:
@@ -170,17 +165,30 @@ def _linearisation(ctrl: Controller) -> Iterator[str]:
     if first:
         part = min(first, key=lambda name: first[name])
         k = first[part]
-        what = f"state {_gaps(ctrl, k)} at node {k + 1}" if part == "b" else f"{_PARTS[part]} at node {k}"
+        what, parts = _part(ctrl, part, k)
+        suspects = [o.text for o in ctrl.description.program.operations if any(q.name in parts for q in o.quantities)]
+        look = f" (look at {', '.join(dict.fromkeys(suspects[:MOST]))})" if suspects else ""
         yield (
-            f"not finite in the plan that was linearised: {what}; the plan has been restarted at the measured state; "
-            "if that happens again, check what writes to ctrl.x and ctrl.u, and bound the states"
+            f"not finite in the plan that was linearised: {what}{look}; the plan has been restarted at the measured "
+            "state; if that happens again, check what writes to ctrl.x and ctrl.u, and bound the states"
         )
 
 
-def _gaps(ctrl: Controller, interval: int) -> str:
-    """The states whose gap at the end of an interval is not finite."""
-    bad = ~np.isfinite(ctrl.view("node.b")[interval])
-    return ", ".join(name for name, is_bad in zip(ctrl.names.states, bad, strict=True) if is_bad)
+def _part(ctrl: Controller, part: str, k: int) -> tuple[str, list[str]]:
+    """What is not finite in a member of linearised node ``k``, and the names of the quantities that it belongs to."""
+    if part == "g":
+        found = {q.name for o in ctrl.description.program.operations for q in o.quantities}
+        return f"gradient of the cost at node {k}", [name for name in found if "residual" in name or "cost" in name]
+    values = ctrl.view(f"node.{part}")[k]
+    bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+    if part in "hJ":
+        rows = [r.name for r in ctrl.description.rows if r.kind == "general" and r.index >= 0 and bad[r.index]]
+        words = f"{'derivatives of ' if part == 'J' else ''}row {', '.join(map(repr, rows))} at node {k}"
+        return words, [f"row {name!r}" for name in rows]
+    states = [name for name, is_bad in zip(ctrl.names.states, bad, strict=True) if is_bad]
+    parts = [f"the {kind} of {name}" for name in states for kind in ("equation", "map")]
+    listed = ", ".join(states)
+    return f"state {listed} at node {k + 1}" if part == "b" else f"derivatives of {listed} at node {k + 1}", parts
 
 
 # -- where it is far from a solution ----------------------------------------------------------------------------------
