@@ -407,7 +407,10 @@ class Controller:
         return f"<Controller {self._package.name}: {sizes}, {self.profile}, {self.nbytes} bytes, {self.status.name}>"
 
     def __getattr__(self, attribute: str) -> Any:
-        """Explain attributes that do not exist, those of other tools among them."""
+        """Explain attributes that do not exist, those of other tools too; of a property, repeat its own error."""
+        of_class = getattr(type(self), attribute, None)
+        if isinstance(of_class, property):
+            return of_class.__get__(self)
         raise missing("Controller", attribute, OF_CONTROLLER, dir(type(self)))
 
     # -- copies -----------------------------------------------------------------------------------------------------
