@@ -270,7 +270,7 @@ def cone_at_rest() -> str:
     return warned(ocp)
 
 
-@fault("state 'end' is 0", "scales all derivatives", "ocp.state('end', initial=1.0)")
+@fault("state 'end' is 0", "scales the derivatives", "ocp.state('end', initial=1.0)")
 def end_time_of_zero() -> str:
     """build(): a free end time that starts at 0."""
     ocp = OCP("free", T=1.0, N=5)

@@ -79,7 +79,7 @@ def test_a_norm_at_zero_is_named_before_and_after_it_fails(where: str, compiler:
     ctrl.reset()
     ctrl.solve([0.0, 0.0])
     assert named in ctrl.diagnose()
-    assert "write sqrt(p[0]**2 + p[1]**2 + 1e-6)" in ctrl.diagnose()
+    assert f"write sqrt(p[0]**2 + p[1]**2 + {'1e-3' if where == 'equation' else '1e-6'})" in ctrl.diagnose()
     assert ("bound the square instead" in ctrl.diagnose()) == (where == "row")
     assert "GaussNewton" not in ctrl.diagnose()
 
@@ -87,7 +87,8 @@ def test_a_norm_at_zero_is_named_before_and_after_it_fails(where: str, compiler:
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("where", PARTS)
 def test_the_remedies_for_a_norm_work(where: str) -> None:
-    remedies = [lambda p: ca.sqrt(ca.sumsqr(p) + 1e-6), *((ca.sumsqr,) if where == "row" else ())]
+    eps = 1e-3 if where == "equation" else 1e-6
+    remedies = [lambda p: ca.sqrt(ca.sumsqr(p) + eps), *((ca.sumsqr,) if where == "row" else ())]
     for remedy in remedies:
         ocp = point(where, remedy)
         assert not texts(ocp)
@@ -180,6 +181,15 @@ def test_two_controls_that_wait_for_each_other() -> None:
     assert [t.partition(" is 0")[0] for t in texts(ocp)] == ["product: control 'u'", "product: control 'w'"]
 
 
+def test_an_end_time_that_is_a_control() -> None:
+    """It waits for the speed, the speed for it."""
+    ocp = OCP("both", T=1.0, N=20)
+    p, v, end, a = ocp.state("p", initial=2.0), ocp.state("v"), ocp.control("end"), ocp.control("a")
+    ocp.dynamics({p: end * v, v: end * a})
+    ocp.least_squares(ca.vertcat(p, v, a, end), weight=[1, 1, 0.1, 0.1])
+    assert len(texts(ocp)) == 2
+
+
 def test_influence_that_comes_with_the_first_steps_is_no_fault() -> None:
     """A car that stands: its wheels turn it once it moves. Data that are parameters: they change."""
     car = OCP("car", T=2.0, N=10)
@@ -235,6 +245,59 @@ def test_a_gradient_that_vanishes_inside_the_bounds_is_no_fault() -> None:
     assert ["row 'unit': its gradient vanishes" in text for text in texts(ocp)] == [True]
 
 
+def test_a_bound_that_always_holds_is_no_fault() -> None:
+    """The lower bound 0 of a sum of squares; a row with a path and an end is named once."""
+    ocp = OCP("squares", T=1.0, N=4)
+    x, u = ocp.state("x", size=2), ocp.control("u", size=2)
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), weight=1)
+    ocp.subject_to(0, ca.sumsqr(x), 4, name="ring")
+    assert not texts(ocp)
+    ocp.subject_to(1, ca.sumsqr(x), 5, name="away")
+    (found,) = texts(ocp)
+    assert "row 'away'" in found
+
+
+def test_a_control_without_weight_that_waits_for_another() -> None:
+    """Steering of a car that stands: the first QP does not determine it."""
+    ocp = OCP("parked", T=2.0, N=20)
+    x, y, h, v = (ocp.state(name) for name in ("x", "y", "psi", "v"))
+    a, d = ocp.control("a"), ocp.control("delta")
+    ocp.dynamics({x: v * ca.cos(h), y: v * ca.sin(h), h: v * ca.tan(d) / 2, v: a})
+    ocp.least_squares(ca.vertcat(x - 5, y - 1, h, v, a), weight=[1, 1, 0.1, 0.1, 0.1])
+    (found,) = texts(ocp)
+    assert "control 'delta' has neither a weight nor an influence" in found
+    assert "least_squares(delta, weight=1e-2)" in found
+    ocp.least_squares(d, weight=1e-2)
+    assert not texts(ocp)
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_an_end_time_beside_a_clock_and_in_a_map(discrete: bool) -> None:
+    ocp = OCP("clock", **({"N": 10} if discrete else {"T": 1.0, "N": 10}))
+    p, v, s = ocp.state("p", initial=2.0), ocp.state("v"), ocp.state("s")
+    end, a = ocp.state("end"), ocp.control("a")
+    flow = {p: end * v, v: end * a, s: 1, end: 0}
+    ocp.dynamics({p: p + end * v, v: v + end * a, s: s + 1, end: end} if discrete else flow, discrete=discrete)
+    ocp.free_initial(end)
+    ocp.stage_cost(end + a**2)
+    ocp.terminal_cost(p**2 + v**2)
+    (found,) = texts(ocp)
+    assert "state 'end' is 0 at the first plan and scales the derivatives" in found
+
+
+def test_a_parameter_that_is_set_later_is_no_fault() -> None:
+    """A mass of 0 in a denominator; a step before it is set says so."""
+    ocp = OCP("mass", T=2.0, N=20)
+    p, v, F, m = ocp.state("p", initial=1.0), ocp.state("v"), ocp.control("F"), ocp.parameter("m")
+    ocp.dynamics({p: v, v: F / m})
+    ocp.least_squares(ca.vertcat(p, v, F), weight=[1, 1, 0.1])
+    assert not texts(ocp)
+    ctrl = build(ocp, profile="test")
+    ctrl.step([1.0, 0.0])
+    assert "F / m is not finite where the denominator is 0; set the parameters in it" in ctrl.diagnose()
+
+
 @pytest.mark.parametrize("given", ["state", "parameter"])
 def test_an_end_time_of_zero(given: str) -> None:
     def landing(value: float) -> OCP:
@@ -250,7 +313,7 @@ def test_an_end_time_of_zero(given: str) -> None:
 
     word = "initial" if given == "state" else "value"
     (found,) = texts(landing(0.0))
-    assert f"{given} 'end' is 0 at the first plan and scales all derivatives" in found
+    assert f"{given} 'end' is 0 at the first plan and scales the derivatives" in found
     assert f"ocp.{given}('end', {word}=1.0)" in found
     assert not texts(landing(1.0))
 

@@ -201,3 +201,9 @@ def test_progress_bar_on_long_runs_at_a_terminal(
     monkeypatch.setattr(sys, "stderr", stream)
     simulate(toy, X0, steps)
     assert ("toy" in stream.getvalue()) == shown
+
+
+def test_a_plant_that_explodes_says_from_where(toy: Controller) -> None:
+    message = r"after sample 0 is not finite: \[nan, 0\.0\]; it moved from p = 0\.1, v = 0\.2, .*the sample: OK: solved"
+    with pytest.raises(ControllerError, match=message):
+        simulate(toy, [0.1, 0.2], 3, plant=lambda x, u, dt: [np.nan, 0.0])

@@ -18,7 +18,7 @@ from nmpc_codegen.runtime.diagnosis.domains import EDGES
 from nmpc_codegen.runtime.diagnosis.program import Operation, Program, Quantity, Step
 
 #: Longer texts of operations are cut.
-LONGEST = 60
+LONGEST = 100
 
 
 def program(problem: Problem) -> Program:
@@ -159,7 +159,7 @@ def _texts(kernel: Kernel, problem: Problem) -> list[str]:
             form = _WRITTEN.get(ins.opcode, operation.c)
             text = form.format(*operands, fn=operation.function, one="1", zero="0")
             if len(text) > LONGEST:
-                text, binds = f"{operation.function}(...)", _ATOM
+                text, binds = f"{operation.function}(...)" if operation.function else "...", _ATOM
         texts.append(text)
         binding.append(binds)
     return texts

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen.frontend.problem import Array, Problem, Stage
+from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 from nmpc_codegen.ir.casadi_types import Expression, Function
-from nmpc_codegen.lowering.growth import first_plan
+from nmpc_codegen.lowering.growth import Marks, first_plan
 from nmpc_codegen.runtime.diagnosis.domains import in_words, locate
 from nmpc_codegen.runtime.diagnosis.program import Program
 
@@ -27,67 +27,58 @@ ACTIVE = 1e-9
 def first_plan_warnings(problem: Problem, program: Program, second: bool) -> tuple[str, ...]:
     """One text for everything that cannot work at the first plan; ``second``: second derivatives are evaluated."""
     x, u = first_plan(problem)
-    return (
-        *_not_finite(problem, program, second, x, u),
-        *_end_time(problem, x, u),
-        *_without_influence(problem, x, u),
-        *_without_gradient(problem, x, u),
-    )
+    still = tuple(_end_time(problem, x, u)) or tuple(_without_influence(problem, x, u))
+    return (*_not_finite(problem, program, second, x, u), *still, *_without_gradient(problem, x, u))
 
 
 def _not_finite(problem: Problem, program: Program, second: bool, x: Array, u: Array) -> Iterator[str]:
     nodes = problem.N + 1
     plan = (np.tile(x, (nodes, 1)), np.tile(u, (problem.N, 1)), np.tile(problem.p_value, (nodes, 1)))
-    for text in in_words(locate(program, *plan, second)):
+    found = [finding for finding in locate(program, *plan, second) if not finding.given]
+    for text in in_words(found):
         yield f"the first plan has no finite derivatives: {text}"
 
 
 def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
-    """Constant states and parameters at 0 that scale all derivatives."""
-    if problem.discrete:
-        return
-    names = (*problem.state_names, *problem.parameter_names)
-    values = np.concatenate([x, problem.p_value])
-    draws = [np.concatenate([d, problem.p_value + _noise(problem.np, k)]) for k, d in enumerate(_drawn(x))]
-    controls = [u + 1 + _noise(problem.nu, k) for k in range(DRAWN)]
+    """Constant states at 0 without which no control moves anything, and parameters at 0 that scale all derivatives."""
+    path = problem.path
+    f = problem.dynamics(path.x, path.u, path.p)
+    slopes = _function(path, [ca.densify(f), ca.densify(ca.jacobian(f, path.u))])
+    draws = [
+        (d, u + 1 + _noise(problem.nu, k), problem.p_value + _noise(problem.np, k)) for k, d in enumerate(_drawn(x))
+    ]
 
-    def slopes(index: int, value: float) -> Array:
+    def at(kind: str, i: int, value: float) -> tuple[Array, Array]:
+        """Derivatives, or steps of the map, at all draws with element i set; influence of the controls there."""
         found = []
-        for point, control in zip(draws, controls, strict=True):
-            at = point.copy()
-            at[index] = value
-            found.append(np.asarray(problem.dynamics(at[: problem.nx], control, at[problem.nx :]), dtype=float).ravel())
-        return np.array(found)
+        for states, controls, parameters in draws:
+            z, p = states.copy(), parameters.copy()
+            (z if kind == "state" else p)[i] = value
+            rate, influence = (np.asarray(v, dtype=float) for v in slopes(z, controls, p, problem.dt[0]))
+            found.append((rate.ravel() - (z if problem.discrete else 0), influence))
+        return np.array([rate for rate, _ in found]), np.array([influence for _, influence in found])
 
-    for i in map(int, np.flatnonzero(values == 0)):
-        moving = slopes(i, 1.0)
-        if np.any(slopes(i, 0.0)) or not np.any(moving) or (i < problem.nx and np.any(moving[:, i])):
-            continue
-        kind, option = ("state", "initial") if i < problem.nx else ("parameter", "value")
-        yield (
-            f"{kind} '{names[i]}' is 0 at the first plan and scales all derivatives, so nothing moves there: "
-            f"give it another value, e.g. ocp.{kind}({names[i].partition('[')[0]!r}, {option}=1.0)"
-        )
+    for kind, values, names, option in (
+        ("state", x, problem.state_names, "initial"),
+        ("parameter", problem.p_value, problem.parameter_names, "value"),
+    ):
+        for i in map(int, np.flatnonzero(values == 0)):
+            (still, without), (moving, influence) = at(kind, i, 0.0), at(kind, i, 1.0)
+            if kind == "state":
+                scales = not np.any(moving[:, i]) and not np.any(without) and np.any(influence)
+            else:
+                scales = not np.any(still) and np.any(moving)
+            if scales:
+                yield (
+                    f"{kind} '{names[i]}' is 0 at the first plan and scales the derivatives, so that no control moves "
+                    f"anything: give it another value, e.g. ocp.{kind}({names[i].partition('[')[0]!r}, {option}=1.0)"
+                )
 
 
 def _without_influence(problem: Problem, x: Array, u: Array) -> Iterator[str]:
-    """Controls whose first derivatives vanish in dynamics, cost and rows at their first value, whatever the states, the
-    parameters and the other controls that do have an influence."""
-    path = problem.path
-    f = problem.dynamics(path.x, path.u, path.p)
-    slopes = ca.vertcat(ca.SX(0, problem.nu), *(ca.jacobian(part, path.u) for part in _costs(path)))
-    jacobians = [ca.jacobian(f, path.u), ca.jacobian(path.h, path.u)]
-    evaluate = _function(path, [ca.densify(j) for j in (*jacobians, slopes)])
-    moves = np.array([not any(rows) for rows in np.asarray(ca.DM(jacobians[0].sparsity(), 1)).T], dtype=bool)
-    for _ in range(problem.nu):  # each pass may move a control that gives others an influence
-        found = np.zeros(problem.nu, dtype=bool)
-        for k in range(DRAWN):
-            control = np.where(moves, u + _noise(problem.nu, k), u)
-            parts = evaluate(_drawn(x)[k], control, problem.p_value + _noise(problem.np, k), problem.dt[0])
-            for part in parts:
-                size = np.abs(np.asarray(part, dtype=float)).reshape(-1, problem.nu)
-                found |= np.any((size > 0) | ~np.isfinite(size), axis=0)
-        moves |= found
+    """Controls whose first derivatives vanish in dynamics, cost and rows at the first plan, and to which states and
+    controls that move do not give any; and those without a weight that wait for others."""
+    at_plan, moves = _movable(problem, x, u)
     for j in np.flatnonzero(~moves):
         yield (
             f"control '{problem.control_names[j]}' is {u[j]:g} at the first plan, where its first derivatives in "
@@ -95,6 +86,40 @@ def _without_influence(problem: Problem, x: Array, u: Array) -> Iterator[str]:
             "after build() and after every reset(); or state a residual of it with another reference; or take the "
             "whole term that contains it as the control"
         )
+    curvature = sum(
+        (ca.hessian(part, problem.path.u)[0] for part in _costs(problem.path)), ca.SX(problem.nu, problem.nu)
+    )
+    H = np.asarray(_function(problem.path, [ca.densify(curvature)])(x, u, problem.p_value, problem.dt[0]), dtype=float)
+    for j in np.flatnonzero(moves & ~at_plan & ~np.any(H, axis=1)):
+        name = problem.control_names[j]
+        yield (
+            f"control '{name}' has neither a weight nor an influence at the first plan, so that the first QP does not "
+            f"determine it: give it a weight, e.g. least_squares({name}, weight=1e-2)"
+        )
+
+
+def _movable(problem: Problem, x: Array, u: Array) -> tuple[Marks, Marks]:
+    """Controls with an influence at the first plan, and those that get one by states and controls that move; parameters
+    are drawn. Controls that are not in the dynamics count as both."""
+    path = problem.path
+    f = problem.dynamics(path.x, path.u, path.p)
+    jacobians = [ca.jacobian(f, path.u), ca.jacobian(path.h, path.u)]
+    slopes = ca.vertcat(ca.SX(0, problem.nu), *(ca.jacobian(part, path.u) for part in _costs(path)))
+    evaluate = _function(path, [ca.densify(part) for part in (f, *jacobians, slopes)])
+    moves = ~np.any(np.asarray(ca.DM(jacobians[0].sparsity(), 1)), axis=0)
+    moved, at_plan = np.zeros(problem.nx, dtype=bool), moves
+    for count in range(problem.nx + problem.nu + 1):
+        seen = moves
+        for k in range(DRAWN):
+            state = np.where(moved, _drawn(x)[k], x)
+            control = np.where(moves, u + _noise(problem.nu, k), u)
+            rate, *parts = evaluate(state, control, problem.p_value + _noise(problem.np, k), problem.dt[0])
+            moved = moved | (np.asarray(rate, dtype=float).ravel() - (state if problem.discrete else 0) != 0)
+            sizes = [np.abs(np.asarray(part, dtype=float)).reshape(-1, problem.nu) for part in parts]
+            seen = seen | np.any([np.any((size > 0) | ~np.isfinite(size), axis=0) for size in sizes], axis=0)
+        at_plan = seen if count == 0 else at_plan
+        moves = seen
+    return at_plan, moves
 
 
 def _costs(stage: Stage) -> list[Expression]:
@@ -105,7 +130,8 @@ def _costs(stage: Stage) -> list[Expression]:
 
 
 def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
-    """General rows that are active or violated, but whose gradient is 0."""
+    """General rows that are violated, or active and may become so, but whose gradient is 0; once per row."""
+    said: set[str] = set()
     for stage, control in ((problem.path, u), (problem.terminal, np.zeros(0))):
         if not stage.nh:
             continue
@@ -115,18 +141,28 @@ def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
         other = np.asarray(evaluate(x, control, problem.p_value + _noise(problem.np, 0), problem.dt[0])[1], dtype=float)
         for row in problem.rows:
             at = row.index if stage is problem.path else row.index_terminal
-            if row.kind != "general" or at < 0 or np.any(J[at]) or np.any(other[at]):
+            if row.kind != "general" or at < 0 or row.name in said or np.any(J[at]) or np.any(other[at]):
                 continue
-            value = h[at, 0]
-            room = min(_room(value - row.lower, row.lower), _room(row.upper - value, row.upper))
-            if room <= ACTIVE:
+            H = _function(stage, [ca.densify(ca.hessian(stage.h[at], z)[0])])
+            curvature = np.nan_to_num(np.asarray(H(x, control, problem.p_value, problem.dt[0]), dtype=float))
+            if _is_lost(h[at, 0], row, curvature):
+                said.add(row.name)
                 cone = "; a cone w**2 <= g**2 v**2 is better stated as -g v <= w and w <= g v"
                 yield (
-                    f"row '{row.name}': its gradient vanishes at the first plan, where it is {value:g} and its bounds "
-                    f"are {row.lower:g} and {row.upper:g}, so that QPs do not see it: start where it has one, by "
-                    "initial=, references of controls, or ctrl.x and ctrl.u after build()"
+                    f"row '{row.name}': its gradient vanishes at the first plan, where it is {h[at, 0]:g} and its "
+                    f"bounds are {row.lower:g} and {row.upper:g}, so that QPs do not see it: start where it has one, "
+                    "by initial=, references of controls, or ctrl.x and ctrl.u after build()"
                     f"{cone if row.lower != row.upper else ''}"
                 )
+
+
+def _is_lost(value: float, row: Row, curvature: Array) -> bool:
+    """Whether a row without a gradient is violated, or active with a curvature that leads out of its bounds."""
+    below, above = _room(value - row.lower, row.lower), _room(row.upper - value, row.upper)
+    if min(below, above) < -ACTIVE:
+        return True
+    eigenvalues = np.linalg.eigvalsh(curvature)
+    return bool((below <= ACTIVE and eigenvalues.min() < 0) or (above <= ACTIVE and eigenvalues.max() > 0))
 
 
 def _room(distance: float, bound: float) -> float:

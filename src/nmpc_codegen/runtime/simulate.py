@@ -10,6 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -187,7 +188,8 @@ def simulate(
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
         p[k] = parameters(ctrl)[0]
-        x[k + 1] = _state(move(x[k].copy(), u[k].copy(), interval), nx, f"the plant's state after sample {k}")
+        moved = move(x[k].copy(), u[k].copy(), interval)
+        x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
         if disturbance is not None:
             x[k + 1] += _state(disturbance(k, x[k].copy()), nx, f"the disturbance of sample {k}")
     h = row_values(ctrl, x[:-1], u, p)[:, numbers]
@@ -260,7 +262,17 @@ def _own_plant(ctrl: Controller) -> Plant:
     return integrate
 
 
-def _state(value: ArrayLike, nx: int, what: str) -> Array:
+def _before(ctrl: Controller, x: Array, u: Array) -> str:
+    """From where the plant has moved, and what was said of the sample."""
+    signals = zip((*ctrl.names.states, *ctrl.names.controls), (*x, *u), strict=True)
+    start = ", ".join(f"{name} = {value:.4g}" for name, value in signals)
+    return (
+        f"; it moved from {start}. The integrator of the package needs more steps there, or plant= another one; "
+        f"the sample: {ctrl.diagnose()}"
+    )
+
+
+def _state(value: ArrayLike, nx: int, what: str, before: Callable[[], str] = str) -> Array:
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -268,7 +280,7 @@ def _state(value: ArrayLike, nx: int, what: str) -> Array:
     if array.shape != (nx,):
         raise ControllerError(f"{what} has shape {array.shape}; expected ({nx},)")
     if not np.all(np.isfinite(array)):
-        raise ControllerError(f"{what} is not finite: {array.tolist()}")
+        raise ControllerError(f"{what} is not finite: {array.tolist()}{before()}")
     return array
 
 

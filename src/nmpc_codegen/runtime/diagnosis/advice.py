@@ -34,11 +34,14 @@ def advice(ctrl: Controller, solved: bool, warned: bool) -> Iterator[str]:
         yield "call prepare() before feedback(), or step()"
     elif status == Status.NUMERICAL_FAILURE:
         yield from _numerical(options)
-        yield from () if warned else (SCALE, *_another_qp(options))
+        yield from () if warned else (*_another_qp(options), SCALE)
     elif status == Status.NOT_CONVERGED:
         yield from _not_converged(ctrl)
     elif status in (Status.ITERATION_LIMIT, Status.STALLED, Status.SUBPROBLEM_FAILED):
-        yield from _of_solve(ctrl, warned) if solved or not has_qp(options) else _of_qp(options)
+        if solved:
+            yield from _of_solve(ctrl, warned)
+        else:
+            yield from _of_qp(options) if has_qp(options) else _not_converged(ctrl)
 
 
 def has_qp(options: str) -> bool:
@@ -57,8 +60,6 @@ def row_advice(ctrl: Controller, node: int | None) -> str:
 def _numerical(options: str) -> Iterator[str]:
     if "regularization=None" in options:
         yield "the Hessian may be indefinite: try ExactHessian(regularization=Mirror())"
-    elif "hessian=GaussNewton(" in options and "levenberg_marquardt=0.0" in options:
-        yield "if a control has no weight, give it one, or try Options(hessian=GaussNewton(levenberg_marquardt=1e-8))"
     if "precision='single'" in options:
         yield 'rounding may be the cause: try Options(precision="double")'
 

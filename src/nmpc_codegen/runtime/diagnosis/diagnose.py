@@ -26,6 +26,10 @@ MOST, LISTED = 3, 12
 #: What precedes a warning of the compiler.
 WARNED = "warning at build: "
 
+#: Words of those that concern the first plan, and of those about numbers that are not finite there; number of samples
+#: up to which they matter.
+FIRST_PLAN, NOT_FINITE, EARLY = "first plan", "the first plan has no finite derivatives", 3
+
 #: Statuses that a number that is not finite can cause.
 _OF_NUMBERS = (
     *(Status.NUMERICAL_FAILURE, Status.NOT_FINITE, Status.STALLED),
@@ -49,11 +53,18 @@ def diagnosis(ctrl: Controller, measured: Array, solved: bool) -> str:
         spoilt = [f"since then: {text}" for text in _plan(ctrl)]
         return "\n".join([str(status), *spoilt, *_left_by_samples(ctrl), *stale])
     broken = next(filter(None, (list(search) for search in _broken(ctrl, measured))), [])
-    warnings = () if status in _BEFORE else ctrl.description.report.warnings
-    warned = [f"{WARNED}{text}" for text in warnings if not any(line in text for line in broken)]
+    warned = [f"{WARNED}{text}" for text in _warnings(ctrl, solved) if not (broken and text.startswith(NOT_FINITE))]
     tried = [] if broken else [*advice(ctrl, solved, bool(warned))]
     where = [] if broken else [*_rows(ctrl, solved), *_largest_gap(ctrl, solved)]
     return "\n".join(dict.fromkeys([_headline(ctrl, solved, bool(broken)), *broken, *where, *tried, *warned, *stale]))
+
+
+def _warnings(ctrl: Controller, solved: bool) -> tuple[str, ...]:
+    """What the compiler has warned of, as far as it matters by now."""
+    if ctrl.status in _BEFORE:
+        return ()
+    late = not solved and ctrl.member("samples").size and int(ctrl.member("samples")) > EARLY
+    return tuple(text for text in ctrl.description.report.warnings if not (late and FIRST_PLAN in text))
 
 
 def _headline(ctrl: Controller, solved: bool, broken: bool) -> str:
@@ -204,7 +215,7 @@ def _rows(ctrl: Controller, solved: bool) -> Iterator[str]:
         more = [str(v) for v in others if v.row.name != stats.violated_row][: MOST - 1]
         if more:
             yield f"of the plan, also {'; '.join(more)}"
-    elif solved or status == Status.NOT_CONVERGED:
+    elif status not in _BEFORE:
         yield from map(str, violations(ctrl)[:MOST])
 
 

@@ -44,14 +44,23 @@ class Finding:
         return f"{self.where} at {_nodes(self.nodes)}: {self.operation.text} {what} where {self.arguments}"
 
     @property
+    def given(self) -> bool:
+        """True if only parameters decide whether the operand is inside the domain."""
+        first, second = self.operation.moved
+        return not second if self.operation.name == "div" else not (first or second)
+
+    @property
     def remedy(self) -> str:
         """What to write instead, and where the plan has to stay."""
+        if self.given:
+            return "set the parameters in it: parameter(name, value=...), set_parameter()"
         edge = EDGES[self.operation.name]
         a, b = (f"({text})" if " " in text else text for text in self.operation.texts)
         found = ["bound the square instead"] if self.squares and edge.root else []
         if edge.instead and (self.order or not edge.root):
-            found.append(f"write {edge.instead.format(a=a, b=b, sum=self.operation.texts[0])}")
-        if self.nodes[-1] > 0 and not (edge.root and self.order):
+            eps = "1e-3" if self.where.startswith(("the equation", "the map")) else "1e-6"
+            found.append(f"write {edge.instead.format(a=a, b=b, sum=self.operation.texts[0], eps=eps)}")
+        if self.nodes[-1] > 0:
             found.append("keep the plan away from there: bounds, initial=, ctrl.x, ctrl.u")
         return "; or ".join(found) or "the measured state is outside of the domain: check its units"
 
@@ -85,11 +94,15 @@ def locate(program: Program, x: Array, u: Array, p: Array, second: bool) -> list
 
 
 def in_words(found: Sequence[Finding]) -> Iterator[str]:
-    """One text per operation: where it leaves its domain first, in which other parts, and what to do."""
+    """One text per operation: where it leaves its domain first, in which other parts, and what to do.
+
+    Operations that contain another one of them are left out.
+    """
     groups: dict[str, list[Finding]] = {}
     for finding in found:
         groups.setdefault(finding.operation.text, []).append(finding)
-    for first, *others in groups.values():
+    inner = [text for text in groups if not any(other != text and other in text for other in groups)]
+    for first, *others in (groups[text] for text in inner):
         names = list(dict.fromkeys(f.where for f in others))
         listed = ", ".join(names[:MOST]) + (f" and {len(names) - MOST} more" if len(names) > MOST else "")
         yield f"{first}{', also in ' if names else ''}{listed}; {first.remedy}"
@@ -123,8 +136,9 @@ def _of_operation(operation: Operation, values: Sequence[Array], second: bool) -
 class Edge:
     """Where derivatives of an operation are not finite although its value is: of first, and only of second order.
 
-    ``instead``: what is finite there, with the operands {a} and {b}, and {sum} for the first one in a sum; "" if there
-    is nothing of the kind. ``root``: it is a norm.
+    ``instead``: what is finite there, with the operands {a} and {b}, {sum} for the first one in a sum, {eps} for a
+    small number, which makes equations less stiff if it is larger; "" if there is nothing of the kind. ``root``: it is
+    a norm.
     """
 
     first: Test
@@ -155,8 +169,8 @@ _INVERSE = "{a} / ({a}**2 + 1e-6)"
 _ANGLE = "the direction (sin, cos) instead of the angle, or atan2({a}, {b} + 1e-3) if {b} >= 0"
 
 EDGES: Mapping[str, Edge] = {
-    "sqrt": Edge(lambda a, b: a <= 0, instead="sqrt({sum} + 1e-6)", root=True),
-    "hypot": Edge(lambda a, b: (a == 0) & (b == 0), instead="sqrt({a}**2 + {b}**2 + 1e-6)", root=True),
+    "sqrt": Edge(lambda a, b: a <= 0, instead="sqrt({sum} + {eps})", root=True),
+    "hypot": Edge(lambda a, b: (a == 0) & (b == 0), instead="sqrt({a}**2 + {b}**2 + {eps})", root=True),
     "atan2": Edge(lambda a, b: (a == 0) & (b == 0), instead=_ANGLE),
     "pow": Edge(_power_first, _power_second, instead=_POWER),
     "constpow": Edge(_power_first, _power_second, instead=_POWER),
