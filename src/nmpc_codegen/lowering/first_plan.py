@@ -107,18 +107,20 @@ def _movable(problem: Problem, x: Array, u: Array) -> tuple[Marks, Marks]:
     slopes = ca.vertcat(ca.SX(0, problem.nu), *(ca.jacobian(part, path.u) for part in _costs(path)))
     evaluate = _function(path, [ca.densify(part) for part in (f, *jacobians, slopes)])
     moves = ~np.any(np.asarray(ca.DM(jacobians[0].sparsity(), 1)), axis=0)
-    moved, at_plan = np.zeros(problem.nx, dtype=bool), moves
-    for count in range(problem.nx + problem.nu + 1):
-        seen = moves
+    moved, at_plan = np.zeros(problem.nx, dtype=bool), np.zeros(0, dtype=bool)
+    for _ in range(problem.nx + problem.nu + 1):
+        seen, going = moves, moved
         for k in range(DRAWN):
             state = np.where(moved, _drawn(x)[k], x)
             control = np.where(moves, u + _noise(problem.nu, k), u)
             rate, *parts = evaluate(state, control, problem.p_value + _noise(problem.np, k), problem.dt[0])
-            moved = moved | (np.asarray(rate, dtype=float).ravel() - (state if problem.discrete else 0) != 0)
+            going = going | (np.asarray(rate, dtype=float).ravel() - (state if problem.discrete else 0) != 0)
             sizes = [np.abs(np.asarray(part, dtype=float)).reshape(-1, problem.nu) for part in parts]
             seen = seen | np.any([np.any((size > 0) | ~np.isfinite(size), axis=0) for size in sizes], axis=0)
-        at_plan = seen if count == 0 else at_plan
-        moves = seen
+        at_plan = at_plan if at_plan.size else seen
+        if np.array_equal(seen, moves) and np.array_equal(going, moved):
+            break
+        moves, moved = seen, going
     return at_plan, moves
 
 
