@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,40 +13,8 @@ from nmpc_codegen.host.lanes import in_lanes, transpose
 from nmpc_codegen.lowering.generated import MATH, MATH_IN_LANES, own_names, own_text
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.runtime.build import find_compiler
+from nmpc_codegen.runtime.diagnosis.program import OF_ONE, OF_TWO
 
-#: Function of one argument -> its values in long double.
-EXACT: Mapping[str, Callable[..., Any]] = {
-    "exp": np.exp,
-    "expm1": np.expm1,
-    "log": np.log,
-    "log1p": np.log1p,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "sinh": np.sinh,
-    "cosh": np.cosh,
-    "tanh": np.tanh,
-    "asinh": np.arcsinh,
-    "acosh": np.arccosh,
-    "atanh": np.arctanh,
-    "floor": np.floor,
-    "ceil": np.ceil,
-    "sqrt": np.sqrt,
-    "fabs": np.fabs,
-}
-#: The same for two arguments.
-EXACT_OF_TWO: Mapping[str, Callable[..., Any]] = {
-    "pow": np.power,
-    "atan2": np.arctan2,
-    "hypot": np.hypot,
-    "fmod": np.fmod,
-    "fmin": np.fmin,
-    "fmax": np.fmax,
-    "copysign": np.copysign,
-}
 #: Functions that have no text for lanes.
 SCALAR_ONLY = ("fmod",)
 LANE_PARTS = ("vector", "sqrt", "large_angles")
@@ -72,7 +39,7 @@ def source(single: bool, lanes: int, avx512: bool) -> str:
         texts += [resolve(read_part(f"lanes/{part}.c", lambda path: transpose(lanes)), sizes) for part in LANE_PARTS]
         texts.append(in_lanes(own_names(MATH_IN_LANES), sizes))
     for name in names():
-        second = ", w" if name in EXACT_OF_TWO else ""
+        second = ", w" if name in OF_TWO else ""
         loads = "memcpy(&v, x + i, sizeof v); memcpy(&w, y + i, sizeof w)"
         for prefix, ctype, width in (("own", "real_t", "1"), ("lanes", "lanes_t", "HOST_LANES")):
             if prefix == "lanes" and (lanes == 1 or name in SCALAR_ONLY):
@@ -159,6 +126,6 @@ def exact(name: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     with np.errstate(all="ignore"):
         if name == "fmod":
             return np.asarray(np.fmod(x, y)).astype(np.longdouble)
-        if name in EXACT_OF_TWO:
-            return np.asarray(EXACT_OF_TWO[name](x.astype(np.longdouble), y.astype(np.longdouble)))
-        return np.asarray(EXACT[name](x.astype(np.longdouble)))
+        if name in OF_TWO:
+            return np.asarray(OF_TWO[name](x.astype(np.longdouble), y.astype(np.longdouble)))
+        return np.asarray(OF_ONE[name](x.astype(np.longdouble)))

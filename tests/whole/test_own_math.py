@@ -23,10 +23,10 @@ from nmpc_codegen.cli.command import main
 from nmpc_codegen.lowering.generated import own_names
 from nmpc_codegen.lowering.parts import needed
 from nmpc_codegen.runtime.build import PROFILES
+from nmpc_codegen.runtime.diagnosis.program import OF_TWO
 from nmpc_codegen.runtime.package_description import Precision
 from verification import quality
 from verification.own_functions import (
-    EXACT_OF_TWO,
     LIMIT,
     SCALAR_ONLY,
     arguments,
@@ -54,7 +54,7 @@ def loaded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 def drawn(name: str, double: bool, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
     """Arguments, special values among them."""
     generator = np.random.default_rng(seed)
-    if name in EXACT_OF_TWO:
+    if name in OF_TWO:
         return pairs(TYPES[double], generator, SAMPLES)
     x = arguments(TYPES[double], generator, SAMPLES)
     return x, x

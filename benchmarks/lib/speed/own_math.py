@@ -20,10 +20,10 @@ from nmpc_codegen.firmware.targets import TARGETS
 from nmpc_codegen.firmware.toolchain import EMULATOR, PREFIX
 from nmpc_codegen.firmware.verify import verify
 from nmpc_codegen.runtime.build import PROFILES, host
+from nmpc_codegen.runtime.diagnosis.program import OF_TWO
 from nmpc_codegen.runtime.package_description import Precision
 from verification.closed_loop import compile_driver, run_driver
 from verification.own_functions import (
-    EXACT_OF_TWO,
     LIMIT,
     SAMPLES,
     SCALAR_ONLY,
@@ -60,7 +60,7 @@ def errors(report: Report, single: bool, profile: str, samples: int) -> None:
         loaded = library(Path(folder), single, 8, avx512, PROFILES[profile].flags)
         for name in names():
             random = np.random.default_rng(1)
-            x, y = pairs(dtype, random, samples) if name in EXACT_OF_TWO else (arguments(dtype, random, samples),) * 2
+            x, y = pairs(dtype, random, samples) if name in OF_TWO else (arguments(dtype, random, samples),) * 2
             values = exact(name, x, y)
             for lanes, prefix in ((1, "own"), (8, "lanes")):
                 if lanes > 1 and name in SCALAR_ONLY:

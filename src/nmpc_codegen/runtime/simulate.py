@@ -171,7 +171,7 @@ def simulate(
     numbers = _path_rows(ctrl)
     _check_steps(steps, ctrl, len(numbers))
     interval = _interval(ctrl, dt)
-    nx, nu = ctrl.dims.nx, ctrl.dims.nu
+    name, nx, nu = ctrl.description.name, ctrl.dims.nx, ctrl.dims.nu
     move = plant or _own_plant(ctrl)
     x, u = np.zeros((steps + 1, nx)), np.zeros((steps, nu))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
@@ -180,7 +180,7 @@ def simulate(
     reasons: dict[Status, str] = {}
     if warm_start:
         _solve_first(ctrl, x[0], reference)
-    for k in _progress(range(steps), ctrl.description.name):
+    for k in _progress(range(steps), name):
         if reference is not None:
             reference(k, ctrl)
         u[k] = ctrl.step(x[k])
@@ -198,7 +198,6 @@ def simulate(
     time_unit = "samples" if ctrl.description.discrete else "s"
     t = interval * np.arange(steps + 1, dtype=np.float64)
     general = tuple(Trace(ctrl.names.rows[numbers[i]], "", *path_bounds(ctrl, numbers[i])) for i in own)
-    name = ctrl.description.name
     return Log(name, t, x, u, status, cost, time_ns, states, controls, time_unit, h[:, own], general, reasons)
 
 

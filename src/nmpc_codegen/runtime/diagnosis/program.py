@@ -93,8 +93,8 @@ class Program:
 _remainder = np.vectorize(lambda a, b: math.remainder(a, b) if b and math.isfinite(a) else math.nan, otypes=[float])
 _erf = np.vectorize(math.erf, otypes=[float])
 
-#: Functions of one operand.
-_FUNCTIONS: Mapping[str, Callable[[Array], Any]] = {
+#: Functions of math.h by their names: of one operand, and of two.
+OF_ONE: Mapping[str, Callable[..., Any]] = {
     "sqrt": np.sqrt,
     "exp": np.exp,
     "expm1": np.expm1,
@@ -115,7 +115,15 @@ _FUNCTIONS: Mapping[str, Callable[[Array], Any]] = {
     "fabs": np.abs,
     "floor": np.floor,
     "ceil": np.ceil,
-    "sign": np.sign,
+}
+OF_TWO: Mapping[str, Callable[..., Any]] = {
+    "pow": np.power,
+    "atan2": np.arctan2,
+    "hypot": np.hypot,
+    "fmod": np.fmod,
+    "fmin": np.fmin,
+    "fmax": np.fmax,
+    "copysign": np.copysign,
 }
 
 
@@ -134,15 +142,8 @@ VALUES: Mapping[str, Callable[[Array, Array], Any]] = {
     "sq": lambda a, b: a * a,
     "twice": lambda a, b: a + a,
     "inv": lambda a, b: 1 / a,
-    "pow": np.power,
     "constpow": np.power,
-    "atan2": np.arctan2,
-    "hypot": np.hypot,
-    "fmin": np.fmin,
-    "fmax": np.fmax,
-    "fmod": np.fmod,
     "remainder": _remainder,
-    "copysign": np.copysign,
     "lt": np.less,
     "le": np.less_equal,
     "eq": np.equal,
@@ -152,5 +153,7 @@ VALUES: Mapping[str, Callable[[Array, Array], Any]] = {
     "or": lambda a, b: (a != 0) | (b != 0),
     "if_else_zero": lambda a, b: np.where(a != 0, b, 0.0),
     "erf": lambda a, b: _erf(a),
-    **{name: _of_first(function) for name, function in _FUNCTIONS.items()},
+    "sign": lambda a, b: np.sign(a),
+    **OF_TWO,
+    **{name: _of_first(function) for name, function in OF_ONE.items()},
 }
