@@ -49,7 +49,7 @@ class CompiledPackage:
         unknown = self.ffi.error if isinstance(self.ffi.error, tuple) else (self.ffi.error,)
         try:
             dims = self.description.dims
-            self.description.program.check((dims.nx, dims.nu, dims.np))
+            self.description.program.check((dims.nx, dims.nu, dims.np), dims.nr)
             layouts = {struct.name: self.description.dtype(struct.name) for struct in self.description.structs}
             for name, layout in layouts.items():
                 self._check_layout(name, layout)

@@ -33,7 +33,7 @@ REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.fl
 INTEGERS: dict[str, type[np.integer[Any]]] = {"int32": np.int32, "int64": np.int64}
 
 #: Version of the layout of <name>.json.
-FORMAT = 1
+FORMAT = 2
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -289,7 +289,7 @@ class PackageDescription:
     online: Layouts
     options: str
     report: Report
-    program: Program = field(default_factory=Program)
+    program: Program
 
     @property
     def dims(self) -> Dimensions:

@@ -61,8 +61,10 @@ class Program:
     rows: tuple[tuple[int, int], ...] = ()
     operations: tuple[Operation, ...] = ()
 
-    def check(self, sizes: Sequence[int]) -> None:
-        """ValueError unless all that it refers to exists; ``sizes``: of x, u and p."""
+    def check(self, sizes: Sequence[int], rows: int) -> None:
+        """ValueError unless all that it refers to exists; ``sizes``: of x, u and p; ``rows``: number of rows."""
+        if len(self.rows) != rows:
+            raise ValueError(f"the program has {len(self.rows)} rows, expected {rows}")
         for i, (name, first, second, _) in enumerate(self.steps):
             if name == "input":
                 known = 0 <= first < len(sizes) and 0 <= second < sizes[first]
