@@ -200,6 +200,15 @@ def plan_with_a_nan_in_a_sample() -> str:
     return ctrl.diagnose()
 
 
+@fault("parameter gain[1] at node 0 is not finite", "set_parameter()")
+def parameter_with_a_nan() -> str:
+    """NaN in a parameter, written past the setter."""
+    ctrl = made(cart())
+    ctrl.view("p")[:, 2] = np.nan
+    ctrl.step([0.0, 0.0])
+    return ctrl.diagnose()
+
+
 @fault("no finite x, v at the end of interval 0, from x = 0, v = 1000", "integration steps", "units")
 def model_that_explodes() -> str:
     """a model that leaves all numbers behind."""

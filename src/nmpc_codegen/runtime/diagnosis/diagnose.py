@@ -128,12 +128,17 @@ def _measured(ctrl: Controller, measured: Array) -> Iterator[str]:
 
 
 def _plan(ctrl: Controller) -> Iterator[str]:
-    """The first number of the plan that is not finite."""
-    for what, array, columns in (("state", ctrl.x, ctrl.names.states), ("control", ctrl.u, ctrl.names.controls)):
+    """The first number of the plan or of the parameters that is not finite."""
+    names = ctrl.names
+    for what, array, columns, remedy in (
+        ("state", ctrl.x, names.states, "of the plan is not finite: call reset(), or write the plan"),
+        ("control", ctrl.u, names.controls, "of the plan is not finite: call reset(), or write the plan"),
+        ("parameter", parameters(ctrl), names.parameters, "is not finite: set_parameter()"),
+    ):
         bad = np.argwhere(~np.isfinite(array))
         if len(bad):
             node, i = bad[0]
-            yield f"{what} {columns[i]} at node {node} of the plan is not finite: call reset(), or write the plan"
+            yield f"{what} {columns[i]} at node {node} {remedy}"
             return
 
 
