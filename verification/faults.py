@@ -90,9 +90,10 @@ def cart(where: str = "", f: Callable[[ca.SX, ca.SX], ca.SX] = lambda x, v: x, i
     """A cart; ``where``: the part that contains f(position, speed)."""
     ocp = OCP("cart", T=2.0, N=10)
     x, v, a = ocp.state("x", initial=initial), ocp.state("v"), ocp.control("a")
-    L, gain = ocp.parameter("L", value=1.0), ocp.parameter("gain", value=[1, 1], size=2)
+    L = ocp.parameter("L", value=1.0)
+    ocp.parameter("gain", value=[1, 1], size=2)
     ocp.dynamics({x: v, v: a * L + (f(x, v) if where == "equation" else 0)})
-    ocp.least_squares(ca.vertcat(x - 1, v, a), weight=[gain_free(gain), 1, 0.1])
+    ocp.least_squares(ca.vertcat(x - 1, v, a), weight=[1, 1, 0.1])
     ocp.terminal_least_squares(ca.vertcat(x - 1, v), weight=[10, 1])
     ocp.subject_to(-1, a, 1)
     if where == "residual":
@@ -102,11 +103,6 @@ def cart(where: str = "", f: Callable[[ca.SX, ca.SX], ca.SX] = lambda x, v: x, i
     if where in ("row", "soft row"):
         ocp.subject_to(-3, f(x, v) + 0 * a, 3, name="range", soft=(10, 1) if where == "soft row" else None)
     return ocp
-
-
-def gain_free(gain: ca.SX) -> float:
-    """A weight; the vector parameter is only there to be set."""
-    return float(gain.numel()) / 2
 
 
 def after_step(ocp: OCP, options: Options | None = None, x: tuple[float, ...] = (0.0, 0.0), samples: int = 1) -> str:

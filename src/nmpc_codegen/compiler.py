@@ -56,11 +56,16 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
         ProblemError: the problem is stated wrongly.
         OptionError: options clash, or a component does not support the problem.
     """
-    with COMPILING:
-        module = compiled(ocp, options, name)
-        sources = sealed(render(module), module.name)
+    module, sources = _rendered(ocp, options, name)
     _warn(module)
     return sources
+
+
+def _rendered(ocp: OCP, options: Options | None, name: str | None) -> tuple[CModule, Sources]:
+    """The last value before text, and the sealed text."""
+    with COMPILING:
+        module = compiled(ocp, options, name)
+        return module, sealed(render(module), module.name)
 
 
 def _warn(module: CModule) -> None:
@@ -71,12 +76,7 @@ def _warn(module: CModule) -> None:
 
 def for_every_goal(ocp: OCP, options: Options, name: str | None = None) -> dict[str, Sources]:
     """Goal -> the files of the package with this goal, for a processor without a vector unit."""
-    found: dict[str, Sources] = {}
-    for goal in GOALS:
-        with COMPILING:
-            module = compiled(ocp, replace(options, goal=goal, processor="scalar"), name)
-            found[goal] = sealed(render(module), module.name)
-    return found
+    return {goal: _rendered(ocp, replace(options, goal=goal, processor="scalar"), name)[1] for goal in GOALS}
 
 
 def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
@@ -160,8 +160,7 @@ def build(
     """
     target = host(lanes, profile)
     with COMPILING:
-        module = compiled(ocp, options, name)
-        sources = sealed(render(module), module.name)
+        module, sources = _rendered(ocp, options, name)
         if target.lanes > 1:
             sources[f"{module.name}_host.c"] = host_unit(module, target.lanes, target.avx512, target.tiles)
     _warn(module)

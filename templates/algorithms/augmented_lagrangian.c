@@ -190,7 +190,7 @@ static status_t judge(const solver_t *s, status_t status)
 /* Feedback phase for the measured state s->xhat. The plan changes only if it stays finite. */
 static status_t feedback_here(solver_t *s)
 {
-    int moved = 0, renewed = project_plan(s); /* bounds may have changed since prepare */
+    int moved = 0, renewed = project_plan(s); /* it may have been left, or its bounds changed, since prepare */
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
     s->auglag.proximal = proximal_weight[0];

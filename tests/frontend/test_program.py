@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -148,14 +149,17 @@ def test_what_only_parameters_reach_needs_no_derivative() -> None:
 
 def test_a_program_that_refers_to_nothing_is_refused() -> None:
     good = program(classify(stated(SUSPECTS["sqrt"])))
-    good.check((2, 1, 0), 1)
+    good.check((2, 1, 0), 1, EDGES)
     with pytest.raises(ValueError, match="step 0 of the program is input 0 1"):
-        Program((("input", 0, 1, 0.0),)).check((1, 1, 0), 0)
+        Program((("input", 0, 1, 0.0),)).check((1, 1, 0), 0, EDGES)
     with pytest.raises(ValueError, match="step 1 of the program is add 0 1"):
-        Program((("const", 0, 0, 1.0), ("add", 0, 1, 0.0))).check((1, 1, 0), 0)
+        Program((("const", 0, 0, 1.0), ("add", 0, 1, 0.0))).check((1, 1, 0), 0, EDGES)
     with pytest.raises(ValueError, match="step 0 of the program is system"):
-        Program((("system", 0, 0, 1.0),)).check((1, 1, 0), 0)
+        Program((("system", 0, 0, 1.0),)).check((1, 1, 0), 0, EDGES)
     with pytest.raises(ValueError, match="lacks a step"):
-        Program((), ((0, -1),)).check((1, 1, 0), 1)
+        Program((), ((0, -1),)).check((1, 1, 0), 1, EDGES)
     with pytest.raises(ValueError, match="has 1 rows, expected 2"):
-        good.check((2, 1, 0), 2)
+        good.check((2, 1, 0), 2, EDGES)
+    other = replace(good, operations=(replace(good.operations[0], name="sin"),))
+    with pytest.raises(ValueError, match="contains the operations sin"):
+        other.check((2, 1, 0), 1, EDGES)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import ProblemError
-from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, OpCount, Port, _live, lift, opcode_name
+from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, OpCount, Port, lift, live, opcode_name
 from verification.c_harness import Routines
 
 x, y = ca.SX.sym("x"), ca.SX.sym("y")
@@ -164,7 +164,7 @@ def test_values_that_no_output_needs_are_dropped() -> None:
         Instruction(ca.OP_MUL, (1, 2)),
         Instruction(ca.OP_COS, (2,)),
     ]
-    kept, stores = _live(program, [(0, 0, 4)])
+    kept, stores = live(program, [(0, 0, 4)])
     assert kept == (Instruction(ca.OP_INPUT, (0, 1)), Instruction(ca.OP_COS, (0,)))
     assert stores == ((0, 0, 1),)
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, GaussNewton, Options, build
+from nmpc_codegen import OCP, AugmentedLagrangian, GaussNewton, Options, build
 from nmpc_codegen.runtime.controller import Status
 from verification import problems
 
@@ -65,3 +65,17 @@ def test_a_phase_that_is_missing(call: str) -> None:
     ctrl = problems.controller("crane")
     getattr(ctrl, call)([0.0, 0.0, 0.0, 0.0])
     assert "prepare()" in ctrl.diagnose()
+
+
+@pytest.mark.parametrize("hessian", [None, GaussNewton()])
+def test_advice_fits_the_augmented_lagrangian(hessian: GaussNewton | None) -> None:
+    """It refuses a regularisation, and has no QP: neither is proposed."""
+    ctrl = build(problems.disc(), Options(hessian=hessian, algorithm=AugmentedLagrangian()), profile="test")
+    for status in Status:
+        for call in (lambda: ctrl.step([1.0, 0.0]), lambda: ctrl.solve([1.0, 0.0], max_iterations=1)):
+            call()
+            ctrl.view("status")[...] = status
+            said = ctrl.diagnose()
+            assert "Mirror" not in said
+            assert "ExactHessian()" not in said
+            assert "QP solver: " not in said

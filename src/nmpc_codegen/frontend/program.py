@@ -13,7 +13,8 @@ import casadi as ca
 
 from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression, elements
-from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, lift, opcode_name
+from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, lift, live, opcode_name
+from nmpc_codegen.ir.print_c import needs_parentheses
 from nmpc_codegen.runtime.diagnosis.domains import EDGES
 from nmpc_codegen.runtime.diagnosis.program import Operation, Program, Quantity, Step
 
@@ -32,12 +33,13 @@ def program(problem: Problem) -> Program:
     suspects = [i for i, ins in enumerate(kernel.instructions) if _name(ins) in EDGES]
     value_of = {element: value for _, element, value in kernel.stores}
     of_rows = [value_of[len(parts) - len(rows) + i] for i in range(len(rows))]
-    needed = [*of_rows, *(a for i in suspects for a in kernel.instructions[i].args)]
-    steps, new = _steps(kernel, needed, problem.dt[0])
+    needed = dict.fromkeys([*of_rows, *(a for i in suspects for a in kernel.instructions[i].args)])
+    kept, stores = live(kernel.instructions, [(0, 0, value) for value in needed])
+    new = {value: store[2] for value, store in zip(needed, stores, strict=True)}
     places = {place: new[value] for (_, _, place), value in zip(rows, of_rows, strict=True)}
     numbers = range(len(problem.rows))
     return Program(
-        steps,
+        tuple(_step(ins, problem.dt[0]) for ins in kept),
         tuple((places.get((i, 0), -1), places.get((i, 1), -1)) for i in numbers),
         tuple(_operations(kernel, problem, [quantity for quantity, _ in parts], suspects, new)),
     )
@@ -132,9 +134,7 @@ def _occurrences(
     return {i: tuple(q for j, q in enumerate(quantities) if users[i] >> j & 1) for i in suspects}
 
 
-#: Binding of the operators in a text: sums, products, and what needs no parentheses.
-_BINDING = {ca.OP_ADD: 1, ca.OP_SUB: 1, ca.OP_NEG: 1, ca.OP_TWICE: 2, ca.OP_MUL: 2, ca.OP_DIV: 2, ca.OP_INV: 2}
-_ATOM = 3
+#: Operations that a user writes otherwise than C.
 _WRITTEN = {ca.OP_SQ: "{0}**2", ca.OP_TWICE: "2 * {0}"}
 
 
@@ -142,50 +142,28 @@ def _texts(kernel: Kernel, problem: Problem) -> list[str]:
     """Every value as a text in the user's names; long ones are cut."""
     names = (problem.state_names, problem.control_names, problem.parameter_names, ("dt",))
     texts: list[str] = []
-    binding: list[int] = []
     for ins in kernel.instructions:
-        binds = _ATOM
         if ins.opcode == ca.OP_INPUT:
-            text = names[ins.args[0]][ins.args[1]]
+            texts.append(names[ins.args[0]][ins.args[1]])
         elif ins.opcode == ca.OP_CONST:
-            text, binds = f"{ins.constant:.6g}", _ATOM if ins.constant >= 0 else 0
+            texts.append(f"{ins.constant:.6g}")
         else:
-            operation = OPERATIONS[ins.opcode]
-            binds = _ATOM if operation.function else _BINDING.get(ins.opcode, 0 if ins.opcode != ca.OP_SQ else 2)
-            needs = [0 if operation.function else _ATOM if n or ins.opcode == ca.OP_SQ else binds for n in range(2)]
-            if ins.opcode in (ca.OP_ADD, ca.OP_MUL):
-                needs[1] = binds
-            operands = [texts[a] if binding[a] >= needs[n] else f"({texts[a]})" for n, a in enumerate(ins.args)]
+            operation, operands = OPERATIONS[ins.opcode], [texts[a] for a in ins.args]
+            for n, a in enumerate(ins.args):
+                inner = kernel.instructions[a].opcode
+                if not operation.function and needs_parentheses(ins.opcode, n, inner, texts[a]):
+                    operands[n] = f"({texts[a]})"
             form = _WRITTEN.get(ins.opcode, operation.c)
             text = form.format(*operands, fn=operation.function, one="1", zero="0")
-            if len(text) > LONGEST:
-                text, binds = f"{operation.function}(...)" if operation.function else "...", _ATOM
-        texts.append(text)
-        binding.append(binds)
+            cut = f"{operation.function}(...)" if operation.function else "..."
+            texts.append(text if len(text) <= LONGEST else cut)
     return texts
 
 
-def _steps(kernel: Kernel, needed: Sequence[int], dt: float) -> tuple[tuple[Step, ...], dict[int, int]]:
-    """The steps of the needed values, for an interval of length ``dt``, and the new numbers of the values."""
-    live = [False] * len(kernel.instructions)
-    for i in needed:
-        live[i] = True
-    for i in range(len(live) - 1, -1, -1):
-        if live[i] and kernel.instructions[i].opcode in OPERATIONS:
-            for a in kernel.instructions[i].args:
-                live[a] = True
-    new: dict[int, int] = {}
-    steps: list[Step] = []
-    for i, ins in enumerate(kernel.instructions):
-        if live[i]:
-            new[i] = len(steps)
-            steps.append(_step(ins, new, dt))
-    return tuple(steps), new
-
-
-def _step(ins: Instruction, new: dict[int, int], dt: float) -> Step:
+def _step(ins: Instruction, dt: float) -> Step:
+    """An instruction in an interval of length ``dt``."""
     if ins.opcode == ca.OP_CONST:
         return ("const", 0, 0, float(ins.constant))
     if ins.opcode == ca.OP_INPUT:
         return ("const", 0, 0, dt) if ins.args[0] == 3 else ("input", ins.args[0], ins.args[1], 0.0)
-    return (_name(ins), new[ins.args[0]], new[ins.args[-1]], 0.0)
+    return (_name(ins), ins.args[0], ins.args[-1], 0.0)

@@ -257,9 +257,9 @@ def lift(function: Function, name: str, doc: str, inputs: Sequence[Port], output
             work[o[0]] = numbering.number(Instruction(opcode, tuple(work[a] for a in args)))
         else:
             raise ProblemError(f"{name}: {opcode_name(opcode)} has no C code; use elementary operations only")
-    program = _live(numbering.instructions, stores)
+    program = live(numbering.instructions, stores)
     if any(ins.opcode in (ca.OP_DIV, ca.OP_INV) for ins in program[0]):
-        program = _live(*_reciprocals(*program))
+        program = live(*_reciprocals(*program))
     return Kernel(name, doc, tuple(inputs), tuple(outputs), *program)
 
 
@@ -300,10 +300,10 @@ def _reciprocals(
     return numbering.instructions, [(o, e, new[v]) for o, e, v in stores]
 
 
-def _live(
+def live(
     instructions: Sequence[Instruction], stores: Sequence[tuple[int, int, int]]
 ) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
-    """Drop values that no output needs and renumber the rest."""
+    """Drop values that no store needs and renumber the rest."""
     live = [False] * len(instructions)
     for _, _, value in stores:
         live[value] = True

@@ -170,9 +170,7 @@ class Expressions:
     def _nested(self, ins: Instruction) -> str:
         operands = {a: self._texts[a] for a in ins.args}
         for position, a in enumerate(ins.args):
-            inner = self._kernel.instructions[a].opcode
-            alone = not (inner in OPERATIONS and " " in self._texts[a]) or OPERATIONS[inner].function
-            if not alone and not (ins.opcode in _SUMS and (inner in _PRODUCTS or (inner in _SUMS and position == 0))):
+            if needs_parentheses(ins.opcode, position, self._kernel.instructions[a].opcode, self._texts[a]):
                 operands[a] = f"({self._texts[a]})"
         return _expression(self._in_order(ins), operands, self._style)
 
@@ -186,6 +184,13 @@ class Expressions:
 
 _SUMS = (ca.OP_ADD, ca.OP_SUB)
 _PRODUCTS = (ca.OP_MUL, ca.OP_SQ, ca.OP_DIV)
+
+
+def needs_parentheses(outer: int, position: int, inner: int, text: str) -> bool:
+    """True if the text of an inner operation is no operand of an outer one, at a position, as it is."""
+    if not (inner in OPERATIONS and " " in text) or OPERATIONS[inner].function:
+        return False
+    return not (outer in _SUMS and (inner in _PRODUCTS or (inner in _SUMS and position == 0)))
 
 
 def _uses(kernel: Kernel) -> list[int]:

@@ -15,7 +15,7 @@ import numpy as np
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.lowering.growth import Marks, first_plan
-from nmpc_codegen.runtime.diagnosis.domains import in_words, locate
+from nmpc_codegen.runtime.diagnosis.domains import NOT_FINITE, in_words, locate
 from nmpc_codegen.runtime.diagnosis.program import Program
 
 #: Points at which a property that is to hold for all states is tested.
@@ -36,7 +36,7 @@ def _not_finite(problem: Problem, program: Program, second: bool, x: Array, u: A
     plan = (np.tile(x, (nodes, 1)), np.tile(u, (problem.N, 1)), np.tile(problem.p_value, (nodes, 1)))
     found = [finding for finding in locate(program, *plan, second) if not finding.given]
     for text in in_words(found):
-        yield f"the first plan has no finite derivatives: {text}"
+        yield f"{NOT_FINITE}: {text}"
 
 
 def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime.diagnosis.domains import EDGES
 from nmpc_codegen.runtime.package_description import PackageDescription
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
@@ -49,7 +50,7 @@ class CompiledPackage:
         unknown = self.ffi.error if isinstance(self.ffi.error, tuple) else (self.ffi.error,)
         try:
             dims = self.description.dims
-            self.description.program.check((dims.nx, dims.nu, dims.np), dims.nr)
+            self.description.program.check((dims.nx, dims.nu, dims.np), dims.nr, EDGES)
             layouts = {struct.name: self.description.dtype(struct.name) for struct in self.description.structs}
             for name, layout in layouts.items():
                 self._check_layout(name, layout)

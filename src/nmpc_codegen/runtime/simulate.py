@@ -41,7 +41,7 @@ class Log:
     """The record of a closed loop. ``cost[k]`` is the cost of the plan that the controller computed at sample k.
 
     ``h[k]`` contains the values at x[k], u[k] of the general path rows ``rows``: those that hold at node 0 or at
-    several nodes before the end.
+    several nodes before the end. ``reasons``: what Controller.diagnose() said at the first sample with each status.
     """
 
     name: str
@@ -56,9 +56,7 @@ class Log:
     time_unit: str
     h: Array  # (steps, number of rows)
     rows: tuple[Trace, ...]
-    reasons: Mapping[Status, str] = field(
-        default_factory=dict
-    )  # what diagnose() said at the first sample with a status
+    reasons: Mapping[Status, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return self.summary()
@@ -187,7 +185,7 @@ def simulate(
         status[k], cost[k], time_ns[k] = ctrl.status, ctrl.cost, ctrl.time_ns
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
-        p[k] = parameters(ctrl)[0]
+        p[k] = parameters(ctrl)[0] if numbers else 0.0
         moved = move(x[k].copy(), u[k].copy(), interval)
         x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
         if disturbance is not None:

@@ -58,7 +58,7 @@ def row_advice(ctrl: Controller, node: int | None) -> str:
 
 
 def _numerical(options: str) -> Iterator[str]:
-    if "regularization=None" in options:
+    if "regularization=None" in options and has_qp(options):
         yield "the Hessian may be indefinite: try ExactHessian(regularization=Mirror())"
     if "precision='single'" in options:
         yield 'rounding may be the cause: try Options(precision="double")'
@@ -93,7 +93,7 @@ def _of_solve(ctrl: Controller, warned: bool) -> Iterator[str]:
         return
     if status == Status.ITERATION_LIMIT:
         yield f"more iterations: solve(max_iterations={10 * max(count, 1)})"
-    if "hessian=GaussNewton(" in options and "in_solve" not in ctrl.description.members("curved"):
+    if "hessian=GaussNewton(" in options and has_qp(options) and "in_solve" not in ctrl.description.members("curved"):
         yield "if that is not enough: Options(hessian=ExactHessian()), as Gauss-Newton steps ignore curvature"
     limited = list(_more_qp_iterations(options)) if status == Status.SUBPROBLEM_FAILED else []
     yield from limited

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nmpc_codegen.runtime.diagnosis.advice import advice, has_qp, row_advice
-from nmpc_codegen.runtime.diagnosis.domains import in_words, locate
+from nmpc_codegen.runtime.diagnosis.domains import NOT_FINITE, in_words, locate
 from nmpc_codegen.runtime.diagnosis.program import Array
 from nmpc_codegen.runtime.diagnosis.rows import parameters, violations
 from nmpc_codegen.runtime.status import STALE, Status
@@ -26,15 +26,11 @@ MOST, LISTED = 3, 12
 #: What precedes a warning of the compiler.
 WARNED = "warning at build: "
 
-#: Words of those that concern the first plan, and of those about numbers that are not finite there; number of samples
-#: up to which they matter.
-FIRST_PLAN, NOT_FINITE, EARLY = "first plan", "the first plan has no finite derivatives", 3
+#: Words of those that concern the first plan, and the number of samples up to which they matter.
+FIRST_PLAN, EARLY = "first plan", 3
 
 #: Statuses that a number that is not finite can cause.
-_OF_NUMBERS = (
-    *(Status.NUMERICAL_FAILURE, Status.NOT_FINITE, Status.STALLED),
-    *(Status.ITERATION_LIMIT, Status.SUBPROBLEM_FAILED),
-)
+_OF_NUMBERS = (Status.NUMERICAL_FAILURE, Status.STALLED, Status.ITERATION_LIMIT, Status.SUBPROBLEM_FAILED)
 #: Statuses of calls that have evaluated nothing.
 _BEFORE = (Status.OK, Status.NOT_FINITE, Status.NOT_PREPARED)
 
@@ -214,9 +210,9 @@ def _rows(ctrl: Controller, solved: bool) -> Iterator[str]:
     """The hard rows that the last QP, or the plan, violates most."""
     status, stats = ctrl.status, ctrl.stats
     if status in (Status.INFEASIBLE, Status.RELAXED) and stats.violated_row is not None:
-        found = [f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}"]
+        worst = f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}"
+        yield f"{worst}: {row_advice(ctrl, stats.violated_node)}"
         others = [] if status == Status.INFEASIBLE and not solved else violations(ctrl)
-        yield f"{found[0]}: {row_advice(ctrl, stats.violated_node)}"
         more = [str(v) for v in others if v.row.name != stats.violated_row][: MOST - 1]
         if more:
             yield f"of the plan, also {'; '.join(more)}"

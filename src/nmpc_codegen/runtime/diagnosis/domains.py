@@ -9,6 +9,9 @@ import numpy as np
 
 from nmpc_codegen.runtime.diagnosis.program import VALUES, Array, Operation, Program
 
+#: How a warning of the compiler begins that repeats what locate() finds at the first plan.
+NOT_FINITE = "the first plan has no finite derivatives"
+
 #: Most parts of a problem that a text names besides the first.
 MOST = 3
 
@@ -114,7 +117,7 @@ def _of_operation(operation: Operation, values: Sequence[Array], second: bool) -
     value = np.asarray(VALUES[operation.name](a, b), dtype=np.float64)
     undefined = ~np.isfinite(value)
     order = np.where(undefined, 0, np.where(edge.first(a, b), 1, np.where(edge.second(a, b), 2, 3)))
-    if operation.name in POWERS and operation.moved[1]:
+    if operation.name == "pow" and operation.moved[1]:  # the derivative by the exponent contains log(a)
         order = np.where(~undefined & (a <= 0), 1, order)
     if not any(operation.moved):
         order = np.where(order == 0, 0, 3)
@@ -132,6 +135,10 @@ def _of_operation(operation: Operation, values: Sequence[Array], second: bool) -
 # -- what is known of every operation ---------------------------------------------------------------------------------
 
 
+def _never(a: Array, b: Array) -> Array:
+    return np.zeros(a.shape, dtype=bool)
+
+
 @dataclass(frozen=True)
 class Edge:
     """Where derivatives of an operation are not finite although its value is: of first, and only of second order.
@@ -142,13 +149,9 @@ class Edge:
     """
 
     first: Test
-    second: Test = lambda a, b: np.zeros(a.shape, dtype=bool)
+    second: Test = _never
     instead: str = ""
     root: bool = False
-
-
-def _never(a: Array, b: Array) -> Array:
-    return np.zeros(a.shape, dtype=bool)
 
 
 def _power_first(a: Array, b: Array) -> Array:
@@ -158,8 +161,6 @@ def _power_first(a: Array, b: Array) -> Array:
 def _power_second(a: Array, b: Array) -> Array:
     return np.asarray((a == 0) & (b < 2) & (b != 1))
 
-
-POWERS = ("pow", "constpow")
 
 #: Parts of an expression that are finite everywhere.
 _POWER = "pow(sqrt({a}**2 + 1e-6), {b}) if {a} >= 0"

@@ -7,7 +7,7 @@ CasADi is not installed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,7 +35,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Operation:
-    """An operation and its text; ``operands``: one or two steps of the program, or the second one again.
+    """An operation and its text; ``operands``: two steps of the program, twice the same one if there is one operand.
 
     ``texts``: those of the operands; ``moved``: which of them depend on states and controls; ``quantities``: the parts
     that it occurs in.
@@ -61,8 +61,14 @@ class Program:
     rows: tuple[tuple[int, int], ...] = ()
     operations: tuple[Operation, ...] = ()
 
-    def check(self, sizes: Sequence[int], rows: int) -> None:
-        """ValueError unless all that it refers to exists; ``sizes``: of x, u and p; ``rows``: number of rows."""
+    def check(self, sizes: Sequence[int], rows: int, edges: Container[str]) -> None:
+        """ValueError unless all that it refers to exists.
+
+        Args:
+            sizes: of x, u and p.
+            rows: number of rows of the problem.
+            edges: names of the operations that may occur in ``operations``.
+        """
         if len(self.rows) != rows:
             raise ValueError(f"the program has {len(self.rows)} rows, expected {rows}")
         for i, (name, first, second, _) in enumerate(self.steps):
@@ -75,9 +81,9 @@ class Program:
         for steps, least in ((self.rows, -1), ([o.operands for o in self.operations], 0)):
             if not all(least <= i < len(self.steps) for pair in steps for i in pair):
                 raise ValueError("the program lacks a step of a row or an operand")
-        unknown = {o.name for o in self.operations} - set(VALUES)
+        unknown = [o.name for o in self.operations if o.name not in edges]
         if unknown:
-            raise ValueError(f"the program contains the operations {', '.join(sorted(unknown))}")
+            raise ValueError(f"the program contains the operations {', '.join(unknown)}")
 
     def values(self, x: Array, u: Array, p: Array) -> list[Array]:
         """Values of all steps at nodes: x (n, nx), u (n, nu), p (n, np) -> arrays (n,)."""
