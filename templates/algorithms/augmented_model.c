@@ -209,7 +209,7 @@ static int project_plan(solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = safe_value(s, k, j);
-            outside |= (s->u[k][j] != u);
+            outside |= (s->u[k][j] != u); /* exactly: what is inside stays as it is */
             s->u[k][j] = u;
         }
     }
@@ -218,7 +218,7 @@ static int project_plan(solver_t *s)
         if (!row_relaxed[m]) {
             real_t *x = &s->x[row_node[m]][row_index[m]];
             const real_t inside = clip(*x, ROW_LOWER(s, m), ROW_UPPER(s, m));
-            outside |= (*x != inside);
+            outside |= (*x != inside); /* exactly, as above */
             *x = inside;
         }
     }
