@@ -205,11 +205,11 @@ static int gradient_is_finite(const auglag_t *a)
 /* Moves the plan into its bounds. Returns 1 if it was outside. */
 static int project_plan(solver_t *s)
 {
-    int outside = 0;
+    int left = 0;
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = safe_value(s, k, j);
-            outside |= (s->u[k][j] != u); /* exactly: what is inside stays as it is */
+            left |= (s->u[k][j] != u); /* exactly: what is inside stays as it is */
             s->u[k][j] = u;
         }
     }
@@ -218,10 +218,10 @@ static int project_plan(solver_t *s)
         if (!row_relaxed[m]) {
             real_t *x = &s->x[row_node[m]][row_index[m]];
             const real_t inside = clip(*x, ROW_LOWER(s, m), ROW_UPPER(s, m));
-            outside |= (*x != inside); /* exactly, as above */
+            left |= (*x != inside); /* exactly, as above */
             *x = inside;
         }
     }
 #endif
-    return outside;
+    return left;
 }

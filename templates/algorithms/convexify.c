@@ -249,7 +249,7 @@ static void hold_rows(solver_t *s, real_t hold)
         }
         row_normal(s, m, a);
         for (int i = 0; i < n; i++) {
-            for (int j = 0; a[i] != R(0) && j < n; j++) {
+            for (int j = 0; a[i] != R(0) && j < n; j++) { /* exactly: structural zeros add nothing */
                 curved_row(&s->curved, row_node[m], i)[j] += weight * a[i] * a[j];
             }
         }

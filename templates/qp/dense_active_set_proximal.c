@@ -92,8 +92,8 @@ static status_t qp_move_center(qp_t *q)
     }
     qp_to_working_coordinates(q, s, u);
     qp_coefficients(q, u, e);
-    const real_t total = dot(u, u, LDV), outside = dot(e, e, qp_padded(q)), rounding = TOL_QP_PROXIMAL * size;
-    const int on_face = outside <= TOL_QP_DEPENDENT_PREDICTION * total || outside <= rounding * rounding;
+    const real_t total = dot(u, u, LDV), left = dot(e, e, qp_padded(q)), rounding = TOL_QP_PROXIMAL * size;
+    const int on_face = left <= TOL_QP_DEPENDENT_PREDICTION * total || left <= rounding * rounding;
     const real_t t = on_face ? qp_conjugate_step(q, s, total) : R(0);
     if (t < R(1)) {
         copy(q->center, q->x);

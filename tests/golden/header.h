@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package e867beeec5bdb48f, sha256 a8bbea5b8c0c0abc304600e9a617c4a6a49b60b6e87803bbeb6bdc206aaece34 */
+/* nmpc_codegen package aacf98ee94f52c65, sha256 88d212ae7e45e06357d552c6c2ff39ab5db9e92a524132e260f493cd2dcde9e0 */
