@@ -499,31 +499,31 @@ def gauss_newton_of_a_general_cost() -> str:
 @fault("'algebraic'", "not supported", "insert it", "z' = g / eps")
 def algebraic_variables() -> str:
     """ocp.algebraic()."""
-    return refused(lambda: OCP("x1", T=1.0, N=2).algebraic("z"))
+    return refused(lambda: OCP("x1", T=1.0, N=2).algebraic("z"))  # type: ignore[attr-defined]
 
 
 @fault("'set_rterm'", "u' = du", "least_squares(du, weight)")
 def penalty_of_rates() -> str:
     """ocp.set_rterm()."""
-    return refused(lambda: OCP("x1", T=1.0, N=2).set_rterm(u=1))
+    return refused(lambda: OCP("x1", T=1.0, N=2).set_rterm(u=1))  # type: ignore[attr-defined]
 
 
 @fault("'minimize'", "least_squares(expr, weight)", "stage_cost(expr)")
 def objective_of_another_tool() -> str:
     """ocp.minimize()."""
-    return refused(lambda: OCP("x1", T=1.0, N=2).minimize(0))
+    return refused(lambda: OCP("x1", T=1.0, N=2).minimize(0))  # type: ignore[attr-defined]
 
 
 @fault("'make_step'", "step(xhat)")
 def step_of_another_tool() -> str:
     """ctrl.make_step()."""
-    return refused(lambda: made(cart()).make_step([0.0, 0.0]))
+    return refused(lambda: made(cart()).make_step([0.0, 0.0]))  # type: ignore[attr-defined]
 
 
 @fault("'subject'", "did you mean 'subject_to'?")
 def misspelt_method() -> str:
     """a misspelt method."""
-    return refused(lambda: OCP("x1", T=1.0, N=2).subject(0))
+    return refused(lambda: OCP("x1", T=1.0, N=2).subject(0))  # type: ignore[attr-defined]
 
 
 # Command line --------------------------------------------------------------------------------------------------------

@@ -1,18 +1,19 @@
 """nmpc_codegen compiles optimal control problems in CasADi to self-contained C99 and loads the code as a controller.
 
-Names that need CasADi are loaded on first use, so that open_package() runs a controller without importing it.
+Names that need CasADi are loaded on first use, so that open_package() runs a controller without importing it. The
+distribution nmpc-codegen-runtime has the other names only.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 from nmpc_codegen.errors import (
     BuildError,
     ControllerError,
     ExportError,
+    ExtraError,
     NmpcError,
     OptionError,
     ProblemError,
@@ -21,11 +22,12 @@ from nmpc_codegen.errors import (
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.package import open_package
-from nmpc_codegen.runtime.simulate import Log, simulate
+from nmpc_codegen.runtime.records.log import Log
+from nmpc_codegen.runtime.simulate import simulate
 from nmpc_codegen.runtime.status import Status
 
 if TYPE_CHECKING:
-    from nmpc_codegen.compiler import Package, export, generate
+    from nmpc_codegen.compiler import Package, build, export, generate
     from nmpc_codegen.components.algorithms import AdjointShooting, AugmentedLagrangian, RealTimeIteration
     from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
     from nmpc_codegen.components.hessians import (
@@ -53,7 +55,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "components.algorithms": ("AdjointShooting", "AugmentedLagrangian", "RealTimeIteration"),
-    "compiler": ("Package", "export", "generate"),
+    "compiler": ("Package", "build", "export", "generate"),
     "components.condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
     "components.hessians": (
         *("EconomicGaussNewton", "ExactHessian", "ForwardOverAdjoint", "GaussNewton", "Mirror"),
@@ -85,6 +87,7 @@ __all__ = [
     "ExactHessian",
     "ExplicitRungeKutta",
     "ExportError",
+    "ExtraError",
     "ForwardOverAdjoint",
     "FullCondensing",
     "GaussNewton",
@@ -115,27 +118,26 @@ __all__ = [
     "simulate",
 ]
 
-try:
-    __version__ = version("nmpc-codegen")
-except PackageNotFoundError:  # a source tree that is not installed
-    __version__ = "0+unknown"
+__version__ = "0.1.0"
 
 
-def build(
-    ocp: OCP, options: Options | None = None, profile: str = "fast", lanes: int | None = None, name: str | None = None
-) -> Controller:
-    """Generate, compile and load a controller; see nmpc_codegen.compiler.build.
-
-    It is defined here and not loaded on first use, because the module nmpc_codegen.runtime.build would hide it.
-    """
-    with COMPILING:
-        compiler = import_module(f"{__name__}.compiler")
-    controller: Controller = compiler.build(ocp, options, profile, lanes, name)
-    return controller
+def __dir__() -> list[str]:
+    """The public names, those that are not loaded yet too."""
+    return sorted({*__all__, *globals()})
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    with COMPILING:
-        return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+if not TYPE_CHECKING:  # a type checker must find names that do not exist
+
+    def __getattr__(name: str) -> Any:
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        with COMPILING:
+            try:
+                return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+            except ModuleNotFoundError as error:
+                if not (error.name or "").startswith(__name__):
+                    raise
+                raise ImportError(
+                    f"{name} needs the compiler, which nmpc-codegen-runtime lacks: install nmpc-codegen in its place, "
+                    f"or run an exported folder with open_package()"
+                ) from error

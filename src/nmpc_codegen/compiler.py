@@ -150,9 +150,19 @@ def build(
 ) -> Controller:
     """Generate, compile and load the code that export() writes, as a Python controller; builds are cached by content.
 
-    lanes: shooting nodes whose dynamics, costs and rows are evaluated at once in vector registers (1, 2, 4, 8); None:
-    as many as the processor has room for if the profile is compiled for it. With 1 the code is that of export(); with
-    more it is GNU C with the same header, and exp, log, sin, cos of its own: results differ by rounding.
+    Args:
+        ocp: the problem; it may be changed and built again.
+        options: Options(...); what is not given is chosen, and ``controller.description.report.choices`` says why.
+        profile: flags of the compiler: "fast" for this processor, "verify" without contraction of a * b + c, "test" to
+            compile quickly.
+        lanes: shooting nodes whose dynamics, costs and rows are evaluated at once in vector registers (1, 2, 4, 8);
+            None: as many as the processor has room for if the profile is compiled for it. With 1 the code is that of
+            export(); with more it is GNU C with the same header, and exp, log, sin, cos of its own: results differ by
+            rounding.
+        name: prefix of the C names; by default that of the problem.
+
+    Returns:
+        The controller, ready to step(); see help(Controller).
 
     Raises:
         ProblemError, OptionError: see generate(); OptionError also for another number of lanes.

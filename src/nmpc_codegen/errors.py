@@ -12,6 +12,7 @@ __all__ = [
     "ControllerError",
     "DerivativeError",
     "ExportError",
+    "ExtraError",
     "NmpcError",
     "OptionError",
     "ProblemError",
@@ -41,6 +42,10 @@ class ExportError(NmpcError, OSError):
 
 class ControllerError(NmpcError, RuntimeError):
     """A controller was called wrongly, or it failed with on_failure="raise"."""
+
+
+class ExtraError(NmpcError, ImportError):
+    """A package that only some functions need is not installed; the message names the extra that brings it."""
 
 
 class DerivativeError(NmpcError, ValueError):

@@ -11,7 +11,7 @@ import pytest
 import scipy.optimize
 
 from examples import driving, evaporation
-from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, OptionError, Options, ProblemError
+from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, ExtraError, OptionError, Options, ProblemError
 from nmpc_codegen.economic import Tuning, steady_state, tune
 from nmpc_codegen.economic.terminal import lqr_terminal_cost
 from nmpc_codegen.frontend.classify import classify
@@ -359,7 +359,7 @@ def test_missing_terminal_cost_is_named() -> None:
 
 def test_missing_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cvxpy", None)
-    with pytest.raises(OptionError, match=r"pip install nmpc-codegen\[economic\]"):
+    with pytest.raises(ExtraError, match=r"tune\(\) needs the package cvxpy: .*nmpc-codegen\[economic\]"):
         tune(small())
 
 

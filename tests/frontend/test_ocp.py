@@ -335,7 +335,7 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     **{
         f"assigned {name}": (
             lambda g, name=name, value=value: setattr(g.ocp, name, value),
-            f"OCP 'plant': the attribute {name} cannot be assigned; name, T, N and intervals are given to OCP(...)",
+            f"OCP 'plant': the attribute {name} cannot be assigned; name, T, N, intervals and time_unit are given to",
         )
         for name, value in {
             "N": 7,

@@ -21,7 +21,8 @@ from nmpc_codegen import (
     build,
     simulate,
 )
-from nmpc_codegen.runtime.simulate import Log
+from nmpc_codegen.runtime.records.log import Log
+from nmpc_codegen.runtime.records.trace import Bound
 
 mpl.use("Agg")
 
@@ -76,7 +77,7 @@ def test_values_along_the_loop(case: str) -> None:
     assert tuple(trace.name for trace in log.rows) == NAMES
     m = np.where((np.arange(12) >= 6) & changes, 0.75, 0.5)
     np.testing.assert_allclose(log.h, values(log, m), rtol=1e-5 if case == "single" else 1e-13, atol=1e-6)
-    assert [(t.lower, t.upper) for t in log.rows][:4] == [(-2, 2), (-3, 3), (-4, 4), (-5, 5)]
+    assert [(t.bounds[0].lower, t.bounds[0].upper) for t in log.rows][:4] == [(-2, 2), (-3, 3), (-4, 4), (-5, 5)]
     for k in range(12):  # the loop is not disturbed
         heavier(k, twin)
         np.testing.assert_array_equal(twin.step(log.x[k]), log.u[k])
@@ -89,14 +90,14 @@ def test_axes_of_rows(tmp_path: Path) -> None:
     log = simulate(ctrl, [1.0, 0.0], 12)
     figure = log.plot(tmp_path / "rows.png")
     axes = {axis.get_ylabel(): axis for axis in figure.axes if axis.get_visible()}
-    assert tuple(axes) == ("p", "v", "F", *NAMES)
+    assert tuple(axes) == ("p", "v", "F", *NAMES, "time [µs]")
     drawn = axes["power"].lines[0]
     np.testing.assert_array_equal(drawn.get_ydata(), log.h[:, 0])
     np.testing.assert_array_equal(drawn.get_xdata(), log.t[:-1])
     assert sorted(line.get_ydata()[0] for line in axes["power"].lines[1:]) == [-0.1, 0.1]
     assert all(line.is_dashed() for line in axes["power"].lines[1:])
-    assert (log.states[1].lower, log.states[1].upper) == (-0.9, 0.8)
-    assert (log.controls[0].lower, log.controls[0].upper) == (-1, 1)
+    assert log.states[1].bounds == (Bound(-0.9, 0.8, soft=True),)
+    assert log.controls[0].bounds == (Bound(-1, 1),)
 
 
 def test_no_samples(tmp_path: Path) -> None:
@@ -109,4 +110,4 @@ def test_a_package_without_rows_or_linearisation(toy: Controller) -> None:
     log = simulate(toy, [1.0, 0.0], 3)
     assert (log.h.shape, log.rows) == ((3, 0), ())
     assert str(log) == log.summary()
-    assert repr(log) == "<Log toy: 3 samples, x (4, 2), u (3, 1), h (3, 0)>"
+    assert repr(log) == "<Log toy: 3 samples over 0.3 s, OK 3; x (4, 2), u (3, 1)>"

@@ -8,9 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
+import nmpc_codegen
 from nmpc_codegen.cli.messages import one_line
+from nmpc_codegen.errors import ExtraError
 from nmpc_codegen.firmware.targets import LEVELS, TARGETS
 from nmpc_codegen.options import GOALS, MATHS, PRECISIONS
+from nmpc_codegen.runtime.extras import extra
 
 #: Maximum number of samples of --simulate: a longer log may not fit into memory.
 MAX_SAMPLES = 1_000_000
@@ -84,6 +87,9 @@ def parser() -> Parser:
     for name, what in BUDGETS.items():
         add(f"--max-{name}", metavar="NUMBER", help=f"export nothing if the package takes more {what}, e.g. 64k or 2e6")
     add("--list-options", action="store_true", help="print every component, its options and their values, and exit")
+    add(
+        "--version", action="version", version=f"%(prog)s {nmpc_codegen.__version__}", help="print the version and exit"
+    )
     add("-v", "--verbose", action="store_true", help="print the whole report, and tracebacks of errors")
     return made
 
@@ -144,9 +150,11 @@ def _name_fits(path: Path) -> None:
 
 def _picture(path: Path) -> Iterator[str]:
     """The reason why the picture cannot be written."""
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    formats = FigureCanvasBase.get_supported_filetypes()
+    try:
+        formats = extra("matplotlib.backend_bases", "--plot").FigureCanvasBase.get_supported_filetypes()
+    except ExtraError as error:
+        yield str(error)
+        return
     if path.suffix.lower().removeprefix(".") not in formats:
         yield f"--plot {path}: unknown format {path.suffix!r}; expected one of {', '.join(f'.{f}' for f in formats)}"
     elif path.is_dir() or not path.absolute().parent.is_dir():

@@ -21,6 +21,7 @@ import numpy as np
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, curvature_scaling
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array
+from nmpc_codegen.runtime.extras import extra
 
 #: How far below I the matrices of an accepted solution may be; entries, relative to the diagonal, that count as 0.
 SLACK, ROUNDING = 1e-3, 1e-12
@@ -61,7 +62,8 @@ class Certificate:
 
 def convexify(lq: LinearQuadratic, weights: Weights, scaling: Array) -> Certificate | str:
     """Solve the program in w / scaling; the status of the solver if that fails."""
-    cp = _cvxpy()
+    extra("clarabel", "tune()")
+    cp = extra("cvxpy", "tune()")
     s = lq.scaled(scaling)
     size = float(np.abs(np.linalg.eigvalsh(s.H)).max())
     size = size if size > 0 else 1.0
@@ -140,14 +142,3 @@ def scalings(lq: LinearQuadratic, w: Array) -> dict[str, Array]:
         "curvature": curvature_scaling(lq),
         "magnitude": size,
     }
-
-
-def _cvxpy() -> Any:
-    try:
-        import clarabel  # noqa: F401
-        import cvxpy
-    except ImportError as error:
-        raise OptionError(
-            "tune() solves a semidefinite program and needs CVXPY and Clarabel: pip install nmpc-codegen[economic]"
-        ) from error
-    return cvxpy

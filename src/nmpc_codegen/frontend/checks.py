@@ -56,6 +56,15 @@ def identifier(name: Any, what: str) -> str:
     return name
 
 
+def unit_text(unit: Any, what: str) -> str:
+    """A unit: a printable text in one line, which is shown as it is."""
+    if not isinstance(unit, str):
+        raise ProblemError(f"{what} must be a string, got {type(unit).__name__} {quote(unit)}")
+    if not unit.isprintable():
+        raise ProblemError(f"{what} must be printable text in one line, got {quote(unit)}")
+    return unit
+
+
 def duplicate(names: Iterable[str]) -> tuple[str, str] | None:
     """The first two equal names, or None."""
     seen: dict[str, str] = {}

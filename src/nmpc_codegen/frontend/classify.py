@@ -50,6 +50,7 @@ def classify(ocp: OCP) -> Problem:
         accumulators=tuple(sorted(ocp.accumulators)),
         cyclic=tuple(sorted(ocp.cyclic_states)),
         terminal_lqr=ocp.terminal_lqr,
+        time_unit=ocp.time_unit,
     )
 
 

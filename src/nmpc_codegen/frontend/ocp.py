@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
@@ -22,11 +22,13 @@ from nmpc_codegen.frontend.checks import (
     integer,
     known,
     quote,
+    unit_text,
     vector,
     weight_matrix,
 )
 from nmpc_codegen.frontend.grid import grid
 from nmpc_codegen.frontend.problem import LqrRequest, Signal, c_identifier
+from nmpc_codegen.frontend.show import in_html, in_one_line
 from nmpc_codegen.frontend.statement import (
     At,
     Declared,
@@ -39,7 +41,7 @@ from nmpc_codegen.frontend.statement import (
     intersection,
     misplaced,
 )
-from nmpc_codegen.frontend.symbol import Symbol, is_comparison, row_call
+from nmpc_codegen.frontend.symbol import Symbol, require_three
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.runtime.diagnosis.foreign_names import OF_PROBLEM, missing
 
@@ -59,18 +61,22 @@ class OCP:
     Args:
         name: C identifier of at most 60 characters; prefix of the generated C, and name of its files. Standard
             headers (string, math), main, README and the like are refused, in upper or lower case.
-        T: length of the horizon (s), divided into N equal intervals.
+        T: length of the horizon (s, or ``time_unit``), divided into N equal intervals.
         N: number of intervals. If neither T nor intervals is given, the dynamics are a discrete map with dt = 1.
-        intervals: lengths of the intervals (s), instead of T.
+        intervals: lengths of the intervals, instead of T.
+        time_unit: unit of T, of the derivatives and of every time that is given later; it is only printed.
 
     Raises:
         ProblemError: the problem is stated wrongly; the message names the wrong input and what was expected.
     """
 
-    def __init__(self, name: str, *, T: float | None = None, N: int | None = None, intervals: Any = None) -> None:
+    def __init__(
+        self, name: str, *, T: float | None = None, N: int | None = None, intervals: Any = None, time_unit: str = "s"
+    ) -> None:
         check_package_name(name, "OCP: name")
         self.name = name
-        self.N, self.dt = grid(name, T, N, intervals)
+        self.time_unit = unit_text(time_unit, f"OCP '{name}': time_unit")
+        self.N, self.dt = grid(name, T, N, intervals, self.time_unit)
         self.states: list[Declared] = []
         self.controls: list[Declared] = []
         self.parameters: list[Declared] = []
@@ -94,13 +100,15 @@ class OCP:
         if not attribute.startswith("_") and (attribute in self.__dict__ or hasattr(type(self), attribute)):
             raise ProblemError(
                 f"OCP '{self.name}': the attribute {attribute} cannot be assigned; "
-                "name, T, N and intervals are given to OCP(...), everything else to its methods"
+                "name, T, N, intervals and time_unit are given to OCP(...), everything else to its methods"
             )
         super().__setattr__(attribute, value)
 
-    def __getattr__(self, attribute: str) -> Any:
-        """Explain attributes that do not exist, those of other tools among them."""
-        raise missing("OCP", attribute, OF_PROBLEM, dir(self))
+    if not TYPE_CHECKING:  # a type checker must find names that do not exist
+
+        def __getattr__(self, attribute: str) -> Any:
+            """Explain attributes that do not exist, those of other tools among them."""
+            raise missing("OCP", attribute, OF_PROBLEM, dir(self))
 
     @property
     def discrete(self) -> bool | None:
@@ -113,8 +121,10 @@ class OCP:
         return self._terminal_lqr
 
     def __repr__(self) -> str:
-        sizes = f"nx={self.x.numel()}, nu={self.u.numel()}"
-        return f"OCP({self.name!r}, N={self.N}, {sizes})"
+        return in_one_line(self)
+
+    def _repr_html_(self) -> str:
+        return in_html(self)
 
     # Signals ---------------------------------------------------------------------------------------------------------
 
@@ -172,8 +182,7 @@ class OCP:
     ) -> Any:
         what = f"{kind} {quote(name)}"
         identifier(name, what)
-        if not isinstance(unit, str):
-            raise ProblemError(f"{what}: unit must be a string, got {type(unit).__name__} {quote(unit)}")
+        unit = unit_text(unit, f"{what}: unit")
         n = 1 if size is None else integer(size, f"{what}: size", 1, MAX_SIZE)
         values = tuple(float(v) for v in vector(value, n, f"{what}: {word}"))
         signal = Signal(name, n, unit, values, sum(d.signal.size for d in to), size is None)
@@ -401,7 +410,7 @@ class OCP:
         added: its bounds become the intersection of both.
         """
         what = f"subject_to {quote(name)}" if name is not None else "subject_to"
-        _require_three(lower, expr, upper, what, "subject_to")
+        require_three(lower, expr, upper, what, "subject_to")
         nodes = self._at(at, what)
         h = self._expression(expr, f"{what}: expression", _NODE)
         suffix = f"_{nodes}" if nodes in ("start", "end") else ""
@@ -427,7 +436,7 @@ class OCP:
         The arguments are those of subject_to(); the expression is written with at_start() and at_end().
         """
         what = f"boundary {quote(name)}" if name is not None else "boundary"
-        _require_three(lower, expr, upper, what, "boundary")
+        require_three(lower, expr, upper, what, "boundary")
         r = self._expression(expr, f"{what}: expression", ("start", "end"))
         for i in range(r.numel()):
             kinds = self._kinds(r[i])
@@ -577,18 +586,3 @@ class OCP:
 
     def _kinds(self, scalar: Any) -> set[str]:
         return {e.kind for e in map(self._element, ca.symvar(scalar)) if e is not None}
-
-
-def _require_three(lower: Any, expr: Any, upper: Any, what: str, method: str) -> None:
-    """Raise ProblemError if a row is written as a comparison or one of its three parts is missing."""
-    for part in (lower, expr, upper):
-        call = row_call(part, method)
-        if call:
-            raise ProblemError(f"{what}: {quote(part)} is a comparison; the same row is {call}")
-        if isinstance(part, ca.SX) and is_comparison(part):
-            raise ProblemError(f"{what}: {quote(part)} is a comparison, not an expression with a lower and upper bound")
-    if expr is None or upper is None:
-        given = ", ".join(quote(part) for part in (lower, expr) if part is not None)
-        raise ProblemError(
-            f"{what}: got {given} only; it takes lower, expression, upper, where -inf and inf stand for no bound"
-        )

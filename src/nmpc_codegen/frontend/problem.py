@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 class Stage:
     """The functions of a node: least-squares residual, general cost, general rows.
 
-    ``x`` (nx,), ``u`` (nu,), empty at the start and terminal stages, ``p`` (np,) and ``dt``, the length of the interval
-    (s), are SX symbols; all expressions are written in them. ``scale_with_dt`` marks the residuals whose weight is
+    ``x`` (nx,), ``u`` (nu,), empty at the start and terminal stages, ``p`` (np,) and the interval's length ``dt`` are
+    SX symbols; all expressions are written in them. ``scale_with_dt`` marks the residuals whose weight is
     multiplied by dt_k; ``cost`` includes its factor dt; ``cost_rate`` is integrated over the interval and never scaled.
     """
 
@@ -85,7 +85,7 @@ class Problem:
     """The whole optimal control problem, validated.
 
     ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` holds the N interval
-    lengths (s). ``features`` names what the problem uses beyond the core ("soft rows", "coupled rows",
+    lengths. ``features`` names what the problem uses beyond the core ("soft rows", "coupled rows",
     "free initial state", "general cost", "integrated cost", "accumulators"): a component that does not support one of
     them refuses the problem. ``control_reference[j]`` is the position of control j in the path residual y, or -1.
     """
@@ -109,6 +109,7 @@ class Problem:
     accumulators: tuple[int, ...] = ()  # positions in x of states that are reset to 0 at every sample
     cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
     terminal_lqr: LqrRequest | None = None  # a terminal cost to be computed before linearize()
+    time_unit: str = "s"  # of dt and of every other time
 
     @property
     def nx(self) -> int:

@@ -78,3 +78,18 @@ def row_call(expression: Any, method: str) -> str | None:
     if right.is_constant():
         return f"{method}({right if equal else '-inf'}, {left}, {right})"
     return f"{method}({'0' if equal else '-inf'}, {left - right}, 0)"
+
+
+def require_three(lower: Any, expr: Any, upper: Any, what: str, method: str) -> None:
+    """Raise ProblemError if a row is written as a comparison or one of its three parts is missing."""
+    for part in (lower, expr, upper):
+        call = row_call(part, method)
+        if call:
+            raise ProblemError(f"{what}: {quote(part)} is a comparison; the same row is {call}")
+        if isinstance(part, ca.SX) and is_comparison(part):
+            raise ProblemError(f"{what}: {quote(part)} is a comparison, not an expression with a lower and upper bound")
+    if expr is None or upper is None:
+        given = ", ".join(quote(part) for part in (lower, expr) if part is not None)
+        raise ProblemError(
+            f"{what}: got {given} only; it takes lower, expression, upper, where -inf and inf stand for no bound"
+        )

@@ -14,6 +14,7 @@ from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.components.core import PARTS, core_structs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
+from nmpc_codegen.ir.casadi_types import elements
 from nmpc_codegen.ir.cmodule import (
     CModule,
     Enum,
@@ -37,7 +38,7 @@ from nmpc_codegen.lowering.dimensions import dimensions
 from nmpc_codegen.lowering.generated import own_names
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.placement import placed
-from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report, c_constants
+from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report, Residual, c_constants
 from nmpc_codegen.runtime.status import Status
 
 # Maximum value of counters, and maximum number of steps of integrate().
@@ -488,10 +489,11 @@ def _description(
         controls=p.controls,
         parameters=p.parameters,
         rows=p.rows,
-        y_names=p.path.y_names,
-        y_names_N=p.terminal.y_names,
+        residuals=_residuals(p, p.path),
+        residuals_N=_residuals(p, p.terminal),
         dt=p.dt,
         discrete=p.discrete,
+        time_unit="samples" if p.discrete else p.time_unit,
         statuses=tuple(Status.__members__),
         shift=model.parts.algorithm.shift,
         sampling_time=sampled(model.parts.algorithm.shift, model.parts.algorithm.sampling_time, p),
@@ -501,6 +503,16 @@ def _description(
         report=report,
         program=model.program,
     )
+
+
+def _residuals(problem: Problem, stage: Stage) -> tuple[Residual, ...]:
+    """The residuals of a stage, with the states and controls that they are."""
+    symbols = [*elements(stage.x), *elements(stage.u)]
+    names = (*problem.state_names, *problem.control_names)
+    known = {symbol.element_hash(): name for symbol, name in zip(symbols, names, strict=False)}
+    signals = [known.get(y.element_hash(), "") if y.is_symbolic() else "" for y in elements(stage.y)]
+    values = [float(value) for value in stage.reference]
+    return tuple(map(Residual, stage.y_names, values, signals))
 
 
 def _report(

@@ -12,7 +12,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from time import perf_counter_ns
-from typing import IO, Any, Literal, NoReturn, Self
+from typing import IO, TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.diagnosis.diagnose import diagnosis
 from nmpc_codegen.runtime.diagnosis.foreign_names import OF_CONTROLLER, missing
 from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
+from nmpc_codegen.runtime.records.show import in_html, in_one_line
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
 from nmpc_codegen.runtime.status import Kkt, Stats, Status
 
@@ -402,16 +403,19 @@ class Controller:
         return self._package.dtype.itemsize
 
     def __repr__(self) -> str:
-        d = self.dims
-        sizes = f"N={d.N}, nx={d.nx}, nu={d.nu}, np={d.np}"
-        return f"<Controller {self._package.name}: {sizes}, {self.profile}, {self.nbytes} bytes, {self.status.name}>"
+        return in_one_line(self)
 
-    def __getattr__(self, attribute: str) -> Any:
-        """Explain attributes that do not exist, those of other tools too; of a property, repeat its own error."""
-        of_class = getattr(type(self), attribute, None)
-        if isinstance(of_class, property):
-            return of_class.__get__(self)
-        raise missing("Controller", attribute, OF_CONTROLLER, dir(type(self)))
+    def _repr_html_(self) -> str:
+        return in_html(self)
+
+    if not TYPE_CHECKING:  # a type checker must find names that do not exist
+
+        def __getattr__(self, attribute: str) -> Any:
+            """Explain attributes that do not exist, those of other tools too; of a property, repeat its own error."""
+            of_class = getattr(type(self), attribute, None)
+            if isinstance(of_class, property):
+                return of_class.__get__(self)
+            raise missing("Controller", attribute, OF_CONTROLLER, dir(type(self)))
 
     # -- copies -----------------------------------------------------------------------------------------------------
 
@@ -451,32 +455,19 @@ class Controller:
         return self._package.function(name)(*arguments)
 
     def _judge(self, status: int, call: str, on_failure: OnFailure) -> Status:
-        if on_failure == "raise":
-            self._expect(status, call)
-        elif on_failure != "status":
+        judged = Status(status)
+        if on_failure == "raise" and judged.is_failure:
+            why = self.diagnose() if self.status == judged else str(judged)
+            raise ControllerError(f"{self._package.name}.{call}: {why}")
+        if on_failure not in ("raise", "status"):
             raise ControllerError(f"on_failure is {on_failure!r}; allowed: 'status', 'raise'")
-        return Status(status)
+        return judged
 
     def _expect(self, status: int, call: str, what: str = "") -> None:
+        """Raise ControllerError if a call that only writes data has failed."""
         if Status(status).is_failure:
-            self._fail(Status(status), call, what)
-
-    def _fail(self, status: Status, call: str, what: str) -> NoReturn:
-        subject = f" ({what})" if what else ""
-        raise ControllerError(f"{self._package.name}.{call}{subject}: {status}{self._details(status)}")
-
-    def _details(self, status: Status) -> str:
-        """The row or state that caused the failure, by its user name."""
-        row = self._violated_row()
-        if status in (Status.INFEASIBLE, Status.RELAXED) and row:
-            stats = self.stats
-            return f"; row {row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}"
-        bad = [
-            name
-            for name, value in zip(self.description.names.states, self._xhat, strict=True)
-            if not np.isfinite(value)
-        ]
-        return f"; measured {', '.join(bad)}" if status is Status.NOT_FINITE and bad else ""
+            subject = f" ({what})" if what else ""
+            raise ControllerError(f"{self._package.name}.{call}{subject}: {Status(status)}")
 
     def _violated_row(self) -> str | None:
         if "violated_row" not in self.description.members("stats"):

@@ -33,7 +33,7 @@ REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.fl
 INTEGERS: dict[str, type[np.integer[Any]]] = {"int32": np.int32, "int64": np.int64}
 
 #: Version of the layout of <name>.json.
-FORMAT = 2
+FORMAT = 3
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -221,6 +221,16 @@ class Row:
 
 
 @dataclass(frozen=True)
+class Residual:
+    """One residual of the least-squares cost: its name, its declared reference, and the state or control that it is,
+    "" if it is another expression."""
+
+    name: str
+    reference: float
+    signal: str
+
+
+@dataclass(frozen=True)
 class Names:
     """Element names in the order of the vectors that hold them."""
 
@@ -278,13 +288,14 @@ class PackageDescription:
     controls: tuple[Signal, ...]
     parameters: tuple[Signal, ...]
     rows: tuple[Row, ...]
-    y_names: tuple[str, ...]
-    y_names_N: tuple[str, ...]
+    residuals: tuple[Residual, ...]
+    residuals_N: tuple[Residual, ...]
     dt: tuple[float, ...]
     discrete: bool
+    time_unit: str  # of dt and sampling_time; of a discrete map "samples"
     statuses: tuple[str, ...]
     shift: str | None
-    sampling_time: float | None  # s, for which the package is made; None: any
+    sampling_time: float | None  # for which the package is made; None: any
     entry_points: tuple[EntryPoint, ...]
     online: Layouts
     options: str
@@ -314,8 +325,8 @@ class PackageDescription:
             controls=_elements(self.controls),
             parameters=_elements(self.parameters),
             rows=tuple(r.name for r in self.rows),
-            y=self.y_names,
-            y_N=self.y_names_N,
+            y=tuple(r.name for r in self.residuals),
+            y_N=tuple(r.name for r in self.residuals_N),
         )
 
     @property
@@ -354,7 +365,7 @@ class PackageDescription:
             "report": self.report.as_dict(),
             "program": asdict(self.program),
         }
-        for kind in ("states", "controls", "parameters"):
+        for kind in ("states", "controls", "parameters", "residuals", "residuals_N"):
             entries[kind] = [vars(s) for s in entries[kind]]
         return json.dumps(entries, indent=1, allow_nan=False) + "\n"
 

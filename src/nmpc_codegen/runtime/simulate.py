@@ -6,25 +6,24 @@ u_k = step(x_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance(k, x_k)
 from __future__ import annotations
 
 import math
-import os
 import sys
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Any
+from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status
-from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
-from nmpc_codegen.runtime.diagnosis.rows import parameters, path_bounds, row_values
+from nmpc_codegen.runtime.diagnosis.rows import parameters, path_bounds, references, row_values
 from nmpc_codegen.runtime.given import is_positive, is_same_time
-from nmpc_codegen.runtime.package_description import RowKind, Signal
-from nmpc_codegen.runtime.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, Curve, Trace, draw
+from nmpc_codegen.runtime.records.html import units
+from nmpc_codegen.runtime.records.log import Log
+from nmpc_codegen.runtime.records.trace import Bound, Trace
 
 Array = NDArray[np.float64]
+Traces = tuple[Trace, ...]
 Plant = Callable[[Array, Array, float], ArrayLike]
 Disturbance = Callable[[int, Array], ArrayLike]
 Reference = Callable[[int, Controller], None]
@@ -34,107 +33,6 @@ LOG_COLUMNS = 4  # status, cost, time and t
 LONG_RUN = 200  # number of steps from which a progress bar is shown
 SAME = 1e-6  # relative tolerance within which a row equals a signal, in single precision too
 STEP_SLACK = 1e-9  # relative tolerance: dt = 3 intervals, computed as a sum of floats, is 3 steps, not 4
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Log:
-    """The record of a closed loop. ``cost[k]`` is the cost of the plan that the controller computed at sample k.
-
-    ``h[k]`` contains the values at x[k], u[k] of the general path rows ``rows``: those that hold at node 0 or at
-    several nodes before the end. ``reasons``: what Controller.diagnose() said at the first sample with each status.
-    """
-
-    name: str
-    t: Array  # (steps+1,), s (or samples of a discrete map)
-    x: Array  # (steps+1, nx)
-    u: Array  # (steps, nu)
-    status: NDArray[np.int64]  # (steps,), values of Status
-    cost: Array  # (steps,)
-    time_ns: NDArray[np.int64]  # (steps,), prepare and feedback together
-    states: tuple[Trace, ...]
-    controls: tuple[Trace, ...]
-    time_unit: str
-    h: Array  # (steps, number of rows)
-    rows: tuple[Trace, ...]
-    reasons: Mapping[Status, str] = field(default_factory=dict)
-
-    def __str__(self) -> str:
-        return self.summary()
-
-    def __repr__(self) -> str:
-        return f"<Log {self.name}: {len(self.u)} samples, x {self.x.shape}, u {self.u.shape}, h {self.h.shape}>"
-
-    @property
-    def ok(self) -> bool:
-        """True if every sample was solved."""
-        return bool(np.all(self.status == Status.OK))
-
-    @property
-    def failure(self) -> str:
-        """What diagnose() said at the first sample that was not OK; "" if all were."""
-        bad = [Status(s) for s in self.status if s != Status.OK]
-        return self.reasons[bad[0]] if bad else ""
-
-    @property
-    def failures(self) -> int:
-        """Number of samples whose status is a failure: neither OK nor NOT_CONVERGED."""
-        return sum(Status(s).is_failure for s in self.status)
-
-    @property
-    def first_failure(self) -> str:
-        """When, where and why a sample failed first; "" if none did."""
-        return next((self._first(status) for status in self._in_order() if status.is_failure), "")
-
-    def _in_order(self) -> list[Status]:
-        """The statuses that occur, in the order of their first samples."""
-        return sorted(map(Status, self.reasons), key=lambda s: int(np.argmax(self.status == s)))
-
-    def _first(self, status: Status) -> str:
-        """The first sample with a status: its number, its time and what diagnose() said."""
-        first = int(np.argmax(self.status == status))
-        when = f"sample {first}, t = {self.t[first]:g} {self.time_unit}".rstrip()
-        why = self.reasons[status].removeprefix(f"{status.name}: ")
-        return f"first {status.name}: {when}: " + "\n    ".join(why.splitlines())
-
-    def summary(self) -> str:
-        """A summary in a few lines: length, statuses, when and why the first sample with each of them other than OK was
-        not OK, times, last state."""
-        counts = {Status(s).name: int(np.sum(self.status == s)) for s in np.unique(self.status)}
-        outcome = ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
-        last = ", ".join(f"{trace.name} = {value:.6g}" for trace, value in zip(self.states, self.x[-1], strict=True))
-        lines = [f"{self.name}: {len(self.u)} samples over {self.t[-1]:g} {self.time_unit}".rstrip()]
-        lines.append(f"status: {outcome}")
-        reasons = "\n".join(self._first(status) for status in self._in_order() if status != Status.OK).splitlines()
-        lines += [line for i, line in enumerate(reasons) if WARNED not in line or line not in reasons[:i]]
-        if len(self.time_ns):
-            median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
-            lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")
-        lines.append(f"last state: {last}")
-        return "\n".join(lines)
-
-    def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Plot states, controls and general path rows over time, with dashed bounds where a curve comes near. Marks at
-        the lower edge: samples that failed, red, and those whose status is RELAXED or NOT_CONVERGED, orange.
-
-        Args:
-            file: file for the picture (.png, .pdf, .svg); None: only return the figure, for plt.show().
-
-        Returns:
-            The matplotlib figure.
-        """
-        curves = [Curve(trace, self.t, self.x[:, i], STATE_COLOR) for i, trace in enumerate(self.states)]
-        held = np.append(self.u, self.u[-1:], axis=0)
-        curves += [
-            Curve(trace, self.t[: len(held)], held[:, j], CONTROL_COLOR, held=True)
-            for j, trace in enumerate(self.controls)
-        ]
-        curves += [Curve(trace, self.t[:-1], self.h[:, i], ROW_COLOR, dots=True) for i, trace in enumerate(self.rows)]
-        failed = int(np.sum(self.status != Status.OK))
-        note = f"{len(self.u)} samples" + (f", {failed} not OK" if failed else "")
-        time = "time [s]" if self.time_unit == "s" else "sample"
-        doubtful = np.isin(self.status, (Status.RELAXED, Status.NOT_CONVERGED))
-        marks = (self.t[:-1][doubtful], self.t[:-1][(self.status != Status.OK) & ~doubtful])
-        return draw(curves, f"{self.name}  ({note})", time, marks, file)
 
 
 def simulate(
@@ -173,7 +71,7 @@ def simulate(
     move = plant or _own_plant(ctrl)
     x, u = np.zeros((steps + 1, nx)), np.zeros((steps, nu))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
-    p = np.zeros((steps, ctrl.dims.np))
+    p, y = np.zeros((steps, ctrl.dims.np)), np.zeros((steps, ctrl.dims.ny))
     x[0] = _state(x0, nx, "x0")
     reasons: dict[Status, str] = {}
     if warm_start:
@@ -185,18 +83,16 @@ def simulate(
         status[k], cost[k], time_ns[k] = ctrl.status, ctrl.cost, ctrl.time_ns
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
-        p[k] = parameters(ctrl)[0] if numbers else 0.0
+        p[k], y[k] = parameters(ctrl)[0], references(ctrl)
         moved = move(x[k].copy(), u[k].copy(), interval)
         x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
         if disturbance is not None:
             x[k + 1] += _state(disturbance(k, x[k].copy()), nx, f"the disturbance of sample {k}")
     h = row_values(ctrl, x[:-1], u, p)[:, numbers]
-    own, bounds = _own_axes(ctrl, numbers, h, x, u)
-    states, controls = _traces(ctrl, bounds)
-    time_unit = "samples" if ctrl.description.discrete else "s"
+    own, traces = _own_axes(ctrl, numbers, h, x, u)
     t = interval * np.arange(steps + 1, dtype=np.float64)
-    general = tuple(Trace(ctrl.names.rows[numbers[i]], "", *path_bounds(ctrl, numbers[i])) for i in own)
-    return Log(name, t, x, u, status, cost, time_ns, states, controls, time_unit, h[:, own], general, reasons)
+    samples = (status, cost, time_ns)
+    return Log(name, ctrl.description.time_unit, t, x, u, h[:, own], p, y, *samples, *traces, reasons)
 
 
 def _path_rows(ctrl: Controller) -> list[int]:
@@ -224,24 +120,24 @@ def _solve_first(ctrl: Controller, x0: Array, reference: Reference | None) -> No
 def _check_steps(steps: object, ctrl: Controller, rows: int) -> None:
     if not isinstance(steps, int | np.integer) or isinstance(steps, bool) or steps < 0:
         raise ControllerError(f"steps is {steps!r}; expected an integer >= 0")
-    columns = ctrl.dims.nx + ctrl.dims.nu + rows + LOG_COLUMNS
+    columns = ctrl.dims.nx + ctrl.dims.nu + ctrl.dims.np + ctrl.dims.ny + rows + LOG_COLUMNS
     most = LOG_BYTES // (columns * np.dtype(np.float64).itemsize)
     if steps > most:
         raise ControllerError(f"steps is {steps}; expected at most {most}, whose log takes {LOG_BYTES >> 30} GiB")
 
 
 def _interval(ctrl: Controller, dt: float | None) -> float:
-    own, sampled = ctrl.description.dt[0], ctrl.description.sampling_time
+    own, sampled, unit = ctrl.description.dt[0], ctrl.description.sampling_time, ctrl.description.time_unit
     if dt is None:
         return sampled or own
     if not is_positive(dt):
-        raise ControllerError(f"dt is {dt!r}; expected a positive number of seconds")
+        raise ControllerError(f"dt is {dt!r}; expected a positive number ({unit})")
     if ctrl.description.discrete and dt != own:
         raise ControllerError(f"dt is {dt!r}, but the dynamics are a discrete map of dt = {own!r}: leave dt out")
     if sampled is not None and not is_same_time(dt, sampled):
         raise ControllerError(
-            f"dt is {dt!r}, but the plan is shifted by {sampled!r} s before every sample: state the sampling time by "
-            f"RealTimeIteration(sampling_time={dt!r}), or shift nothing, shift=None"
+            f"dt is {dt!r}, but the plan is shifted by {sampled!r} {unit} before every sample: state the "
+            f"sampling time by RealTimeIteration(sampling_time={dt!r}), or shift nothing, shift=None"
         )
     return float(dt)
 
@@ -282,8 +178,8 @@ def _state(value: ArrayLike, nx: int, what: str, before: Callable[[], str] = str
 
 
 def _progress(samples: range, name: str) -> Iterable[int]:
-    """The samples, with a progress bar on a terminal if there are many."""
-    if len(samples) < LONG_RUN or not sys.stderr.isatty():
+    """The samples, with a progress bar on a terminal if there are many and rich is installed."""
+    if len(samples) < LONG_RUN or not sys.stderr.isatty() or find_spec("rich") is None:
         return samples
     from rich.console import Console
     from rich.progress import track
@@ -293,32 +189,29 @@ def _progress(samples: range, name: str) -> Iterable[int]:
 
 def _own_axes(
     ctrl: Controller, numbers: list[int], h: Array, x: Array, u: Array
-) -> tuple[list[int], dict[str, tuple[float, float]]]:
-    """Columns of h with an axis of their own, and bounds of the others: soft rows on a bare state or control."""
+) -> tuple[list[int], tuple[Traces, Traces, Traces, Traces, Traces]]:
+    """Columns of h with an axis of their own, and the traces of a log: states, controls, rows, parameters, references.
+
+    The other columns are bare states or controls, whose traces have their bounds.
+    """
+    described = ctrl.description
     signals = dict(zip((*ctrl.names.states, *ctrl.names.controls), (*x[:-1].T, *u.T), strict=True))
-    own, bounds = [], {}
+    kinds = {"state": ctrl.names.states, "control": ctrl.names.controls}
+    bounds: dict[str, list[Bound]] = {name: [] for name in signals}
+    for i, row in enumerate(described.rows):
+        if row.kind == "control" or (row.kind == "state" and len(row.nodes) > 1):
+            bounds[kinds[row.kind][row.index]].append(Bound(*path_bounds(ctrl, i), soft=row.soft is not None))
+    own, rows = [], []
     for i, number in enumerate(numbers):
-        name = ctrl.names.rows[number]
-        if name in signals and np.allclose(h[:, i], signals[name], rtol=SAME, atol=0.0):
-            bounds[name] = path_bounds(ctrl, number)
+        row = described.rows[number]
+        bound = Bound(*path_bounds(ctrl, number), soft=row.soft is not None)
+        if row.name in signals and np.allclose(h[:, i], signals[row.name], rtol=SAME, atol=0.0):
+            bounds[row.name].append(bound)
         else:
             own.append(i)
-    return own, bounds
-
-
-def _traces(ctrl: Controller, soft: dict[str, tuple[float, float]]) -> tuple[tuple[Trace, ...], tuple[Trace, ...]]:
-    """Names, units and present simple bounds of states and controls, or the bounds of the soft row of that name."""
-    bounds: dict[tuple[RowKind, int], tuple[float, float]] = {
-        (row.kind, row.index): path_bounds(ctrl, i)
-        for i, row in enumerate(ctrl.description.rows)
-        if row.kind == "control" or (row.kind == "state" and len(row.nodes) > 1)
-    }
-
-    def traces(kind: RowKind, signals: Iterable[Signal]) -> tuple[Trace, ...]:
-        named = [(element, signal.unit) for signal in signals for element in signal.elements]
-        free = (-math.inf, math.inf)
-        return tuple(
-            Trace(name, unit, *bounds.get((kind, i), soft.get(name, free))) for i, (name, unit) in enumerate(named)
-        )
-
-    return traces("state", ctrl.description.states), traces("control", ctrl.description.controls)
+            rows.append(Trace(row.name, "", (bound,)))
+    unit = units(described.states, described.controls, described.parameters)
+    states, controls = (tuple(Trace(n, unit[n], tuple(bounds[n])) for n in names) for names in kinds.values())
+    declared = tuple(Trace(name, unit[name]) for name in ctrl.names.parameters)
+    followed = tuple(Trace(r.name, unit.get(r.signal, ""), signal=r.signal) for r in described.residuals)
+    return own, (states, controls, tuple(rows), declared, followed)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime import convergence
-from nmpc_codegen.runtime.convergence import Iteration
 from nmpc_codegen.runtime.given import is_integer, is_positive
+from nmpc_codegen.runtime.records import convergence
+from nmpc_codegen.runtime.records.convergence import Iteration
 from nmpc_codegen.runtime.status import Kkt, Status
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ class Solution:
 
         Raises:
             ControllerError: there is no iteration.
+            ExtraError: matplotlib is not installed.
         """
         if not self.log:
             raise ControllerError("plot_convergence(): solve() took no iteration; expected at least one")

@@ -49,8 +49,9 @@ def check_shift(algorithm: str, shift: str | None, sampling_time: float | None, 
     resampling a discrete map."""
     if shift in ("repeat", "periodic") and sampling_time is not None and not is_same_time(sampling_time, problem.dt[0]):
         raise OptionError(
-            f'{algorithm}(shift="{shift}") moves the plan by one interval, {problem.dt[0]:g} s, and clashes with '
-            f'sampling_time={sampling_time:g}; expected shift="resample" (--set algorithm.shift=resample)'
+            f'{algorithm}(shift="{shift}") moves the plan by one interval, {problem.dt[0]:g} {problem.time_unit}, '
+            f'and clashes with sampling_time={sampling_time:g}; expected shift="resample" '
+            "(--set algorithm.shift=resample)"
         )
     if shift in ("repeat", "periodic") and not problem.uniform:
         raise OptionError(

@@ -42,6 +42,14 @@ def parameters(ctrl: Controller) -> Array:
     return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
 
 
+def references(ctrl: Controller) -> Array:
+    """Reference of the path residual at node 0, (ny,); the declared one if it is fixed."""
+    if ctrl.description.online["reference"] == "fixed":
+        return np.array([residual.reference for residual in ctrl.description.residuals])
+    stored = np.asarray(ctrl.member("yref"), dtype=np.float64)
+    return stored[0] if len(stored) else np.zeros(ctrl.dims.ny)
+
+
 def row_values(ctrl: Controller, x: Array, u: Array, p: Array, end: bool = False) -> Array:
     """Values of all general rows at x (n, nx), u (n, nu), p (n, np) -> (n, number of rows), NaN for other rows.
 

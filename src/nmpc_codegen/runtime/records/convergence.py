@@ -11,7 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nmpc_codegen.runtime.plot import BOUND_COLOR, CONTROL_COLOR, FAILURE_COLOR, ROW_COLOR, STATE_COLOR, STYLE
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.records.plot import (
+    BOUND_COLOR,
+    CONTROL_COLOR,
+    FAILURE_COLOR,
+    ROW_COLOR,
+    STATE_COLOR,
+    STYLE,
+    new_figure,
+)
 from nmpc_codegen.runtime.status import Kkt
 
 PARTS = {"stationarity": STATE_COLOR, "equality": CONTROL_COLOR, "inequality": ROW_COLOR, "complementarity": "#7a4fa3"}
@@ -86,17 +95,10 @@ def _drawn(value: float) -> float:
 
 def draw(log: Sequence[Iteration], title: str, failed: bool, file: str | os.PathLike[str] | None) -> Any:
     """Figure: residuals above, length of the step and shift of the Hessian below, over the iterations."""
-    import matplotlib as mpl  # imported here, so that it is loaded only for a plot
-    from matplotlib.figure import Figure
-
+    mpl = extra("matplotlib", "plot_convergence()")
     numbers = range(1, len(log) + 1)
     with mpl.rc_context(STYLE):
-        if file is None:
-            from matplotlib import pyplot
-
-            figure = pyplot.figure(figsize=(7.2, 4.6), layout="constrained")
-        else:
-            figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+        figure = new_figure((7.2, 4.6), file)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
         for part, color in PARTS.items():
             values = [_drawn(getattr(entry.kkt, part)) for entry in log]

@@ -1,0 +1,95 @@
+"""What an OCP says of itself: in one line, and as tables in a notebook."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nmpc_codegen.frontend.statement import Declared, Residual, Statement
+from nmpc_codegen.runtime.records.html import listed, nodes, page, table, units
+
+if TYPE_CHECKING:
+    from nmpc_codegen.frontend.ocp import OCP
+
+STAGES = {"start": "node 0", "path": "nodes 0..N-1", "terminal": "node N"}
+
+
+def in_one_line(ocp: OCP) -> str:
+    """Name, grid, signals by name, number of rows."""
+    kinds = {"states": ocp.states, "controls": ocp.controls, "parameters": ocp.parameters}
+    parts = [f"{kind} {listed(_elements(declared))}" for kind, declared in kinds.items() if declared]
+    rows = sum(len(statement.names) for statement in ocp.statements)
+    return f"<OCP {ocp.name}: {'; '.join([_grid(ocp), *parts])}; rows: {rows}>"
+
+
+def in_html(ocp: OCP) -> str:
+    """Signals with units and values, rows with bounds, terms of the cost."""
+    return page(
+        f"OCP {ocp.name}",
+        "\n".join([_grid(ocp), *_incomplete(ocp)]),
+        [
+            table(("", "name", "unit", "value", ""), _signals(ocp)),
+            table(("lower", "row", "upper", "unit", "nodes", ""), [r for s in ocp.statements for r in _rows(ocp, s)]),
+            table(("cost", "at", "weight", "reference"), [row for r in ocp.residuals for row in _terms(r)]),
+            table(
+                ("general cost", "at", ""),
+                [(str(c.expression), STAGES[c.stage], "integrated" if c.integrate else "") for c in ocp.costs],
+            ),
+        ],
+    )
+
+
+def _elements(declared: list[Declared]) -> list[str]:
+    return [element for d in declared for element in d.signal.elements]
+
+
+def _grid(ocp: OCP) -> str:
+    if ocp.dt is None or ocp.discrete:
+        return f"N={ocp.N}, a discrete map"
+    uneven = "" if len(set(ocp.dt)) == 1 else f" of {min(ocp.dt):g} to {max(ocp.dt):g} {ocp.time_unit}"
+    return f"N={ocp.N} intervals{uneven} over {sum(ocp.dt):g} {ocp.time_unit}"
+
+
+def _incomplete(ocp: OCP) -> list[str]:
+    """What is still to be stated before a controller can be built."""
+    names = _elements(ocp.states)
+    open_states = [name for i, name in enumerate(names) if i not in ocp.derivatives]
+    missing = [f"the dynamics of {listed(open_states)}"] if open_states else []
+    missing += [f"a {kind}" for kind, there in (("state", ocp.states), ("control", ocp.controls)) if not there]
+    missing += [] if ocp.residuals or ocp.costs else ["a cost"]
+    return [f"still missing: {', '.join(missing)}"] if missing else []
+
+
+def _signals(ocp: OCP) -> list[tuple[object, ...]]:
+    marks = {"free at node 0": ocp.free, "accumulator": ocp.accumulators, "cyclic": ocp.cyclic_states}
+    found: list[tuple[object, ...]] = []
+    for kind, declared in (("state", ocp.states), ("control", ocp.controls), ("parameter", ocp.parameters)):
+        for signal in (d.signal for d in declared):
+            for i, (name, value) in enumerate(zip(signal.elements, signal.value, strict=True)):
+                notes = [mark for mark, which in marks.items() if kind == "state" and signal.offset + i in which]
+                found.append((kind, name, signal.unit, "" if kind == "control" else value, ", ".join(notes)))
+    return found
+
+
+def _rows(ocp: OCP, statement: Statement) -> list[tuple[object, ...]]:
+    known = units((d.signal for d in ocp.states), (d.signal for d in ocp.controls))
+    at = statement.at if isinstance(statement.at, str) else "x_0, x_N" if statement.at is None else nodes(statement.at)
+    soft = "hard" if statement.soft is None else f"soft, {statement.soft[0]:g} s + {statement.soft[1]:g}/2 s²"
+    found: list[tuple[object, ...]] = []
+    for i, name in enumerate(statement.names):
+        element = ocp.element(statement.expression[i])
+        unit = known.get(element.name, "") if element else ""
+        found.append((float(statement.lower[i]), name, float(statement.upper[i]), unit, at, soft))
+    return found
+
+
+def _terms(residual: Residual) -> list[tuple[object, ...]]:
+    """One row per element, with its weight; entries off the diagonal are counted."""
+    diagonal = np.diag(residual.weight)
+    coupled = np.count_nonzero(residual.weight - np.diag(diagonal), axis=1)
+    scaled = " dt" if residual.scale_with_dt else ""
+    return [
+        (f"½ ({name})²", STAGES[residual.stage], f"{w:.6g}{scaled}{f', {n} off the diagonal' if n else ''}", float(y))
+        for name, w, n, y in zip(residual.names, diagonal, coupled, residual.reference, strict=True)
+    ]

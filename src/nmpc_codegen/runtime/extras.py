@@ -1,0 +1,28 @@
+"""Packages that only some functions need: imported at their first use, with an error that names the extra."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from nmpc_codegen.errors import ExtraError
+
+#: Package -> the extra of nmpc-codegen that brings it.
+EXTRAS = {"matplotlib": "plot", "pandas": "notebook", "xarray": "notebook", "cvxpy": "economic", "clarabel": "economic"}
+
+
+def extra(module: str, user: str) -> Any:
+    """The module, or a submodule of a package of EXTRAS.
+
+    Raises:
+        ExtraError: the package is not installed; ``user`` is the function that needs it.
+    """
+    package = module.partition(".")[0]
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != package:
+            raise
+        raise ExtraError(
+            f"{user} needs the package {package}: pip install {package}, or 'nmpc-codegen[{EXTRAS[package]}]'"
+        ) from error

@@ -1,0 +1,1 @@
+"""Records of closed loops and of solve(), and what notebooks show: tables, pictures, files."""

@@ -1,0 +1,64 @@
+"""Logs as .npz archives: arrays as they are, everything else as one text in JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime.records.trace import Bound, Trace
+from nmpc_codegen.runtime.status import Status
+
+if TYPE_CHECKING:
+    from nmpc_codegen.runtime.records.log import Log
+
+FORMAT = "nmpc_codegen log 1"
+TRACES = ("states", "controls", "rows", "parameters", "references")
+ARRAYS = ("t", "x", "u", "h", "p", "y", "status", "cost", "time_ns")
+
+
+def write(log: Log, file: str | os.PathLike[str] | IO[bytes]) -> None:
+    """Write a log."""
+    text = {
+        "format": FORMAT,
+        "name": log.name,
+        "time_unit": log.time_unit,
+        "traces": {kind: [asdict(trace) for trace in getattr(log, kind)] for kind in TRACES},
+        "reasons": {status.name: reason for status, reason in log.reasons.items()},
+    }
+    content = {name: getattr(log, name) for name in ARRAYS} | {"description": np.array(json.dumps(text))}
+    if isinstance(file, str | os.PathLike):
+        with Path(file).open("wb") as stream:
+            np.savez_compressed(stream, allow_pickle=False, **content)
+    else:
+        np.savez_compressed(file, allow_pickle=False, **content)
+
+
+def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
+    """The fields of a Log.
+
+    Raises:
+        ControllerError: the file is no log.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as found:
+            arrays = {name: found[name] for name in ARRAYS}
+            text = json.loads(str(found["description"]))
+        if text["format"] != FORMAT:
+            raise ValueError(f"its format is {text['format']!r}, not {FORMAT!r}")
+        traces = {kind: tuple(_trace(**entry) for entry in text["traces"][kind]) for kind in TRACES}
+        reasons = {Status[name]: str(reason) for name, reason in text["reasons"].items()}
+        return {"name": text["name"], "time_unit": text["time_unit"], "reasons": reasons, **arrays, **traces}
+    except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, EOFError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ControllerError(f"{file} is not a log that Log.save() wrote: {what}") from error
+
+
+def _trace(name: str, unit: str, bounds: list[dict[str, Any]], signal: str) -> Trace:
+    return Trace(name, unit, tuple(Bound(**bound) for bound in bounds), signal)

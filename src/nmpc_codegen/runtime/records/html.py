@@ -1,0 +1,55 @@
+"""What notebooks show of a problem, a controller and a log: a title and tables, as HTML without scripts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from html import escape
+
+from nmpc_codegen.runtime.package_description import Signal
+
+#: Rows of a table, and names of a list; of more, the first ones are shown and their number.
+SHOWN, LISTED = 40, 12
+
+
+def page(title: str, text: str, tables: Iterable[str]) -> str:
+    """A title in bold with a text behind it, and tables below."""
+    lines = "<br>".join(map(escape, text.splitlines()))
+    return f"<div><p><b>{escape(title)}</b>: {lines}</p>{''.join(tables)}</div>"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """A table with numbers to six digits; "" without rows."""
+    if not rows:
+        return ""
+    lines = [_line("th", head), *(_line("td", row) for row in rows[:SHOWN])]
+    if len(rows) > SHOWN:
+        lines.append(_line("td", [f"and {len(rows) - SHOWN} more"]))
+    return f"<table>{''.join(lines)}</table>"
+
+
+def _line(tag: str, cells: Sequence[object]) -> str:
+    return f"<tr>{''.join(f'<{tag}>{escape(_in_short(cell))}</{tag}>' for cell in cells)}</tr>"
+
+
+def _in_short(value: object) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return ("∞" if value > 0 else "-∞") if math.isinf(value) else f"{value:.6g}"
+
+
+def listed(names: Sequence[object], most: int = LISTED) -> str:
+    """Names separated by commas; of more than ``most`` the first ones and the number of all."""
+    shown = ", ".join(map(str, names[:most]))
+    return shown if len(names) <= most else f"{shown}, ... ({len(names)} in all)"
+
+
+def nodes(which: Sequence[int]) -> str:
+    """Nodes in ascending order: "0..9" if they follow one another, else "0, 5, 10"."""
+    consecutive = len(which) > 2 and which[-1] - which[0] == len(which) - 1
+    return f"{which[0]}..{which[-1]}" if consecutive else listed(which)
+
+
+def units(*groups: Iterable[Signal]) -> dict[str, str]:
+    """Name of an element -> its unit."""
+    return {name: signal.unit for signals in groups for signal in signals for name in signal.elements}

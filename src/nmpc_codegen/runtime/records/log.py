@@ -1,0 +1,200 @@
+"""The record of a closed loop: as a summary, tables, a picture and a file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import IO, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
+from nmpc_codegen.runtime.records import archive, tables
+from nmpc_codegen.runtime.records.html import page, table
+from nmpc_codegen.runtime.records.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, TIME_COLOR, Curve, draw
+from nmpc_codegen.runtime.records.trace import Trace
+from nmpc_codegen.runtime.status import Status
+
+Array = NDArray[np.float64]
+
+#: Statuses whose control is that of a QP, while its rows or its plan are doubtful.
+DOUBTFUL = (Status.RELAXED, Status.NOT_CONVERGED)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Log:
+    """The record of a closed loop, one entry per sample; t and x have one more for its end.
+
+    ``h``: values of the general path rows at x[k], u[k], those that hold at node 0 or at several nodes before the end.
+    ``p``, ``y``: parameters and reference of the path residual at node 0. ``cost[k]``: of the plan of sample k.
+    ``states`` ... ``references``: names, units and bounds of the columns of x, u, h, p, y.
+    ``reasons``: what Controller.diagnose() said at the first sample with each status.
+    """
+
+    name: str
+    time_unit: str  # "samples" for a discrete map
+    t: Array  # (steps+1,)
+    x: Array  # (steps+1, nx)
+    u: Array  # (steps, nu)
+    h: Array  # (steps, number of rows)
+    p: Array  # (steps, np)
+    y: Array  # (steps, ny)
+    status: NDArray[np.int64]  # (steps,), values of Status
+    cost: Array  # (steps,)
+    time_ns: NDArray[np.int64]  # (steps,), prepare and feedback together
+    states: tuple[Trace, ...]
+    controls: tuple[Trace, ...]
+    rows: tuple[Trace, ...]
+    parameters: tuple[Trace, ...]
+    references: tuple[Trace, ...]
+    reasons: Mapping[Status, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def __repr__(self) -> str:
+        return f"<Log {self.name}: {self._length()}, {self._outcome()}; x {self.x.shape}, u {self.u.shape}>"
+
+    def _repr_html_(self) -> str:
+        found = []
+        groups = (("state", self.states, self.x), ("control", self.controls, self.u), ("row", self.rows, self.h))
+        for kind, traces, values in groups:
+            for trace, column in zip(traces, values.T, strict=True):
+                ends = (column[0], column[-1], column.min(), column.max()) if len(column) else ("",) * 4
+                found.append((kind, trace.name, trace.unit, *ends))
+        return page(
+            f"Log {self.name}",
+            self.summary().partition(": ")[2],
+            [table(("", "name", "unit", "first", "last", "least", "most"), found)],
+        )
+
+    @property
+    def ok(self) -> bool:
+        """True if every sample was solved."""
+        return bool(np.all(self.status == Status.OK))
+
+    @property
+    def failure(self) -> str:
+        """What diagnose() said at the first sample that was not OK; "" if all were."""
+        bad = [Status(s) for s in self.status if s != Status.OK]
+        return self.reasons[bad[0]] if bad else ""
+
+    @property
+    def failures(self) -> int:
+        """Number of samples whose status is a failure: neither OK nor NOT_CONVERGED."""
+        return sum(Status(s).is_failure for s in self.status)
+
+    @property
+    def first_failure(self) -> str:
+        """When, where and why a sample failed first; "" if none did."""
+        return next((self._first(status) for status in self._in_order() if status.is_failure), "")
+
+    def _in_order(self) -> list[Status]:
+        """The statuses that occur, in the order of their first samples."""
+        return sorted(map(Status, self.reasons), key=lambda s: int(np.argmax(self.status == s)))
+
+    def _first(self, status: Status) -> str:
+        """The first sample with a status: its number, its time and what diagnose() said."""
+        first = int(np.argmax(self.status == status))
+        why = self.reasons[status].removeprefix(f"{status.name}: ")
+        when = f"sample {first}, t = {self.t[first]:g} {self.time_unit}"
+        return f"first {status.name}: {when}: " + "\n    ".join(why.splitlines())
+
+    def _length(self) -> str:
+        return f"{len(self.u)} samples over {self.t[-1]:g} {self.time_unit}"
+
+    def _outcome(self) -> str:
+        return ", ".join(f"{Status(s).name} {np.sum(self.status == s)}" for s in np.unique(self.status)) or "none"
+
+    def summary(self) -> str:
+        """A summary in a few lines: length, statuses, when and why the first sample with each of them other than OK was
+        not OK, times, last state."""
+        lines = [f"{self.name}: {self._length()}", f"status: {self._outcome()}"]
+        reasons = "\n".join(self._first(status) for status in self._in_order() if status != Status.OK).splitlines()
+        lines += [line for i, line in enumerate(reasons) if WARNED not in line or line not in reasons[:i]]
+        if len(self.time_ns):
+            median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
+            lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")
+        last = zip(self.states, self.x[-1], strict=True)
+        lines.append("last state: " + ", ".join(f"{trace.name} = {value:.6g}" for trace, value in last))
+        return "\n".join(lines)
+
+    def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
+        """Plot states, controls, general path rows and the time per sample over time. It needs the extra ``plot``.
+
+        Hard bounds are dashed and soft ones dotted where a curve comes near, references of bare states and controls are
+        thin lines. Marks at the lower edge: samples that failed, red, and those that are RELAXED or NOT_CONVERGED,
+        orange.
+
+        Args:
+            file: file for the picture (.png, .pdf, .svg); None: only return the figure, for plt.show().
+
+        Returns:
+            The matplotlib figure.
+
+        Raises:
+            ExtraError: matplotlib is not installed.
+        """
+        return draw(self._curves(), self._title(), self._time_label(), self._marks(), file)
+
+    def _curves(self) -> list[Curve]:
+        followed = {trace.signal: self.y[:, i] for i, trace in reversed([*enumerate(self.references)])}
+        start = self.t[:-1]
+        held = np.append(self.u, self.u[-1:], axis=0)
+        curves = [
+            Curve(trace, self.t, self.x[:, i], STATE_COLOR, followed.get(trace.name))
+            for i, trace in enumerate(self.states)
+        ]
+        curves += [
+            Curve(trace, self.t[: len(held)], held[:, j], CONTROL_COLOR, followed.get(trace.name), held=True)
+            for j, trace in enumerate(self.controls)
+        ]
+        curves += [Curve(trace, start, self.h[:, i], ROW_COLOR, dots=True) for i, trace in enumerate(self.rows)]
+        return [*curves, Curve(Trace("time", "µs"), start, self.time_ns / 1e3, TIME_COLOR, dots=True)]
+
+    def _title(self) -> str:
+        bad = int(np.sum(self.status != Status.OK))
+        return f"{self.name}  ({len(self.u)} samples{f', {bad} not OK' if bad else ''})"
+
+    def _time_label(self) -> str:
+        return "sample" if self.time_unit == "samples" else f"time [{self.time_unit}]"
+
+    def _marks(self) -> tuple[Array, Array]:
+        """Times of doubtful and of failed samples."""
+        doubtful = np.isin(self.status, DOUBTFUL)
+        return self.t[:-1][doubtful], self.t[:-1][(self.status != Status.OK) & ~doubtful]
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame over time with two levels of columns: ("x", "p"), ("u", "a"), ("status", ""), ...
+
+        The last row is the end of the loop, where only x is known. It needs the extra ``notebook``.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        return tables.to_dataframe(self)
+
+    def to_xarray(self) -> Any:
+        """An xarray Dataset with x (time, state), u (sample, control), h, p, y, status, cost, time_ns, and their units.
+
+        It needs the extra ``notebook``.
+
+        Raises:
+            ExtraError: xarray is not installed.
+        """
+        return tables.to_xarray(self)
+
+    def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
+        """Write everything, with names, units, bounds and reasons, to an .npz archive that numpy.load() reads, too."""
+        archive.write(self, file)
+
+    @classmethod
+    def load(cls, file: str | os.PathLike[str] | IO[bytes]) -> Self:
+        """The log that save() has written.
+
+        Raises:
+            ControllerError: the file is no log.
+        """
+        return cls(**archive.read(file))

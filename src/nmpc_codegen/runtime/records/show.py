@@ -1,0 +1,58 @@
+"""What a controller says of itself: in one line, and as tables in a notebook."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nmpc_codegen.runtime.diagnosis.rows import parameters, path_bounds, references
+from nmpc_codegen.runtime.records.html import nodes, page, table, units
+
+if TYPE_CHECKING:
+    from nmpc_codegen.runtime.controller import Controller
+
+
+def in_one_line(ctrl: Controller) -> str:
+    """Name, sizes, profile, bytes and status."""
+    d = ctrl.dims
+    sizes = f"N={d.N}, nx={d.nx}, nu={d.nu}, np={d.np}, {d.nr} rows"
+    return (
+        f"<Controller {ctrl.description.name}: {sizes}; {ctrl.description.precision}, profile {ctrl.profile}, "
+        f"{ctrl.nbytes} bytes; {ctrl.status.name}>"
+    )
+
+
+def in_html(ctrl: Controller) -> str:
+    """Signals at node 0 of the plan, rows with their present bounds, references, and what the compiler has chosen."""
+    described, d = ctrl.description, ctrl.dims
+    values = {"state": ctrl.x[0], "control": ctrl.u[0], "parameter": parameters(ctrl)[0]}
+    names = {"state": ctrl.names.states, "control": ctrl.names.controls, "parameter": ctrl.names.parameters}
+    unit = units(described.states, described.controls, described.parameters)
+    signals = [
+        (kind, name, unit[name], float(value))
+        for kind, of_kind in names.items()
+        for name, value in zip(of_kind, values[kind], strict=True)
+    ]
+    rows = []
+    for i, row in enumerate(described.rows):
+        lower, upper = path_bounds(ctrl, i)
+        of_row = names[row.kind][row.index] if row.kind in names else ""
+        soft = "hard" if row.soft is None else "soft"
+        rows.append((lower, row.name, upper, unit.get(of_row, ""), nodes(row.nodes), soft))
+    targets = [
+        (r.name, unit.get(r.signal, ""), float(y)) for r, y in zip(described.residuals, references(ctrl), strict=True)
+    ]
+    sizes = f"N={d.N} intervals over {np.sum(described.dt):g} {described.time_unit}"
+    code = f"{described.precision} precision, profile {ctrl.profile}, {ctrl.nbytes:,} bytes"
+    last = f"last call: {ctrl.status}, {ctrl.time_ns / 1e3:.1f} us"
+    return page(
+        f"Controller {described.name}",
+        f"{sizes}; {code}\n{last}",
+        [
+            table(("", "name", "unit", "at node 0"), signals),
+            table(("lower", "row", "upper", "unit", "nodes", ""), rows),
+            table(("residual", "unit", "reference"), targets),
+            table(("chosen by the compiler",), [(choice,) for choice in described.report.choices]),
+        ],
+    )

@@ -1,0 +1,56 @@
+"""Logs as tables of pandas and xarray."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.status import Status
+
+if TYPE_CHECKING:
+    from nmpc_codegen.runtime.records.log import Log
+
+#: Array of a log -> the traces of its columns, and the dimension that they make.
+COLUMNS = {
+    "x": ("states", "state"),
+    "u": ("controls", "control"),
+    "h": ("rows", "row"),
+    "p": ("parameters", "parameter"),
+    "y": ("references", "residual"),
+}
+PER_SAMPLE = ("cost", "time_ns")
+
+
+def to_dataframe(log: Log) -> Any:
+    """See Log.to_dataframe()."""
+    pandas = extra("pandas", "Log.to_dataframe()")
+    index = pandas.Index(log.t, name=f"time [{log.time_unit}]")
+    columns: dict[tuple[str, str], Any] = {}
+    for array, (kind, _) in COLUMNS.items():
+        for trace, values in zip(getattr(log, kind), getattr(log, array).T, strict=True):
+            columns[array, trace.name] = pandas.Series(values, index[: len(values)])
+    columns["status", ""] = pandas.Series(_statuses(log), index[:-1], dtype=object)
+    for name in PER_SAMPLE:
+        columns[name, ""] = pandas.Series(getattr(log, name), index[:-1])
+    return pandas.DataFrame(columns, index=index)
+
+
+def to_xarray(log: Log) -> Any:
+    """See Log.to_xarray()."""
+    xarray = extra("xarray", "Log.to_xarray()")
+    times = {name: (name, t, {"units": log.time_unit}) for name, t in (("time", log.t), ("sample", log.t[:-1]))}
+    variables: dict[str, Any] = {"status": ("sample", _statuses(log))}
+    variables |= {name: ("sample", getattr(log, name)) for name in PER_SAMPLE}
+    variables["time_ns"] = (*variables["time_ns"], {"units": "ns"})
+    coordinates: dict[str, Any] = dict(times)
+    for array, (kind, dimension) in COLUMNS.items():
+        variables[array] = (("time" if array == "x" else "sample", dimension), getattr(log, array))
+        coordinates[dimension] = np.array([trace.name for trace in getattr(log, kind)], dtype=object)
+        coordinates[f"{dimension}_unit"] = (dimension, [trace.unit for trace in getattr(log, kind)])
+    return xarray.Dataset(variables, coordinates, {"name": log.name})
+
+
+def _statuses(log: Log) -> list[str]:
+    return [Status(status).name for status in log.status]

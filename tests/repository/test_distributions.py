@@ -1,0 +1,186 @@
+"""What pip installs: both wheels, public names, types for editors, times of start-up commands."""
+
+from __future__ import annotations
+
+import email
+import json
+import re
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mypy import api
+
+import nmpc_codegen
+from nmpc_codegen.runtime.extras import EXTRAS
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = {"nmpc_codegen": ROOT, "nmpc_codegen_runtime": ROOT / "packaging" / "runtime"}
+
+#: What the runtime must not need.
+HEAVY = ("casadi", "jinja2", "scipy", "osqp", "matplotlib", "pandas", "rich", "cvxpy")
+
+
+def project(name: str) -> dict[str, Any]:
+    """The table [project] of a distribution."""
+    found: dict[str, Any] = tomllib.loads((FOLDERS[name] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return found
+
+
+@pytest.fixture(scope="module")
+def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, zipfile.ZipFile]:
+    """Both wheels, built from the tree."""
+    place = tmp_path_factory.mktemp("wheels")
+    for folder in FOLDERS.values():
+        command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(place)]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    return {path.name.split("-")[0]: zipfile.ZipFile(path) for path in place.glob("*.whl")}
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_wheel(wheels: dict[str, zipfile.ZipFile], name: str) -> None:
+    """Types, licence, version and description are in it; bytecode, tests and examples are not."""
+    inside = set(wheels[name].namelist())
+    info = f"{name}-{nmpc_codegen.__version__}.dist-info"
+    assert {"nmpc_codegen/py.typed", f"{info}/licenses/LICENSE"} <= inside
+    assert not [path for path in inside if "__pycache__" in path or not path.startswith(("nmpc_codegen/", info))]
+    said = email.message_from_bytes(wheels[name].read(f"{info}/METADATA"))
+    assert said["Version"] == nmpc_codegen.__version__
+    assert said["Description-Content-Type"] == "text/markdown"
+    assert said["Keywords"]
+    assert said["Project-URL"]
+    assert "Typing :: Typed" in said.get_all("Classifier", [])
+
+
+def test_the_runtime_is_a_part_of_the_whole(wheels: dict[str, zipfile.ZipFile]) -> None:
+    """Same version, same files; its requirements are among those of the whole."""
+    both = {name: {p for p in wheel.namelist() if p.startswith("nmpc_codegen/")} for name, wheel in wheels.items()}
+    assert both["nmpc_codegen_runtime"] < both["nmpc_codegen"]
+    for path in both["nmpc_codegen_runtime"]:
+        assert wheels["nmpc_codegen_runtime"].read(path) == wheels["nmpc_codegen"].read(path)
+    runtime, whole = project("nmpc_codegen_runtime"), project("nmpc_codegen")
+    assert set(runtime["dependencies"]) < set(whole["dependencies"])
+    for extra in ("plot", "compiler"):
+        assert runtime["optional-dependencies"][extra] == whole["optional-dependencies"][extra]
+
+
+def test_the_runtime_runs_alone(
+    wheels: dict[str, zipfile.ZipFile], toy_files: dict[str, str], compiler: tuple[str, ...], tmp_path: Path
+) -> None:
+    """open_package, step, solve, simulate, save and load; a name that needs the compiler says what to install."""
+    assert compiler
+    wheels["nmpc_codegen_runtime"].extractall(tmp_path / "site")
+    (tmp_path / "toy").mkdir()
+    for name, text in toy_files.items():
+        (tmp_path / "toy" / name).write_text(text, encoding="utf-8")
+    program = f"""
+import json, sys
+sys.path.insert(0, "site")
+for name in {HEAVY!r}:
+    sys.modules[name] = None
+import nmpc_codegen
+from nmpc_codegen import Log, open_package, simulate
+controller = open_package("toy", profile="test")
+log = simulate(controller, [0.1, 0.0], steps=300)
+log.save("log.npz")
+assert Log.load("log.npz").summary() == log.summary()
+said = []
+for use in (lambda: nmpc_codegen.OCP, lambda: nmpc_codegen.build, lambda: log.plot("log.png")):
+    try:
+        use()
+    except ImportError as error:
+        said.append(str(error))
+print(json.dumps([nmpc_codegen.__file__, log.ok, controller.solve([0.1, 0.0]).status.name, *said]))
+"""
+    run = subprocess.run(
+        [sys.executable, "-I", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    file, ok, status, ocp, build, plot = json.loads(run.stdout)
+    assert Path(file) == tmp_path / "site" / "nmpc_codegen" / "__init__.py"
+    assert (ok, status) == (True, "OK")
+    assert ocp.startswith("OCP needs the compiler, which nmpc-codegen-runtime lacks: install nmpc-codegen")
+    assert build.startswith("build needs the compiler")
+    assert "nmpc-codegen[plot]" in plot
+
+
+def test_extras_hold_what_functions_ask_for() -> None:
+    """extra() names an extra that brings the package; ``all`` brings every one; the base brings none."""
+    found = project("nmpc_codegen")["optional-dependencies"]
+
+    def brought(extra: str) -> set[str]:
+        names: set[str] = set()
+        for need in found[extra]:
+            inner = re.match(r"nmpc-codegen\[(.*)\]", need)
+            names |= set().union(*map(brought, inner[1].split(","))) if inner else {re.split(r"[<>=]", need)[0]}
+        return names
+
+    for package, extra in EXTRAS.items():
+        assert package in brought(extra)
+        assert package in brought("all") & brought("dev")
+        assert not [need for need in project("nmpc_codegen")["dependencies"] if need.startswith(package)]
+
+
+# Names ---------------------------------------------------------------------------------------------------------------
+
+
+def test_completion_lists_the_public_names() -> None:
+    program = """
+import sys, json, nmpc_codegen, rlcompleter
+loaded = "casadi" in sys.modules
+complete = rlcompleter.Completer({"nmpc_codegen": nmpc_codegen}).attr_matches("nmpc_codegen.")
+print(json.dumps([dir(nmpc_codegen), sorted(nmpc_codegen.__all__), loaded, complete]))
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    offered, public, loaded, completed = json.loads(run.stdout)
+    assert set(public) <= set(offered)
+    assert {"OCP", "Options", "build", "export", "simulate", "open_package", "Log"} <= set(public)
+    assert {f"nmpc_codegen.{name}" for name in public} <= {text.rstrip("()") for text in completed}
+    assert not loaded
+
+
+PUBLIC = [name for name in nmpc_codegen.__all__ if callable(getattr(nmpc_codegen, name))]
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_public_names_have_help(name: str) -> None:
+    """Real text: not the signature of a data class, and no reference to another module."""
+    text = getattr(nmpc_codegen, name).__doc__ or ""
+    assert text
+    assert not text.startswith(f"{name}(")
+    assert "see nmpc_codegen" not in text
+
+
+USER = """
+from nmpc_codegen import OCP, Options, build, simulate
+ocp = OCP("cart", T=1.0, N=5)
+x = ocp.state("x")
+ocp.subjectto(-1, x, 1)
+ctrl = build(ocp, Options(precison="single"))
+ctrl.stepp([1.0])
+log = simulate(ctrl, [1.0], stesp=3)
+log.summry()
+from nmpc_codegen import Optons
+"""
+
+
+def test_a_type_checker_finds_misspelt_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "user.py").write_text(USER, encoding="utf-8")
+    monkeypatch.setenv("MYPYPATH", str(ROOT / "src"))
+    monkeypatch.chdir(tmp_path)
+    said, _, _ = api.run(["--config-file=", "--follow-imports=silent", "user.py"])
+    for word in ("subject_to", "precision", "step", "steps", "summary", "Options"):
+        assert f'"{word}"?' in said, said
+    assert "Found 6 errors in 1 file" in said
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    from nmpc_codegen.cli import main
+
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"nmpc-export {nmpc_codegen.__version__}\n"
