@@ -19,7 +19,8 @@ from hypothesis import settings
 from sampling import thin
 
 from nmpc_codegen.errors import BuildError
-from nmpc_codegen.runtime.build import find_compiler, load
+from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.runtime.controller import Controller
 from verification.problems import toy_sources
 

@@ -25,7 +25,8 @@ from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import Sources, render
-from nmpc_codegen.runtime.build import PROFILES, WARNINGS, find_compiler
+from nmpc_codegen.runtime.build import PROFILES, WARNINGS
+from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.runtime.package_description import union_dtype
 
 SCALARS = {"double": np.float64, "single": np.float32}

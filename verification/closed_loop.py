@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.lowering.render import Sources
-from nmpc_codegen.runtime.build import PROFILES, find_compiler
+from nmpc_codegen.runtime.build import PROFILES
+from nmpc_codegen.runtime.compilers import find_compiler
 
 DRIVER = Path(__file__).with_name("closed_loop.c")
 

@@ -18,7 +18,7 @@ from examples.crane import build_ocp
 from nmpc_codegen import Options, generate
 from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.runtime.build import WARNINGS as STRICT
-from nmpc_codegen.runtime.build import find_compiler
+from nmpc_codegen.runtime.compilers import find_compiler
 
 #: For both languages; warnings are counted, not refused.
 WARNINGS = tuple(flag for flag in STRICT if flag not in ("-std=c99", "-Werror"))

@@ -13,7 +13,8 @@ import numpy as np
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.print_sweep import print_routine
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.runtime.build import PROFILES, find_compiler
+from nmpc_codegen.runtime.build import PROFILES
+from nmpc_codegen.runtime.compilers import find_compiler
 from verification.closed_loop import pinned_core
 
 MAIN = """

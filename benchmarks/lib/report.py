@@ -14,7 +14,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from nmpc_codegen.runtime.build import PROFILES, find_compiler
+from nmpc_codegen.runtime.build import PROFILES
+from nmpc_codegen.runtime.compilers import find_compiler
 
 #: Growth from which a figure of this unit is marked, relative to its baseline; times only if they are comparable.
 GROWN = {"us": 1.10, "B": 1.02, "instructions": 1.02, "operations": 1.02}

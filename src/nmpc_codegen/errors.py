@@ -59,9 +59,9 @@ class ProblemWarning(UserWarning):
 _PACKAGE = f"{Path(__file__).parent}{os.sep}"
 
 
-def warn(text: str) -> None:
-    """Issue a ProblemWarning at the line outside of this package that called it."""
+def warn(text: str, category: type[Warning] = ProblemWarning) -> None:
+    """Issue a warning at the line outside of this package that called it."""
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         frame, level = frame.f_back, level + 1
-    warnings.warn(text, ProblemWarning, stacklevel=level)
+    warnings.warn(text, category, stacklevel=level)

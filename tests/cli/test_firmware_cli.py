@@ -14,6 +14,7 @@ from conftest import require_tool
 from examples import crane
 from nmpc_codegen import generate
 from nmpc_codegen.cli import main
+from nmpc_codegen.runtime import compilers
 from nmpc_codegen.runtime.seal import intact
 
 PROBLEM = str(Path(__file__).parents[2] / "examples" / "crane.py")
@@ -165,8 +166,32 @@ def test_wrong_usage(
     assert says in capsys.readouterr().err
 
 
-def test_missing_toolchain(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("flags", "there", "says"),
+    [
+        (["--target", "cortex-m7"], (), "apt install gcc-arm-none-eabi libnewlib-arm-none-eabi"),
+        (["--target", "cortex-m7"], ("gcc",), "apt install binutils-arm-none-eabi"),
+        (["--target", "cortex-m3", "--verify"], ("gcc", "ld", "nm", "size", "objdump"), "apt install qemu-system-arm"),
+        (["--check"], (), "no C compiler"),
+        (["--simulate", "5"], (), "no C compiler"),
+    ],
+)
+def test_missing_tools_are_named_before_the_work(
+    flags: list[str],
+    there: tuple[str, ...],
+    says: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The problem file is not even run."""
+    monkeypatch.setattr(compilers, "find_spec", lambda _: None)
+    monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert main([PROBLEM, "-o", str(tmp_path / "c"), "--target", "cortex-m7"]) == 1
-    assert "apt install gcc-arm-none-eabi libnewlib-arm-none-eabi" in capsys.readouterr().err
+    for program in there:
+        (tmp_path / f"arm-none-eabi-{program}").write_text("#!/bin/sh\n")
+        (tmp_path / f"arm-none-eabi-{program}").chmod(0o755)
+    (tmp_path / "problem.py").write_text("raise SystemExit('it was run')\n")
+    assert main([str(tmp_path / "problem.py"), "-o", str(tmp_path / "c"), *flags]) == 1
+    assert says in capsys.readouterr().err
     assert not (tmp_path / "c").exists()

@@ -261,7 +261,7 @@ def test_sizes_in_the_header_are_those_of_the_compiler() -> None:
     sources = problems.sources("crane")
     stated = re.search(r"one crane_solver_t is (\d+) bytes", sources["crane.h"])
     assert stated is not None
-    assert f"{stated[1]} |" in sources["README.md"]
+    assert f"/* {stated[1]} bytes */" in sources["README.md"]
     check = f'#include "crane.h"\ntypedef char size[sizeof(crane_solver_t) == {stated[1]} ? 1 : -1];\n'
     with quality.written(sources) as folder:
         (folder / "size.c").write_text(check)

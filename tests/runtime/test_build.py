@@ -19,7 +19,8 @@ import numpy as np
 import pytest
 
 from nmpc_codegen.errors import BuildError, OptionError
-from nmpc_codegen.runtime.build import MARCH, PROFILES, Profile, compile_module, load
+from nmpc_codegen.runtime import cache, compilers
+from nmpc_codegen.runtime.build import MARCH, PROFILES, WARNINGS, Profile, compile_module, load
 from nmpc_codegen.runtime.cache import cache_directory
 from verification.problems import toy_sources
 
@@ -116,9 +117,9 @@ def test_key_holds_everything_the_module_depends_on(toy_files: Files, monkeypatc
 def test_moves_may_be_unaligned_where_the_assembler_can_encode_them(tmp_path: Path) -> None:
     """A 32-byte move that gcc assumes to be aligned; on other processors than x86 the option is unknown."""
     gcc = ("gcc",)
-    required = build.with_required_options(gcc)
+    required = compilers.with_required_options(gcc)
     if platform.machine() in ("x86_64", "AMD64"):
-        assert required == ("gcc", build.UNALIGNED_MOVES)
+        assert required == ("gcc", compilers.UNALIGNED_MOVES)
         text = "typedef double four __attribute__((vector_size(32)));\nvoid f(four *p, four *q);\n"
         (tmp_path / "move.c").write_text(text + "void f(four *p, four *q)\n{\n    *p = *q;\n}\n")
         objects = []
@@ -130,7 +131,7 @@ def test_moves_may_be_unaligned_where_the_assembler_can_encode_them(tmp_path: Pa
         assert required == gcc
     for other in ("clang", "tcc"):
         if shutil.which(other):
-            assert build.with_required_options((other,)) == (other,)
+            assert compilers.with_required_options((other,)) == (other,)
 
 
 def test_native_target_is_resolved(compiler: tuple[str, ...]) -> None:
@@ -142,10 +143,17 @@ def test_native_target_is_resolved(compiler: tuple[str, ...]) -> None:
 def test_cache_directory_that_cannot_be_written(
     toy_files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A temporary folder takes its place, with one warning, and keeps what is built."""
     (tmp_path / "file").write_text("no folder")
     monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(tmp_path / "file"))
-    with pytest.raises(BuildError, match=r"cannot write to the cache .*NMPC_CODEGEN_CACHE"):
-        load(toy_files, "toy", "test")
+    with pytest.warns(RuntimeWarning, match=r"cannot write to the cache .*NMPC_CODEGEN_CACHE") as said:
+        first = load(toy_files, "toy", "test")
+    assert [warning.filename for warning in said] == [__file__]
+    assert first.step([0.1, 0.0]).shape == (1,)
+    place = cache._SUBSTITUTES[tmp_path / "file"]
+    assert place.stat().st_mode & 0o077 == 0
+    monkeypatch.setattr(build, "_compile", None)
+    assert load(toy_files, "toy", "test").step([0.1, 0.0]).shape == (1,)
 
 
 def test_cache_directory_of_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,8 +215,53 @@ def test_the_runtime_needs_no_casadi(toy_files: Files, tmp_path: Path) -> None:
 def test_no_compiler(toy_files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    with pytest.raises(BuildError, match=r"apt install gcc.*dnf install gcc.*brew install gcc"):
+    monkeypatch.setattr(compilers, "find_spec", lambda _: None)
+    message = r"apt install gcc.*dnf install gcc.*brew install gcc.*pip install nmpc-codegen\[compiler\]"
+    with pytest.raises(BuildError, match=message):
         load(toy_files, "toy")
+
+
+def test_the_compiler_of_the_extra(
+    toy_files: Files, cold: Path, tmp_path: Path, compiler: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where no other is on the path, `python -m ziglang cc` compiles; here that calls gcc and keeps a record."""
+    package, record = tmp_path / "site" / "ziglang", tmp_path / "calls"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "__main__.py").write_text(
+        f"""import os, sys
+tool, *words = sys.argv[1:]
+open({str(record)!r}, "a").write(tool + " " + os.environ["ZIG_GLOBAL_CACHE_DIR"] + chr(10))
+os.environ["PATH"] = {os.environ["PATH"]!r}
+os.execv({shutil.which(compiler[0])!r}, ["cc", *(w for w in words if w != "-fno-sanitize=undefined")])
+"""
+    )
+    monkeypatch.syspath_prepend(package.parent)
+    monkeypatch.setenv("PYTHONPATH", str(package.parent))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(tmp_path / "zig"))
+    assert compilers.find_compiler()[:4] == (sys.executable, "-m", "ziglang", "cc")
+    assert load(toy_files, "toy").step([0.1, 0.0]).shape == (1,)
+    assert load(toy_files, "toy", "test").step([0.1, 0.0]).shape == (1,)
+    assert set(record.read_text().splitlines()) == {f"cc {tmp_path / 'zig'}"}
+    monkeypatch.delenv("ZIG_GLOBAL_CACHE_DIR")
+    monkeypatch.setattr(compilers, "user_cache_dir", lambda _: str(record / "zig"))
+    assert Path(compilers.environment()["ZIG_GLOBAL_CACHE_DIR"]).parent == cache.temporary_directory()
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize(
+    "target", ["x86_64-windows-gnu", "aarch64-macos", "aarch64-linux-gnu", "arm-linux-gnueabihf", "riscv64-linux-gnu"]
+)
+def test_zig_builds_for_other_systems(toy_files: Files, tmp_path: Path, target: str) -> None:
+    """Without a warning."""
+    pytest.importorskip("ziglang")
+    for name, text in toy_files.items():
+        (tmp_path / name).write_text(text)
+    command = [*compilers.ZIG, "-target", target, *WARNINGS, "-O2", "toy.c", "main.c", "-o", "toy"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_named_compiler_does_not_exist(toy_files: Files, monkeypatch: pytest.MonkeyPatch) -> None:

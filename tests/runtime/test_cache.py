@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -49,9 +51,41 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(folder: Path) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    with pytest.raises(BuildError, match=r"cannot write to the cache .*No space left .*NMPC_CODEGEN_CACHE"):
+    with (
+        pytest.warns(RuntimeWarning, match="No space left"),
+        pytest.raises(BuildError, match=r"cannot write to the cache .* temporary .*No space left .*NMPC_CODEGEN_CACHE"),
+    ):
         cache.cached("entry.so", full)
     assert not cache_faults.leftovers(tmp_path / "cache")
+
+
+def test_a_cache_that_cannot_be_written_to_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No warning for what is there already."""
+    monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(tmp_path / "cache"))
+    path = cache.cached("entry.so", lambda folder: (folder / "module").write_bytes(b"code") and None)
+
+    def fail(folder: Path, module: str) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(cache, "_lock", fail)
+    assert cache.cached("entry.so", lambda folder: None) == path
+
+
+def test_the_temporary_folder_is_removed_at_the_end(tmp_path: Path) -> None:
+    """By the process that has made it, not by one that it has forked."""
+    program = """
+import os, sys
+from nmpc_codegen.runtime.cache import temporary_directory
+place = temporary_directory()
+if os.fork() == 0:
+    sys.exit(0)
+os.wait()
+print(place, place.is_dir())
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    place, alive = run.stdout.split()
+    assert alive == "True"
+    assert not Path(place).exists()
 
 
 def test_a_link_is_no_entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

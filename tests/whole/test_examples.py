@@ -515,6 +515,43 @@ def test_cmake_builds_and_runs(folder: Path, tmp_path: Path) -> None:
     assert_loop(run(["./crane_main"], tmp_path))
 
 
+def test_cmake_of_another_project(folder: Path, tmp_path: Path) -> None:
+    """As a subfolder, without the example; and installed, found by find_package()."""
+    cmake = require_tool("cmake")
+    (tmp_path / "application.c").write_text("#include <crane.h>\nint main(void) { return CRANE_NX != 4; }\n")
+    head, end = (
+        "cmake_minimum_required(VERSION 3.13)\nproject(application C)\n",
+        "add_executable(application application.c)\n",
+    )
+    end += "target_link_libraries(application PRIVATE crane::crane)\n"
+    (tmp_path / "CMakeLists.txt").write_text(f'{head}add_subdirectory("{folder}" crane)\n{end}')
+    run([cmake, "-S", ".", "-B", "inside"], tmp_path)
+    run([cmake, "--build", "inside"], tmp_path)
+    run(["./inside/application"], tmp_path)
+    assert not list((tmp_path / "inside").rglob("crane_main"))
+    run([cmake, "-S", str(folder), "-B", "alone", "-DCMAKE_INSTALL_PREFIX=" + str(tmp_path / "installed")], tmp_path)
+    run([cmake, "--build", "alone", "--target", "install"], tmp_path)
+    (tmp_path / "CMakeLists.txt").write_text(f"{head}find_package(crane REQUIRED)\n{end}")
+    run([cmake, "-S", ".", "-B", "outside", f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}"], tmp_path)
+    run([cmake, "--build", "outside"], tmp_path)
+    run(["./outside/application"], tmp_path)
+
+
+def test_readme_begins_with_the_call_sequence(folder: Path, tmp_path: Path) -> None:
+    """It compiles, the build follows, and the table lists every file of the folder."""
+    compiler, readme = require_tool("cc"), (folder / "README.md").read_text()
+    (block,) = re.findall(r"```c\n(.*?)```", readme, flags=re.DOTALL)
+    (tmp_path / "calls.c").write_text(block)
+    warnings = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+    run([compiler, *warnings, f"-I{folder}", "-c", "calls.c", "-o", "calls.o"], tmp_path)
+    places = [
+        readme.index(word) for word in ("crane_step(", "    cc -std=c99", "| `crane.h` |", "| p | m |", "Chosen by")
+    ]
+    assert places == sorted(places)
+    assert set(re.findall(r"^\| `([\w.]+)` \|", readme, flags=re.MULTILINE)) == {file.name for file in folder.iterdir()}
+    assert "| 0 | p_end | 0 | CRANE_ROW_P_END | 10 | hard |" in readme
+
+
 def test_cortex_m_compiles(folder: Path, tmp_path: Path) -> None:
     """Freestanding use: only code and constants, no data of its own."""
     compiler = require_tool("arm")
@@ -528,6 +565,10 @@ def test_cortex_m_compiles(folder: Path, tmp_path: Path) -> None:
 
 def test_readme_tells_the_sizes(folder: Path) -> None:
     readme = (folder / "README.md").read_text()
-    for word in (str(build(crane.build_ocp(), profile="test").nbytes), "-ffast-math", "| x | p, v, phi, omega |"):
+    for word in (
+        str(build(crane.build_ocp(), profile="test").nbytes),
+        "-ffast-math",
+        "| phi | rad | x[2] | state, initially 0 |",
+    ):
         assert word in readme
     assert not re.search(r"\b(None|Undefined)\b|\{\{|\{%", readme)

@@ -21,7 +21,8 @@ from nmpc_codegen.ir.cmodule import Size, Struct
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.tolerances import TOLERANCES
-from nmpc_codegen.runtime.build import MARCH, find_compiler, with_required_options
+from nmpc_codegen.runtime.build import MARCH
+from nmpc_codegen.runtime.compilers import find_compiler, with_required_options
 from nmpc_codegen.runtime.package_description import union_dtype
 
 STATUSES = (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.lib import callgrind
 from nmpc_codegen import OCP, Options, generate
-from nmpc_codegen.runtime.build import find_compiler
+from nmpc_codegen.runtime.compilers import find_compiler
 
 DRIVER = Path(__file__).with_name("counted_loop.c")
 SAMPLES = 160

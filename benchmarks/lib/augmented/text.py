@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from nmpc_codegen import OCP, Options, generate
-from nmpc_codegen.runtime.build import find_compiler
+from nmpc_codegen.runtime.compilers import find_compiler
 
 
 def text_bytes(ocp: OCP, options: Options) -> int:

@@ -62,6 +62,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     from nmpc_codegen.cli.firmware import Firmware
     from nmpc_codegen.compiler import export, for_every_goal
 
+    _look_for_tools(arguments)
     ocp, options = _problem(arguments, printer)
     name = ocp.name if arguments.name is None else arguments.name
     folder = Path(arguments.output or Path("out") / name)
@@ -69,13 +70,24 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": firmware.more}
     with saying_warnings(printer):
         package = export(ocp, options, str(folder), name=name, **given)
-    _print_package(printer, package, folder, arguments.verbose)
-    passed = firmware.report(printer)
-    if arguments.check:
-        passed = check(ocp, options, folder, name, printer) and passed
-    if arguments.simulate is not None:
-        passed = _simulate(arguments, folder, name, printer) and passed
+        _print_package(printer, package, folder, arguments.verbose)
+        passed = firmware.report(printer)
+        if arguments.check:
+            passed = check(ocp, options, folder, name, printer) and passed
+        if arguments.simulate is not None:
+            passed = _simulate(arguments, folder, name, printer) and passed
     return 0 if passed else 1
+
+
+def _look_for_tools(arguments: argparse.Namespace) -> None:
+    """Raise BuildError, with what to install, before any work if a program is missing that the flags need."""
+    from nmpc_codegen.firmware.toolchain import require
+    from nmpc_codegen.runtime.compilers import find_compiler
+
+    if arguments.target is not None:
+        require(emulator=arguments.verify)
+    if arguments.check or arguments.simulate is not None or arguments.target is not None:
+        find_compiler()
 
 
 def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Options]:

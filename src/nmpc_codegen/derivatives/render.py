@@ -72,15 +72,13 @@ def render(model: DerivativeModel, name: str) -> Sources:
         "system_headers": ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else [])],
     }
     files = {
-        f"{name}.c": "unit.c.jinja",
-        "main.c": "main.c.jinja",
+        f"{name}.c": f"{FOLDER}/unit.c.jinja",
+        "main.c": f"{FOLDER}/main.c.jinja",
         "CMakeLists.txt": "CMakeLists.txt.jinja",
-        "README.md": "README.md.jinja",
+        "README.md": f"{FOLDER}/README.md.jinja",
     }
     sources = {f"{name}.h": header}
-    return sources | {
-        path: tidy(environment().get_template(f"{FOLDER}/{t}").render(names)) for path, t in files.items()
-    }
+    return sources | {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
 
 
 def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
@@ -99,6 +97,8 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
     return context(name, model.precision) | {
         "precision": model.precision,
         "gcc12": GCC_12,
+        "folders": (),
+        "libraries": ("m",),
         "signals": (
             *(("x", problem.state_names), ("u", problem.control_names), ("p", problem.parameter_names)),
             ("z", model.output_names),

@@ -7,7 +7,7 @@ firmware/                           a bare-metal program that replays a recorded
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from nmpc_codegen.errors import OptionError
@@ -76,7 +76,7 @@ def deliver(
     files |= layouts(package, recording, target, certificate, budgets.ram)
     forms = forms_of(goals(), name, target)
     files["certificate.json"] = certificate_json(certificate, verdict, forms)
-    files["certificate.md"] = page(certificate, verdict, forms)
+    files["certificate.md"] = page(certificate, verdict, forms, sorted(files))
     return Delivery(files, certificate, verdict, forms)
 
 
@@ -95,8 +95,10 @@ def certificate_json(certificate: Certificate, verdict: Verdict | None, forms: t
     return json.dumps(entries, indent=1, allow_nan=False) + "\n"
 
 
-def page(certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = ()) -> str:
-    """The certificate for people."""
+def page(
+    certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = (), files: Sequence[str] = ()
+) -> str:
+    """The certificate for people; ``files``: those that came with it."""
     goals = environment().get_template("firmware/certificate_goals.md.jinja")
     names = {
         "c": certificate,
@@ -106,6 +108,7 @@ def page(certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, .
         "compiler": ", ".join(certificate.compiler_functions) or "none",
         "double": ", ".join(certificate.double_functions) or "none",
         "deviations": DEVIATIONS,
+        "files": files,
         "verdict": NOT_RUN if verdict is None else sentences(verdict),
     }
     return environment().get_template("firmware/certificate.md.jinja").render(names)

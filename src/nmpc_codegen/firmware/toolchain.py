@@ -40,6 +40,17 @@ def find(program: str) -> str:
     return path
 
 
+def require(emulator: bool) -> None:
+    """Look for every program that a target needs, before any work; with ``emulator`` for that, too.
+
+    Raises:
+        BuildError: one is missing; the message says what to install.
+    """
+    for program in _PACKAGES:
+        if program != EMULATOR or emulator:
+            find(program)
+
+
 def version(program: str) -> str:
     """First line of what the program says about its version."""
     return run([program, "--version"], Path.cwd()).splitlines()[0]

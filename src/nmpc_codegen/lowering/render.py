@@ -30,7 +30,8 @@ from nmpc_codegen.lowering.preamble import (
 )
 from nmpc_codegen.lowering.unit.names import names_in, rename, renamed_words, with_members_apart
 from nmpc_codegen.lowering.unit.unused import without_unused
-from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout
+from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout, Signal, c_constants
+from nmpc_codegen.runtime.records.html import nodes
 
 #: Maximum length of a comment line in the header without its margin.
 WIDTH = 116
@@ -77,6 +78,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
         "README.md": "README.md.jinja",
     }
     sources = {f"{module.name}.h": names["header"]}
+    names |= _page(module) | {"folders": module.folders, "libraries": module.libraries}
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return {**sources, **module.foreign}
@@ -165,6 +167,53 @@ def render_unit(
     if not resolved:
         more["resolved"] = lambda template: environment().get_template(template).render(names).rstrip("\n")
     return environment().get_template("unit.c.jinja").render(names | more)
+
+
+def _page(module: CModule) -> dict[str, Any]:
+    """What README.md says of the problem: the grid, the files, signals and rows with their constants."""
+    d, name, macro = module.description, module.name, module.macro
+    unit = d.time_unit
+    period = "every sample" if d.discrete else f"every {d.sampling_time or d.dt[0]:g} {unit}"
+    over = "of a discrete map" if d.discrete else f"over {sum(d.dt):g} {unit}"
+    files = {
+        f"{name}.h": "the interface: sizes, names, the solver struct, all functions with their arguments",
+        f"{name}.c": "the solver, one translation unit",
+        f"{name}.json": "sizes, names, units, options and report, for open_package() in Python and for other tools",
+        "main.c": "an example: a closed loop on the computer, the only file that uses stdio",
+        "CMakeLists.txt": f"the library {name}::{name}, its installation, the example",
+        "README.md": "this page",
+        **{f"{folder}/": "code of another generator" for folder in module.folders},
+    }
+    parameters = c_constants([s.name for s in d.parameters])
+    signals = [
+        *((e, s.unit, f"x[{i}]", f"state, initially {v:g}") for i, e, s, v in _elements(d.states)),
+        *((e, s.unit, f"u[{i}]", "control") for i, e, s, _ in _elements(d.controls)),
+    ]
+    for s, constant in zip(d.parameters, parameters, strict=True):
+        declared = ", ".join(f"{value:g}" for value in s.value)
+        signals.append((s.name, s.unit, f"{macro}_PARAM_{constant}", f"parameter, declared {declared}"))
+    rows = [
+        (
+            f"{r.lower:g}",
+            r.name,
+            f"{r.upper:g}",
+            f"{macro}_ROW_{constant}",
+            nodes(r.nodes),
+            "soft" if r.soft else "hard",
+        )
+        for r, constant in zip(d.rows, c_constants([row.name for row in d.rows]), strict=True)
+    ]
+    grid = f"{d.dims.N} intervals {over}"
+    return {"grid": grid, "sample": period.capitalize(), "files": files.items(), "signals": signals, "rows": rows}
+
+
+def _elements(signals: Sequence[Signal]) -> list[tuple[int, str, Signal, float]]:
+    """(position in the vector, name, signal, value) of every element."""
+    return [
+        (s.offset + i, element, s, value)
+        for s in signals
+        for i, (element, value) in enumerate(zip(s.elements, s.value, strict=True))
+    ]
 
 
 def _copies(layout: Layout, path_only: bool) -> str:

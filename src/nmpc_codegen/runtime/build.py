@@ -20,12 +20,9 @@ import importlib.machinery
 import importlib.util
 import os
 import platform
-import shlex
-import shutil
 import subprocess
 import sys
 import sysconfig
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -35,9 +32,9 @@ from typing import Any
 import cffi
 
 from nmpc_codegen.errors import BuildError, OptionError
-from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.runtime.cache import PRODUCT, cached, keep_failed
 from nmpc_codegen.runtime.compiled import CompiledPackage
+from nmpc_codegen.runtime.compilers import environment, find_compiler
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.package_description import PackageDescription
 
@@ -47,16 +44,6 @@ WARNINGS = (
     *("-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"),
 )
 SHOWN_LINES = 20
-
-#: GCC 12 and 13 may align the stack of a leaf function less than its vector stores require, which then fault (observed
-#: with 12.2 on processors with AVX-512). With this option the GNU assembler encodes the same moves for any alignment,
-#: which costs no time on addresses that are aligned.
-UNALIGNED_MOVES = "-Wa,-muse-unaligned-vector-move"
-_PROBE = """#if !defined(__GNUC__) || defined(__clang__) || defined(__TINYC__)
-#error "another compiler, which does not need the option and may accept it without knowing it"
-#endif
-typedef int probe;
-"""
 
 
 @dataclass(frozen=True)
@@ -146,7 +133,7 @@ def host(lanes: int | None, profile: str | Profile) -> Host:
 def _macros(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> Mapping[str, str]:
     """Predefined macros of the compiler with these flags; ``path`` is only a key of lru_cache."""
     command = [*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull]
-    lines = subprocess.run(command, capture_output=True, text=True, check=False).stdout.splitlines()
+    lines = _asked(command).stdout.splitlines()
     found = (line.split(None, 2) for line in lines if line.startswith("#define "))
     return {words[1]: words[2] if len(words) == 3 else "" for words in found}
 
@@ -235,53 +222,6 @@ def compile_module(files: Mapping[str, str], name: str, flags: Sequence[str], wr
     return cached(f"{module}{_suffix()}", lambda folder: _compile(files, name, flags, compiler, wrapped, folder))
 
 
-def find_compiler() -> tuple[str, ...]:
-    """The C compiler as a command: $CC, else gcc, cc or clang on the path, with options that all its code requires.
-
-    Raises:
-        BuildError: there is none; the message says what to install.
-    """
-    return with_required_options(_compiler_on_path())
-
-
-def with_required_options(command: tuple[str, ...]) -> tuple[str, ...]:
-    """The compiler with UNALIGNED_MOVES, if it is gcc and its assembler knows this option.
-
-    Under the lock: the first temporary folder of a process takes a lock of Python's, which a fork would copy.
-    """
-    with COMPILING:
-        return _with_required_options(command, os.environ.get("PATH", ""))
-
-
-@lru_cache
-def _with_required_options(command: tuple[str, ...], path: str) -> tuple[str, ...]:
-    """``path`` is only a key of lru_cache."""
-    with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "probe.c").write_text(_PROBE)
-        asked = [*command, UNALIGNED_MOVES, "-c", "probe.c", "-o", "probe.o"]
-        known = subprocess.run(asked, cwd=folder, capture_output=True, check=False).returncode == 0
-    return (*command, UNALIGNED_MOVES) if known else command
-
-
-def _compiler_on_path() -> tuple[str, ...]:
-    given = os.environ.get("CC", "")
-    try:
-        wanted = shlex.split(given)
-    except ValueError as error:
-        raise BuildError(f"CC is {given!r}, which is no command: {error}") from error
-    if wanted:
-        if shutil.which(wanted[0]) is None:
-            raise BuildError(f"CC is {given!r}, but there is no program {wanted[0]!r} on the path")
-        return tuple(wanted)
-    for command in ("gcc", "cc", "clang"):
-        if shutil.which(command):
-            return (command,)
-    raise BuildError(
-        "no C compiler (gcc, cc or clang) on the path: install one with 'apt install gcc', 'dnf install gcc' or "
-        "'xcode-select --install' ('brew install gcc'), or name one in the environment variable CC"
-    )
-
-
 def _key(
     files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], wrapper: bool = True
 ) -> str:
@@ -300,18 +240,23 @@ def _key(
 def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> str:
     """Version and target of the compiler, and its flags with -march=native resolved for this machine.
 
-    ``-###`` prints the command that the driver would run; gcc and clang both support it. A compiler that compiles an
-    empty file, but does not know the option, tells its version. ``path`` is only a key of lru_cache.
+    ``-###`` prints the command that the driver would run: cc1 with all its flags, of gcc and of clang. Any other
+    compiler that compiles an empty file tells its version and its predefined macros. ``path`` is only a key of
+    lru_cache.
     """
     command = [*compiler, *flags, "-###", "-E", "-x", "c", os.devnull]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    if result.returncode == 0:
+    result = _asked(command)
+    if result.returncode == 0 and "cc1" in result.stderr:
         return result.stderr
-    plain = subprocess.run([*compiler, *flags, "-E", "-x", "c", os.devnull], capture_output=True, check=False)
-    version = subprocess.run([*compiler, "-v"], capture_output=True, text=True, check=False)
+    plain, version = _asked([*compiler, *flags, "-E", "-x", "c", os.devnull]), _asked([*compiler, "-v"])
     if plain.returncode == 0 and version.returncode == 0:
-        return version.stdout + version.stderr
+        return f"{version.stdout}{version.stderr}{sorted(_macros(compiler, flags, path).items())}"
     raise BuildError(f"'{' '.join(command)}' failed:\n{_head(result.stderr)}")
+
+
+def _asked(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """What the compiler says of itself."""
+    return subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
 
 
 def _suffix() -> str:
@@ -356,7 +301,7 @@ def _compile_module(
     package = subprocess.Popen(
         [*common, *flags, f"{name}.c", "-o", "package.o"],
         cwd=folder,
-        env=_environment(folder),
+        env=environment(folder),
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
@@ -381,18 +326,13 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
     return subprocess.run(
         command,
         cwd=folder,
-        env=_environment(folder),
+        env=environment(folder),
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         errors="replace",
         check=False,
     )
-
-
-def _environment(folder: Path) -> dict[str, str]:
-    """Environment of the compiler: its temporary files go to the build folder, which is removed after killed builds."""
-    return {**os.environ, "TMPDIR": str(folder)}
 
 
 def _compile_foreign(

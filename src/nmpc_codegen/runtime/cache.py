@@ -9,10 +9,13 @@
 A module is code that runs in the process that loads it. Hence the cache and its entries must belong to the current user
 (or to root), and nobody else may have write access; users must not share a cache. Systems without POSIX owners skip
 this check.
+
+Where the cache cannot be written to, a temporary folder takes its place until the process ends.
 """
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import shutil
@@ -20,17 +23,21 @@ import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 from platformdirs import user_cache_dir
 
-from nmpc_codegen.errors import BuildError
+from nmpc_codegen.errors import BuildError, warn
 
 CACHE_VARIABLE = "NMPC_CODEGEN_CACHE"
 BUILDING, FAILED, LOCKS, PRODUCT = ".building-", "failed", "locks", "module"
 KEPT_FAILURES = 8
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+
+#: A cache that cannot be written to -> the folder that takes its place.
+_SUBSTITUTES: dict[Path, Path] = {}
 
 
 def cache_directory() -> Path:
@@ -47,22 +54,55 @@ def cached(filename: str, make: Callable[[Path], None]) -> Path:
         make: writes the file "module" to the folder that it is given.
 
     Raises:
-        BuildError: the cache is not private or cannot be written to. Errors of ``make`` are passed on.
+        BuildError: the cache is not private; neither it nor a temporary folder can be written to. Errors of ``make``
+            are passed on.
     """
-    folder = _private_folder()
+    folder = cache_directory()
+    try:
+        if folder not in _SUBSTITUTES:
+            try:
+                return _entry(_private(folder), filename, make)
+            except (OSError, NotImplementedError) as error:  # the latter: a file system without locks
+                _substitute(folder, error)
+        return _entry(_SUBSTITUTES[folder], filename, make)
+    except OSError as error:
+        raise BuildError(
+            f"cannot write to the cache {folder} or to a temporary folder: {error}; name another folder in "
+            f"{CACHE_VARIABLE}"
+        ) from error
+
+
+def _entry(folder: Path, filename: str, make: Callable[[Path], None]) -> Path:
+    """Path of an intact entry in a folder, made there if necessary."""
     target = folder / filename
     if _is_intact(target):
         return target
-    try:
-        with _lock(folder, _module(target.name)):
-            if not _is_intact(target):
-                _sweep(folder, _module(target.name))
-                with _workplace(target) as workplace:
-                    make(workplace)
-                    _store(workplace / PRODUCT, target)
-    except (OSError, NotImplementedError) as error:  # the latter: a file system without locks
-        raise _unwritable(folder, error) from error
+    with _lock(folder, _module(target.name)):
+        if not _is_intact(target):
+            _sweep(folder, _module(target.name))
+            with _workplace(target) as workplace:
+                make(workplace)
+                _store(workplace / PRODUCT, target)
     return target
+
+
+def _substitute(folder: Path, error: BaseException) -> None:
+    """Let a temporary folder of this process take the place of a cache, with a warning."""
+    place = _SUBSTITUTES[folder] = temporary_directory()
+    warn(
+        f"cannot write to the cache {folder}: {error}; controllers are kept in {place} until this process ends and "
+        f"compiled again in the next one; name another folder in {CACHE_VARIABLE}",
+        RuntimeWarning,
+    )
+
+
+@cache
+def temporary_directory() -> Path:
+    """A private folder that is removed when the process that asked for it first ends."""
+    place = Path(tempfile.mkdtemp(prefix="nmpc_codegen-"))
+    owner = os.getpid()
+    atexit.register(lambda: shutil.rmtree(place, ignore_errors=True) if os.getpid() == owner else None)
+    return place
 
 
 def keep_failed(workplace: Path) -> Path:
@@ -82,18 +122,10 @@ def keep_failed(workplace: Path) -> Path:
     return kept
 
 
-def _unwritable(folder: Path, error: BaseException) -> BuildError:
-    return BuildError(f"cannot write to the cache {folder}: {error}; name another folder in {CACHE_VARIABLE}")
-
-
-def _private_folder() -> Path:
-    """The cache directory, created if needed; it is refused if another user could put code into it."""
-    folder = cache_directory()
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        reason = _distrust(folder.stat())
-    except OSError as error:
-        raise _unwritable(folder, error) from error
+def _private(folder: Path) -> Path:
+    """The folder, created if needed; it is refused if another user could put code into it."""
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    reason = _distrust(folder.stat())
     if reason:
         raise BuildError(
             f"the cache {folder} {reason}, who could have put any code into it: make it yours with "

@@ -1,0 +1,104 @@
+"""The C compiler: $CC, else one on the path, else that of the extra ``compiler``, and what it is run with."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+
+from platformdirs import user_cache_dir
+
+from nmpc_codegen.errors import BuildError
+from nmpc_codegen.exclusive import COMPILING
+from nmpc_codegen.runtime.cache import temporary_directory
+
+#: The compiler of the package ziglang, which is clang with a C library. Without the option it inserts traps at -O0.
+ZIG = (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=undefined")
+#: Names the folder in which zig keeps the parts of its C library.
+ZIG_CACHE = "ZIG_GLOBAL_CACHE_DIR"
+
+#: GCC 12 and 13 may align the stack of a leaf function less than its vector stores require, which then fault (observed
+#: with 12.2 on processors with AVX-512). With this option the GNU assembler encodes the same moves for any alignment,
+#: which costs no time on addresses that are aligned.
+UNALIGNED_MOVES = "-Wa,-muse-unaligned-vector-move"
+_PROBE = """#if !defined(__GNUC__) || defined(__clang__) || defined(__TINYC__)
+#error "another compiler, which does not need the option and may accept it without knowing it"
+#endif
+typedef int probe;
+"""
+
+
+def find_compiler() -> tuple[str, ...]:
+    """The C compiler as a command: $CC, else gcc, cc or clang on the path, with options that all its code requires.
+
+    Raises:
+        BuildError: there is none; the message says what to install.
+    """
+    return with_required_options(_compiler_on_path())
+
+
+def with_required_options(command: tuple[str, ...]) -> tuple[str, ...]:
+    """The compiler with UNALIGNED_MOVES, if it is gcc and its assembler knows this option.
+
+    Under the lock: the first temporary folder of a process takes a lock of Python's, which a fork would copy.
+    """
+    with COMPILING:
+        return _with_required_options(command, os.environ.get("PATH", ""))
+
+
+@lru_cache
+def _with_required_options(command: tuple[str, ...], path: str) -> tuple[str, ...]:
+    """``path`` is only a key of lru_cache."""
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "probe.c").write_text(_PROBE)
+        asked = [*command, UNALIGNED_MOVES, "-c", "probe.c", "-o", "probe.o"]
+        known = subprocess.run(asked, cwd=folder, capture_output=True, check=False).returncode == 0
+    return (*command, UNALIGNED_MOVES) if known else command
+
+
+def _compiler_on_path() -> tuple[str, ...]:
+    given = os.environ.get("CC", "")
+    try:
+        wanted = shlex.split(given)
+    except ValueError as error:
+        raise BuildError(f"CC is {given!r}, which is no command: {error}") from error
+    if wanted:
+        if shutil.which(wanted[0]) is None:
+            raise BuildError(f"CC is {given!r}, but there is no program {wanted[0]!r} on the path")
+        return tuple(wanted)
+    for command in ("gcc", "cc", "clang"):
+        if shutil.which(command):
+            return (command,)
+    if find_spec("ziglang") is not None:
+        return ZIG
+    raise BuildError(
+        "no C compiler (gcc, cc or clang) on the path: install one with 'apt install gcc', 'dnf install gcc' or "
+        "'xcode-select --install' ('brew install gcc'), or name one in the environment variable CC; without the rights "
+        "to do so, 'pip install nmpc-codegen[compiler]' brings one (package ziglang)"
+    )
+
+
+def environment(folder: Path | None = None) -> dict[str, str]:
+    """Environment of the compiler: its temporary files go to the build folder, which is removed after killed builds;
+    what zig keeps goes to a temporary folder if it could not write anywhere else."""
+    found = dict(os.environ)
+    if folder is not None:
+        found["TMPDIR"] = str(folder)
+    if ZIG_CACHE not in found and find_spec("ziglang") is not None and not _can_be_made(Path(user_cache_dir("zig"))):
+        found[ZIG_CACHE] = str(temporary_directory() / "zig")
+    return found
+
+
+def _can_be_made(folder: Path) -> bool:
+    """True if the folder exists or can be made, and can be written to."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK | os.X_OK)
