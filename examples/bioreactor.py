@@ -56,7 +56,7 @@ def build_ocp(reading: str = "b", periodic: bool = True, soft: bool = False, ave
     """
     if reading not in ("a", "b"):
         raise ValueError(f"reading: {reading!r}; expected 'a' or 'b'")
-    ocp = OCP("bioreactor", T=HORIZON, N=N)
+    ocp = OCP("bioreactor", T=HORIZON, N=N, time_unit="h")
     X = ocp.state("X", unit="g/L", initial=START[0])
     S = ocp.state("S", unit="g/L", initial=START[1])
     P = ocp.state("P", unit="g/L", initial=START[2])

@@ -47,7 +47,7 @@ def process(N: int, *, economic: bool = True) -> OCP:
 
     The end is stated by build_ocp(), to all digits: a rounded steady state is no fixed point of the discrete map.
     """
-    ocp = OCP("evaporation", T=float(N), N=N)
+    ocp = OCP("evaporation", T=float(N), N=N, time_unit="min")
     X2 = ocp.state("X2", unit="%", initial=STEADY[0])
     P2 = ocp.state("P2", unit="kPa", initial=STEADY[1] + 5.0)
     P100 = ocp.control("P100", unit="kPa")

@@ -62,7 +62,7 @@ def steady_state(u: np.ndarray) -> np.ndarray:
 
 def build_ocp(penalty: float | None = None, intervals: int = N) -> OCP:
     """Track (cB, T, u) from the first steady state. penalty: of the rows; 0: no rows, None: hard ones."""
-    ocp = OCP("vandevusse", T=SAMPLING * intervals, N=intervals)
+    ocp = OCP("vandevusse", T=SAMPLING * intervals, N=intervals, time_unit="h")
     first = steady_state(ENDS[0])
     cA = ocp.state("cA", unit="mol/m^3", initial=first[0])
     cB = ocp.state("cB", unit="mol/m^3", initial=first[1])

@@ -77,7 +77,7 @@ def test_values_along_the_loop(case: str) -> None:
     assert tuple(trace.name for trace in log.rows) == NAMES
     m = np.where((np.arange(12) >= 6) & changes, 0.75, 0.5)
     np.testing.assert_allclose(log.h, values(log, m), rtol=1e-5 if case == "single" else 1e-13, atol=1e-6)
-    assert [(t.bounds[0].lower, t.bounds[0].upper) for t in log.rows][:4] == [(-2, 2), (-3, 3), (-4, 4), (-5, 5)]
+    assert [(t.lower, t.upper) for t in log.rows][:4] == [(-2, 2), (-3, 3), (-4, 4), (-5, 5)]
     for k in range(12):  # the loop is not disturbed
         heavier(k, twin)
         np.testing.assert_array_equal(twin.step(log.x[k]), log.u[k])

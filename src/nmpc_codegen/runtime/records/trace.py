@@ -34,6 +34,16 @@ class Trace:
     signal: str = ""
 
     @property
+    def lower(self) -> float:
+        """The largest lower bound, -inf if there is none."""
+        return max((bound.lower for bound in self.bounds), default=-math.inf)
+
+    @property
+    def upper(self) -> float:
+        """The smallest upper bound, inf if there is none."""
+        return min((bound.upper for bound in self.bounds), default=math.inf)
+
+    @property
     def label(self) -> str:
         """Label of its axis."""
         return with_unit(self.name, self.unit)
