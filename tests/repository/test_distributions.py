@@ -179,6 +179,23 @@ def test_a_type_checker_finds_misspelt_names(tmp_path: Path, monkeypatch: pytest
     assert "Found 6 errors in 1 file" in said
 
 
+def test_release_data_agree() -> None:
+    """One version, one list of Pythons, in every file that names them; the workflow runs targets that exist."""
+    version = nmpc_codegen.__version__
+    assert re.search(rf"^version: {re.escape(version)}$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.search(rf"^## \[{re.escape(version)}\] - \d{{4}}-\d\d-\d\d$", changes, re.MULTILINE)
+    workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    (matrix,) = re.findall(r"python: \[(.*)\]", workflow)
+    classified = re.findall(r"Python :: (3\.\d+)", " ".join(project("nmpc_codegen")["classifiers"]))
+    assert [word.strip('" ') for word in matrix.split(",")] == classified
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    assert {"test-all", "mutants"} <= set(re.findall(r"make ([a-z-]+)", workflow)) <= targets
+    assert not [
+        path for path in re.findall(r"(?:examples|tests|packaging)/[\w/.]+", workflow) if not (ROOT / path).exists()
+    ]
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     from nmpc_codegen.cli import main
 

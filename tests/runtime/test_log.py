@@ -11,7 +11,19 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, Controller, ControllerError, ExtraError, Log, Online, Options, Status, build, simulate
+from nmpc_codegen import (
+    OCP,
+    Controller,
+    ControllerError,
+    ExtraError,
+    Log,
+    Online,
+    Options,
+    Status,
+    build,
+    generate,
+    simulate,
+)
 from nmpc_codegen.runtime.records.plot import BOUND_COLOR, DOUBT_COLOR, FAILURE_COLOR, REFERENCE_COLOR
 
 mpl.use("Agg")
@@ -202,10 +214,17 @@ def test_an_unfinished_problem_says_what_is_missing() -> None:
     assert "... (20 in all)" in repr(ocp)
 
 
-@pytest.mark.parametrize("unit", [5, "h\n", "a\0b"])
+@pytest.mark.parametrize("unit", [5, "h\n", "a\0b", "h*/", "a|b"])
 def test_units_of_time_are_printable(unit: object) -> None:
     with pytest.raises(ValueError, match="time_unit must be"):
         OCP("clock", T=1.0, N=2, time_unit=unit)  # type: ignore[arg-type]
+
+
+def test_files_of_a_package_speak_of_the_unit_of_time() -> None:
+    files = generate(tank())
+    assert "#define TANK_DT 0.2 /* h: time between samples */" in files["tank.h"]
+    assert "/* Every 0.2 h: " in files["README.md"]
+    assert "10 intervals over 2 h" in files["README.md"]
 
 
 def test_errors_speak_of_the_unit_of_time() -> None:

@@ -57,11 +57,11 @@ def identifier(name: Any, what: str) -> str:
 
 
 def unit_text(unit: Any, what: str) -> str:
-    """A unit: a printable text in one line, which is shown as it is."""
+    """A unit: a printable text in one line, which is shown as it is, in comments of C and in tables too."""
     if not isinstance(unit, str):
         raise ProblemError(f"{what} must be a string, got {type(unit).__name__} {quote(unit)}")
-    if not unit.isprintable():
-        raise ProblemError(f"{what} must be printable text in one line, got {quote(unit)}")
+    if not unit.isprintable() or "*/" in unit or "|" in unit:
+        raise ProblemError(f"{what} must be printable text in one line without */ and |, got {quote(unit)}")
     return unit
 
 
