@@ -51,7 +51,7 @@ def simulate(
         ctrl: the controller.
         x0: initial state of the plant, shape (nx,).
         steps: number of samples, >= 0.
-        dt: sampling time (s); by default that of the controller, or its first interval if any will do, as with
+        dt: sampling time (s, or the time_unit of the OCP); by default that of the controller, or its first interval if any will do, as with
             shift=None. Leave it out for a discrete map.
         plant: plant(x, u, dt) -> next x; by default the integrator of the package, in equal steps no longer than the
             controller's first interval.

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 #: Statuses whose control is that of a QP, while its rows or its plan are doubtful.
 DOUBTFUL = (Status.RELAXED, Status.NOT_CONVERGED)
 
+#: Times per sample are drawn on a logarithmic axis if the longest one is so many times the median.
+UNEVEN = 20
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Log:
@@ -152,7 +155,9 @@ class Log:
             for j, trace in enumerate(self.controls)
         ]
         curves += [Curve(trace, start, self.h[:, i], ROW_COLOR, dots=True) for i, trace in enumerate(self.rows)]
-        return [*curves, Curve(Trace("time", "µs"), start, self.time_ns / 1e3, TIME_COLOR, dots=True)]
+        times = self.time_ns / 1e3
+        uneven = bool(times.size and times.max() > UNEVEN * np.median(times) > 0)
+        return [*curves, Curve(Trace("time", "µs"), start, times, TIME_COLOR, dots=True, logarithmic=uneven)]
 
     def _title(self) -> str:
         bad = int(np.sum(self.status != Status.OK))

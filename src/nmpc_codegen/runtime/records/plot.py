@@ -51,7 +51,7 @@ Legend = tuple[str, dict[str, Any]]
 @dataclass(frozen=True, eq=False)
 class Curve:
     """Values of a trace over time, and their reference, one value per sample; ``held``: constant until the next sample;
-    ``dots``: known at the samples only."""
+    ``dots``: known at the samples only; ``logarithmic``: positive values of different magnitude."""
 
     trace: Trace
     t: Array
@@ -60,6 +60,7 @@ class Curve:
     reference: Array | None = None
     held: bool = False
     dots: bool = False
+    logarithmic: bool = False
 
 
 def draw(
@@ -127,6 +128,9 @@ def _draw_curve(axis: Any, curve: Curve) -> list[Legend]:
     dots: dict[str, Any] = {"marker": ".", "markersize": 4.0} if curve.dots else {}
     axis.plot(curve.t, curve.values, color=curve.color, linewidth=1.6, drawstyle=style, **dots)
     axis.set_ylabel(curve.trace.label)
+    if curve.logarithmic:
+        axis.set_yscale("log")
+        return []
     finite = curve.values[np.isfinite(curve.values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     reach = max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-12)
