@@ -51,8 +51,8 @@ def simulate(
         ctrl: the controller.
         x0: initial state of the plant, shape (nx,).
         steps: number of samples, >= 0.
-        dt: sampling time (s, or the time_unit of the OCP); by default that of the controller, or its first interval if any will do, as with
-            shift=None. Leave it out for a discrete map.
+        dt: sampling time (s, or the time_unit of the OCP); by default that of the controller, or its first interval if
+            any will do, as with shift=None. Leave it out for a discrete map.
         plant: plant(x, u, dt) -> next x; by default the integrator of the package, in equal steps no longer than the
             controller's first interval.
         disturbance: disturbance(k, x) -> value added to the state after sample k; x is the state before this sample.
