@@ -106,7 +106,8 @@ class Log:
         return f"first {status.name}: {when}: " + "\n    ".join(why.splitlines())
 
     def _length(self) -> str:
-        return f"{len(self.u)} samples over {self.t[-1]:g} {self.time_unit}"
+        time = "" if self.time_unit == "samples" else f" over {self.t[-1]:g} {self.time_unit}"
+        return f"{len(self.u)} samples{time}"
 
     def _outcome(self) -> str:
         return ", ".join(f"{Status(s).name} {np.sum(self.status == s)}" for s in np.unique(self.status)) or "none"

@@ -133,7 +133,7 @@ def _draw_curve(axis: Any, curve: Curve) -> list[Legend]:
         return []
     finite = curve.values[np.isfinite(curve.values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    reach = max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-12)
+    reach = max(high - low, 1e-3 * max(abs(low), abs(high))) or 1.0
     near = (low - reach, high + reach)
     shown: list[Legend] = []
     for value, (label, look) in _levels(curve.trace.bounds):
@@ -148,7 +148,7 @@ def _draw_curve(axis: Any, curve: Curve) -> list[Legend]:
             axis.plot(curve.t, followed, drawstyle="steps-post", zorder=1.8, **REFERENCE[1])
             shown.append(REFERENCE)
             low, high = min(low, float(inside.min())), max(high, float(inside.max()))
-    margin = 0.08 * max(high - low, 1e-3 * max(abs(low), abs(high)), 1e-12)
+    margin = 0.08 * (max(high - low, 1e-3 * max(abs(low), abs(high))) or 1.0)
     axis.set_ylim(low - margin, high + margin)
     axis.locator_params(axis="y", nbins=4)
     return shown

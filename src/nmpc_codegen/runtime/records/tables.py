@@ -41,14 +41,15 @@ def to_xarray(log: Log) -> Any:
     """See Log.to_xarray()."""
     xarray = extra("xarray", "Log.to_xarray()")
     times = {name: (name, t, {"units": log.time_unit}) for name, t in (("time", log.t), ("sample", log.t[:-1]))}
-    variables: dict[str, Any] = {"status": ("sample", _statuses(log))}
+    variables: dict[str, Any] = {"status": ("sample", np.array(_statuses(log), dtype=np.str_))}
     variables |= {name: ("sample", getattr(log, name)) for name in PER_SAMPLE}
     variables["time_ns"] = (*variables["time_ns"], {"units": "ns"})
     coordinates: dict[str, Any] = dict(times)
     for array, (kind, dimension) in COLUMNS.items():
         variables[array] = (("time" if array == "x" else "sample", dimension), getattr(log, array))
-        coordinates[dimension] = np.array([trace.name for trace in getattr(log, kind)], dtype=object)
-        coordinates[f"{dimension}_unit"] = (dimension, [trace.unit for trace in getattr(log, kind)])
+        traces = getattr(log, kind)
+        coordinates[dimension] = np.array([trace.name for trace in traces], dtype=np.str_)
+        coordinates[f"{dimension}_unit"] = (dimension, np.array([trace.unit for trace in traces], dtype=np.str_))
     return xarray.Dataset(variables, coordinates, {"name": log.name})
 
 
