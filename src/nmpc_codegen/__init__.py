@@ -21,6 +21,7 @@ from nmpc_codegen.errors import (
 )
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.extras import DISTRIBUTION
 from nmpc_codegen.runtime.package import open_package
 from nmpc_codegen.runtime.records.log import Log
 from nmpc_codegen.runtime.simulate import simulate
@@ -117,13 +118,15 @@ __all__ = [
     "open_package",
     "simulate",
 ]
+if DISTRIBUTION != "nmpc-codegen":
+    __all__ = [name for name in __all__ if name not in _HOME]
 
 __version__ = "0.1.0"
 
 
 def __dir__() -> list[str]:
     """The public names, those that are not loaded yet too."""
-    return sorted({*__all__, *globals()})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 
 if not TYPE_CHECKING:  # a type checker must find names that do not exist
@@ -138,6 +141,6 @@ if not TYPE_CHECKING:  # a type checker must find names that do not exist
                 if not (error.name or "").startswith(__name__):
                     raise
                 raise ImportError(
-                    f"{name} needs the compiler, which nmpc-codegen-runtime lacks: install nmpc-codegen in its place, "
-                    f"or run an exported folder with open_package()"
+                    f"{name} needs the compiler, which nmpc-codegen-runtime lacks: pip uninstall nmpc-codegen-runtime, "
+                    "then pip install nmpc-codegen; or run an exported folder with open_package()"
                 ) from error

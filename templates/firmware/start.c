@@ -38,8 +38,7 @@ __attribute__((section(".vectors"), used)) static const handler_t vectors[16] = 
 
 void image_put(char c)
 {
-    while ((UART_STATE & 1u) != 0u) {
-    }
+    while ((UART_STATE & 1u) != 0u) {}
     UART_DATA = (uint32_t)(unsigned char)c;
 }
 
@@ -48,8 +47,7 @@ void image_exit(int code)
 {
     const uint32_t block[2] = {0x20026u, (uint32_t)code};
     __asm volatile("mov r0, #0x20\n\tmov r1, %0\n\tbkpt 0xAB" : : "r"(block) : "r0", "r1", "memory");
-    for (;;) {
-    }
+    for (;;) {}
 }
 
 static void image_fault(void)

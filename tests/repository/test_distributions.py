@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -36,10 +37,32 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, zipfile.ZipFil
     """Both wheels, built from the tree."""
     place = tmp_path_factory.mktemp("wheels")
     for folder in FOLDERS.values():
-        command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(place)]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
+        hatch([sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(place)], folder)
     return {path.name.split("-")[0]: zipfile.ZipFile(path) for path in place.glob("*.whl")}
+
+
+def test_source_distribution(wheels: dict[str, zipfile.ZipFile], tmp_path: Path) -> None:
+    """That of the whole builds the same wheels, both; the runtime has none, and says so."""
+    build = [sys.executable, "-m", "hatchling", "build", "-d", str(tmp_path), "-t"]
+    hatch([*build, "sdist"], ROOT)
+    (archive,) = tmp_path.glob("nmpc_codegen-*.tar.gz")
+    with tarfile.open(archive) as found:
+        found.extractall(tmp_path, filter="data")
+    tree = archive.with_name(archive.name.removesuffix(".tar.gz"))
+    for name, folder in FOLDERS.items():
+        hatch([*build, "wheel"], tree / folder.relative_to(ROOT))
+        (again,) = tmp_path.glob(f"{name}-*.whl")
+        with zipfile.ZipFile(again) as other:
+            assert {i.filename: i.CRC for i in other.infolist()} == {i.filename: i.CRC for i in wheels[name].infolist()}
+    runtime = FOLDERS["nmpc_codegen_runtime"]
+    refused = subprocess.run([*build, "sdist"], cwd=runtime, capture_output=True, text=True, check=False)
+    assert refused.returncode == 1
+    assert "there is no source distribution" in refused.stdout + refused.stderr
+
+
+def hatch(command: list[str], folder: Path) -> None:
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("name", FOLDERS)
@@ -95,18 +118,21 @@ for use in (lambda: nmpc_codegen.OCP, lambda: nmpc_codegen.build, lambda: log.pl
         use()
     except ImportError as error:
         said.append(str(error))
-print(json.dumps([nmpc_codegen.__file__, log.ok, controller.solve([0.1, 0.0]).status.name, *said]))
+from nmpc_codegen import *
+missing = [name for name in dir(nmpc_codegen) if not hasattr(nmpc_codegen, name)]
+print(json.dumps([nmpc_codegen.__file__, missing, log.ok, controller.solve([0.1, 0.0]).status.name, *said]))
 """
     run = subprocess.run(
         [sys.executable, "-I", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert run.returncode == 0, run.stderr
-    file, ok, status, ocp, build, plot = json.loads(run.stdout)
+    file, missing, ok, status, ocp, build, plot = json.loads(run.stdout)
+    assert missing == []
     assert Path(file) == tmp_path / "site" / "nmpc_codegen" / "__init__.py"
     assert (ok, status) == (True, "OK")
-    assert ocp.startswith("OCP needs the compiler, which nmpc-codegen-runtime lacks: install nmpc-codegen")
+    assert ocp.startswith("OCP needs the compiler, which nmpc-codegen-runtime lacks: pip uninstall")
     assert build.startswith("build needs the compiler")
-    assert "nmpc-codegen[plot]" in plot
+    assert "'nmpc-codegen-runtime[plot]'" in plot
 
 
 def test_extras_hold_what_functions_ask_for() -> None:

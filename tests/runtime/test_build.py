@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import importlib.util
 import json
 import os
 import pickle
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import missing
 
 from nmpc_codegen.errors import BuildError, OptionError
 from nmpc_codegen.runtime import cache, compilers
@@ -156,6 +158,37 @@ def test_cache_directory_that_cannot_be_written(
     assert load(toy_files, "toy", "test").step([0.1, 0.0]).shape == (1,)
 
 
+def test_without_a_home_directory(toy_files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user without HOME and without an entry in the system's list."""
+
+    def homeless(_: str) -> str:
+        raise RuntimeError("could not determine the home directory")
+
+    monkeypatch.delenv("NMPC_CODEGEN_CACHE", raising=False)
+    monkeypatch.setattr(cache, "user_cache_dir", homeless)
+    with pytest.warns(RuntimeWarning, match="cannot write to the cache .*no-home-directory"):
+        assert load(toy_files, "toy", "test").step([0.1, 0.0]).shape == (1,)
+
+
+@pytest.mark.parametrize("profile", ["test", "verify"])
+def test_a_cache_from_which_nothing_may_be_loaded(
+    toy_files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, profile: str
+) -> None:
+    """Mounted noexec."""
+    path = tmp_path / f"_nmpc_toy_{profile}.so"
+    path.write_bytes(b"not loadable")
+
+    class Mount:
+        f_flag = os.ST_NOEXEC
+
+    monkeypatch.setattr(build, "compile_module", lambda *_: path)
+    with pytest.raises(BuildError, match="cannot load the compiled package toy"):
+        load(toy_files, "toy", profile)
+    monkeypatch.setattr(os, "statvfs", lambda _: Mount)
+    with pytest.raises(BuildError, match=r"is mounted noexec, .*name another folder in NMPC_CODEGEN_CACHE"):
+        load(toy_files, "toy", profile)
+
+
 def test_cache_directory_of_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NMPC_CODEGEN_CACHE", raising=False)
     assert cache_directory().name == "nmpc_codegen"
@@ -216,7 +249,7 @@ def test_no_compiler(toy_files: Files, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(compilers, "find_spec", lambda _: None)
-    message = r"apt install gcc.*dnf install gcc.*brew install gcc.*pip install nmpc-codegen\[compiler\]"
+    message = r"apt install gcc.*dnf install gcc.*brew install gcc.*pip install 'nmpc-codegen\[compiler\]'"
     with pytest.raises(BuildError, match=message):
         load(toy_files, "toy")
 
@@ -247,7 +280,8 @@ os.execv({shutil.which(compiler[0])!r}, ["cc", *(w for w in words if w != "-fno-
     assert set(record.read_text().splitlines()) == {f"cc {tmp_path / 'zig'}"}
     monkeypatch.delenv("ZIG_GLOBAL_CACHE_DIR")
     monkeypatch.setattr(compilers, "user_cache_dir", lambda _: str(record / "zig"))
-    assert Path(compilers.environment()["ZIG_GLOBAL_CACHE_DIR"]).parent == cache.temporary_directory()
+    assert Path(compilers.environment(compilers.ZIG)["ZIG_GLOBAL_CACHE_DIR"]).parent == cache.temporary_directory()
+    assert "ZIG_GLOBAL_CACHE_DIR" not in compilers.environment(compiler)
 
 
 @pytest.mark.few(1)
@@ -256,7 +290,8 @@ os.execv({shutil.which(compiler[0])!r}, ["cc", *(w for w in words if w != "-fno-
 )
 def test_zig_builds_for_other_systems(toy_files: Files, tmp_path: Path, target: str) -> None:
     """Without a warning."""
-    pytest.importorskip("ziglang")
+    if importlib.util.find_spec("ziglang") is None:
+        missing("the package ziglang is not installed", "zig")
     for name, text in toy_files.items():
         (tmp_path / name).write_text(text)
     command = [*compilers.ZIG, "-target", target, *WARNINGS, "-O2", "toy.c", "main.c", "-o", "toy"]

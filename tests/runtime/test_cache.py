@@ -71,6 +71,29 @@ def test_a_cache_that_cannot_be_written_to_can_be_read(tmp_path: Path, monkeypat
     assert cache.cached("entry.so", lambda folder: None) == path
 
 
+def test_a_temporary_folder_of_a_killed_process_is_removed_by_the_next(tmp_path: Path) -> None:
+    """Not that of a process that lives."""
+    program = """
+import os, sys, time
+from nmpc_codegen.runtime.cache import temporary_directory
+print(temporary_directory(), flush=True)
+sys.stdin.read()
+"""
+    command = [sys.executable, "-c", program]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    killed, alive = (subprocess.Popen(command, env=environment, text=True, **pipes) for _ in range(2))  # type: ignore[call-overload]
+    places = [Path(process.stdout.readline().strip()) for process in (killed, alive)]
+    killed.kill()
+    killed.wait()
+    assert all(place.is_dir() for place in places)
+    run = subprocess.run(command, env=environment, input="", capture_output=True, text=True, check=True)
+    assert [place.is_dir() for place in places] == [False, True]
+    assert not Path(run.stdout.strip()).exists()
+    alive.communicate("")
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_temporary_folder_is_removed_at_the_end(tmp_path: Path) -> None:
     """By the process that has made it, not by one that it has forked."""
     program = """

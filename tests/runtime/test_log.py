@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -95,8 +96,14 @@ def test_other_files_are_refused(log: Log, tmp_path: Path) -> None:
     ctrl.save(tmp_path / "state.npz")
     (tmp_path / "text.npz").write_text("loop")
     log.save(tmp_path / "cut.npz")
-    (tmp_path / "cut.npz").write_bytes((tmp_path / "cut.npz").read_bytes()[:300])
-    for name in ("state.npz", "text.npz", "cut.npz"):
+    whole = (tmp_path / "cut.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[:300])
+    (tmp_path / "flipped.npz").write_bytes(whole[:200] + bytes([whole[200] ^ 255]) + whole[201:])
+    replace(log, x=log.x[:10]).save(tmp_path / "short.npz")
+    replace(log, status=log.status + 70).save(tmp_path / "status.npz")
+    np.save(tmp_path / "array.npz.npy", log.x)
+    (tmp_path / "array.npz.npy").rename(tmp_path / "array.npz")
+    for name in ("state.npz", "text.npz", "cut.npz", "flipped.npz", "short.npz", "status.npz", "array.npz"):
         with pytest.raises(ControllerError, match=rf"{name} is not a log that Log.save\(\) wrote"):
             Log.load(tmp_path / name)
     with pytest.raises(FileNotFoundError):
@@ -117,22 +124,29 @@ def test_dataframe(log: Log) -> None:
 
 
 def test_dataset(log: Log) -> None:
+    """Over one dimension of time, so that states and references can be subtracted."""
     pytest.importorskip("xarray")
     found = log.to_xarray()
-    assert dict(found.sizes) == {
-        "time": 41,
-        "sample": 40,
-        "state": 1,
-        "control": 1,
-        "row": 1,
-        "parameter": 1,
-        "residual": 2,
-    }
+    assert dict(found.sizes) == {"time": 41, "state": 1, "control": 1, "row": 1, "parameter": 1, "residual": 2}
     np.testing.assert_array_equal(found.x.sel(state="level"), log.x[:, 0])
-    np.testing.assert_array_equal(found.y.sel(residual="target"), log.y[:, 0])
+    away = found.x.sel(state="level") - found.y.sel(residual="target")
+    np.testing.assert_array_equal(away[:-1], log.x[:-1, 0] - log.y[:, 0])
+    assert np.isnan(away[-1])
     assert found.time.attrs["units"] == "h"
     assert found.control_unit.values.tolist() == ["m^3/h"]
-    assert found.status.values[0] == "OK"
+    assert (found.status.values[0], found.status.values[-1]) == ("OK", "")
+
+
+def test_a_dataset_without_rows_parameters_and_residuals(tmp_path: Path) -> None:
+    """It has no variable without entries, which files cannot hold."""
+    pytest.importorskip("xarray")
+    ocp = OCP("bare", T=1.0, N=5)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.stage_cost(x**2 + u**2)
+    found = simulate(build(ocp, profile="test"), [1.0], 3).to_xarray()
+    assert set(found.data_vars) == {"x", "u", "status", "cost", "time_ns"}
+    assert dict(found.sizes) == {"time": 4, "state": 1, "control": 1}
 
 
 @pytest.mark.parametrize(("method", "package"), [("to_dataframe", "pandas"), ("to_xarray", "xarray")])
@@ -168,6 +182,21 @@ def test_picture(log: Log, tmp_path: Path) -> None:
     assert {"reference", "hard bound", "soft bound"} < said
 
 
+def test_violated_bounds_and_far_references_are_drawn(tmp_path: Path) -> None:
+    """Although the curve is constant and never comes near them; its axis has plain numbers."""
+    ocp = OCP("stuck", T=1.0, N=5)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), 1.0)
+    ocp.subject_to(-1, x, 1, soft=(1, 1))
+    ocp.subject_to(-40, u, 40)
+    ctrl = build(ocp, profile="test")
+    axes = simulate(ctrl, [5.0], 3, plant=lambda x, u, dt: x).plot(tmp_path / "stuck.png").axes
+    assert {0.0, 1.0, 5.0} <= {line.get_ydata()[0] for line in axes[0].lines}
+    assert axes[0].get_ylim()[0] < 0 < 5 < axes[0].get_ylim()[1]
+    assert not axes[0].yaxis.get_major_formatter().get_useOffset()
+
+
 def test_a_reference_of_another_expression_is_not_drawn(tmp_path: Path) -> None:
     """A residual may have the name of a state and be something else."""
     ocp = OCP("named", T=1.0, N=5)
@@ -191,7 +220,15 @@ def test_texts(log: Log) -> None:
 def test_notebooks_show_problem_and_controller() -> None:
     ocp = tank()
     page = ocp._repr_html_()
-    for word in ("OCP tank", "N=10 intervals over 2 h", "flow", "m^3/h", "soft, 1 s + 1/2 s²", "½ (target)²", "1.4"):
+    for word in (
+        "OCP tank",
+        "N=10 intervals over 2 h",
+        "flow",
+        "m^3/h",
+        "soft, violation v costs 1 v + ½ 1 v²",
+        "½ (target)²",
+        "1.4",
+    ):
         assert word in page
     assert "still missing" not in page
     assert repr(ocp) == ("<OCP tank: N=10 intervals over 2 h; states level; controls flow; parameters leak; rows: 3>")

@@ -33,8 +33,9 @@ def find(program: str) -> str:
     """
     path = shutil.which(program)
     if path is None:
+        flag = "--verify" if program == EMULATOR else "--target"
         raise BuildError(
-            f"there is no program {program} on the path, which --target needs: install it, e.g. with "
+            f"there is no program {program} on the path, which {flag} needs: install it, e.g. with "
             f"'apt install {_PACKAGES[program]}'"
         )
     return path

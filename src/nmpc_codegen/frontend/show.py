@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nmpc_codegen.frontend.statement import Declared, Residual, Statement
-from nmpc_codegen.runtime.records.html import listed, nodes, page, table, units
+from nmpc_codegen.runtime.records.html import first, listed, nodes, page, table, units
 
 if TYPE_CHECKING:
     from nmpc_codegen.frontend.ocp import OCP
 
+LONGEST = 80  # characters of an expression
 STAGES = {"start": "node 0", "path": "nodes 0..N-1", "terminal": "node N"}
 
 
@@ -30,11 +31,14 @@ def in_html(ocp: OCP) -> str:
         "\n".join([_grid(ocp), *_incomplete(ocp)]),
         [
             table(("", "name", "unit", "value", ""), _signals(ocp)),
-            table(("lower", "row", "upper", "unit", "nodes", ""), [r for s in ocp.statements for r in _rows(ocp, s)]),
-            table(("cost", "at", "weight", "reference"), [row for r in ocp.residuals for row in _terms(r)]),
+            table(
+                ("lower", "row", "upper", "unit", "nodes", ""),
+                first([r for s in ocp.statements for r in _rows(ocp, s)]),
+            ),
+            table(("cost", "at", "weight", "reference"), first([row for r in ocp.residuals for row in _terms(r)])),
             table(
                 ("general cost", "at", ""),
-                [(str(c.expression), STAGES[c.stage], "integrated" if c.integrate else "") for c in ocp.costs],
+                [(_short(c.expression), STAGES[c.stage], "integrated" if c.integrate else "") for c in ocp.costs],
             ),
         ],
     )
@@ -65,17 +69,21 @@ def _signals(ocp: OCP) -> list[tuple[object, ...]]:
     marks = {"free at node 0": ocp.free, "accumulator": ocp.accumulators, "cyclic": ocp.cyclic_states}
     found: list[tuple[object, ...]] = []
     for kind, declared in (("state", ocp.states), ("control", ocp.controls), ("parameter", ocp.parameters)):
+        lines: list[tuple[object, ...]] = []
         for signal in (d.signal for d in declared):
             for i, (name, value) in enumerate(zip(signal.elements, signal.value, strict=True)):
                 notes = [mark for mark, which in marks.items() if kind == "state" and signal.offset + i in which]
-                found.append((kind, name, signal.unit, "" if kind == "control" else value, ", ".join(notes)))
+                lines.append((kind, name, signal.unit, "" if kind == "control" else value, ", ".join(notes)))
+        found += first(lines)
     return found
 
 
 def _rows(ocp: OCP, statement: Statement) -> list[tuple[object, ...]]:
     known = units((d.signal for d in ocp.states), (d.signal for d in ocp.controls))
     at = statement.at if isinstance(statement.at, str) else "x_0, x_N" if statement.at is None else nodes(statement.at)
-    soft = "hard" if statement.soft is None else f"soft, {statement.soft[0]:g} s + {statement.soft[1]:g}/2 s²"
+    l1, l2 = statement.soft or (0.0, 0.0)
+    costs = [text for text, weight in ((f"{l1:g} v", l1), (f"½ {l2:g} v²", l2)) if weight]
+    soft = "hard" if statement.soft is None else f"soft, violation v costs {' + '.join(costs) or 0}"
     found: list[tuple[object, ...]] = []
     for i, name in enumerate(statement.names):
         element = ocp.element(statement.expression[i])
@@ -84,12 +92,17 @@ def _rows(ocp: OCP, statement: Statement) -> list[tuple[object, ...]]:
     return found
 
 
+def _short(expression: object) -> str:
+    text = str(expression)
+    return text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
+
+
 def _terms(residual: Residual) -> list[tuple[object, ...]]:
     """One row per element, with its weight; entries off the diagonal are counted."""
     diagonal = np.diag(residual.weight)
     coupled = np.count_nonzero(residual.weight - np.diag(diagonal), axis=1)
     scaled = " dt" if residual.scale_with_dt else ""
     return [
-        (f"½ ({name})²", STAGES[residual.stage], f"{w:.6g}{scaled}{f', {n} off the diagonal' if n else ''}", float(y))
+        (f"½ ({name})²", STAGES[residual.stage], f"{w:.6g}{scaled}{f' ({n} off the diagonal)' if n else ''}", float(y))
         for name, w, n, y in zip(residual.names, diagonal, coupled, residual.reference, strict=True)
     ]

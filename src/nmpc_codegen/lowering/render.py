@@ -6,6 +6,7 @@ No other module imports jinja2.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
 from itertools import groupby
@@ -78,7 +79,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
         "README.md": "README.md.jinja",
     }
     sources = {f"{module.name}.h": names["header"]}
-    names |= _page(module) | {"folders": module.folders, "libraries": module.libraries}
+    names |= _page(module, names["header"]) | {"folders": module.folders, "libraries": module.libraries}
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return {**sources, **module.foreign}
@@ -169,7 +170,7 @@ def render_unit(
     return environment().get_template("unit.c.jinja").render(names | more)
 
 
-def _page(module: CModule) -> dict[str, Any]:
+def _page(module: CModule, header: str) -> dict[str, Any]:
     """What README.md says of the problem: the grid, the files, signals and rows with their constants."""
     d, name, macro = module.description, module.name, module.macro
     unit = d.time_unit
@@ -203,8 +204,16 @@ def _page(module: CModule) -> dict[str, Any]:
         )
         for r, constant in zip(d.rows, c_constants([row.name for row in d.rows]), strict=True)
     ]
+    residuals = [
+        f"Reference {vector} of the residual: {', '.join(f'{r.name} = {r.reference:g}' for r in group)}.  "
+        for vector, group in (("y", d.residuals), ("y_N (terminal)", d.residuals_N))
+        if group
+    ]
+    worst = ", ".join(f"{phase} {count:,}" for phase, count in d.report.worst_operations.items()) or "not known"
+    setters = ", ".join(f"`{call}()`" for call in dict.fromkeys(re.findall(rf"\b{name}_set_\w+", header))) or "nothing"
     grid = f"{d.dims.N} intervals {over}"
-    return {"grid": grid, "sample": period.capitalize(), "files": files.items(), "signals": signals, "rows": rows}
+    texts = {"grid": grid, "sample": period.capitalize(), "worst": worst, "setters": setters}
+    return texts | {"files": files.items(), "signals": signals, "rows": rows, "residuals": residuals}
 
 
 def _elements(signals: Sequence[Signal]) -> list[tuple[int, str, Signal, float]]:

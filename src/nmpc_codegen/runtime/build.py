@@ -32,7 +32,7 @@ from typing import Any
 import cffi
 
 from nmpc_codegen.errors import BuildError, OptionError
-from nmpc_codegen.runtime.cache import PRODUCT, cached, keep_failed
+from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, cached, keep_failed
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.compilers import environment, find_compiler
 from nmpc_codegen.runtime.controller import Controller
@@ -251,12 +251,13 @@ def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> s
     plain, version = _asked([*compiler, *flags, "-E", "-x", "c", os.devnull]), _asked([*compiler, "-v"])
     if plain.returncode == 0 and version.returncode == 0:
         return f"{version.stdout}{version.stderr}{sorted(_macros(compiler, flags, path).items())}"
-    raise BuildError(f"'{' '.join(command)}' failed:\n{_head(result.stderr)}")
+    said = _head(result.stderr) or "it prints nothing"
+    raise BuildError(f"'{' '.join(command)}' failed with status {result.returncode}:\n{said}")
 
 
 def _asked(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
     """What the compiler says of itself."""
-    return subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    return subprocess.run(command, env=environment(command), capture_output=True, text=True, check=False)
 
 
 def _suffix() -> str:
@@ -298,10 +299,11 @@ def _compile_module(
     """The package and its wrapper are compiled at the same time, then linked."""
     includes = _python_includes()
     common = [*compiler, "-c", "-fPIC", "-fvisibility=hidden"]
+    command = [*common, *flags, f"{name}.c", "-o", "package.o"]
     package = subprocess.Popen(
-        [*common, *flags, f"{name}.c", "-o", "package.o"],
+        command,
         cwd=folder,
-        env=environment(folder),
+        env=environment(command, folder),
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
@@ -326,7 +328,7 @@ def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[st
     return subprocess.run(
         command,
         cwd=folder,
-        env=environment(folder),
+        env=environment(command, folder),
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
@@ -415,8 +417,19 @@ def _open(declared: str, name: str, path: Path) -> tuple[Any, Any]:
     except cffi.CDefError as error:
         raise BuildError(f"cffi cannot parse the declarations of {name}.h: {error}") from error
     except (OSError, AttributeError) as error:
-        raise BuildError(f"cannot load the compiled package {name} from {path}: {error}") from error
+        raise _not_loaded(name, path, error) from error
     return ffi, lib
+
+
+def _not_loaded(name: str, path: Path, error: Exception) -> BuildError:
+    """The error for a module or library that the system does not load."""
+    flag = getattr(os, "ST_NOEXEC", 0)
+    if flag and os.statvfs(path).f_flag & flag:
+        return BuildError(
+            f"{path.parent} is mounted noexec, so that no compiled package can be loaded from it: name another folder "
+            f"in {CACHE_VARIABLE}"
+        )
+    return BuildError(f"cannot load the compiled package {name} from {path}: {error}")
 
 
 @cache
@@ -431,5 +444,5 @@ def _import(name: str, path: Path) -> tuple[Any, Any]:
         module = importlib.util.module_from_spec(spec)
         loader.exec_module(module)
     except ImportError as error:
-        raise BuildError(f"cannot load the compiled package {name} from {path}: {error}") from error
+        raise _not_loaded(name, path, error) from error
     return module.ffi, module.lib

@@ -33,17 +33,26 @@ from nmpc_codegen.errors import BuildError, warn
 
 CACHE_VARIABLE = "NMPC_CODEGEN_CACHE"
 BUILDING, FAILED, LOCKS, PRODUCT = ".building-", "failed", "locks", "module"
+HOMELESS = Path(os.devnull, "no-home-directory")  # it cannot be made
+TEMPORARY, ALIVE = "nmpc_codegen-cache-", "alive.lock"  # prefix of temporary folders, and the lock that is held in each
 KEPT_FAILURES = 8
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 #: A cache that cannot be written to -> the folder that takes its place.
 _SUBSTITUTES: dict[Path, Path] = {}
+#: The lock of the temporary folder, held as long as the process lives.
+_HELD: list[FileLock] = []
 
 
 def cache_directory() -> Path:
     """The folder of compiled controllers: $NMPC_CODEGEN_CACHE, else the user's cache directory."""
     override = os.environ.get(CACHE_VARIABLE)
-    return Path(override).absolute() if override else Path(user_cache_dir("nmpc_codegen"))
+    if override:
+        return Path(override).absolute()
+    try:
+        return Path(user_cache_dir("nmpc_codegen"))
+    except RuntimeError:  # neither HOME nor an entry for the user in the system's list
+        return HOMELESS
 
 
 def cached(filename: str, make: Callable[[Path], None]) -> Path:
@@ -98,8 +107,16 @@ def _substitute(folder: Path, error: BaseException) -> None:
 
 @cache
 def temporary_directory() -> Path:
-    """A private folder that is removed when the process that asked for it first ends."""
-    place = Path(tempfile.mkdtemp(prefix="nmpc_codegen-"))
+    """A private folder that is removed when the process that asked for it first ends, or after it was killed by the
+    next one that asks: the process and its children hold a lock in it."""
+    for left in Path(tempfile.gettempdir()).glob(f"{TEMPORARY}*"):
+        with suppress(OSError, Timeout):
+            if not _distrust(left.lstat()) and stat.S_ISDIR(left.lstat().st_mode):
+                with FileLock(left / ALIVE, timeout=0, mode=0o600):
+                    shutil.rmtree(left, ignore_errors=True)
+    place = Path(tempfile.mkdtemp(prefix=TEMPORARY))
+    _HELD.append(FileLock(place / ALIVE, mode=0o600, thread_local=False))
+    _HELD[-1].acquire()
     owner = os.getpid()
     atexit.register(lambda: shutil.rmtree(place, ignore_errors=True) if os.getpid() == owner else None)
     return place

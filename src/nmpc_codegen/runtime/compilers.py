@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,6 +18,7 @@ from platformdirs import user_cache_dir
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.runtime.cache import temporary_directory
+from nmpc_codegen.runtime.extras import DISTRIBUTION
 
 #: The compiler of the package ziglang, which is clang with a C library. Without the option it inserts traps at -O0.
 ZIG = (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=undefined")
@@ -80,25 +82,26 @@ def _compiler_on_path() -> tuple[str, ...]:
     raise BuildError(
         "no C compiler (gcc, cc or clang) on the path: install one with 'apt install gcc', 'dnf install gcc' or "
         "'xcode-select --install' ('brew install gcc'), or name one in the environment variable CC; without the rights "
-        "to do so, 'pip install nmpc-codegen[compiler]' brings one (package ziglang)"
+        f"to do so, pip install '{DISTRIBUTION}[compiler]' brings one (package ziglang)"
     )
 
 
-def environment(folder: Path | None = None) -> dict[str, str]:
-    """Environment of the compiler: its temporary files go to the build folder, which is removed after killed builds;
-    what zig keeps goes to a temporary folder if it could not write anywhere else."""
+def environment(command: Sequence[str], folder: Path | None = None) -> dict[str, str]:
+    """Environment of a command of the compiler: its temporary files go to the build folder, which is removed after
+    killed builds; what zig keeps goes to a temporary folder if it could not write anywhere else."""
     found = dict(os.environ)
     if folder is not None:
         found["TMPDIR"] = str(folder)
-    if ZIG_CACHE not in found and find_spec("ziglang") is not None and not _can_be_made(Path(user_cache_dir("zig"))):
+    if tuple(command[: len(ZIG)]) == ZIG and ZIG_CACHE not in found and not _zig_can_write():
         found[ZIG_CACHE] = str(temporary_directory() / "zig")
     return found
 
 
-def _can_be_made(folder: Path) -> bool:
-    """True if the folder exists or can be made, and can be written to."""
+def _zig_can_write() -> bool:
+    """True if the folder of zig in the user's cache exists or can be made, and can be written to."""
     try:
+        folder = Path(user_cache_dir("zig"))
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
+    except (OSError, RuntimeError):  # the latter: there is no home directory
         return False
     return os.access(folder, os.W_OK | os.X_OK)

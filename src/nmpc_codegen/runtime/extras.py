@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 from nmpc_codegen.errors import ExtraError
 
-#: Package -> the extra of nmpc-codegen that brings it.
+#: The distribution that is installed: the whole, or the part of it that runs exported packages.
+DISTRIBUTION = "nmpc-codegen" if find_spec("nmpc_codegen.compiler") else "nmpc-codegen-runtime"
+
+#: Package -> the extra of it that brings it.
 EXTRAS = {"matplotlib": "plot", "pandas": "notebook", "xarray": "notebook", "cvxpy": "economic", "clarabel": "economic"}
 
 
@@ -24,5 +28,5 @@ def extra(module: str, user: str) -> Any:
         if error.name != package:
             raise
         raise ExtraError(
-            f"{user} needs the package {package}: pip install {package}, or 'nmpc-codegen[{EXTRAS[package]}]'"
+            f"{user} needs the package {package}: pip install {package}, or '{DISTRIBUTION}[{EXTRAS[package]}]'"
         ) from error

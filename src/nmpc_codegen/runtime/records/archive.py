@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+import zlib
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -48,16 +50,33 @@ def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
     """
     try:
         with np.load(file, allow_pickle=False) as found:
+            lacking = [name for name in (*ARRAYS, "description") if name not in found]
+            if lacking:
+                raise ValueError(f"it lacks {', '.join(lacking)}")
             arrays = {name: found[name] for name in ARRAYS}
             text = json.loads(str(found["description"]))
         if text["format"] != FORMAT:
             raise ValueError(f"its format is {text['format']!r}, not {FORMAT!r}")
         traces = {kind: tuple(_trace(**entry) for entry in text["traces"][kind]) for kind in TRACES}
+        _check(arrays, traces)
         reasons = {Status[name]: str(reason) for name, reason in text["reasons"].items()}
         return {"name": text["name"], "time_unit": text["time_unit"], "reasons": reasons, **arrays, **traces}
-    except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, EOFError) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+    except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error, EOFError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error).splitlines()[0]
         raise ControllerError(f"{file} is not a log that Log.save() wrote: {what}") from error
+
+
+def _check(arrays: Mapping[str, Any], traces: Mapping[str, tuple[Trace, ...]]) -> None:
+    """ValueError unless lengths and numbers of columns fit together, and every status is one."""
+    steps = len(arrays["u"])
+    columns = dict(zip(("x", "u", "h", "p", "y"), (len(traces[kind]) for kind in TRACES), strict=True))
+    for name in ARRAYS:
+        rows = steps + (name in ("t", "x"))
+        expected = (rows, columns[name]) if name in columns else (rows,)
+        if arrays[name].shape != expected:
+            raise ValueError(f"{name} has the shape {arrays[name].shape}, not {expected}")
+    for status in np.unique(arrays["status"]):
+        Status(int(status))
 
 
 def _trace(name: str, unit: str, bounds: list[dict[str, Any]], signal: str) -> Trace:

@@ -20,12 +20,14 @@ def page(title: str, text: str, tables: Iterable[str]) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """A table with numbers to six digits; "" without rows."""
-    if not rows:
-        return ""
-    lines = [_line("th", head), *(_line("td", row) for row in rows[:SHOWN])]
-    if len(rows) > SHOWN:
-        lines.append(_line("td", [f"and {len(rows) - SHOWN} more"]))
-    return f"<table>{''.join(lines)}</table>"
+    lines = [_line("th", head), *(_line("td", row) for row in rows)]
+    return f"<table>{''.join(lines)}</table>" if rows else ""
+
+
+def first(rows: Sequence[tuple[object, ...]]) -> list[tuple[object, ...]]:
+    """The first SHOWN rows of one kind, and how many there are besides."""
+    more = [("", f"and {len(rows) - SHOWN} more")] if len(rows) > SHOWN else []
+    return [*rows[:SHOWN], *more]
 
 
 def _line(tag: str, cells: Sequence[object]) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
 from nmpc_codegen.runtime.records import archive, tables
-from nmpc_codegen.runtime.records.html import page, table
+from nmpc_codegen.runtime.records.html import first, listed, page, table
 from nmpc_codegen.runtime.records.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, TIME_COLOR, Curve, draw
 from nmpc_codegen.runtime.records.trace import Trace
 from nmpc_codegen.runtime.status import Status
@@ -61,12 +61,14 @@ class Log:
         return f"<Log {self.name}: {self._length()}, {self._outcome()}; x {self.x.shape}, u {self.u.shape}>"
 
     def _repr_html_(self) -> str:
-        found = []
+        found: list[tuple[object, ...]] = []
         groups = (("state", self.states, self.x), ("control", self.controls, self.u), ("row", self.rows, self.h))
         for kind, traces, values in groups:
+            lines: list[tuple[object, ...]] = []
             for trace, column in zip(traces, values.T, strict=True):
                 ends = (column[0], column[-1], column.min(), column.max()) if len(column) else ("",) * 4
-                found.append((kind, trace.name, trace.unit, *ends))
+                lines.append((kind, trace.name, trace.unit, *ends))
+            found += first(lines)
         return page(
             f"Log {self.name}",
             self.summary().partition(": ")[2],
@@ -122,15 +124,15 @@ class Log:
             median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
             lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")
         last = zip(self.states, self.x[-1], strict=True)
-        lines.append("last state: " + ", ".join(f"{trace.name} = {value:.6g}" for trace, value in last))
+        lines.append("last state: " + listed([f"{trace.name} = {value:.6g}" for trace, value in last]))
         return "\n".join(lines)
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
         """Plot states, controls, general path rows and the time per sample over time. It needs the extra ``plot``.
 
-        Hard bounds are dashed and soft ones dotted where a curve comes near, references of bare states and controls are
-        thin lines. Marks at the lower edge: samples that failed, red, and those that are RELAXED or NOT_CONVERGED,
-        orange.
+        Hard bounds are dashed and soft ones dotted where a curve comes near or violates them; they are those at the end
+        of the loop. References of bare states and controls are thin lines. Marks at the lower edge: samples that
+        failed, red, and those that are RELAXED or NOT_CONVERGED, orange.
 
         Args:
             file: file for the picture (.png, .pdf, .svg); None: only return the figure, for plt.show().
@@ -175,7 +177,8 @@ class Log:
     def to_dataframe(self) -> Any:
         """A pandas DataFrame over time with two levels of columns: ("x", "p"), ("u", "a"), ("status", ""), ...
 
-        The last row is the end of the loop, where only x is known. It needs the extra ``notebook``.
+        The last row is the end of the loop, where only x is known; ``attrs["units"]`` has the units. It needs the extra
+        ``notebook``.
 
         Raises:
             ExtraError: pandas is not installed.
@@ -183,9 +186,10 @@ class Log:
         return tables.to_dataframe(self)
 
     def to_xarray(self) -> Any:
-        """An xarray Dataset with x (time, state), u (sample, control), h, p, y, status, cost, time_ns, and their units.
+        """An xarray Dataset over time with x (time, state), u (time, control), h, p, y, as far as they have columns,
+        status, cost, time_ns, and with units.
 
-        It needs the extra ``notebook``.
+        At the end of the loop only x is known; the others are NaN there. It needs the extra ``notebook``.
 
         Raises:
             ExtraError: xarray is not installed.

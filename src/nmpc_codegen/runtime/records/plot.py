@@ -18,6 +18,7 @@ from nmpc_codegen.runtime.records.trace import Bound, Trace
 Array = NDArray[np.float64]
 
 WIDTH, ROW_HEIGHT = 7.2, 1.35  # inches
+LEAST_SPREAD = 0.1  # of an axis, relative to its values
 COLUMN_LIMIT = 9  # traces in one column
 STYLE = {
     "axes.spines.top": False,
@@ -123,38 +124,49 @@ def _explain(figure: Any, shown: Iterable[Legend]) -> None:
 
 
 def _draw_curve(axis: Any, curve: Curve) -> list[Legend]:
-    """The curve, its reference and bounds where it comes near, the limits of the axis; what a legend has to explain."""
+    """The curve, its reference, bounds that it comes near or violates, the limits of the axis; what a legend has to
+    explain."""
     style = "steps-post" if curve.held else "default"
     dots: dict[str, Any] = {"marker": ".", "markersize": 4.0} if curve.dots else {}
     axis.plot(curve.t, curve.values, color=curve.color, linewidth=1.6, drawstyle=style, **dots)
     axis.set_ylabel(curve.trace.label)
     if curve.logarithmic:
+        ticker = extra("matplotlib.ticker", "plot()")
         axis.set_yscale("log")
+        axis.yaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_minor_locator(ticker.NullLocator())
+        axis.yaxis.set_major_formatter("{x:g}")
         return []
     finite = curve.values[np.isfinite(curve.values)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    reach = max(high - low, 1e-3 * max(abs(low), abs(high))) or 1.0
-    near = (low - reach, high + reach)
+    reach = _spread(low, high)
     shown: list[Legend] = []
-    for value, (label, look) in _levels(curve.trace.bounds):
-        if near[0] <= value <= near[1]:
-            axis.axhline(value, zorder=1.5, **look)
-            shown.append((label, look))
-            low, high = min(low, value), max(high, value)
+    for value, (label, look) in _levels(curve.trace.bounds, low - reach, high + reach):
+        axis.axhline(value, zorder=1.5, **look)
+        shown.append((label, look))
+        low, high = min(low, value), max(high, value)
     if curve.reference is not None and len(curve.reference):
         followed = np.append(curve.reference, curve.reference[-1])[: len(curve.t)]
-        inside = followed[(followed >= near[0]) & (followed <= near[1])]
-        if inside.size:
-            axis.plot(curve.t, followed, drawstyle="steps-post", zorder=1.8, **REFERENCE[1])
-            shown.append(REFERENCE)
-            low, high = min(low, float(inside.min())), max(high, float(inside.max()))
-    margin = 0.08 * (max(high - low, 1e-3 * max(abs(low), abs(high))) or 1.0)
+        axis.plot(curve.t, followed, drawstyle="steps-post", zorder=1.8, **REFERENCE[1])
+        shown.append(REFERENCE)
+        low, high = min(low, float(followed.min())), max(high, float(followed.max()))
+    margin = 0.08 * _spread(low, high)
     axis.set_ylim(low - margin, high + margin)
     axis.locator_params(axis="y", nbins=4)
+    axis.ticklabel_format(axis="y", useOffset=False)
     return shown
 
 
-def _levels(bounds: Iterable[Bound]) -> list[tuple[float, Legend]]:
-    """The finite bounds, each with its style."""
-    both = [(value, SOFT if b.soft else HARD) for b in bounds for value in (b.lower, b.upper)]
-    return [(value, legend) for value, legend in both if math.isfinite(value)]
+def _spread(low: float, high: float) -> float:
+    """Distance of two values, at least a part of their size, and of 1 if both are 0."""
+    return max(high - low, LEAST_SPREAD * max(abs(low), abs(high))) or LEAST_SPREAD
+
+
+def _levels(bounds: Iterable[Bound], low: float, high: float) -> list[tuple[float, Legend]]:
+    """The finite bounds that a curve between these values comes near or violates, each with its style."""
+    found = []
+    for bound in bounds:
+        style = SOFT if bound.soft else HARD
+        found += [(bound.lower, style)] if math.isfinite(bound.lower) and bound.lower >= low else []
+        found += [(bound.upper, style)] if math.isfinite(bound.upper) and bound.upper <= high else []
+    return found

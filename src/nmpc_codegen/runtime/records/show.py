@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nmpc_codegen.runtime.diagnosis.rows import parameters, path_bounds, references
-from nmpc_codegen.runtime.records.html import nodes, page, table, units
+from nmpc_codegen.runtime.records.html import first, nodes, page, table, units
 
 if TYPE_CHECKING:
     from nmpc_codegen.runtime.controller import Controller
@@ -29,30 +29,30 @@ def in_html(ctrl: Controller) -> str:
     values = {"state": ctrl.x[0], "control": ctrl.u[0], "parameter": parameters(ctrl)[0]}
     names = {"state": ctrl.names.states, "control": ctrl.names.controls, "parameter": ctrl.names.parameters}
     unit = units(described.states, described.controls, described.parameters)
-    signals = [
-        (kind, name, unit[name], float(value))
-        for kind, of_kind in names.items()
-        for name, value in zip(of_kind, values[kind], strict=True)
-    ]
-    rows = []
+    signals: list[tuple[object, ...]] = []
+    for kind, of_kind in names.items():
+        signals += first(
+            [(kind, name, unit[name], float(value)) for name, value in zip(of_kind, values[kind], strict=True)]
+        )
+    rows: list[tuple[object, ...]] = []
     for i, row in enumerate(described.rows):
         lower, upper = path_bounds(ctrl, i)
         of_row = names[row.kind][row.index] if row.kind in names else ""
         soft = "hard" if row.soft is None else "soft"
         rows.append((lower, row.name, upper, unit.get(of_row, ""), nodes(row.nodes), soft))
-    targets = [
+    targets: list[tuple[object, ...]] = [
         (r.name, unit.get(r.signal, ""), float(y)) for r, y in zip(described.residuals, references(ctrl), strict=True)
     ]
-    sizes = f"N={d.N} intervals over {np.sum(described.dt):g} {described.time_unit}"
+    over = "of a discrete map" if described.discrete else f"over {np.sum(described.dt):g} {described.time_unit}"
     code = f"{described.precision} precision, profile {ctrl.profile}, {ctrl.nbytes:,} bytes"
-    last = f"last call: {ctrl.status}, {ctrl.time_ns / 1e3:.1f} us"
+    last = f"\nlast call: {ctrl.status}, {ctrl.time_ns / 1e3:.1f} us" if ctrl.time_ns else ""
     return page(
         f"Controller {described.name}",
-        f"{sizes}; {code}\n{last}",
+        f"N={d.N} intervals {over}; {code}{last}",
         [
             table(("", "name", "unit", "at node 0"), signals),
-            table(("lower", "row", "upper", "unit", "nodes", ""), rows),
-            table(("residual", "unit", "reference"), targets),
+            table(("lower", "row", "upper", "unit", "nodes", ""), first(rows)),
+            table(("residual", "unit", "reference"), first(targets)),
             table(("chosen by the compiler",), [(choice,) for choice in described.report.choices]),
         ],
     )

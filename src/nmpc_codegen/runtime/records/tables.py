@@ -28,29 +28,38 @@ def to_dataframe(log: Log) -> Any:
     pandas = extra("pandas", "Log.to_dataframe()")
     index = pandas.Index(log.t, name=f"time [{log.time_unit}]")
     columns: dict[tuple[str, str], Any] = {}
+    units = {}
     for array, (kind, _) in COLUMNS.items():
         for trace, values in zip(getattr(log, kind), getattr(log, array).T, strict=True):
             columns[array, trace.name] = pandas.Series(values, index[: len(values)])
+            units[array, trace.name] = trace.unit
     columns["status", ""] = pandas.Series(_statuses(log), index[:-1], dtype=object)
     for name in PER_SAMPLE:
         columns[name, ""] = pandas.Series(getattr(log, name), index[:-1])
-    return pandas.DataFrame(columns, index=index)
+    frame = pandas.DataFrame(columns, index=index)
+    frame.attrs["units"] = units
+    return frame
 
 
 def to_xarray(log: Log) -> Any:
     """See Log.to_xarray()."""
     xarray = extra("xarray", "Log.to_xarray()")
-    times = {name: (name, t, {"units": log.time_unit}) for name, t in (("time", log.t), ("sample", log.t[:-1]))}
-    variables: dict[str, Any] = {"status": ("sample", np.array(_statuses(log), dtype=np.str_))}
-    variables |= {name: ("sample", getattr(log, name)) for name in PER_SAMPLE}
+    coordinates: dict[str, Any] = {"time": ("time", log.t, {"units": log.time_unit})}
+    variables: dict[str, Any] = {"status": ("time", np.array([*_statuses(log), ""], dtype=np.str_))}
+    variables |= {name: ("time", _padded(getattr(log, name))) for name in PER_SAMPLE}
     variables["time_ns"] = (*variables["time_ns"], {"units": "ns"})
-    coordinates: dict[str, Any] = dict(times)
     for array, (kind, dimension) in COLUMNS.items():
-        variables[array] = (("time" if array == "x" else "sample", dimension), getattr(log, array))
-        traces = getattr(log, kind)
-        coordinates[dimension] = np.array([trace.name for trace in traces], dtype=np.str_)
-        coordinates[f"{dimension}_unit"] = (dimension, np.array([trace.unit for trace in traces], dtype=np.str_))
+        traces, values = getattr(log, kind), getattr(log, array)
+        if traces:
+            variables[array] = (("time", dimension), values if array == "x" else _padded(values))
+            coordinates[dimension] = np.array([trace.name for trace in traces], dtype=np.str_)
+            coordinates[f"{dimension}_unit"] = (dimension, np.array([trace.unit for trace in traces], dtype=np.str_))
     return xarray.Dataset(variables, coordinates, {"name": log.name})
+
+
+def _padded(values: Any) -> Any:
+    """Values per sample and NaN for the end of the loop."""
+    return np.append(values, np.full((1, *values.shape[1:]), np.nan), axis=0)
 
 
 def _statuses(log: Log) -> list[str]:
