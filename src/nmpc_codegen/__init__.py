@@ -21,7 +21,7 @@ from nmpc_codegen.errors import (
 )
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.extras import DISTRIBUTION
+from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
 from nmpc_codegen.runtime.package import open_package
 from nmpc_codegen.runtime.records.log import Log
 from nmpc_codegen.runtime.simulate import simulate
@@ -118,7 +118,7 @@ __all__ = [
     "open_package",
     "simulate",
 ]
-if DISTRIBUTION != "nmpc-codegen":
+if not HAS_COMPILER:
     __all__ = [name for name in __all__ if name not in _HOME]
 
 __version__ = "0.1.0"
@@ -134,13 +134,10 @@ if not TYPE_CHECKING:  # a type checker must find names that do not exist
     def __getattr__(name: str) -> Any:
         if name not in _HOME:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        if not HAS_COMPILER:
+            raise ImportError(
+                f"{name} needs the compiler, which {DISTRIBUTION} lacks: pip uninstall {DISTRIBUTION}, then "
+                "pip install nmpc-codegen; or run an exported folder with open_package()"
+            )
         with COMPILING:
-            try:
-                return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
-            except ModuleNotFoundError as error:
-                if not (error.name or "").startswith(__name__):
-                    raise
-                raise ImportError(
-                    f"{name} needs the compiler, which nmpc-codegen-runtime lacks: pip uninstall nmpc-codegen-runtime, "
-                    "then pip install nmpc-codegen; or run an exported folder with open_package()"
-                ) from error
+            return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -335,7 +335,8 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
     **{
         f"assigned {name}": (
             lambda g, name=name, value=value: setattr(g.ocp, name, value),
-            f"OCP 'plant': the attribute {name} cannot be assigned; name, T, N, intervals and time_unit are given to",
+            f"OCP 'plant': the attribute {name} cannot be assigned; "
+            "name, T, N, intervals and time_unit are given to OCP(...)",
         )
         for name, value in {
             "N": 7,

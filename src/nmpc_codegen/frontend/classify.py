@@ -45,7 +45,6 @@ def classify(ocp: OCP) -> Problem:
         coupled=_coupled(ocp),
         rows=rows,
         free_initial=tuple(sorted(ocp.free)),
-        control_reference=_control_reference(ocp),
         features=_features(ocp, rows),
         accumulators=tuple(sorted(ocp.accumulators)),
         cyclic=tuple(sorted(ocp.cyclic_states)),
@@ -278,17 +277,6 @@ def _coupled(ocp: OCP) -> Any:
     x0, xN = ca.SX.sym("x_0", ocp.x.numel()), ca.SX.sym("x_N", ocp.x.numel())
     old, new = ca.vertcat(ocp.x_start, ocp.x_end), ca.vertcat(x0, xN)
     return ca.Function("r", [x0, xN], [ca.densify(ca.substitute(ca.vertcat(*r), old, new))], ["x_0", "x_N"], ["r"])
-
-
-def _control_reference(ocp: OCP) -> tuple[int, ...]:
-    """For every control, the position in y of the first residual that is the bare control, or -1."""
-    found = [-1] * ocp.u.numel()
-    y = ca.vertcat(ca.SX(0, 1), *(r.y for r in ocp.residuals if r.stage == "path"))
-    for i in range(y.numel()):
-        element = ocp.element(y[i])
-        if element is not None and element.kind == "control" and found[element.index] < 0:
-            found[element.index] = i
-    return tuple(found)
 
 
 def _features(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.ir.casadi_types import Expression, Function
+from nmpc_codegen.ir.casadi_types import Expression, Function, elements
 from nmpc_codegen.runtime.package_description import Row as Row
 from nmpc_codegen.runtime.package_description import RowKind as RowKind
 from nmpc_codegen.runtime.package_description import Signal as Signal
@@ -48,6 +48,13 @@ class Stage:
     h_names: tuple[str, ...]
     cost_rate: Expression | None = None  # SX scalar: general cost per unit of time, integrated with the dynamics
     dense_weight: bool = False  # the weight is stored as a matrix even if it has no entry off its diagonal
+
+    @property
+    def y_elements(self) -> tuple[int, ...]:
+        """For every residual the position in (x, u) of the state or control that it is, -1 for another expression."""
+        symbols = (*elements(self.x), *elements(self.u))
+        known = {symbol.element_hash(): i for i, symbol in enumerate(symbols)}
+        return tuple(known.get(y.element_hash(), -1) if y.is_symbolic() else -1 for y in elements(self.y))
 
     @property
     def nx(self) -> int:
@@ -87,7 +94,7 @@ class Problem:
     ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` holds the N interval
     lengths. ``features`` names what the problem uses beyond the core ("soft rows", "coupled rows",
     "free initial state", "general cost", "integrated cost", "accumulators"): a component that does not support one of
-    them refuses the problem. ``control_reference[j]`` is the position of control j in the path residual y, or -1.
+    them refuses the problem.
     """
 
     name: str
@@ -104,7 +111,6 @@ class Problem:
     coupled: Function | None  # SX Function r(x_0, x_N)
     rows: tuple[Row, ...]
     free_initial: tuple[int, ...]
-    control_reference: tuple[int, ...]
     features: frozenset[str]
     accumulators: tuple[int, ...] = ()  # positions in x of states that are reset to 0 at every sample
     cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
@@ -122,6 +128,12 @@ class Problem:
     @property
     def np(self) -> int:
         return int(self.path.p.numel())
+
+    @property
+    def control_reference(self) -> tuple[int, ...]:
+        """For every control, the position in y of the first path residual that is the bare control, or -1."""
+        places = self.path.y_elements
+        return tuple(places.index(self.nx + j) if self.nx + j in places else -1 for j in range(self.nu))
 
     @property
     def uniform(self) -> bool:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nmpc_codegen.frontend.statement import Declared, Residual, Statement
-from nmpc_codegen.runtime.records.html import first, listed, nodes, page, table, units
+from nmpc_codegen.runtime.records.html import ROWS, horizon, listed, nodes, page, shortened, table, units
 
 if TYPE_CHECKING:
     from nmpc_codegen.frontend.ocp import OCP
@@ -32,10 +32,10 @@ def in_html(ocp: OCP) -> str:
         [
             table(("", "name", "unit", "value", ""), _signals(ocp)),
             table(
-                ("lower", "row", "upper", "unit", "nodes", ""),
-                first([r for s in ocp.statements for r in _rows(ocp, s)]),
+                ROWS,
+                shortened([r for s in ocp.statements for r in _rows(ocp, s)]),
             ),
-            table(("cost", "at", "weight", "reference"), first([row for r in ocp.residuals for row in _terms(r)])),
+            table(("cost", "at", "weight", "reference"), shortened([row for r in ocp.residuals for row in _terms(r)])),
             table(
                 ("general cost", "at", ""),
                 [(_short(c.expression), STAGES[c.stage], "integrated" if c.integrate else "") for c in ocp.costs],
@@ -49,10 +49,7 @@ def _elements(declared: list[Declared]) -> list[str]:
 
 
 def _grid(ocp: OCP) -> str:
-    if ocp.dt is None or ocp.discrete:
-        return f"N={ocp.N}, a discrete map"
-    uneven = "" if len(set(ocp.dt)) == 1 else f" of {min(ocp.dt):g} to {max(ocp.dt):g} {ocp.time_unit}"
-    return f"N={ocp.N} intervals{uneven} over {sum(ocp.dt):g} {ocp.time_unit}"
+    return f"N={horizon(ocp.dt or (1.0,) * ocp.N, ocp.time_unit, ocp.dt is None or bool(ocp.discrete))}"
 
 
 def _incomplete(ocp: OCP) -> list[str]:
@@ -74,7 +71,7 @@ def _signals(ocp: OCP) -> list[tuple[object, ...]]:
             for i, (name, value) in enumerate(zip(signal.elements, signal.value, strict=True)):
                 notes = [mark for mark, which in marks.items() if kind == "state" and signal.offset + i in which]
                 lines.append((kind, name, signal.unit, "" if kind == "control" else value, ", ".join(notes)))
-        found += first(lines)
+        found += shortened(lines)
     return found
 
 

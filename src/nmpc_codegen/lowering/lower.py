@@ -14,7 +14,6 @@ from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.components.core import PARTS, core_structs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
-from nmpc_codegen.ir.casadi_types import elements
 from nmpc_codegen.ir.cmodule import (
     CModule,
     Enum,
@@ -507,10 +506,8 @@ def _description(
 
 def _residuals(problem: Problem, stage: Stage) -> tuple[Residual, ...]:
     """The residuals of a stage, with the states and controls that they are."""
-    symbols = [*elements(stage.x), *elements(stage.u)]
-    names = (*problem.state_names, *problem.control_names)
-    known = {symbol.element_hash(): name for symbol, name in zip(symbols, names, strict=False)}
-    signals = [known.get(y.element_hash(), "") if y.is_symbolic() else "" for y in elements(stage.y)]
+    names = (*problem.state_names, *problem.control_names, "")  # the last one for -1
+    signals = [names[place] for place in stage.y_elements]
     values = [float(value) for value in stage.reference]
     return tuple(map(Residual, stage.y_names, values, signals))
 

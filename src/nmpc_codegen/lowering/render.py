@@ -6,7 +6,6 @@ No other module imports jinja2.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
 from itertools import groupby
@@ -32,7 +31,7 @@ from nmpc_codegen.lowering.preamble import (
 from nmpc_codegen.lowering.unit.names import names_in, rename, renamed_words, with_members_apart
 from nmpc_codegen.lowering.unit.unused import without_unused
 from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout, Signal, c_constants
-from nmpc_codegen.runtime.records.html import nodes
+from nmpc_codegen.runtime.records.html import horizon, nodes
 
 #: Maximum length of a comment line in the header without its margin.
 WIDTH = 116
@@ -79,7 +78,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
         "README.md": "README.md.jinja",
     }
     sources = {f"{module.name}.h": names["header"]}
-    names |= _page(module, names["header"]) | {"folders": module.folders, "libraries": module.libraries}
+    names |= _page(module) | {"folders": module.folders, "libraries": module.libraries}
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return {**sources, **module.foreign}
@@ -170,12 +169,10 @@ def render_unit(
     return environment().get_template("unit.c.jinja").render(names | more)
 
 
-def _page(module: CModule, header: str) -> dict[str, Any]:
+def _page(module: CModule) -> dict[str, Any]:
     """What README.md says of the problem: the grid, the files, signals and rows with their constants."""
     d, name, macro = module.description, module.name, module.macro
-    unit = d.time_unit
-    period = "every sample" if d.discrete else f"every {d.sampling_time or d.dt[0]:g} {unit}"
-    over = "of a discrete map" if d.discrete else f"over {sum(d.dt):g} {unit}"
+    period = "every sample" if d.discrete else f"every {d.sampling_time or d.dt[0]:g} {d.time_unit}"
     files = {
         f"{name}.h": "the interface: sizes, names, the solver struct, all functions with their arguments",
         f"{name}.c": "the solver, one translation unit",
@@ -210,9 +207,8 @@ def _page(module: CModule, header: str) -> dict[str, Any]:
         if group
     ]
     worst = ", ".join(f"{phase} {count:,}" for phase, count in d.report.worst_operations.items()) or "not known"
-    setters = ", ".join(f"`{call}()`" for call in dict.fromkeys(re.findall(rf"\b{name}_set_\w+", header))) or "nothing"
-    grid = f"{d.dims.N} intervals {over}"
-    texts = {"grid": grid, "sample": period.capitalize(), "worst": worst, "setters": setters}
+    grid = horizon(d.dt, d.time_unit, d.discrete)
+    texts = {"grid": grid, "sample": period.capitalize(), "worst": worst}
     return texts | {"files": files.items(), "signals": signals, "rows": rows, "residuals": residuals}
 
 

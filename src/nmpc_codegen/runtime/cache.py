@@ -111,7 +111,8 @@ def temporary_directory() -> Path:
     next one that asks: the process and its children hold a lock in it."""
     for left in Path(tempfile.gettempdir()).glob(f"{TEMPORARY}*"):
         with suppress(OSError, Timeout):
-            if not _distrust(left.lstat()) and stat.S_ISDIR(left.lstat().st_mode):
+            info = left.lstat()
+            if stat.S_ISDIR(info.st_mode) and not _distrust(info):
                 with FileLock(left / ALIVE, timeout=0, mode=0o600):
                     shutil.rmtree(left, ignore_errors=True)
     place = Path(tempfile.mkdtemp(prefix=TEMPORARY))

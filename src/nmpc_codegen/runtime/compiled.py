@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.diagnosis.domains import EDGES
 from nmpc_codegen.runtime.package_description import PackageDescription
+from nmpc_codegen.runtime.records.archive import write_arrays
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
 COUNTERS = (
@@ -145,11 +145,7 @@ def aligned(size: int) -> NDArray[np.uint8]:
 def write_state(file: str | os.PathLike[str] | IO[bytes], fingerprint: str, memory: NDArray[np.uint8]) -> None:
     """Write the bytes of a struct and the fingerprint of its package as an .npz archive."""
     content = {"package": np.array(fingerprint), "state": np.asarray(memory)}
-    if isinstance(file, str | os.PathLike):
-        with Path(file).open("wb") as stream:
-            np.savez(stream, allow_pickle=False, **content)
-    else:
-        np.savez(file, allow_pickle=False, **content)
+    write_arrays(file, np.savez, content)
 
 
 def read_state(

@@ -42,7 +42,8 @@ def find_compiler() -> tuple[str, ...]:
     Raises:
         BuildError: there is none; the message says what to install.
     """
-    return with_required_options(_compiler_on_path())
+    command = _compiler_on_path()
+    return command if command == ZIG else with_required_options(command)
 
 
 def with_required_options(command: tuple[str, ...]) -> tuple[str, ...]:

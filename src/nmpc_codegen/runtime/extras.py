@@ -9,7 +9,8 @@ from typing import Any
 from nmpc_codegen.errors import ExtraError
 
 #: The distribution that is installed: the whole, or the part of it that runs exported packages.
-DISTRIBUTION = "nmpc-codegen" if find_spec("nmpc_codegen.compiler") else "nmpc-codegen-runtime"
+HAS_COMPILER = find_spec("nmpc_codegen.compiler") is not None
+DISTRIBUTION = "nmpc-codegen" if HAS_COMPILER else "nmpc-codegen-runtime"
 
 #: Package -> the extra of it that brings it.
 EXTRAS = {"matplotlib": "plot", "pandas": "notebook", "xarray": "notebook", "cvxpy": "economic", "clarabel": "economic"}

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status
-from nmpc_codegen.runtime.diagnosis.rows import parameters, path_bounds, references, row_values
+from nmpc_codegen.runtime.diagnosis.rows import path_bounds, references, row_values, start_parameters
 from nmpc_codegen.runtime.given import is_positive, is_same_time
 from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.log import Log
@@ -83,7 +83,7 @@ def simulate(
         status[k], cost[k], time_ns[k] = ctrl.status, ctrl.cost, ctrl.time_ns
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
-        p[k], y[k] = parameters(ctrl)[0], references(ctrl)
+        p[k], y[k] = start_parameters(ctrl), references(ctrl)
         moved = move(x[k].copy(), u[k].copy(), interval)
         x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
         if disturbance is not None:

@@ -30,12 +30,19 @@ class Violation:
         return f"row {self.row.name!r} at node {self.node} is violated by {self.amount:.3g}"
 
 
+def start_parameters(ctrl: Controller) -> Array:
+    """Parameters of node 0, (np,); the declared ones if they are fixed."""
+    if ctrl.description.online["parameter"] == "fixed":
+        return np.array([v for s in ctrl.description.parameters for v in s.value])
+    stored = ctrl.member("p")
+    return np.asarray(stored[0], dtype=np.float64) if stored.size else np.zeros(ctrl.dims.np)
+
+
 def parameters(ctrl: Controller) -> Array:
     """Parameters of all nodes, (N+1, np); the declared ones if they are fixed."""
     d = ctrl.dims
     if ctrl.description.online["parameter"] == "fixed":
-        declared = np.array([v for s in ctrl.description.parameters for v in s.value])
-        return np.tile(declared, (d.N + 1, 1))
+        return np.tile(start_parameters(ctrl), (d.N + 1, 1))
     stored = ctrl.member("p")
     if len(stored) == d.N + 1 or not stored.size:
         return np.asarray(stored, dtype=np.float64).reshape(d.N + 1, d.np)

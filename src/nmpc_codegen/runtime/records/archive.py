@@ -6,23 +6,23 @@ import json
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.records.trace import Bound, Trace
+from nmpc_codegen.runtime.records.trace import COLUMNS, Bound, Trace
 from nmpc_codegen.runtime.status import Status
 
 if TYPE_CHECKING:
     from nmpc_codegen.runtime.records.log import Log
 
 FORMAT = "nmpc_codegen log 1"
-TRACES = ("states", "controls", "rows", "parameters", "references")
-ARRAYS = ("t", "x", "u", "h", "p", "y", "status", "cost", "time_ns")
+ARRAYS = ("t", *COLUMNS, "status", "cost", "time_ns")
 
 
 def write(log: Log, file: str | os.PathLike[str] | IO[bytes]) -> None:
@@ -31,15 +31,22 @@ def write(log: Log, file: str | os.PathLike[str] | IO[bytes]) -> None:
         "format": FORMAT,
         "name": log.name,
         "time_unit": log.time_unit,
-        "traces": {kind: [asdict(trace) for trace in getattr(log, kind)] for kind in TRACES},
+        "traces": {kind: [asdict(trace) for trace in getattr(log, kind)] for kind in COLUMNS.values()},
         "reasons": {status.name: reason for status, reason in log.reasons.items()},
     }
     content = {name: getattr(log, name) for name in ARRAYS} | {"description": np.array(json.dumps(text))}
+    write_arrays(file, np.savez_compressed, content)
+
+
+def write_arrays(
+    file: str | os.PathLike[str] | IO[bytes], save: Callable[..., None], content: Mapping[str, NDArray[Any]]
+) -> None:
+    """Write arrays by numpy.savez or savez_compressed, which would append .npz to the name of a file."""
     if isinstance(file, str | os.PathLike):
         with Path(file).open("wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, **content)
+            save(stream, allow_pickle=False, **content)
     else:
-        np.savez_compressed(file, allow_pickle=False, **content)
+        save(file, allow_pickle=False, **content)
 
 
 def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
@@ -57,22 +64,25 @@ def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
             text = json.loads(str(found["description"]))
         if text["format"] != FORMAT:
             raise ValueError(f"its format is {text['format']!r}, not {FORMAT!r}")
-        traces = {kind: tuple(_trace(**entry) for entry in text["traces"][kind]) for kind in TRACES}
+        traces = {kind: tuple(_trace(**entry) for entry in text["traces"][kind]) for kind in COLUMNS.values()}
         _check(arrays, traces)
         reasons = {Status[name]: str(reason) for name, reason in text["reasons"].items()}
         return {"name": text["name"], "time_unit": text["time_unit"], "reasons": reasons, **arrays, **traces}
     except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error, EOFError) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else str(error).splitlines()[0]
+        what = (
+            f"{error} is missing"
+            if isinstance(error, KeyError)
+            else (str(error) or type(error).__name__).splitlines()[0]
+        )
         raise ControllerError(f"{file} is not a log that Log.save() wrote: {what}") from error
 
 
 def _check(arrays: Mapping[str, Any], traces: Mapping[str, tuple[Trace, ...]]) -> None:
     """ValueError unless lengths and numbers of columns fit together, and every status is one."""
     steps = len(arrays["u"])
-    columns = dict(zip(("x", "u", "h", "p", "y"), (len(traces[kind]) for kind in TRACES), strict=True))
     for name in ARRAYS:
         rows = steps + (name in ("t", "x"))
-        expected = (rows, columns[name]) if name in columns else (rows,)
+        expected = (rows, len(traces[COLUMNS[name]])) if name in COLUMNS else (rows,)
         if arrays[name].shape != expected:
             raise ValueError(f"{name} has the shape {arrays[name].shape}, not {expected}")
     for status in np.unique(arrays["status"]):

@@ -8,6 +8,9 @@ from html import escape
 
 from nmpc_codegen.runtime.package_description import Signal
 
+#: Head of the table of rows of a problem.
+ROWS = ("lower", "row", "upper", "unit", "nodes", "")
+
 #: Rows of a table, and names of a list; of more, the first ones are shown and their number.
 SHOWN, LISTED = 40, 12
 
@@ -24,7 +27,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return f"<table>{''.join(lines)}</table>" if rows else ""
 
 
-def first(rows: Sequence[tuple[object, ...]]) -> list[tuple[object, ...]]:
+def shortened(rows: Sequence[tuple[object, ...]]) -> list[tuple[object, ...]]:
     """The first SHOWN rows of one kind, and how many there are besides."""
     more = [("", f"and {len(rows) - SHOWN} more")] if len(rows) > SHOWN else []
     return [*rows[:SHOWN], *more]
@@ -40,10 +43,18 @@ def _in_short(value: object) -> str:
     return ("∞" if value > 0 else "-∞") if math.isinf(value) else f"{value:.6g}"
 
 
-def listed(names: Sequence[object], most: int = LISTED) -> str:
-    """Names separated by commas; of more than ``most`` the first ones and the number of all."""
-    shown = ", ".join(map(str, names[:most]))
-    return shown if len(names) <= most else f"{shown}, ... ({len(names)} in all)"
+def listed(names: Sequence[object]) -> str:
+    """Names separated by commas; of more than LISTED the first ones and the number of all."""
+    shown = ", ".join(map(str, names[:LISTED]))
+    return shown if len(names) <= LISTED else f"{shown}, ... ({len(names)} in all)"
+
+
+def horizon(dt: Sequence[float], unit: str, discrete: bool) -> str:
+    """The grid: "10 intervals over 3 s", with the least and the largest length if they differ."""
+    if discrete:
+        return f"{len(dt)} intervals of a discrete map"
+    uneven = "" if len(set(dt)) == 1 else f" of {min(dt):g} to {max(dt):g} {unit}"
+    return f"{len(dt)} intervals{uneven} over {sum(dt):g} {unit}"
 
 
 def nodes(which: Sequence[int]) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
 from nmpc_codegen.runtime.records import archive, tables
-from nmpc_codegen.runtime.records.html import first, listed, page, table
+from nmpc_codegen.runtime.records.html import listed, page, shortened, table
 from nmpc_codegen.runtime.records.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, TIME_COLOR, Curve, draw
 from nmpc_codegen.runtime.records.trace import Trace
 from nmpc_codegen.runtime.status import Status
@@ -68,7 +68,7 @@ class Log:
             for trace, column in zip(traces, values.T, strict=True):
                 ends = (column[0], column[-1], column.min(), column.max()) if len(column) else ("",) * 4
                 lines.append((kind, trace.name, trace.unit, *ends))
-            found += first(lines)
+            found += shortened(lines)
         return page(
             f"Log {self.name}",
             self.summary().partition(": ")[2],

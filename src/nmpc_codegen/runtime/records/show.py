@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from nmpc_codegen.runtime.diagnosis.rows import parameters, path_bounds, references
-from nmpc_codegen.runtime.records.html import first, nodes, page, table, units
+from nmpc_codegen.runtime.diagnosis.rows import path_bounds, references, start_parameters
+from nmpc_codegen.runtime.records.html import ROWS, horizon, nodes, page, shortened, table, units
 
 if TYPE_CHECKING:
     from nmpc_codegen.runtime.controller import Controller
@@ -25,13 +23,13 @@ def in_one_line(ctrl: Controller) -> str:
 
 def in_html(ctrl: Controller) -> str:
     """Signals at node 0 of the plan, rows with their present bounds, references, and what the compiler has chosen."""
-    described, d = ctrl.description, ctrl.dims
-    values = {"state": ctrl.x[0], "control": ctrl.u[0], "parameter": parameters(ctrl)[0]}
+    described = ctrl.description
+    values = {"state": ctrl.x[0], "control": ctrl.u[0], "parameter": start_parameters(ctrl)}
     names = {"state": ctrl.names.states, "control": ctrl.names.controls, "parameter": ctrl.names.parameters}
     unit = units(described.states, described.controls, described.parameters)
     signals: list[tuple[object, ...]] = []
     for kind, of_kind in names.items():
-        signals += first(
+        signals += shortened(
             [(kind, name, unit[name], float(value)) for name, value in zip(of_kind, values[kind], strict=True)]
         )
     rows: list[tuple[object, ...]] = []
@@ -43,16 +41,16 @@ def in_html(ctrl: Controller) -> str:
     targets: list[tuple[object, ...]] = [
         (r.name, unit.get(r.signal, ""), float(y)) for r, y in zip(described.residuals, references(ctrl), strict=True)
     ]
-    over = "of a discrete map" if described.discrete else f"over {np.sum(described.dt):g} {described.time_unit}"
+    grid = horizon(described.dt, described.time_unit, described.discrete)
     code = f"{described.precision} precision, profile {ctrl.profile}, {ctrl.nbytes:,} bytes"
     last = f"\nlast call: {ctrl.status}, {ctrl.time_ns / 1e3:.1f} us" if ctrl.time_ns else ""
     return page(
         f"Controller {described.name}",
-        f"N={d.N} intervals {over}; {code}{last}",
+        f"N={grid}; {code}{last}",
         [
             table(("", "name", "unit", "at node 0"), signals),
-            table(("lower", "row", "upper", "unit", "nodes", ""), first(rows)),
-            table(("residual", "unit", "reference"), first(targets)),
+            table(ROWS, shortened(rows)),
+            table(("residual", "unit", "reference"), shortened(targets)),
             table(("chosen by the compiler",), [(choice,) for choice in described.report.choices]),
         ],
     )

@@ -7,19 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.records.trace import COLUMNS
 from nmpc_codegen.runtime.status import Status
 
 if TYPE_CHECKING:
     from nmpc_codegen.runtime.records.log import Log
 
-#: Array of a log -> the traces of its columns, and the dimension that they make.
-COLUMNS = {
-    "x": ("states", "state"),
-    "u": ("controls", "control"),
-    "h": ("rows", "row"),
-    "p": ("parameters", "parameter"),
-    "y": ("references", "residual"),
-}
+#: Array of a log -> the name of the dimension of its columns.
+DIMENSIONS = {"x": "state", "u": "control", "h": "row", "p": "parameter", "y": "residual"}
 PER_SAMPLE = ("cost", "time_ns")
 
 
@@ -29,7 +24,7 @@ def to_dataframe(log: Log) -> Any:
     index = pandas.Index(log.t, name=f"time [{log.time_unit}]")
     columns: dict[tuple[str, str], Any] = {}
     units = {}
-    for array, (kind, _) in COLUMNS.items():
+    for array, kind in COLUMNS.items():
         for trace, values in zip(getattr(log, kind), getattr(log, array).T, strict=True):
             columns[array, trace.name] = pandas.Series(values, index[: len(values)])
             units[array, trace.name] = trace.unit
@@ -48,8 +43,8 @@ def to_xarray(log: Log) -> Any:
     variables: dict[str, Any] = {"status": ("time", np.array([*_statuses(log), ""], dtype=np.str_))}
     variables |= {name: ("time", _padded(getattr(log, name))) for name in PER_SAMPLE}
     variables["time_ns"] = (*variables["time_ns"], {"units": "ns"})
-    for array, (kind, dimension) in COLUMNS.items():
-        traces, values = getattr(log, kind), getattr(log, array)
+    for array, kind in COLUMNS.items():
+        traces, values, dimension = getattr(log, kind), getattr(log, array), DIMENSIONS[array]
         if traces:
             variables[array] = (("time", dimension), values if array == "x" else _padded(values))
             coordinates[dimension] = np.array([trace.name for trace in traces], dtype=np.str_)

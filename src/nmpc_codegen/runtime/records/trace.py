@@ -15,6 +15,10 @@ def with_unit(name: str, unit: str) -> str:
     return f"{name} [{text}]" if text else name
 
 
+#: Array of a log -> its field with the traces of the columns.
+COLUMNS = {"x": "states", "u": "controls", "h": "rows", "p": "parameters", "y": "references"}
+
+
 @dataclass(frozen=True)
 class Bound:
     """Bounds of a row at the end of the loop (+-inf: none); ``soft``: they may be violated at a cost."""
