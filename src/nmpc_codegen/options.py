@@ -179,4 +179,4 @@ def _or_default(given: C | None, algorithm: Algorithm, seam: Seam, registry: Map
     if given is not None or seam not in algorithm.needs:
         return given
     word = algorithm.default(seam)
-    return None if word is None else registry[word](**dict.fromkeys(algorithm.unset(seam)))
+    return None if word is None else registry[word]()

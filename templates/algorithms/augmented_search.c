@@ -285,12 +285,29 @@ static real_t step_length_of(const auglag_t *a)
     return most;
 }
 
+/* Rounding errors of L: of its terms, and of what rounding of a variable changes in gaps and cost. */
+static real_t rounding_of_merit(const solver_t *s, real_t value)
+{
+    const auglag_t *a = &s->auglag;
+    real_t forces = R(0), bends = R(0);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            forces += FABS(s->lam[k][i] * s->x[k][i]);
+            bends += FABS(a->H[k][i][i]) * s->x[k][i] * s->x[k][i];
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            bends += FABS(a->H[k][NX + j][NX + j]) * s->u[k][j] * s->u[k][j];
+        }
+    }
+    return TOL_MERIT_ROUNDING * (FABS(value) + TOL_MERIT_ROUNDING * bends) + TOL_UNIT * forces + R(1e-36);
+}
+
 /* One iteration from the model of the plan, assembled. Returns 1 if the plan has moved, and then gaps, rows, cost and
  * the estimates of the multipliers belong to the new one; else only the radius is smaller. */
 static int descend(solver_t *s, int faces)
 {
     auglag_t *a = &s->auglag;
-    const real_t before = merit(s), noise = TOL_MERIT_ROUNDING * (R(1) + FABS(before));
+    const real_t before = merit(s), noise = rounding_of_merit(s, before);
     real_t ratio, length;
     set_box(s);
     a->predicted = -refine(s, cauchy_point(s), faces);
@@ -299,6 +316,8 @@ static int descend(solver_t *s, int faces)
     evaluate_path(s);
     evaluate_ends(s);
     ratio = (before - merit(s) + noise) / (a->predicted + noise);
+    a->settled = (FABS(ratio - R(1)) < R(0.5) && length < R(0.9) * a->radius) ||
+        (ratio > FACTOR_SUFFICIENT && length < R(0.01) && length < a->radius);
     if (ratio > FACTOR_GOOD && length > R(0.5) * a->radius) {
         a->radius *= FACTOR_GROW;
     } else if (!(ratio > FACTOR_POOR)) {

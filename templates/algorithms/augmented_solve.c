@@ -33,7 +33,7 @@ static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
     auglag_t *a = &s->auglag;
     const real_t now = violation_of(s);
     update_multipliers(s);
-    if (!(now < FACTOR_PROGRESS * *violation) && now > tol && a->penalty * FACTOR_STIFFER < R(MOST_PENALTY)) {
+    if (!(now < FACTOR_PROGRESS * *violation) && now > tol && a->penalty < FACTOR_STIFFEST * penalty_weight[0]) {
         a->penalty *= FACTOR_STIFFER;
     }
     *violation = now;
@@ -41,23 +41,26 @@ static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
     a->radius = (a->radius > initial_radius[0]) ? a->radius : initial_radius[0];
 }
 
-/* Iterates from the evaluated and linearised plan. */
+/* Iterates from the evaluated and linearised plan. A plan with small residuals has one more dual update and one more
+ * iteration, because gaps that are left change the cost by their multipliers. */
 static status_t iterate(solver_t *s, real_t tol, int max_iterations)
 {
     auglag_t *a = &s->auglag;
     real_t violation = INF, accuracy = R(1);
-    int since = 0;
+    int since = 0, polished = 0;
     for (int n = 0; n < max_iterations; n++) {
         assemble(s);
         if (!gradient_is_finite(a)) {
             return NUMERICAL_FAILURE;
         }
-        if (residual_of(s) <= tol) {
+        const int solved = residual_of(s) <= tol;
+        if (solved && (polished || n == 0)) {
             return OK;
         }
+        polished = solved;
         set_box(s);
         const real_t gradient = projected_gradient(a);
-        if (gradient <= accuracy || a->predicted < TOL_UNIT * (R(1) + FABS(a->cost)) || ++since > MAX_INNER) {
+        if (solved || gradient <= accuracy || a->predicted < TOL_UNIT * (R(1) + FABS(a->cost)) || ++since > MAX_INNER) {
             advance_multipliers(s, tol, &violation);
             since = 0;
             accuracy = FACTOR_PROGRESS * ((accuracy < violation) ? accuracy : violation);
@@ -93,7 +96,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         return finish(s, NOT_FINITE);
     }
     memset(&s->stats, 0, sizeof s->stats);
-    s->auglag.radius = initial_radius[0];
+    reset_search(s);
+    s->auglag.penalty = FACTOR_SOFTEST * penalty_weight[0];
     s->auglag.precision = FACTOR_PRECISION_OF_SOLVE;
     s->auglag.predicted = INF;
     status = prepare_here(s);
@@ -101,6 +105,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         status = iterate(s, tol, max_iterations);
     }
     s->auglag.penalty = penalty_weight[0];
+    s->auglag.radius = initial_radius[0];
+    s->unconverged = 0;
 #if NE
     couple_start(s, R(1));
 #endif

@@ -111,10 +111,16 @@ static void estimate_multipliers(solver_t *s)
 static void update_multipliers(solver_t *s)
 {
     auglag_t *a = &s->auglag;
-    memcpy(a->lam, s->lam, sizeof a->lam);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            const real_t most = FACTOR_MULTIPLIER * gap_weight(s, i) * variable_scale[i];
+            a->lam[k][i] = clip(s->lam[k][i], -most, most);
+        }
+    }
 #if NG
     for (int m = 0; m < NG; m++) {
-        a->row[m] = row_relaxed[m] ? ROW_MULTIPLIER(s, m) : R(0);
+        const real_t most = FACTOR_MULTIPLIER * a->penalty * SQRT(row_weight[m]);
+        a->row[m] = row_relaxed[m] ? clip(ROW_MULTIPLIER(s, m), -most, most) : R(0);
     }
 #endif
 }

@@ -50,7 +50,8 @@ class Loop:
 
 #: The controller of the paper, and the real-time iteration with the exact Hessian, mirrored where it is indefinite.
 AUGMENTED = Options(
-    integrator=ExplicitRungeKutta(RK4, steps=3), algorithm=AugmentedLagrangian(iterations=3, shift="periodic")
+    integrator=ExplicitRungeKutta(RK4, steps=3),
+    algorithm=AugmentedLagrangian(iterations=3, penalty=100.0, proximal=0.1, scaling="units", shift="periodic"),
 )
 EXACT = Options(
     integrator=ExplicitRungeKutta(RK4, steps=3),

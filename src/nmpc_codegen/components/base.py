@@ -282,8 +282,9 @@ class Algorithm(Component, Protocol):
         """The name of its default component for a seam that it needs; None: the compiler chooses for the problem."""
         ...
 
-    def unset(self, seam: Seam) -> tuple[str, ...]:
-        """The options of that component that are None, other than by its own defaults."""
+    @property
+    def convex(self) -> bool:
+        """True if an exact Hessian that may be indefinite has to be made convex for it."""
         ...
 
     def check_parts(self, parts: Parts) -> None:
@@ -354,8 +355,9 @@ class Defaults:
     def pulls_back(self) -> bool:
         return False
 
-    def unset(self, seam: Seam) -> tuple[str, ...]:
-        return ()
+    @property
+    def convex(self) -> bool:
+        return True
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return {}

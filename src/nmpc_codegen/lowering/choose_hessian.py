@@ -21,7 +21,8 @@ def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[s
     if not beyond or not beyond <= ExactHessian.supports:
         return options, ()
     why = f"the problem has a {sorted(beyond)[0]}"
-    return replace(options, hessian=ExactHessian()), (f"hessian: {ExactHessian.name}; {why}",)
+    exact = ExactHessian() if options.algorithm.convex else ExactHessian(regularization=None)
+    return replace(options, hessian=exact), (f"hessian: {ExactHessian.name}; {why}",)
 
 
 def couples_free_start(problem: Problem) -> bool:

@@ -61,6 +61,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "poor": (0.25, "the same below which the trust region shrinks"),
     "shrink": (0.25, "ratio of successive radii of a trust region and of successive trials of a projected search"),
     "grow": (4.0, "ratio of radii where the model is good"),
+    "least_radius": (1e-4, "radius with which a sample begins at least, relative to the first one"),
     "longest": (1e30, "multiple of a direction of negative curvature that is tried"),
     "first_shift": (0.01, "first shift of an indefinite block, relative to the largest curvature of the stages"),
     "next_shift": (10.0, "ratio of successive shifts"),
@@ -68,6 +69,11 @@ FACTORS: dict[str, tuple[float, str]] = {
     "precision_of_solve": (1e-8, "the same in solve()"),
     "progress": (0.1, "decrease of the violation between updates of multipliers that keeps the penalty"),
     "stiffer": (10.0, "ratio of successive penalties"),
+    "fall": (0.5, "decrease of the residual in a sample that keeps the penalty"),
+    "soft": (0.1, "first penalty of a new plan, relative to that of later samples"),
+    "softest": (0.01, "first penalty of solve(), relative to that of samples"),
+    "stiffest": (1e4, "largest penalty of a sample, relative to the one at the start"),
+    "multiplier": (100.0, "largest multiplier, relative to that of a gap of one scale"),
 }
 
 #: Multiples of the square root of the machine epsilon below which a tolerance does not fall.

@@ -4,8 +4,8 @@
     z = (x_0, u_0, .., x_N),   c_0 = xhat - x_0,   c_{k+1} = Phi_k(x_k, u_k) - x_{k+1},   rho_i = rho / scale_i^2
 
 with the terms psi_m of all other rows, whose multipliers are at least 0 for an inequality and at most the weight of a
-soft row. Every sample takes ``iterations`` steps of a trust-region method and then sets lam_i += rho_i c_i. It needs no
-convex Hessian and no QP.
+soft row. Every sample takes ``iterations`` steps of a trust-region method and then sets lam_i += rho_i c_i, unless no
+step was accepted or a large violation has not fallen; then rho grows instead. It needs no QP and no convex Hessian.
 
 Hours, Shukla and Jones, "A parametric augmented Lagrangian algorithm for real-time economic NMPC", ECC 2016.
 """
@@ -13,7 +13,7 @@ Hours, Shukla and Jones, "A parametric augmented Lagrangian algorithm for real-t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -23,9 +23,10 @@ from nmpc_codegen.components.algorithms.real_time_iteration import (
     PHASES,
     SOLVE,
 )
-from nmpc_codegen.components.algorithms.scales import row_scales, tolerance_table, variable_scales
+from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_scales, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
+    auto_shift,
     check_sampling_time,
     check_shift,
     initial_tables,
@@ -36,39 +37,54 @@ from nmpc_codegen.components.algorithms.shifts import (
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Core, Defaults, Dims, Parts, Seam
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.runtime.package_description import EntryPoint
 
 PREPARE = EntryPoint(
     "prepare",
-    "Preparation phase: evaluate and linearise the plan. A call that fails leaves the plan unchanged; feedback "
-    "restarts a plan that fails repeatedly.",
+    "Preparation phase: evaluate and linearise the plan, and repair one that is new or far from the model. A call that "
+    "fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly.",
 )
 
 #: Faces per iteration, shifts of a factorisation, trials of a projected search, iterations of conjugate gradients.
 MAX_FACES, MAX_SHIFTS, MAX_BACKTRACKS, MAX_CG = 5, 3, 8, 20
+
+#: The default penalty, relative to the curvature of the cost.
+PENALTY = 3e3
+
+#: The default weight of the proximal term with a Hessian that may be indefinite, relative to the same.
+PROXIMAL = 0.06
 
 
 @dataclass(frozen=True)
 class AugmentedLagrangian(Defaults):
     """``iterations`` Newton iterations per sample on the augmented Lagrangian with the penalty ``penalty``.
 
-    ``proximal``: weight r of the term r/2 |z - z_c|^2 that keeps the refinement near the Cauchy point z_c. ``radius``:
-    of the trust region at the start of a sample. Both are in scaled variables, and so is the penalty of the gaps.
-    ``scaling``: "units", variables as they are; "declared", divided by their declared initial value or bounds. Rows
-    are always divided by their declared magnitude. ``shift`` and ``sampling_time``: how the plan moves before every
-    prepare, as in RealTimeIteration. ``tolerance``: stats.residual above which a sample is NOT_CONVERGED.
+    ``penalty``: rho in the scales of states and rows; None: 3,000 times what the cost changes by in the scale of a
+    variable, its curvature or, for general costs, N of its slopes. It grows by factors of 10 while accepted steps do
+    not reduce a large violation. ``proximal``: weight r of the term r/2 |z - z_c|^2 that keeps the refinement near the
+    Cauchy point z_c; None: 0 with Gauss-Newton, 0.06 times the same with another Hessian. ``radius``: of the trust
+    region of a new plan; later samples begin with that of the sample before. ``scaling`` of all three: "declared",
+    variables divided by their declared initial value or bounds; "units", variables as they are. Rows are always divided
+    by their declared magnitude.
+
+    ``repair``: rounds, each as much work as a sample, that prepare() may add at the predicted x_0 of a new plan, or
+    after a sample that failed or was NOT_CONVERGED; 0: none. A sample is NOT_CONVERGED if stats.residual, its largest
+    gap or violation in the scales of states and rows, exceeds ``tolerance``, or if the last step did not do what its
+    model promised. After 10 of them on end the plan starts anew. ``shift`` and ``sampling_time``: how the plan moves
+    before every prepare but the first, as in RealTimeIteration.
     """
 
     iterations: int = option(3, Whole(most=1000))
-    penalty: float = option(100.0, Number())
-    proximal: float = option(0.1, Number(closed=True))
+    penalty: float | None = option(None, Number(optional=True))
+    proximal: float | None = option(None, Number(closed=True, optional=True))
     radius: float = option(10.0, Number())
-    scaling: str = option("units", Words(("units", "declared")))
+    scaling: str = option("declared", Words(("declared", "units")))
+    repair: int = option(3, Whole(most=100, least=0))
     tolerance: float = option(0.1, Number())
-    shift: str | None = option(None, Words(SHIFTS))
+    shift: str | None = option("auto", Words(("auto", *SHIFTS)))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
 
     seam: ClassVar[Seam] = "algorithm"
@@ -85,12 +101,13 @@ class AugmentedLagrangian(Defaults):
         check_sampling_time("AugmentedLagrangian", self.shift, self.sampling_time)
 
     def default(self, seam: Seam) -> str | None:
-        """The exact Hessian; the compiler chooses the integrator for the problem."""
-        return "exact" if seam == "hessian" else None
+        """Gauss-Newton; the compiler chooses the integrator for the problem."""
+        return "gauss_newton" if seam == "hessian" else None
 
-    def unset(self, seam: Seam) -> tuple[str, ...]:
-        """The Hessian is not made convex."""
-        return ("regularization",) if seam == "hessian" else ()
+    @property
+    def convex(self) -> bool:
+        """False: the trust region follows negative curvature."""
+        return False
 
     def check_parts(self, parts: Parts) -> None:
         """Raise OptionError for a Hessian that is made convex or was computed off line."""
@@ -122,6 +139,7 @@ class AugmentedLagrangian(Defaults):
             "ADVANCED": 0,
             "HAS_INITIAL_HESSIAN": 0,
             "START_IS_MEASURED": 1,
+            "REPAIR": self.repair,
         }
 
     def check(self, problem: Problem) -> None:
@@ -145,17 +163,62 @@ class AugmentedLagrangian(Defaults):
         return (
             *initial_tables(problem),
             tolerance_table(self.tolerance),
-            Table("penalty_weight", "real", (float(self.penalty),), "penalty of gaps and rows in their scales"),
-            Table("proximal_weight", "real", (float(self.proximal),), "weight of the proximal term"),
+            Table("penalty_weight", "real", (self._penalty(problem),), "penalty of gaps and rows in their scales"),
+            Table(
+                "proximal_weight",
+                "real",
+                (self._proximal(problem, 0.0), self._proximal(problem, PROXIMAL)),
+                "weight of the proximal term: with a convex Hessian, with another one",
+            ),
             Table("initial_radius", "real", (float(self.radius),), "of the trust region"),
             Table("variable_scale", "real", (*scale, *padding), "scales of (x, u), with padding"),
             Table("variable_weight", "real", (*weight, *padding), "1 / scale^2, with padding"),
             Table("initial_weight", "real", tuple(initial), "the same of x_0, 0 for free components"),
             Table("row_weight", "real", tuple(1.0 / row_scales(problem, declared) ** 2), "1 / scale^2 of row m"),
+            Table(
+                "row_size",
+                "real",
+                tuple(self._row_sizes(problem, declared)),
+                "what a violation of row m is measured in",
+            ),
             Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
             Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
             *resample_tables(self.shift, self.sampling_time, problem),
         )
+
+    def _proximal(self, problem: Problem, part: float) -> float:
+        if self.proximal is not None:
+            return float(self.proximal)
+        return part * cost_magnitude(problem, variable_scales(problem))
+
+    def _row_sizes(self, problem: Problem, scale: Array) -> Array:
+        """The smaller of what a row changes by in the scales of its variables and of its largest finite bound."""
+        found = row_scales(problem, scale)
+        for m, (_, kind, _, row) in enumerate(problem.qp_rows):
+            bounds = [abs(b) for b in (problem.rows[row].lower, problem.rows[row].upper) if np.isfinite(b) and b]
+            if kind and bounds:
+                found[m] = min(found[m], max(bounds))
+        return found
+
+    def _penalty(self, problem: Problem) -> float:
+        if self.penalty is not None:
+            return float(self.penalty)
+        return PENALTY * cost_magnitude(problem, variable_scales(problem))
+
+    def decided(self, problem: Problem, repairs: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
+        """The shift that "auto" stands for."""
+        if self.shift != "auto":
+            return self, ()
+        shift, why = auto_shift(self.sampling_time, problem)
+        return replace(self, shift=shift), (f"shift: {shift}; {why}",)
+
+    def notes(self, problem: Problem) -> tuple[str, ...]:
+        """The penalty that is chosen."""
+        if self.penalty is not None:
+            return ()
+        size = cost_magnitude(problem, variable_scales(problem))
+        rule = f"{PENALTY:,g} times the change of the cost, {size:.4g}, in the scale of a variable"
+        return (f"penalty: {self._penalty(problem):.4g}; {rule}",)
 
     def reach(self, problem: Problem) -> float:
         return resample_reach(self.shift, self.sampling_time, problem)
@@ -166,6 +229,7 @@ class AugmentedLagrangian(Defaults):
             ("VARIABLES", (dims.N.value + 1) * _padded(dims).value, "(N + 1) LDZ"),
             ("ITERATIONS", self.iterations, "Newton iterations of a sample"),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
+            *((("REPAIRS", self.repair, "rounds that repair a plan, at most"),) if self.repair else ()),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_FACES", MAX_FACES, "faces of the box that one iteration visits"),
             ("FACES_OF_SOLVE", 40, "the same in solve()"),
@@ -180,7 +244,12 @@ class AugmentedLagrangian(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            *((Field("samples", (), "feedbacks since init or reset", "keep", "int32"),) if self.shift else ()),
+            *(
+                (Field("samples", (), "feedbacks since init or reset", "keep", "int32"),)
+                if self.shift or self.repair
+                else ()
+            ),
+            Field("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32"),
             Field(
                 "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
             ),
@@ -189,14 +258,14 @@ class AugmentedLagrangian(Defaults):
             Field("stats", (), "counters", "result", "stats"),
             Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
         )
-        return (_stats(), _auglag(dims), Struct("solver", "", (*keep, *results)))
+        return (_stats(self.repair), _auglag(dims), Struct("solver", "", (*keep, *results)))
 
 
 def _padded(dims: Dims) -> Size:
     return Size("LDZ", -(-dims.nz.value // PANEL) * PANEL)
 
 
-def _stats() -> Struct:
+def _stats(repair: int) -> Struct:
     def count(name: str, doc: str) -> Field:
         return Field(name, (), doc, "result", "int32")
 
@@ -211,6 +280,7 @@ def _stats() -> Struct:
             count("shifts", "shifts of the preconditioner"),
             count("negative_curvature", "directions of negative curvature"),
             count("sqp_iterations", "iterations of the last solve"),
+            *((count("repairs", "rounds that have repaired the plan"),) if repair else ()),
             Field("violation", (), "largest gap or violation of a hard row, scaled", "result"),
             Field("residual", (), "the same in the scale of states and rows", "result"),
         ),
@@ -235,9 +305,10 @@ def _auglag(dims: Dims) -> Struct:
             real("value", (dims.ng,), "values of the rows"),
             real("curvature", (dims.ng,), "second derivatives of their terms"),
             real("cost", (), "cost of the plan"),
-            real("penalty", (), "rho"),
+            Field("penalty", (), "rho", "keep"),
             real("proximal", (), "r"),
-            real("radius", (), "of the trust region"),
+            Field("radius", (), "of the trust region", "keep"),
+            Field("settled", (), "1: the last step did what its model promised", "scratch", "int32"),
             real("precision", (), "of conjugate gradients, squared"),
             real("largest", (), "largest diagonal entry of the Hessian, scaled"),
             real("bend", (), "largest diagonal entry of the Hessian of the stages, scaled"),

@@ -68,6 +68,32 @@ def cost_curvature(problem: Problem, scale: Array) -> float:
     return size if np.isfinite(size) and size > 0 else 1.0
 
 
+def cost_magnitude(problem: Problem, scale: Array) -> float:
+    """How much the cost of a plan depends on a variable in its scale, at the initial state and the references of the
+    controls: the largest curvature of a path node and the largest slope of the general costs, that of a path node N
+    times, as states keep what they are given. The curvature of the terminal node where all these are 0, else 1."""
+    u = np.array([problem.path.reference[i] if i >= 0 else 0.0 for i in problem.control_reference])
+    path, terminal = (_sizes(stage, problem, u, scale) for stage in (problem.path, problem.terminal))
+    most = max(path[0], problem.N * path[1], terminal[1]) or terminal[0]
+    return most if most > 0 else 1.0
+
+
+def _sizes(stage: Stage, problem: Problem, u: Array, scale: Array) -> tuple[float, float]:
+    """Largest curvature of the cost of a stage and largest slope of its general cost, in scales; 0 if not finite."""
+    cost = stage_cost(stage, "path" if stage.nu else "terminal")
+    general = ca.SX(0) if cost.general is None else cost.general
+    if stage.cost_rate is not None:
+        general = general + stage.dt * stage.cost_rate
+    bend = ca.diag(ca.densify(cost.gauss_newton)) + ca.diag(ca.densify(ca.hessian(general, cost.z)[0]))
+    evaluate = ca.Function("sizes", [*cost.inputs, cost.yref, cost.W], [bend, ca.gradient(general, cost.z)])
+    weight = np.diag(stage.weight) if stage.diagonal_weight else stage.weight.ravel()
+    at = (problem.x_initial, u, problem.p_value, problem.dt[0]) if stage.nu else (problem.x_initial, problem.p_value)
+    curvature, slope = (np.abs(np.asarray(v).ravel()) for v in evaluate(*at, stage.reference, weight))
+    size = scale[: slope.size]
+    largest = [float(np.max(v, initial=0.0, where=np.isfinite(v))) for v in (curvature * size**2, slope * size)]
+    return largest[0], largest[1]
+
+
 def _slopes(h: Expression, stage: Stage, problem: Problem) -> Array:
     """Jacobian of the rows of a stage at the initial state."""
     z = ca.vertcat(stage.x, stage.u)

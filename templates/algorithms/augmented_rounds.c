@@ -1,0 +1,215 @@
+/* Contract of this part: a round of a sample, ITERATIONS steps of the trust-region method and one dual update, and the
+ * rounds that repair a plan before a sample. The plan changes only if it stays finite. */
+
+/* The multipliers of the bounds: minus the gradient of the augmented Lagrangian, where a bound holds it. */
+static void set_bound_multipliers(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t u = s->u[k][j], force = -(a->g[k][NX + j] + a->Hd[k][NX + j]);
+            const int holds = (force > R(0)) ? !(u < CONTROL_UPPER(s, k, j)) : !(u > CONTROL_LOWER(s, k, j));
+            s->mu_u[k][j] = holds ? force : R(0);
+        }
+    }
+#if STATE_ROWS
+    for (int m = 0; m < NG; m++) {
+        if (!row_relaxed[m]) {
+            const int k = row_node[m], i = row_index[m];
+            const real_t x = s->x[k][i], force = -(a->g[k][i] + a->Hd[k][i]);
+            const int holds = (force > R(0)) ? !(x < ROW_UPPER(s, m)) : !(x > ROW_LOWER(s, m));
+            s->mu_x[k][i] = holds ? force : R(0);
+        }
+    }
+#endif
+}
+
+/* The estimates become the multipliers of the plan. */
+static void finish_multipliers(solver_t *s)
+{
+    set_bound_multipliers(s);
+#if NE
+    couple_start(s, R(1));
+#endif
+}
+
+#if NG
+/* most = max(most, violation of every relaxed row in its scale). */
+static void enlarge_by_rows(const solver_t *s, real_t *most)
+{
+    for (int m = 0; m < NG; m++) {
+        if (row_relaxed[m] == 1) {
+            enlarge(most, outside(s, m, s->auglag.value[m]) / row_size[m]);
+        }
+    }
+}
+
+#endif
+/* Largest gap and violation of a relaxed row, in their scales. */
+static real_t violation_of(const solver_t *s)
+{
+    const auglag_t *a = &s->auglag;
+    real_t most = R(0);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            enlarge(&most, a->gap[k][i] * SQRT(variable_weight[i]));
+        }
+    }
+#if NG
+    enlarge_by_rows(s, &most);
+#endif
+    return most;
+}
+
+#include "algorithms/scales.c"
+
+/* The residual of the plan: its largest gap and violation of a relaxed row, in the scales of states and rows. A plan at
+ * rest is not measured in rounding errors. */
+static real_t plan_residual(const solver_t *s)
+{
+    const auglag_t *a = &s->auglag;
+    real_t size[NX], part[NX], most = R(0);
+    state_scales(s, size);
+    for (int i = 0; i < NX; i++) {
+        const real_t least = SQRT(TOL_UNIT) * variable_scale[i];
+        part[i] = R(1) / ((size[i] > least) ? size[i] : least);
+    }
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+#if NF
+            if (k == 0 && !is_measured[i] && !is_accumulator[i]) {
+                continue;
+            }
+#endif
+            enlarge(&most, a->gap[k][i] * part[i]);
+        }
+    }
+#if NG
+    enlarge_by_rows(s, &most);
+#endif
+    return most;
+}
+
+/* Linearises the plan, evaluated. Second derivatives belong to the estimates of the multipliers or, where gaps are large
+ * and with them the estimates, to the multipliers of the last update. */
+static void linearize_plan(solver_t *s)
+{
+#if LAGRANGIAN
+    const int far = is_far(plan_residual(s));
+    if (far) {
+        restore_multipliers(s);
+    }
+#endif
+    linearize(s);
+#if HAS_PATH_HESSIAN || HAS_TERMINAL_HESSIAN || HAS_START_HESSIAN
+    hessian(s);
+#endif
+#if LAGRANGIAN
+    if (far) {
+        estimate_multipliers(s);
+    }
+#endif
+}
+
+/* Evaluates and linearises the plan; its multipliers become those of the augmented Lagrangian. */
+static status_t prepare_here(solver_t *s)
+{
+    (void)project_plan(s);
+#if NE
+    COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
+    couple_start(s, -R(1));
+#endif
+    update_multipliers(s);
+    evaluate_path(s);
+    evaluate_ends(s);
+    estimate_multipliers(s);
+    linearize_plan(s);
+#if SET_REFERENCE
+    s->renewal = UP_TO_DATE;
+#endif
+    return isfinite(merit(s)) ? OK : NUMERICAL_FAILURE;
+}
+
+/* After a round: the dual update, unless no step was accepted or gaps and rows are large and have hardly become smaller
+ * than `before`; then the multipliers stay as they were. The penalty grows from its first value to that of later samples
+ * and, where accepted steps have not reduced the residual, beyond it; it returns when the residual is small. */
+static void close_round(solver_t *s, real_t before, int accepted)
+{
+    auglag_t *a = &s->auglag;
+    const real_t usual = penalty_weight[0], less = a->penalty / FACTOR_STIFFER;
+    int far, stuck;
+    s->stats.violation = violation_of(s);
+    s->stats.residual = plan_residual(s);
+    far = is_far(s->stats.residual);
+    stuck = far && !(s->stats.residual < FACTOR_FALL * before);
+    if (a->penalty < usual) {
+        a->penalty = usual;
+    } else if (!far) {
+        a->penalty = (less > usual) ? less : usual;
+    } else if (stuck && accepted && less < FACTOR_STIFFEST * usual) {
+        a->penalty *= FACTOR_STIFFER;
+    }
+    finish_multipliers(s);
+    if (stuck || !accepted) {
+        restore_multipliers(s);
+    }
+}
+
+/* A round from the evaluated and linearised plan: ITERATIONS steps of the trust-region method and, where it is due, the
+ * dual update. The plan changes only if it stays finite. */
+static status_t run_round(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    const real_t before = plan_residual(s), least = FACTOR_LEAST_RADIUS * initial_radius[0];
+    int moved = 0, accepted = 0;
+    if (!isfinite(merit(s))) {
+        return NUMERICAL_FAILURE;
+    }
+#if LAGRANGIAN
+    a->proximal = proximal_weight[1];
+#else
+    a->proximal = proximal_weight[0];
+#endif
+    a->precision = FACTOR_PRECISION;
+    a->radius = (a->radius > least) ? a->radius : least;
+    assemble(s);
+    if (!gradient_is_finite(a)) {
+        return NUMERICAL_FAILURE;
+    }
+    for (int n = 0; n < ITERATIONS; n++) {
+        if (moved) {
+            linearize_plan(s);
+            assemble(s);
+        }
+        s->stats.newton_iterations++;
+        moved = descend(s, MAX_FACES);
+        accepted |= moved;
+    }
+    close_round(s, before, accepted);
+    return plan_is_finite(s) && all_finite(s->lam[0], (N + 1) * NX) ? OK : NUMERICAL_FAILURE;
+}
+
+#if REPAIR
+/* Rounds at x_0 of the plan, prepared with this status, before a sample: the first one, one after a sample that failed
+ * or left the plan far from the model. They end when the steps do what their model promises and gaps are small. */
+static status_t repair(solver_t *s, status_t status)
+{
+    real_t measured[NX];
+    int wanted = s->samples == 0 || s->failing > FINE || s->unconverged > 0;
+    memcpy(measured, s->xhat, sizeof measured);
+    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    for (int n = 0; n < REPAIRS && status == OK && wanted; n++) {
+        evaluate_ends(s);
+        estimate_multipliers(s);
+        status = run_round(s);
+        s->stats.repairs++;
+        wanted = !s->auglag.settled || is_far(s->stats.residual);
+        if (status == OK) {
+            status = prepare_here(s);
+        }
+    }
+    memcpy(s->xhat, measured, sizeof s->xhat);
+    return status;
+}
+
+#endif
