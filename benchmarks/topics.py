@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from benchmarks.lib import export, strangers
 from benchmarks.lib.adjoint import crane, cstr, rod, vandevusse
-from benchmarks.lib.augmented import bounds, loop, schemes, tracking
+from benchmarks.lib.augmented import bounds, cold, loop, schemes, tracking
 from benchmarks.lib.convergence import loops, singles, starts, units
 from benchmarks.lib.economic import driving, evaporation, figure3, figure4, figures, timing
 from benchmarks.lib.firmware import emulated, riscv, single
@@ -88,6 +88,7 @@ TOPICS: dict[str, Topic] = {
     "economic/pictures": lambda _, run: print("\n".join(map(str, figures.draw(run.pictures)))),
     "augmented/loop": scaled(loop.measure),
     "augmented/bounds": scaled(bounds.measure),
+    "augmented/cold": cold.measure,
     "augmented/tracking": scaled(tracking.measure),
     "augmented/schemes": scaled(schemes.measure),
     "adjoint/crane": plain(crane.measure),

@@ -281,7 +281,8 @@ def _algorithm(rng: Rng) -> Any:
     time = 0.1 if shift == "resample" else None
     kind = pick(rng, ("rti", "rti", "rti", "rti", "al", "as"))
     if kind == "al":
-        return AugmentedLagrangian(shift=shift, sampling_time=time, scaling=pick(rng, ("units", "declared")))
+        scaling, repair = pick(rng, ("units", "declared")), pick(rng, (0, 1, 3))
+        return AugmentedLagrangian(shift=shift, sampling_time=time, scaling=scaling, repair=repair)
     if kind == "as":
         method = pick(rng, ("gauss_newton", "quasi_newton"))
         return AdjointShooting(method=method, shift=shift, sampling_time=time)

@@ -297,10 +297,10 @@ LUMPED, BARRIER = {**SMOOTH, "rows": "lumped"}, {"rows": "barrier"}
 LOOPED = ExplicitRungeKutta(unroll="none")
 
 
-def _augmented(
-    shift: str | None = None, sampling_time: float | None = None, hessian: Any = None, **options: Any
-) -> Options:
-    return Options(algorithm=AugmentedLagrangian(shift=shift, sampling_time=sampling_time), hessian=hessian, **options)
+def _augmented(hessian: Any = None, shift: str | None = None, repair: int = 3, **options: Any) -> Options:
+    sampling_time = 0.05 if shift == "resample" else None
+    algorithm = AugmentedLagrangian(shift=shift, sampling_time=sampling_time, repair=repair)
+    return Options(algorithm=algorithm, hessian=hessian, **options)
 
 
 def _shooting(given: dict[str, Any] | None = None, **more: Any) -> Options:
@@ -404,7 +404,7 @@ SAMPLES = (
     Sample("quadrotor partial", quadrotor.build_ocp, _partial(algorithm=FIRST)),
     Sample("functions dense", functions, _dense(online=SHARED)),
     Sample("functions riccati", functions, _riccati(precision="single")),
-    Sample("bare augmented", bare, _augmented(online=FIXED, solve=False)),
+    Sample("bare augmented", bare, _augmented(repair=0, online=FIXED, solve=False)),
     Sample("states augmented", states, _augmented(shift="repeat", precision="single")),
     Sample("final augmented", final, _augmented(online=REFERENCES)),
     Sample("soft states augmented", soft_states, _augmented(online=WEIGHTS)),

@@ -141,7 +141,7 @@ static void close_round(solver_t *s, real_t before, int accepted)
     s->stats.violation = violation_of(s);
     s->stats.residual = plan_residual(s);
     far = is_far(s->stats.residual);
-    stuck = far && !(s->stats.residual < FACTOR_FALL * before);
+    stuck = far && !(s->stats.violation < FACTOR_FALL * before);
     if (a->penalty < usual) {
         a->penalty = usual;
     } else if (!far) {
@@ -160,7 +160,7 @@ static void close_round(solver_t *s, real_t before, int accepted)
 static status_t run_round(solver_t *s)
 {
     auglag_t *a = &s->auglag;
-    const real_t before = plan_residual(s), least = FACTOR_LEAST_RADIUS * initial_radius[0];
+    const real_t before = violation_of(s), least = FACTOR_LEAST_RADIUS * initial_radius[0];
     int moved = 0, accepted = 0;
     if (!isfinite(merit(s))) {
         return NUMERICAL_FAILURE;

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from examples import bioreactor, crane, cstr, quadrotor
+from examples import bioreactor, cart_pole, crane, cstr, quadrotor
 from nmpc_codegen import (
     OCP,
     RK4,
@@ -31,15 +31,23 @@ from nmpc_codegen import (
     generate,
     simulate,
 )
+from nmpc_codegen.components.algorithms.scales import cost_magnitude
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
 from verification import problems, samples
+from verification.robustness import cold, episodes
+from verification.robustness.subjects import Candidate, augmented, built, candidates
 
 THREE_STEPS = ExplicitRungeKutta(RK4, steps=3)
 
 
 def options(**more: Any) -> Options:
     return Options(algorithm=AugmentedLagrangian(), **more)
+
+
+def options_with(hessian_exact: bool = False, **algorithm: Any) -> Options:
+    hessian = ExactHessian(regularization=None) if hessian_exact else None
+    return Options(hessian=hessian, algorithm=AugmentedLagrangian(**algorithm))
 
 
 def loop_options(**algorithm: Any) -> Options:
@@ -213,6 +221,136 @@ def test_the_crane_comes_to_rest(precision: Any) -> None:
     assert not any(Status(status).is_failure for status in log.status)
     assert np.abs(log.x[-1]).max() < 1e-2
     assert np.abs(log.u).max() <= 1
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("case", cold.cases(), ids=lambda case: case.name)
+def test_cold_plans_converge_in_closed_loop(case: cold.Case) -> None:
+    """Within a hundredth of the cost of converged plans; never OK with a large gap."""
+    good, loops = cold.judge(case, 2)
+    assert all(good)
+    assert sum(loop.far for loop in loops) == 0
+
+
+def test_a_fresh_plan_starts_where_it_is_measured() -> None:
+    """An untouched plan restarts at the first state; one that was written is kept."""
+    ocp = cart_pole.build_ocp()
+    fresh, written = (build(ocp, Options(algorithm=AugmentedLagrangian(repair=3)), "test") for _ in range(2))
+    x0 = np.array([0.1, 0.1, 0.0, 0.0])
+    fresh.step(x0, on_failure="raise")
+    assert np.abs(fresh.x[:, 1]).max() < 0.2  # the plan that hangs, at pi, is forgotten
+    written.x[1:] = [0.0, 2 * np.pi, 0.0, 0.0]
+    written.step(x0)
+    assert np.abs(written.x[1:-1, 1]).max() > 1.0
+
+
+def test_the_default_penalty_follows_the_cost() -> None:
+    """In the scales of states and controls; its rule is in the report."""
+    tables = []
+    for factor in (1.0, 1e3):
+        ocp = OCP("scaled", T=1.0, N=4)
+        x, u = ocp.state("x", initial=2.0), ocp.control("u")
+        ocp.dynamics({x: u})
+        ocp.least_squares(ca.vertcat(x, u), weight=[factor * 5.0, factor * 0.1])
+        ocp.subject_to(-10, u, 10)
+        controller = build(ocp, options(), "test")
+        tables.append(float(controller.view("auglag.penalty")))
+        # the first penalty of a plan is a tenth of that of later samples
+        assert tables[-1] == pytest.approx(0.1 * 3e3 * factor * max(5.0 * 4, 0.1 * 100), rel=1e-12)
+        choices = controller.description.report.choices
+        assert any(f"penalty: {3e3 * factor * 20:.4g}" in choice for choice in choices)
+    assert cost_magnitude(classify(bioreactor.build_ocp(soft=True)), np.ones(6)) == pytest.approx(20 * 0.15 / 20)
+    given = build(crane.build_ocp(), options_with(penalty=7.0), "test")
+    assert not any("penalty" in choice for choice in given.description.report.choices)
+
+
+# Updates of the multipliers -------------------------------------------------------------------------------------------
+
+
+def test_multipliers_wait_for_the_violation_to_fall() -> None:
+    """A measurement that no plan can reach leaves them as they are, and the penalty grows; it returns later."""
+    c = build(cold.van_der_pol(), options_with(shift=None, repair=0), "test")
+    x0 = [1.0, 0.5]
+    for _ in range(20):
+        clean = c.step(x0, on_failure="raise")
+    assert c.status is Status.OK
+    before, penalty = c.lam.copy(), float(c.view("auglag.penalty"))
+    c.step([1000.0, 0.5])
+    assert c.status is Status.NOT_CONVERGED
+    assert c.stats.violation > 100
+    np.testing.assert_array_equal(c.lam, before)
+    assert float(c.view("auglag.penalty")) > penalty
+    for _ in range(20):
+        u0 = c.step(x0)
+    assert c.status is Status.OK
+    np.testing.assert_allclose(u0, clean, atol=1e-6)
+    assert float(c.view("auglag.penalty")) == penalty
+
+
+def test_multipliers_are_bounded_where_rows_contradict() -> None:
+    ocp = OCP("contradiction", T=1.0, N=4)
+    x, u = ocp.state("x", initial=0.0), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(5, x + 0.1 * x**2, 6, at="end", name="goal")
+    c = build(ocp, options(), "test")
+    largest = []
+    for _ in range(400):
+        c.step([0.0])
+        assert c.status is Status.NOT_CONVERGED
+        largest.append(max(np.abs(c.lam).max(), np.abs(c.mu_N).max()))
+    assert max(largest[200:]) <= max(largest[:200])
+
+
+@pytest.mark.parametrize("shift", [None, "repeat"])
+def test_one_bad_measurement_is_forgotten(shift: str | None) -> None:
+    c = build(cold.van_der_pol(), options_with(shift=shift), "test")
+    x0 = [1.0, 0.5]
+    for _ in range(100):
+        clean = c.step(x0, on_failure="raise")
+    c.step([1000.0, 0.5])
+    assert c.status is Status.NOT_CONVERGED
+    statuses = []
+    for _ in range(30):
+        u0 = c.step(x0)
+        statuses.append(c.status)
+    assert Status.OK in statuses[:20]
+    assert statuses[-1] is Status.OK
+    np.testing.assert_allclose(u0, clean, atol=1e-6)
+    assert np.abs(c.lam).max() < 1e3
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("candidate", augmented(), ids=str)
+def test_every_controller_recovers_from_a_bad_datum(candidate: Candidate) -> None:
+    position = next(i for i, c in enumerate(candidates()) if c.subject.name == candidate.subject.name)
+    (controller,) = built([candidate], "test")
+    out = episodes.run((controller, candidate.subject.rest, candidate.subject.spread, position, 4))
+    assert out.lockups == 0, out.examples
+
+
+def test_bounds_that_change_between_the_phases_hold_in_the_whole_plan() -> None:
+    c = build(cold.van_der_pol(), options(), "test")
+    for _ in range(5):
+        c.step([1.0, 0.5], on_failure="raise")
+    c.prepare()
+    c.set_bounds("u", -0.4, 0.3)
+    u0 = c.feedback([1.0, 0.5])
+    assert np.all((np.array([*u0, *c.u.ravel()]) >= -0.4) & (np.array([*u0, *c.u.ravel()]) <= 0.3))
+
+
+def test_a_plan_that_is_far_from_a_solution_is_not_ok() -> None:
+    """Its gaps are closed, but steps shorten or do not do what their model promises: the status says so."""
+    c = build(cold.van_der_pol(), options_with(penalty=1e9, iterations=1, repair=0, hessian_exact=True), "test")
+    far = 0
+    for _ in range(10):
+        c.step([2.0, -1.0])
+        plan, here = c.copy(), float(c.kkt().relative)
+        solution = plan.solve([2.0, -1.0], max_iterations=500)
+        away = np.abs(solution.u - c.u).max() > 0.5 and here > 0.5
+        far += bool(away) and c.status is Status.OK
+    assert far == 0
 
 
 # Failure contract -----------------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from examples import (
     driving,
     estimation,
     evaporation,
+    fermentation,
     heat_rod,
     quadrotor,
     vandevusse,
@@ -62,7 +63,18 @@ def test_crane_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The examples are built with the profile "test", which takes a third of the time; the crane keeps its own."""
-    for module in (bioreactor, cart_pole, chain, cstr, driving, evaporation, heat_rod, quadrotor, vandevusse):
+    for module in (
+        bioreactor,
+        cart_pole,
+        chain,
+        cstr,
+        driving,
+        evaporation,
+        fermentation,
+        heat_rod,
+        quadrotor,
+        vandevusse,
+    ):
         monkeypatch.setattr(module, "build", partial(build, profile="test"))
 
 
@@ -166,6 +178,20 @@ def test_bioreactor_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         assert bioreactor.productivity(log, 100, 120) > 3.0540
         assert (log.u >= bioreactor.LOWEST).all()
         assert (log.u <= bioreactor.HIGHEST).all()
+
+
+@pytest.mark.usefixtures("quick")
+def test_fermentation_main(tmp_path: Path) -> None:
+    """The rich feed begins and ends; after the jump the loop is as productive as before, and no plan is far."""
+    loop = fermentation.main(str(tmp_path / "fermentation.png"))
+    assert_picture(tmp_path / "fermentation.png")
+    assert loop.not_ok == 0
+    assert loop.residual.max() < 1e-2
+    for first in (80, 180):
+        assert loop.productivity(first) == pytest.approx(3.0549, rel=3e-3)
+        assert np.mean(loop.feed[first : first + 20]) == pytest.approx(32.9, abs=0.15)
+    assert loop.feed.min() >= 28.7
+    assert loop.feed.max() <= 40.0
 
 
 @pytest.mark.parametrize("n", [3, 5, 7])

@@ -163,6 +163,11 @@ def _periodic(ocp: OCP) -> None:
     ocp.boundary(0, ocp.at_start(ocp.x[0]) - ocp.at_end(ocp.x[0]), 0)
 
 
+def _doubling(ocp: OCP) -> None:
+    """A row of x_0 and x_N that is no period."""
+    ocp.boundary(0, 2 * ocp.at_start(ocp.x[0]) - ocp.at_end(ocp.x[0]), 0)
+
+
 AUTOMATIC: list[tuple[dict[str, Any], Any, float | None, str | None, str]] = [
     ({}, None, None, "repeat", "one interval"),
     ({}, None, 0.1, "resample", "sampling time 0.1 differs"),
@@ -170,7 +175,10 @@ AUTOMATIC: list[tuple[dict[str, Any], Any, float | None, str | None, str]] = [
     ({"intervals": [0.1, 0.2]}, None, None, None, 'non-uniform grid; shift="resample"'),
     ({}, lambda ocp: ocp.free_initial(ocp.x[0]), None, None, 'free components of x_0; shift="repeat"'),
     ({}, lambda ocp: ocp.accumulator(ocp.x[0]), None, None, 'accumulators; shift="repeat"'),
-    ({}, _periodic, None, None, 'couple x_0 and x_N; shift="periodic"'),
+    ({}, _periodic, None, "periodic", "rows compare x_N with x_0"),
+    ({}, lambda ocp: (_periodic(ocp), ocp.free_initial(ocp.x[0])), None, None, "free components of x_0"),
+    ({}, _periodic, 0.1, None, 'couple x_0 and x_N; shift="periodic"'),
+    ({}, _doubling, None, None, 'couple x_0 and x_N; shift="periodic"'),
 ]
 
 

@@ -69,7 +69,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "precision_of_solve": (1e-8, "the same in solve()"),
     "progress": (0.1, "decrease of the violation between updates of multipliers that keeps the penalty"),
     "stiffer": (10.0, "ratio of successive penalties"),
-    "fall": (0.5, "decrease of the residual in a sample that keeps the penalty"),
+    "fall": (0.5, "decrease of the violation in a sample that keeps the penalty"),
     "soft": (0.1, "first penalty of a new plan, relative to that of later samples"),
     "softest": (0.01, "first penalty of solve(), relative to that of samples"),
     "stiffest": (1e4, "largest penalty of a sample, relative to the one at the start"),

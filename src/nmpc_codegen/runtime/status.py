@@ -144,7 +144,8 @@ class Stats:
     ``residual``: of the plan at which the QP of the last sample was linearised: its largest gap in the scale of the
     state, and the largest difference of a hard row from what the step before predicted for it, in the scale of the row;
     above ``RealTimeIteration(tolerance=...)`` the status is NOT_CONVERGED. Of the augmented Lagrangian and of single
-    shooting it is that of the plan itself. ``repairs``: linearisations that prepare() has added to lower it.
+    shooting it is that of the plan itself. ``repairs``: linearisations, or rounds of the augmented Lagrangian, that
+    prepare() has added to lower it.
     ``kkt``: of the present plan.
     ``first_deviation``: largest difference between the control of feedback_finish() and that of feedback_first().
     ``stale_hessian``: parameters, weights or bounds are not those for which a constant Hessian was computed.

@@ -119,10 +119,10 @@ class RealTimeIteration(Defaults):
 
     None: not at all. "repeat": by one interval; the last control is repeated and the last state integrated. "periodic":
     by one interval; the first control becomes the last one, the states are integrated again, and accumulators start at
-    0. "resample": the old plan is evaluated ``sampling_time`` (s) later, on any grid. "auto": None where x_0 is more
-    than a measured state, or the grid is not uniform; else "resample" if a ``sampling_time`` is given that differs from
-    the interval, "repeat" if not. ``sampling_time`` goes with every shift; "repeat" and "periodic" are for that of one
-    interval.
+    0. "resample": the old plan is evaluated ``sampling_time`` (s) later, on any grid. "auto": "periodic" where coupled
+    rows compare x_N with a measured x_0; None where x_0 is more than a measured state, or the grid is not uniform; else
+    "resample" if a ``sampling_time`` is given that differs from the interval, "repeat" if not. ``sampling_time`` goes
+    with every shift; "repeat" and "periodic" are for that of one interval.
 
     ``repair``: linearisations that prepare() may add at the predicted x_0, each with a QP and a step that is shortened
     until it reduces stats.residual, while that is above ``tolerance`` or after a sample that failed; 0: none.

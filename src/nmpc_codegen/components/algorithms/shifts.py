@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -22,7 +24,14 @@ def check_sampling_time(algorithm: str, shift: str | None, sampling_time: float 
 
 
 def auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | None, str]:
-    """What shift="auto" is for a problem, and the reason."""
+    """What shift="auto" is for a problem, and the reason.
+
+    A loop on a periodic orbit that does not move its plan begins another period at every sample: where a mean over the
+    period is limited, the loop drifts off the orbit, to which one depends on rounding errors.
+    """
+    other_time = sampling_time is not None and not is_same_time(sampling_time, problem.dt[0])
+    if problem.uniform and not problem.free_initial and not other_time and _is_periodic(problem):
+        return "periodic", "rows compare x_N with x_0; a sample is one interval"
     reasons = {
         "a non-uniform grid": not problem.uniform,
         "free components of x_0": bool(problem.free_initial),
@@ -34,9 +43,19 @@ def auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | Non
             other = "repeat" if problem.uniform else "resample"
             other = "periodic" if problem.coupled_rows and problem.uniform else other
             return None, f'the problem has {reason}; shift="{other}" moves the plan all the same'
-    if sampling_time is not None and not is_same_time(sampling_time, problem.dt[0]):
+    if other_time:
         return "resample", f"the sampling time {sampling_time:g} differs from the interval {problem.dt[0]:g}"
     return "repeat", "a sample is one interval"
+
+
+def _is_periodic(problem: Problem) -> bool:
+    """True if there are coupled rows and all depend on x_N - x_0 alone: a common move of both changes nothing."""
+    if problem.coupled is None:
+        return False
+    random = np.random.default_rng(0)
+    x_0, x_N, move = np.maximum(1.0, np.abs(problem.x_initial)) * random.standard_normal((3, problem.nx))
+    r, moved = (np.asarray(problem.coupled(*ends)) for ends in ((x_0, x_N), (x_0 + move, x_N + move)))
+    return bool(np.allclose(moved, r, rtol=1e-9, atol=1e-9 * float(np.max(np.abs([x_0, x_N, move])))))
 
 
 def sampled(shift: str | None, sampling_time: float | None, problem: Problem) -> float | None:

@@ -77,6 +77,8 @@ def _not_converged(ctrl: Controller) -> Iterator[str]:
         now = _value(given, "iterations")
         count = str(3 * int(now)) if now.isdigit() else "..."
         yield f"more iterations per sample: {name}(iterations={count})"
+        if "AugmentedLagrangian(" in options and "repair=0" in options:
+            yield "let prepare() repair the plan: AugmentedLagrangian(repair=3)"
     if ctrl.description.offers("solve"):
         yield "call solve() before the first step(), or simulate(..., warm_start=True)"
     yield "if it goes on, sample more often, or bound the states where the model is strongly nonlinear"
