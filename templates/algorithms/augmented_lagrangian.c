@@ -56,6 +56,8 @@ static void hold_gradients(solver_t *s)
 
 #include "algorithms/augmented_factors.c"
 
+#include "algorithms/augmented_kinks.c"
+
 #include "algorithms/augmented_search.c"
 
 #include "algorithms/augmented_rounds.c"

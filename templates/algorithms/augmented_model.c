@@ -148,8 +148,10 @@ static void assemble(solver_t *s)
     for (int m = 0; m < NG; m++) {
         if (row_relaxed[m]) {
             add_row(s, m);
+            a->slope[m] = ROW_MULTIPLIER(s, m);
         }
     }
+    a->offset = R(0);
 #endif
 }
 

@@ -208,6 +208,74 @@ static int projected_search(solver_t *s, real_t *value)
     return 0;
 }
 
+/* residual = minus the gradient of the model at d, over the free variables. */
+static void set_residual(auglag_t *a)
+{
+    memset(a->residual, 0, sizeof a->residual);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NZ; i++) {
+            a->residual[k][i] = -a->open[k][i] * (a->g[k][i] + a->Hd[k][i]);
+        }
+    }
+}
+
+#if NG
+/* (to, Hto) = (from, Hfrom). */
+static void keep_step(real_t (*from)[LDZ], real_t (*Hfrom)[LDZ], real_t (*to)[LDZ], real_t (*Hto)[LDZ])
+{
+    memcpy(to, from, (N + 1) * LDZ * sizeof **to);
+    memcpy(Hto, Hfrom, (N + 1) * LDZ * sizeof **Hto);
+}
+
+/* Value of the model at d, with the rows where d is. */
+static real_t value_at_step(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    return inner(a->g, a->d) + R(0.5) * inner(a->d, a->Hd) + a->offset + beyond_parabolas(s);
+}
+
+/* Moves d back towards the point `kept` before it until rows that it reaches leave a value of at most `most`. Returns the
+ * value of the model, that of `kept` if there is no such point. */
+static real_t shorten(solver_t *s, real_t most)
+{
+    auglag_t *a = &s->auglag;
+    real_t value = value_at_step(s);
+    for (int trial = 0; trial < MAX_BACKTRACKS && value > most; trial++) {
+        for (int k = 0; k <= N; k++) {
+            for (int i = 0; i < LDZ; i++) {
+                a->d[k][i] = a->kept_d[k][i] + FACTOR_SHRINK * (a->d[k][i] - a->kept_d[k][i]);
+                a->Hd[k][i] = a->kept_Hd[k][i] + FACTOR_SHRINK * (a->Hd[k][i] - a->kept_Hd[k][i]);
+            }
+        }
+        value = value_at_step(s);
+    }
+    if (value > most) {
+        keep_step(a->kept_d, a->kept_Hd, a->d, a->Hd);
+        value = value_at_step(s);
+    }
+    return value;
+}
+
+#endif
+/* The next face: the last node where it is smaller or, in the model, a row has left its parabola; -1 if there is none. */
+static int next_face(solver_t *s, real_t *value)
+{
+    auglag_t *a = &s->auglag;
+    int last;
+#if NG
+    int row;
+    a->best = shorten(s, a->best);
+    last = find_face(a);
+    row = take_parabolas(s);
+    last = (row > last) ? row : last;
+    *value = a->best - a->offset;
+#else
+    (void)value;
+    last = find_face(a);
+#endif
+    return last;
+}
+
 /* Improves the Cauchy point on its face and on smaller ones, at most `faces`. Returns the value of the model. */
 static real_t refine(solver_t *s, real_t value, int faces)
 {
@@ -219,22 +287,31 @@ static real_t refine(solver_t *s, real_t value, int faces)
         }
     }
     (void)find_face(a);
+#if NG
+    memset(a->kept_d, 0, sizeof a->kept_d);
+    memset(a->kept_Hd, 0, sizeof a->kept_Hd);
+    a->best = shorten(s, R(0));
+    (void)take_parabolas(s);
+    value = a->best - a->offset;
+#endif
     a->largest = largest_curvature(a);
     a->shift = R(0);
     a->shifts = 0;
     for (int face = 0; face < faces && last >= 0; face++) {
+#if NG
+        keep_step(a->d, a->Hd, a->kept_d, a->kept_Hd);
+#endif
         a->factorized = factorize(s, last);
-        memset(a->residual, 0, sizeof a->residual);
-        for (int k = 0; k <= N; k++) {
-            for (int i = 0; i < NZ; i++) {
-                a->residual[k][i] = -a->open[k][i] * (a->g[k][i] + a->Hd[k][i]);
-            }
-        }
+        set_residual(a);
         conjugate_gradients(s);
         s->stats.faces++;
-        last = projected_search(s, &value) ? find_face(a) : -1;
+        last = projected_search(s, &value) ? next_face(s, &value) : -1;
     }
+#if NG
+    return a->best;
+#else
     return value;
+#endif
 }
 
 /* Keeps the plan with its gaps, rows and cost aside, and moves it by d, into its bounds exactly. */
@@ -325,6 +402,10 @@ static int descend(solver_t *s, int faces)
     }
     if (!(ratio > FACTOR_SUFFICIENT) || !(ratio < INF)) {
         return_plan(s);
+#if NG
+        estimate_multipliers(s);
+        assemble(s);
+#endif
         return 0;
     }
     s->stats.accepted++;

@@ -100,7 +100,7 @@ static void estimate_multipliers(solver_t *s)
 #if NG
     for (int m = 0; m < NG; m++) {
         if (row_relaxed[m]) {
-            (void)row_term(s, m, a->value[m], &ROW_MULTIPLIER(s, m), &a->curvature[m]);
+            a->term[m] = row_term(s, m, a->value[m], &ROW_MULTIPLIER(s, m), &a->curvature[m]);
         }
     }
 #endif

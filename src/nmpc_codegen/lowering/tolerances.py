@@ -72,7 +72,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "fall": (0.5, "decrease of the violation in a sample that keeps the penalty"),
     "soft": (0.1, "first penalty of a new plan, relative to that of later samples"),
     "softest": (0.01, "first penalty of solve(), relative to that of samples"),
-    "stiffest": (1e4, "largest penalty of a sample, relative to the one at the start"),
+    "stiffest": (100.0, "largest penalty of a sample, relative to the one at the start"),
     "multiplier": (100.0, "largest multiplier, relative to that of a gap of one scale"),
 }
 

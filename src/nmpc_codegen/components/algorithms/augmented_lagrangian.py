@@ -23,7 +23,13 @@ from nmpc_codegen.components.algorithms.real_time_iteration import (
     PHASES,
     SOLVE,
 )
-from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_scales, tolerance_table, variable_scales
+from nmpc_codegen.components.algorithms.scales import (
+    cost_magnitude,
+    linear_rows,
+    row_scales,
+    tolerance_table,
+    variable_scales,
+)
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     auto_shift,
@@ -49,7 +55,7 @@ PREPARE = EntryPoint(
 )
 
 #: Faces per iteration, shifts of a factorisation, trials of a projected search, iterations of conjugate gradients.
-MAX_FACES, MAX_SHIFTS, MAX_BACKTRACKS, MAX_CG = 5, 3, 8, 20
+MAX_FACES, MAX_SHIFTS, MAX_BACKTRACKS, MAX_CG = 8, 3, 8, 20
 
 #: The default penalty, relative to the curvature of the cost.
 PENALTY = 3e3
@@ -181,6 +187,7 @@ class AugmentedLagrangian(Defaults):
                 tuple(self._row_sizes(problem, declared)),
                 "what a violation of row m is measured in",
             ),
+            Table("row_is_linear", "int", linear_rows(problem), "1: linear in the variables of its node"),
             Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
             Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
             *resample_tables(self.shift, self.sampling_time, problem),
@@ -303,7 +310,13 @@ def _auglag(dims: Dims) -> Struct:
             real("row", (dims.ng,), "multipliers of the relaxed rows after the last update"),
             real("gap", states, "xhat - x_0, Phi_k - x_{k+1}"),
             real("value", (dims.ng,), "values of the rows"),
-            real("curvature", (dims.ng,), "second derivatives of their terms"),
+            real("term", (dims.ng,), "their terms: value at the present plan of the parabolas of the model"),
+            real("slope", (dims.ng,), "slope of the parabolas there"),
+            real("curvature", (dims.ng,), "curvature of the parabolas"),
+            real("offset", (), "change of the values since the model was assembled"),
+            real("best", (), "least value of the model"),
+            real("kept_d", step, "step before that on the present face"),
+            real("kept_Hd", step, "H kept_d"),
             real("cost", (), "cost of the plan"),
             Field("penalty", (), "rho", "keep"),
             real("proximal", (), "r"),

@@ -53,6 +53,25 @@ def row_scales(problem: Problem, scale: Array) -> Array:
     return found
 
 
+def linear_rows(problem: Problem) -> tuple[int, ...]:
+    """1 for every row of the QP that is linear in the variables of its node, else 0."""
+    curved = [_curved(stage.h, ca.vertcat(stage.x, stage.u)) for stage in (problem.path, problem.terminal)]
+    coupled: list[bool] = []
+    if problem.coupled is not None:
+        x_0, x_N = ca.SX.sym("x_0", problem.nx), ca.SX.sym("x_N", problem.nx)
+        coupled = _curved(problem.coupled(x_0, x_N), x_N)
+    found = []
+    for k, kind, index, _ in problem.qp_rows:
+        nonlinear = kind and (coupled if kind == 2 else curved[k == problem.N])[index]
+        found.append(int(not nonlinear))
+    return tuple(found)
+
+
+def _curved(h: Expression, z: Expression) -> list[bool]:
+    """Which elements have second derivatives."""
+    return list(ca.which_depends(h, z, 2, True)) if h.numel() else []
+
+
 def cost_curvature(problem: Problem, scale: Array) -> float:
     """Largest |d2 l_0 / dz_i^2| scale_i^2 of the first path node at the initial state and the references of the
     controls; 1 where that is 0 or not finite."""

@@ -1,0 +1,107 @@
+/* Contract of this part: the relaxed rows along a step. In the model their terms psi_m are parabolas at the present plan,
+ * but the step may reach where a row begins or ceases to act. There the model takes the parabola of the other side: its
+ * gradient at d is then that of cost, gaps and psi_m(v_m + J_m d), with v_m and J_m from the linearisation. */
+
+#if NG
+/* J_m d_k of a relaxed row. */
+static real_t row_change(const solver_t *s, int m, real_t (*d)[LDZ])
+{
+    const int k = row_node[m];
+#if STATE_ROWS
+    if (row_bounds_state[m]) {
+        return d[k][row_index[m]];
+    }
+#endif
+#if GENERAL_ROWS || NE
+    const real_t *J = nodal_row(s, m);
+    real_t change = R(0);
+    for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
+        change += J[i] * d[k][i];
+    }
+    return change;
+#else
+    return R(0);
+#endif
+}
+
+/* g_k += slope J_m, (H d)_k += force J_m, H_k += curvature J_m' J_m. */
+static void change_row(solver_t *s, int m, real_t slope, real_t force, real_t curvature)
+{
+    auglag_t *a = &s->auglag;
+    const int k = row_node[m];
+#if STATE_ROWS
+    if (row_bounds_state[m]) {
+        const int i = row_index[m];
+        a->g[k][i] += slope;
+        a->Hd[k][i] += force;
+        a->H[k][i][i] += curvature;
+        return;
+    }
+#endif
+#if GENERAL_ROWS || NE
+    const real_t *J = nodal_row(s, m);
+    const int n = (k < N) ? NZ : NX;
+    for (int i = 0; i < n; i++) {
+        a->g[k][i] += slope * J[i];
+        a->Hd[k][i] += force * J[i];
+        for (int j = 0; j < n; j++) {
+            a->H[k][i][j] += curvature * J[i] * J[j];
+        }
+    }
+#endif
+}
+
+/* How far the slope of the term of row m at d is from that of its parabola, `move` = J_m d; 0 if that is rounding. */
+static real_t miss_of_parabola(const solver_t *s, int m, real_t move, real_t *term, real_t *curvature)
+{
+    const auglag_t *a = &s->auglag;
+    const real_t of_parabola = a->slope[m] + a->curvature[m] * move;
+    real_t slope, miss, terms;
+    *term = row_term(s, m, a->value[m] + move, &slope, curvature);
+    miss = slope - of_parabola;
+    terms = FABS(slope) + FABS(a->slope[m]) + FABS(a->curvature[m] * move);
+    return (FABS(miss) > SQRT(TOL_UNIT) * terms) ? miss : R(0);
+}
+
+/* What the terms of the rows are at d beyond their parabolas; 0 if no row has left its own. */
+static real_t beyond_parabolas(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    real_t sum = R(0);
+    for (int m = 0; m < NG; m++) {
+        if (row_relaxed[m] && row_is_linear[m]) {
+            const real_t move = row_change(s, m, a->d);
+            real_t term, curvature;
+            if (FABS(miss_of_parabola(s, m, move, &term, &curvature)) > R(0)) {
+                sum += term - a->term[m] - (a->slope[m] + R(0.5) * a->curvature[m] * move) * move;
+            }
+        }
+    }
+    return sum;
+}
+
+/* Takes the parabolas at d. Returns the last node with a row that has left its own, -1 if there is none. */
+static int take_parabolas(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    int last = -1;
+    for (int m = 0; m < NG; m++) {
+        if (row_relaxed[m] && row_is_linear[m]) {
+            const real_t move = row_change(s, m, a->d);
+            real_t term, curvature;
+            const real_t miss = miss_of_parabola(s, m, move, &term, &curvature);
+            if (FABS(miss) > R(0)) {
+                const real_t bend = curvature - a->curvature[m];
+                change_row(s, m, miss - bend * move, bend * move, bend);
+                a->slope[m] += miss - bend * move;
+                a->offset -= a->term[m];
+                a->term[m] = term - (a->slope[m] + R(0.5) * curvature * move) * move;
+                a->offset += a->term[m];
+                a->curvature[m] = curvature;
+                last = (row_node[m] > last) ? row_node[m] : last;
+            }
+        }
+    }
+    return last;
+}
+#endif
