@@ -220,13 +220,6 @@ static void set_residual(auglag_t *a)
 }
 
 #if NG
-/* (to, Hto) = (from, Hfrom). */
-static void keep_step(real_t (*from)[LDZ], real_t (*Hfrom)[LDZ], real_t (*to)[LDZ], real_t (*Hto)[LDZ])
-{
-    memcpy(to, from, (N + 1) * LDZ * sizeof **to);
-    memcpy(Hto, Hfrom, (N + 1) * LDZ * sizeof **Hto);
-}
-
 /* Value of the model at d, with the rows where d is. */
 static real_t value_at_step(solver_t *s)
 {
@@ -250,32 +243,26 @@ static real_t shorten(solver_t *s, real_t most)
         value = value_at_step(s);
     }
     if (value > most) {
-        keep_step(a->kept_d, a->kept_Hd, a->d, a->Hd);
+        memcpy(a->d, a->kept_d, sizeof a->d);
+        memcpy(a->Hd, a->kept_Hd, sizeof a->Hd);
         value = value_at_step(s);
     }
     return value;
 }
 
-#endif
 /* The next face: the last node where it is smaller or, in the model, a row has left its parabola; -1 if there is none. */
 static int next_face(solver_t *s, real_t *value)
 {
     auglag_t *a = &s->auglag;
-    int last;
-#if NG
-    int row;
+    int face, row;
     a->best = shorten(s, a->best);
-    last = find_face(a);
+    face = find_face(a);
     row = take_parabolas(s);
-    last = (row > last) ? row : last;
     *value = a->best - a->offset;
-#else
-    (void)value;
-    last = find_face(a);
-#endif
-    return last;
+    return (row > face) ? row : face;
 }
 
+#endif
 /* Improves the Cauchy point on its face and on smaller ones, at most `faces`. Returns the value of the model. */
 static real_t refine(solver_t *s, real_t value, int faces)
 {
@@ -299,13 +286,21 @@ static real_t refine(solver_t *s, real_t value, int faces)
     a->shifts = 0;
     for (int face = 0; face < faces && last >= 0; face++) {
 #if NG
-        keep_step(a->d, a->Hd, a->kept_d, a->kept_Hd);
+        memcpy(a->kept_d, a->d, sizeof a->kept_d);
+        memcpy(a->kept_Hd, a->Hd, sizeof a->kept_Hd);
 #endif
         a->factorized = factorize(s, last);
         set_residual(a);
         conjugate_gradients(s);
         s->stats.faces++;
-        last = projected_search(s, &value) ? next_face(s, &value) : -1;
+        if (!projected_search(s, &value)) {
+            break;
+        }
+#if NG
+        last = next_face(s, &value);
+#else
+        last = find_face(a);
+#endif
     }
 #if NG
     return a->best;

@@ -1,8 +1,8 @@
 """Closed loops of the augmented Lagrangian from plans that know nothing, against loops with converged plans.
 
 A loop has converged if it costs at most a hundredth more than that of a controller that solves its problem in every
-sample, and if the gaps of its last plan are small in the scales of the states. A sample that is OK although a gap of its
-plan is large is counted. Gaps are recomputed with the Runge-Kutta scheme of the oracle.
+sample, and if the gaps of its last plan are small in the scales of the states. Samples that are OK although a gap of
+the plan is large are counted. Gaps are recomputed with the Runge-Kutta scheme of the oracle.
 """
 
 from __future__ import annotations
