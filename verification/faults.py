@@ -396,6 +396,18 @@ def augmented_lagrangian_far_from_the_model() -> str:
     return ctrl.diagnose()
 
 
+@fault("NOT_CONVERGED", "near the model", "cut or refused", "AugmentedLagrangian(iterations=9)", never=("misses",))
+def augmented_lagrangian_still_on_its_way() -> str:
+    """a set point that a small trust region does not reach in the first sample."""
+    ocp = OCP("tank", T=2.0, N=10)
+    level, inflow = ocp.state("level", initial=1.0), ocp.control("inflow")
+    ocp.dynamics({level: inflow})
+    ocp.least_squares(ca.vertcat(level - 3, inflow), weight=[1, 0.1])
+    ctrl = made(ocp, Options(algorithm=AugmentedLagrangian(radius=1e-4, repair=0)))
+    ctrl.step([1.0])
+    return ctrl.diagnose()
+
+
 @fault("NOT_PREPARED", "prepare()")
 def feedback_without_preparation() -> str:
     """feedback() without prepare()."""

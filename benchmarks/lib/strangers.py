@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.run import Run
-from nmpc_codegen import Options, RealTimeIteration
+from nmpc_codegen import AugmentedLagrangian, Options, RealTimeIteration
 from verification.built import build_all
 from verification.convergence.starts import Attempt
 from verification.routes import PURE
@@ -24,11 +24,12 @@ LEAST = 3
 LOST, NOT_OK, UNSOLVED = 0.02, 0.02, 0.02
 
 #: The defaults and what they are compared with in the table.
-SCHEMES: Mapping[str, RealTimeIteration] = {
+SCHEMES: Mapping[str, RealTimeIteration | AugmentedLagrangian] = {
     "default": RealTimeIteration(),
     "relaxation=None": RealTimeIteration(relaxation=None),
     "repair=0": RealTimeIteration(repair=0),
     "pure": replace(PURE, tolerance=RealTimeIteration().tolerance),
+    "augmented Lagrangian": AugmentedLagrangian(),
 }
 
 

@@ -72,7 +72,7 @@ class Status(IntEnum):
     NOT_CONVERGED = (
         13,
         "the plan does not satisfy the model to the tolerance",
-        "the control is safe, but the plan is far from the model or its rows",
+        "the control is safe, but the plan is far from the model or its rows, or on its way",
     )
 
     @property
