@@ -24,33 +24,6 @@ static real_t row_change(const solver_t *s, int m, real_t (*d)[LDZ])
 #endif
 }
 
-/* g_k += slope J_m, (H d)_k += force J_m, H_k += curvature J_m' J_m. */
-static void change_row(solver_t *s, int m, real_t slope, real_t force, real_t curvature)
-{
-    auglag_t *a = &s->auglag;
-    const int k = row_node[m];
-#if STATE_ROWS
-    if (row_bounds_state[m]) {
-        const int i = row_index[m];
-        a->g[k][i] += slope;
-        a->Hd[k][i] += force;
-        a->H[k][i][i] += curvature;
-        return;
-    }
-#endif
-#if GENERAL_ROWS || NE
-    const real_t *J = nodal_row(s, m);
-    const int n = (k < N) ? NZ : NX;
-    for (int i = 0; i < n; i++) {
-        a->g[k][i] += slope * J[i];
-        a->Hd[k][i] += force * J[i];
-        for (int j = 0; j < n; j++) {
-            a->H[k][i][j] += curvature * J[i] * J[j];
-        }
-    }
-#endif
-}
-
 /* How far the slope of the term of row m at d is from that of its parabola, `move` = J_m d; 0 if that is rounding. */
 static real_t miss_of_parabola(const solver_t *s, int m, real_t move, real_t *term, real_t *curvature)
 {
@@ -69,7 +42,7 @@ static real_t beyond_parabolas(solver_t *s)
     auglag_t *a = &s->auglag;
     real_t sum = R(0);
     for (int m = 0; m < NG; m++) {
-        if (row_relaxed[m] && row_is_linear[m]) {
+        if (row_relaxed[m] && row_bends[m]) {
             const real_t move = row_change(s, m, a->d);
             real_t term, curvature;
             if (FABS(miss_of_parabola(s, m, move, &term, &curvature)) > R(0)) {
@@ -86,7 +59,7 @@ static int take_parabolas(solver_t *s)
     auglag_t *a = &s->auglag;
     int last = -1;
     for (int m = 0; m < NG; m++) {
-        if (row_relaxed[m] && row_is_linear[m]) {
+        if (row_relaxed[m] && row_bends[m]) {
             const real_t move = row_change(s, m, a->d);
             real_t term, curvature;
             const real_t miss = miss_of_parabola(s, m, move, &term, &curvature);

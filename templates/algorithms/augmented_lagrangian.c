@@ -64,7 +64,6 @@ static void hold_gradients(solver_t *s)
 
 status_t API(prepare)(solver_t *s)
 {
-    status_t status;
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
@@ -88,11 +87,7 @@ status_t API(prepare)(solver_t *s)
         start_anew(s);
         s->unconverged = 1;
     }
-    status = prepare_here(s);
-#if REPAIR
-    status = repair(s, status);
-#endif
-    return finish(s, status);
+    return finish(s, prepare_at_plan(s));
 }
 
 /* The status of a sample. */
@@ -102,7 +97,11 @@ static status_t judge(solver_t *s, status_t status)
     if (status == OK && !s->auglag.settled) {
         status = NOT_CONVERGED;
     }
-    s->unconverged = (status == NOT_CONVERGED) ? s->unconverged + 1 : 0;
+    if (status == NOT_CONVERGED) {
+        s->unconverged++;
+    } else if (status == OK) {
+        s->unconverged = 0;
+    }
     return status;
 }
 

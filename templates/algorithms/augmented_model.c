@@ -61,16 +61,17 @@ static inline real_t start_weight(const solver_t *s, int i)
 }
 
 #if NG
-/* Gradient and curvature of the relaxed row m at its node. */
-static void add_row(solver_t *s, int m)
+/* g_k += slope J_m, (H d)_k += force J_m, H_k += curvature J_m' J_m. */
+static void change_row(solver_t *s, int m, real_t slope, real_t force, real_t curvature)
 {
     auglag_t *a = &s->auglag;
     const int k = row_node[m];
-    const real_t mu = ROW_MULTIPLIER(s, m), curvature = a->curvature[m];
 #if STATE_ROWS
     if (row_bounds_state[m]) {
-        a->g[k][row_index[m]] += mu;
-        a->H[k][row_index[m]][row_index[m]] += curvature;
+        const int i = row_index[m];
+        a->g[k][i] += slope;
+        a->Hd[k][i] += force;
+        a->H[k][i][i] += curvature;
         return;
     }
 #endif
@@ -78,7 +79,8 @@ static void add_row(solver_t *s, int m)
     const real_t *J = nodal_row(s, m);
     const int n = (k < N) ? NZ : NX;
     for (int i = 0; i < n; i++) {
-        a->g[k][i] += mu * J[i];
+        a->g[k][i] += slope * J[i];
+        a->Hd[k][i] += force * J[i];
         for (int j = 0; j < n; j++) {
             a->H[k][i][j] += curvature * J[i] * J[j];
         }
@@ -147,7 +149,7 @@ static void assemble(solver_t *s)
 #if NG
     for (int m = 0; m < NG; m++) {
         if (row_relaxed[m]) {
-            add_row(s, m);
+            change_row(s, m, ROW_MULTIPLIER(s, m), R(0), a->curvature[m]);
             a->slope[m] = ROW_MULTIPLIER(s, m);
         }
     }

@@ -76,11 +76,6 @@ static real_t plan_residual(const solver_t *s)
     }
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-#if NF
-            if (k == 0 && !is_measured[i] && !is_accumulator[i]) {
-                continue;
-            }
-#endif
             enlarge(&most, a->gap[k][i] * part[i]);
         }
     }
@@ -130,6 +125,13 @@ static status_t prepare_here(solver_t *s)
     return isfinite(merit(s)) ? OK : NUMERICAL_FAILURE;
 }
 
+/* A larger penalty, up to its limit. */
+static void stiffen(solver_t *s)
+{
+    const real_t more = FACTOR_STIFFER * s->auglag.penalty, most = FACTOR_STIFFEST * penalty_weight[0];
+    s->auglag.penalty = (more < most) ? more : most;
+}
+
 /* After a round: the dual update, unless no step was accepted or gaps and rows are large and have hardly become smaller
  * than `before`; then the multipliers stay as they were. The penalty grows from its first value to that of later samples
  * and, where accepted steps have not reduced the residual, beyond it; it returns when the residual is small. */
@@ -146,8 +148,8 @@ static void close_round(solver_t *s, real_t before, int accepted)
         a->penalty = usual;
     } else if (!far) {
         a->penalty = (less > usual) ? less : usual;
-    } else if (stuck && accepted && less < FACTOR_STIFFEST * usual) {
-        a->penalty *= FACTOR_STIFFER;
+    } else if (stuck && accepted) {
+        stiffen(s);
     }
     finish_multipliers(s);
     if (stuck || !accepted) {
@@ -165,11 +167,6 @@ static status_t run_round(solver_t *s)
     if (!isfinite(merit(s))) {
         return NUMERICAL_FAILURE;
     }
-#if LAGRANGIAN
-    a->proximal = proximal_weight[1];
-#else
-    a->proximal = proximal_weight[0];
-#endif
     a->precision = FACTOR_PRECISION;
     a->radius = (a->radius > least) ? a->radius : least;
     assemble(s);
@@ -181,6 +178,10 @@ static status_t run_round(solver_t *s)
             linearize_plan(s);
             assemble(s);
         }
+        a->proximal = proximal_weight[0];
+#if LAGRANGIAN
+        a->proximal += proximal_weight[1] * a->bend;
+#endif
         s->stats.newton_iterations++;
         moved = descend(s, MAX_FACES);
         accepted |= moved;
@@ -189,18 +190,18 @@ static status_t run_round(solver_t *s)
     return plan_is_finite(s) && all_finite(s->lam[0], (N + 1) * NX) ? OK : NUMERICAL_FAILURE;
 }
 
-#if REPAIR
-/* Rounds at x_0 of the plan, prepared with this status, before a sample: the first one, one after a sample that failed
- * or left the plan far from the model. They end when the steps do what their model promises and gaps are small. */
-static status_t repair(solver_t *s, status_t status)
+/* Prepares the plan at its own x_0 and, with REPAIR, repairs it there: a new one, one after a sample that failed or was
+ * NOT_CONVERGED. Rounds end when steps do what their model promises and gaps are small. */
+static status_t prepare_at_plan(solver_t *s)
 {
     real_t measured[NX];
-    int wanted = s->samples == 0 || s->failing > FINE || s->unconverged > 0;
+    status_t status;
     memcpy(measured, s->xhat, sizeof measured);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    status = prepare_here(s);
+#if REPAIR
+    int wanted = s->samples == 0 || s->failing > FINE || s->unconverged > 0;
     for (int n = 0; n < REPAIRS && status == OK && wanted; n++) {
-        evaluate_ends(s);
-        estimate_multipliers(s);
         status = run_round(s);
         s->stats.repairs++;
         wanted = !s->auglag.settled || is_far(s->stats.residual);
@@ -208,8 +209,7 @@ static status_t repair(solver_t *s, status_t status)
             status = prepare_here(s);
         }
     }
+#endif
     memcpy(s->xhat, measured, sizeof s->xhat);
     return status;
 }
-
-#endif

@@ -263,24 +263,25 @@ static int next_face(solver_t *s, real_t *value)
 }
 
 #endif
-/* Improves the Cauchy point on its face and on smaller ones, at most `faces`. Returns the value of the model. */
-static real_t refine(solver_t *s, real_t value, int faces)
+/* Improves the Cauchy point on its face and on other ones, at most `faces`. Returns the value of the model. */
+static real_t refine(solver_t *s, int faces)
 {
     auglag_t *a = &s->auglag;
+    real_t value = cauchy_point(s);
     int last = N;
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < LDZ; i++) {
             a->open[k][i] = R(1);
         }
     }
-    (void)find_face(a);
 #if NG
     memset(a->kept_d, 0, sizeof a->kept_d);
     memset(a->kept_Hd, 0, sizeof a->kept_Hd);
-    a->best = shorten(s, R(0));
+    a->best = (value < R(0)) ? shorten(s, R(0)) : R(0);
     (void)take_parabolas(s);
     value = a->best - a->offset;
 #endif
+    (void)find_face(a);
     a->largest = largest_curvature(a);
     a->shift = R(0);
     a->shifts = 0;
@@ -382,7 +383,7 @@ static int descend(solver_t *s, int faces)
     const real_t before = merit(s), noise = rounding_of_merit(s, before);
     real_t ratio, length;
     set_box(s);
-    a->predicted = -refine(s, cauchy_point(s), faces);
+    a->predicted = -refine(s, faces);
     length = step_length_of(a);
     move_plan(s);
     evaluate_path(s);
@@ -397,6 +398,7 @@ static int descend(solver_t *s, int faces)
     }
     if (!(ratio > FACTOR_SUFFICIENT) || !(ratio < INF)) {
         return_plan(s);
+        memset(a->Hd, 0, sizeof a->Hd);
 #if NG
         estimate_multipliers(s);
         assemble(s);

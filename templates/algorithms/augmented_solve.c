@@ -33,8 +33,8 @@ static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
     auglag_t *a = &s->auglag;
     const real_t now = violation_of(s);
     update_multipliers(s);
-    if (!(now < FACTOR_PROGRESS * *violation) && now > tol && a->penalty < FACTOR_STIFFEST * penalty_weight[0]) {
-        a->penalty *= FACTOR_STIFFER;
+    if (!(now < FACTOR_PROGRESS * *violation) && now > tol) {
+        stiffen(s);
     }
     *violation = now;
     estimate_multipliers(s);
@@ -96,7 +96,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         return finish(s, NOT_FINITE);
     }
     memset(&s->stats, 0, sizeof s->stats);
-    reset_search(s);
+    s->auglag.radius = initial_radius[0];
     s->auglag.penalty = FACTOR_SOFTEST * penalty_weight[0];
     s->auglag.precision = FACTOR_PRECISION_OF_SOLVE;
     s->auglag.predicted = INF;
@@ -107,6 +107,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     s->auglag.penalty = penalty_weight[0];
     s->auglag.radius = initial_radius[0];
     s->unconverged = 0;
+    s->failing = (status == OK) ? FINE : s->failing;
 #if NE
     couple_start(s, R(1));
 #endif

@@ -50,8 +50,8 @@ from nmpc_codegen.runtime.package_description import EntryPoint
 
 PREPARE = EntryPoint(
     "prepare",
-    "Preparation phase: evaluate and linearise the plan, and repair one that is new or far from the model. A call that "
-    "fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly.",
+    "Preparation phase: evaluate and linearise the plan, and repair one that is new or far from the model. After a call "
+    "that fails feedback returns the control of the plan, and restarts a plan that fails repeatedly.",
 )
 
 #: Faces per iteration, shifts of a factorisation, trials of a projected search, iterations of conjugate gradients.
@@ -60,8 +60,8 @@ MAX_FACES, MAX_SHIFTS, MAX_BACKTRACKS, MAX_CG = 8, 3, 8, 20
 #: The default penalty, relative to the curvature of the cost.
 PENALTY = 3e3
 
-#: The default weight of the proximal term with a Hessian that may be indefinite, relative to the same.
-PROXIMAL = 0.06
+#: The default weight of the proximal term with a Hessian of the Lagrangian, relative to the curvature of the stages.
+PROXIMAL = 0.3
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,9 @@ class AugmentedLagrangian(Defaults):
 
     ``penalty``: rho in the scales of states and rows; None: 3,000 times what the cost changes by in the scale of a
     variable, its curvature or, for general costs, N of its slopes. It grows by factors of 10 while accepted steps do
-    not reduce a large violation. ``proximal``: weight r of the term r/2 |z - z_c|^2 that keeps the refinement near the
-    Cauchy point z_c; None: 0 with Gauss-Newton, 0.06 times the same with another Hessian. ``radius``: of the trust
+    not reduce a large violation, up to 100 times its usual value. ``proximal``: weight r of the term r/2 |z - z_c|^2 that
+    keeps the refinement near the Cauchy point z_c; None: 0.3 times the largest curvature of a stage with a Hessian that
+    depends on multipliers, else 0. ``radius``: of the trust
     region of a new plan; later samples begin with that of the sample before. ``scaling`` of all three: "declared",
     variables divided by their declared initial value or bounds; "units", variables as they are. Rows are always divided
     by their declared magnitude.
@@ -159,12 +160,12 @@ class AugmentedLagrangian(Defaults):
             )
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        declared = variable_scales(problem)
-        scale = declared if self.scaling == "declared" else np.ones_like(declared)
+        declared, scale = variable_scales(problem), self._scales(problem)
         weight, padding = 1.0 / scale**2, (0.0,) * (-scale.size % PANEL)
         initial = [0.0 if i in problem.free_initial else w for i, w in enumerate(weight[: problem.nx])]
         rows = problem.qp_rows
         soft = [problem.rows[row].soft is not None for _, _, _, row in rows]
+        bends = tuple(int(s or linear) for s, linear in zip(soft, linear_rows(problem), strict=True))
         relaxed = tuple(2 * int(s) or int(kind != 0) for (_, kind, _, _), s in zip(rows, soft, strict=True))
         return (
             *initial_tables(problem),
@@ -173,8 +174,8 @@ class AugmentedLagrangian(Defaults):
             Table(
                 "proximal_weight",
                 "real",
-                (self._proximal(problem, 0.0), self._proximal(problem, PROXIMAL)),
-                "weight of the proximal term: with a convex Hessian, with another one",
+                (0.0, PROXIMAL) if self.proximal is None else (float(self.proximal), 0.0),
+                "weight of the proximal term, and the same relative to the curvature of the stages",
             ),
             Table("initial_radius", "real", (float(self.radius),), "of the trust region"),
             Table("variable_scale", "real", (*scale, *padding), "scales of (x, u), with padding"),
@@ -187,16 +188,11 @@ class AugmentedLagrangian(Defaults):
                 tuple(self._row_sizes(problem, declared)),
                 "what a violation of row m is measured in",
             ),
-            Table("row_is_linear", "int", linear_rows(problem), "1: linear in the variables of its node"),
+            Table("row_bends", "int", bends, "1: soft row or linear one, whose term changes along a step"),
             Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
             Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
             *resample_tables(self.shift, self.sampling_time, problem),
         )
-
-    def _proximal(self, problem: Problem, part: float) -> float:
-        if self.proximal is not None:
-            return float(self.proximal)
-        return part * cost_magnitude(problem, variable_scales(problem))
 
     def _row_sizes(self, problem: Problem, scale: Array) -> Array:
         """The smaller of what a row changes by in the scales of its variables and of its largest finite bound."""
@@ -207,10 +203,15 @@ class AugmentedLagrangian(Defaults):
                 found[m] = min(found[m], max(bounds))
         return found
 
+    def _scales(self, problem: Problem) -> Array:
+        """Of (x, u)."""
+        declared = variable_scales(problem)
+        return declared if self.scaling == "declared" else np.ones_like(declared)
+
     def _penalty(self, problem: Problem) -> float:
         if self.penalty is not None:
             return float(self.penalty)
-        return PENALTY * cost_magnitude(problem, variable_scales(problem))
+        return PENALTY * cost_magnitude(problem, self._scales(problem))
 
     def decided(self, problem: Problem, repairs: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
         """The shift that "auto" stands for."""
@@ -223,9 +224,9 @@ class AugmentedLagrangian(Defaults):
         """The penalty that is chosen."""
         if self.penalty is not None:
             return ()
-        size = cost_magnitude(problem, variable_scales(problem))
-        rule = f"{PENALTY:,g} times the change of the cost, {size:.4g}, in the scale of a variable"
-        return (f"penalty: {self._penalty(problem):.4g}; {rule}",)
+        chosen = self._penalty(problem)
+        rule = f"{PENALTY:,g} times the change of the cost, {chosen / PENALTY:.4g}, in the scale of a variable"
+        return (f"penalty: {chosen:.4g}; {rule}",)
 
     def reach(self, problem: Problem) -> float:
         return resample_reach(self.shift, self.sampling_time, problem)
@@ -244,7 +245,6 @@ class AugmentedLagrangian(Defaults):
             ("MAX_SHIFTS", MAX_SHIFTS, "shifts of a factorisation"),
             ("MAX_BACKTRACKS", MAX_BACKTRACKS, "trials of a projected search"),
             ("MAX_CG", MAX_CG, "conjugate-gradient iterations on a face"),
-            ("MOST_PENALTY", 1_000_000_000, "largest penalty of solve()"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
