@@ -125,6 +125,9 @@ static status_t feedback_here(solver_t *s)
         estimate_multipliers(s);
         linearize_plan(s);
     }
+    if (s->unconverged > 0 && is_far(plan_residual(s)) && reconsider(s) != OK) {
+        return NUMERICAL_FAILURE;
+    }
     return run_round(s);
 }
 

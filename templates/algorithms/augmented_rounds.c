@@ -213,3 +213,33 @@ static status_t prepare_at_plan(solver_t *s)
     memcpy(s->xhat, measured, sizeof s->xhat);
     return status;
 }
+
+/* For a plan that is still far from the model: if it is farther than one that knows nothing, it starts anew at the
+ * measured state, as a bad measurement may have spoilt it. Its gaps are known. */
+static status_t reconsider(solver_t *s)
+{
+    auglag_t *a = &s->auglag;
+    const real_t present = violation_of(s);
+    memcpy(a->kept_x, s->x, sizeof a->kept_x);
+    memcpy(a->kept_u, s->u, sizeof a->kept_u);
+    start_anew(s);
+    (void)project_plan(s);
+    evaluate_path(s);
+    evaluate_ends(s);
+    if (!(present <= violation_of(s))) {
+        reset_search(s);
+        return prepare_here(s);
+    }
+    memcpy(s->x, a->kept_x, sizeof s->x);
+    memcpy(s->u, a->kept_u, sizeof s->u);
+    restore_multipliers(s);
+#if NF
+    for (int f = 0; f < NF; f++) {
+        s->xhat[free_state[f]] = s->x[0][free_state[f]];
+    }
+#endif
+    evaluate_path(s);
+    evaluate_ends(s);
+    estimate_multipliers(s);
+    return OK;
+}

@@ -50,8 +50,8 @@ from nmpc_codegen.runtime.package_description import EntryPoint
 
 PREPARE = EntryPoint(
     "prepare",
-    "Preparation phase: evaluate and linearise the plan, and repair one that is new or far from the model. After a call "
-    "that fails feedback returns the control of the plan, and restarts a plan that fails repeatedly.",
+    "Preparation phase: evaluate and linearise the plan, and repair one that is new or far from the model. After a "
+    "call that fails feedback returns the control of the plan, and restarts a plan that fails repeatedly.",
 )
 
 #: Faces per iteration, shifts of a factorisation, trials of a projected search, iterations of conjugate gradients.
@@ -70,17 +70,18 @@ class AugmentedLagrangian(Defaults):
 
     ``penalty``: rho in the scales of states and rows; None: 3,000 times what the cost changes by in the scale of a
     variable, its curvature or, for general costs, N of its slopes. It grows by factors of 10 while accepted steps do
-    not reduce a large violation, up to 100 times its usual value. ``proximal``: weight r of the term r/2 |z - z_c|^2 that
-    keeps the refinement near the Cauchy point z_c; None: 0.3 times the largest curvature of a stage with a Hessian that
-    depends on multipliers, else 0. ``radius``: of the trust
-    region of a new plan; later samples begin with that of the sample before. ``scaling`` of all three: "declared",
-    variables divided by their declared initial value or bounds; "units", variables as they are. Rows are always divided
-    by their declared magnitude.
+    not reduce a large violation, up to 100 times its usual value. ``proximal``: weight r of the term r/2 |z - z_c|^2
+    that keeps the refinement near the Cauchy point z_c; None: 0.3 times the largest curvature of a stage with a Hessian
+    that depends on multipliers, else 0. ``radius``: of the trust region of a new plan; later samples begin with that of
+    the sample before. ``scaling`` of all three: "declared", variables divided by their declared initial value or
+    bounds; "units", variables as they are. Rows are always divided by their declared magnitude.
 
     ``repair``: rounds, each as much work as a sample, that prepare() may add at the predicted x_0 of a new plan, or
     after a sample that failed or was NOT_CONVERGED; 0: none. A sample is NOT_CONVERGED if stats.residual, its largest
     gap or violation in the scales of states and rows, exceeds ``tolerance``, or if the last step did not do what its
-    model promised. After 10 of them on end the plan starts anew. ``shift`` and ``sampling_time``: how the plan moves
+    model promised. A plan that is then farther from the model than a fresh one starts anew, and so does every plan
+    after 10 such samples on end. OK is said of a plan near the model, which need not be optimal yet. ``shift`` and
+    ``sampling_time``: how the plan moves
     before every prepare but the first, as in RealTimeIteration.
     """
 

@@ -75,7 +75,8 @@ def _not_converged(ctrl: Controller) -> Iterator[str]:
     else:
         name, _, given = options.partition("algorithm=")[2].partition("(")
         if ctrl.stats.residual <= float(_value(given, "tolerance")):
-            yield f"the plan is near the model, residual {ctrl.stats.residual:.2g}, but its last step was cut or refused"
+            near = f"the plan is near the model, residual {ctrl.stats.residual:.2g}"
+            yield f"{near}, but its last step was cut or refused"
         now = _value(given, "iterations")
         count = str(3 * int(now)) if now.isdigit() else "..."
         yield f"more iterations per sample: {name}(iterations={count})"
