@@ -78,6 +78,16 @@ def test_export_check_simulate_plot(state_problem: Any, tmp_path: Path, capsys: 
 
 
 @pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("example", ["crane", "fermentation"])
+def test_check_of_the_augmented_lagrangian(example: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its gaps are polished until the cost is that of IPOPT."""
+    file = Path(__file__).parents[2] / "examples" / f"{example}.py"
+    command = [str(file), "-o", str(tmp_path / "c"), "--set", "algorithm=augmented_lagrangian", "--check"]
+    assert main(command) == 0
+    assert "check passed" in said(capsys)[0]
+
+
+@pytest.mark.usefixtures("compiler")
 def test_check_with_another_integrator_in_single_precision(
     state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

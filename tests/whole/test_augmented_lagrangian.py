@@ -58,6 +58,17 @@ def unique_bioreactor() -> OCP:
     return bioreactor.build_ocp("a", periodic=False)
 
 
+def goal_out_of_reach() -> OCP:
+    """A hard row at the end that no control satisfies."""
+    ocp = OCP("far", T=1.0, N=4)
+    x, u = ocp.state("x", initial=0.0), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(5, x + 0.1 * x**2, 6, at="end", name="goal")
+    return ocp
+
+
 # solve() against IPOPT ------------------------------------------------------------------------------------------------
 
 EXAMPLES: dict[str, tuple[Callable[[], OCP], ExplicitRungeKutta]] = {
@@ -288,13 +299,7 @@ def test_multipliers_wait_for_the_violation_to_fall() -> None:
 
 
 def test_multipliers_are_bounded_where_rows_contradict() -> None:
-    ocp = OCP("contradiction", T=1.0, N=4)
-    x, u = ocp.state("x", initial=0.0), ocp.control("u")
-    ocp.dynamics({x: u})
-    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
-    ocp.subject_to(-1, u, 1)
-    ocp.subject_to(5, x + 0.1 * x**2, 6, at="end", name="goal")
-    c = build(ocp, options(), "test")
+    c = build(goal_out_of_reach(), options(), "test")
     largest = []
     for _ in range(400):
         c.step([0.0])
@@ -442,13 +447,7 @@ def test_nothing_stays_in_the_work_arrays(number: float) -> None:
 
 def test_a_goal_out_of_reach() -> None:
     """Hard rows that no control satisfies: controls inside their bounds, the violation in the statistics."""
-    ocp = OCP("far", T=1.0, N=4)
-    x, u = ocp.state("x", initial=0.0), ocp.control("u")
-    ocp.dynamics({x: u})
-    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
-    ocp.subject_to(-1, u, 1)
-    ocp.subject_to(5, x + 0.1 * x**2, 6, at="end", name="goal")
-    controller = build(ocp, options(), "test")
+    controller = build(goal_out_of_reach(), options(), "test")
     for _ in range(30):
         u0 = controller.step([0.0])
         assert np.all(np.abs(u0) <= 1)
