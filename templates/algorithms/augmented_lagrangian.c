@@ -80,12 +80,12 @@ status_t API(prepare)(solver_t *s)
         restore_multipliers(s);
     }
     s->prepared = 1;
-    if (s->failing >= TWICE || s->unconverged >= PATIENCE) {
-        reset_search(s);
-    }
     if (s->unconverged >= PATIENCE) { /* repair leads nowhere from here */
+        reset_search(s);
         start_anew(s);
         s->unconverged = 1;
+    } else if (s->failing >= TWICE) {
+        reset_search(s);
     }
     return finish(s, prepare_at_plan(s));
 }

@@ -45,34 +45,13 @@ static void enlarge_by_rows(const solver_t *s, real_t *most)
 }
 
 #endif
-/* Largest gap and violation of a relaxed row, in their scales. */
-static real_t violation_of(const solver_t *s)
+/* Largest gap in these scales of the states, and violation of a relaxed row in its own. */
+static real_t violation_in(const solver_t *s, const real_t *size)
 {
     const auglag_t *a = &s->auglag;
-    real_t most = R(0);
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            enlarge(&most, a->gap[k][i] * SQRT(variable_weight[i]));
-        }
-    }
-#if NG
-    enlarge_by_rows(s, &most);
-#endif
-    return most;
-}
-
-#include "algorithms/scales.c"
-
-/* The residual of the plan: its largest gap and violation of a relaxed row, in the scales of states and rows. A plan at
- * rest is not measured in rounding errors. */
-static real_t plan_residual(const solver_t *s)
-{
-    const auglag_t *a = &s->auglag;
-    real_t size[NX], part[NX], most = R(0);
-    state_scales(s, size);
+    real_t part[NX], most = R(0);
     for (int i = 0; i < NX; i++) {
-        const real_t least = SQRT(TOL_UNIT) * variable_scale[i];
-        part[i] = R(1) / ((size[i] > least) ? size[i] : least);
+        part[i] = R(1) / size[i];
     }
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
@@ -83,6 +62,27 @@ static real_t plan_residual(const solver_t *s)
     enlarge_by_rows(s, &most);
 #endif
     return most;
+}
+
+/* The same in the scales of the variables. */
+static real_t violation_of(const solver_t *s)
+{
+    return violation_in(s, variable_scale);
+}
+
+#include "algorithms/scales.c"
+
+/* The residual of the plan: the same in the scales that its states have. A plan at rest is not measured in rounding
+ * errors. */
+static real_t plan_residual(const solver_t *s)
+{
+    real_t size[NX];
+    state_scales(s, size);
+    for (int i = 0; i < NX; i++) {
+        const real_t least = SQRT(TOL_UNIT) * variable_scale[i];
+        size[i] = (size[i] > least) ? size[i] : least;
+    }
+    return violation_in(s, size);
 }
 
 /* Linearises the plan, evaluated. Second derivatives belong to the estimates of the multipliers or, where gaps are large
@@ -218,10 +218,8 @@ static status_t prepare_at_plan(solver_t *s)
  * measured state, as a bad measurement may have spoilt it. Its gaps are known. */
 static status_t reconsider(solver_t *s)
 {
-    auglag_t *a = &s->auglag;
     const real_t present = violation_of(s);
-    memcpy(a->kept_x, s->x, sizeof a->kept_x);
-    memcpy(a->kept_u, s->u, sizeof a->kept_u);
+    keep_plan(s);
     start_anew(s);
     (void)project_plan(s);
     evaluate_path(s);
@@ -230,16 +228,28 @@ static status_t reconsider(solver_t *s)
         reset_search(s);
         return prepare_here(s);
     }
-    memcpy(s->x, a->kept_x, sizeof s->x);
-    memcpy(s->u, a->kept_u, sizeof s->u);
-    restore_multipliers(s);
+    return_plan(s);
 #if NF
     for (int f = 0; f < NF; f++) {
         s->xhat[free_state[f]] = s->x[0][free_state[f]];
     }
 #endif
-    evaluate_path(s);
-    evaluate_ends(s);
+    restore_multipliers(s);
     estimate_multipliers(s);
     return OK;
 }
+#if REPAIR
+
+/* Returns 1 if all states of the plan are the declared ones. */
+static int is_untouched(const solver_t *s)
+{
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            if (s->x[k][i] != initial_state[i]) { /* exactly: as it was initialised */
+                return 0;
+            }
+        }
+    }
+    return 1;
+}
+#endif

@@ -310,8 +310,8 @@ static real_t refine(solver_t *s, int faces)
 #endif
 }
 
-/* Keeps the plan with its gaps, rows and cost aside, and moves it by d, into its bounds exactly. */
-static void move_plan(solver_t *s)
+/* Keeps the plan with its gaps, rows and cost aside. */
+static void keep_plan(solver_t *s)
 {
     auglag_t *a = &s->auglag;
     memcpy(a->kept_x, s->x, sizeof a->kept_x);
@@ -321,6 +321,12 @@ static void move_plan(solver_t *s)
     memcpy(a->kept_value, a->value, sizeof a->kept_value);
 #endif
     a->kept_cost = a->cost;
+}
+
+/* Moves the plan by d, into its bounds exactly. */
+static void move_plan(solver_t *s)
+{
+    const auglag_t *a = &s->auglag;
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
             s->x[k][i] += a->d[k][i];
@@ -332,7 +338,7 @@ static void move_plan(solver_t *s)
     (void)project_plan(s);
 }
 
-/* Takes the move back. */
+/* The plan that was kept aside. */
 static void return_plan(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -385,6 +391,7 @@ static int descend(solver_t *s, int faces)
     set_box(s);
     a->predicted = -refine(s, faces);
     length = step_length_of(a);
+    keep_plan(s);
     move_plan(s);
     evaluate_path(s);
     evaluate_ends(s);

@@ -40,21 +40,6 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
 }
 
 #if REPAIR
-#if !HAS_QP
-/* Returns 1 if all states of the plan are the declared ones. */
-static int is_untouched(const solver_t *s)
-{
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            if (s->x[k][i] != initial_state[i]) { /* exactly: as it was initialised */
-                return 0;
-            }
-        }
-    }
-    return 1;
-}
-
-#endif
 /* A plan that no sample has changed is prepared, and so repaired, at the measured state. */
 static void start_first_sample(solver_t *s, const real_t *xhat)
 {

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import casadi as ca
 
+from nmpc_codegen.components.algorithms.scales import curved
 from nmpc_codegen.components.base import Algorithm, Component, Hessian, Integrator, Parts, refuse_unsupported
 from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
@@ -229,25 +230,20 @@ def _constant_hessian(problem: Problem, online: Online, functions: ModelFunction
 
 def _nonlinear_rows(problem: Problem) -> bool:
     """True if a hard general or coupled row is no affine function of states and controls."""
-    curved: dict[str, set[int]] = {}
+    bent: dict[str, set[int]] = {}
     for name, stage in (("path", problem.path), ("terminal", problem.terminal)):
         z = ca.vertcat(stage.x, stage.u)
-        curved[name] = _curved(stage.h, z) if stage.nh else set()
+        bent[name] = curved(stage.h, z)
     if problem.coupled is not None:
         ends = ca.SX.sym("x_0", problem.nx), ca.SX.sym("x_N", problem.nx)
-        curved["coupled"] = _curved(problem.coupled(*ends), ca.vertcat(*ends))
+        bent["coupled"] = curved(problem.coupled(*ends), ca.vertcat(*ends))
     return any(
-        row.index in curved["coupled"]
+        row.index in bent["coupled"]
         if row.kind == "coupled"
-        else row.index in curved["path"] or row.index_terminal in curved["terminal"]
+        else row.index in bent["path"] or row.index_terminal in bent["terminal"]
         for row in problem.rows
         if row.soft is None and row.kind in ("general", "coupled")
     )
-
-
-def _curved(h: ca.SX, z: ca.SX) -> set[int]:
-    """Numbers of the elements of h that are no affine functions of z."""
-    return {i for i, bent in enumerate(ca.which_depends(h, z, 2, True)) if bent}
 
 
 def _choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:

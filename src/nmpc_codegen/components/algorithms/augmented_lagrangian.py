@@ -21,7 +21,9 @@ import numpy as np
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     PATIENCE,
     PHASES,
+    SAMPLES,
     SOLVE,
+    UNCONVERGED,
 )
 from nmpc_codegen.components.algorithms.scales import (
     cost_magnitude,
@@ -32,9 +34,9 @@ from nmpc_codegen.components.algorithms.scales import (
 )
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
-    auto_shift,
     check_sampling_time,
     check_shift,
+    decided_shift,
     initial_tables,
     resample_reach,
     resample_tables,
@@ -81,8 +83,7 @@ class AugmentedLagrangian(Defaults):
     gap or violation in the scales of states and rows, exceeds ``tolerance``, or if the last step did not do what its
     model promised. A plan that is then farther from the model than a fresh one starts anew, and so does every plan
     after 10 such samples on end. OK is said of a plan near the model, which need not be optimal yet. ``shift`` and
-    ``sampling_time``: how the plan moves
-    before every prepare but the first, as in RealTimeIteration.
+    ``sampling_time``: how the plan moves before every prepare but the first, as in RealTimeIteration.
     """
 
     iterations: int = option(3, Whole(most=1000))
@@ -216,10 +217,8 @@ class AugmentedLagrangian(Defaults):
 
     def decided(self, problem: Problem, repairs: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
         """The shift that "auto" stands for."""
-        if self.shift != "auto":
-            return self, ()
-        shift, why = auto_shift(self.sampling_time, problem)
-        return replace(self, shift=shift), (f"shift: {shift}; {why}",)
+        shift, reasons = decided_shift(self.shift, self.sampling_time, problem)
+        return replace(self, shift=shift), tuple(reasons)
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
         """The penalty that is chosen."""
@@ -252,12 +251,8 @@ class AugmentedLagrangian(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            *(
-                (Field("samples", (), "feedbacks since init or reset", "keep", "int32"),)
-                if self.shift or self.repair
-                else ()
-            ),
-            Field("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32"),
+            *((SAMPLES,) if self.shift or self.repair else ()),
+            UNCONVERGED,
             Field(
                 "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
             ),

@@ -16,9 +16,9 @@ from typing import ClassVar
 from nmpc_codegen.components.algorithms.scales import tolerance_table
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
-    auto_shift,
     check_sampling_time,
     check_shift,
+    decided_shift,
     initial_tables,
     resample_reach,
     resample_tables,
@@ -106,11 +106,10 @@ PATIENCE = 10
 REPAIR_TRIALS = 4
 #: Weight that relaxation="auto" stands for.
 RELAXATION = 1e4
-_FOLLOWED = (
-    Field("was_far", (), "1: the sample before left a residual", "keep", "int32"),
-    Field("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32"),
-)
-_SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
+#: What is kept of the samples, with an algorithm that repairs plans.
+UNCONVERGED = Field("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32")
+_FOLLOWED = (Field("was_far", (), "1: the sample before left a residual", "keep", "int32"), UNCONVERGED)
+SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
 @dataclass(frozen=True)
@@ -182,10 +181,8 @@ class RealTimeIteration(Defaults):
 
     def decided(self, problem: Problem, repairs: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
         """The shift and the relaxation that "auto" stands for; no repair in a package that cannot."""
-        found, reasons = self, []
-        if self.shift == "auto":
-            shift, why = auto_shift(self.sampling_time, problem)
-            found, reasons = replace(found, shift=shift), [f"shift: {shift}; {why}"]
+        shift, reasons = decided_shift(self.shift, self.sampling_time, problem)
+        found = replace(self, shift=shift)
         if self.relaxation == "auto":
             found = replace(found, relaxation=RELAXATION)
         if self.repair and not repairs:
@@ -291,7 +288,7 @@ class RealTimeIteration(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            *((_SAMPLES,) if self.shift or self.repair else ()),
+            *((SAMPLES,) if self.shift or self.repair else ()),
             *(_FOLLOWED if self.repair else ()),
             Field("row_residual", (), "of the hard rows, left by the last step", "keep", only="NONLINEAR_ROWS"),
             Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only="ROW_SCALES"),

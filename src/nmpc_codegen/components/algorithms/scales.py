@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen.components.stage_cost import stage_cost
+from nmpc_codegen.components.stage_cost import StageCost, stage_cost
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.cmodule import Table
@@ -54,22 +54,19 @@ def row_scales(problem: Problem, scale: Array) -> Array:
 
 
 def linear_rows(problem: Problem) -> tuple[int, ...]:
-    """1 for every row of the QP that is linear in the variables of its node, else 0."""
-    curved = [_curved(stage.h, ca.vertcat(stage.x, stage.u)) for stage in (problem.path, problem.terminal)]
-    coupled: list[bool] = []
+    """1 for every row of the QP that is linear in the variables of its node, else 0; a coupled row in x_N."""
+    stages = ((False, problem.path), (True, problem.terminal))
+    bent = {(1, at_end): curved(stage.h, ca.vertcat(stage.x, stage.u)) for at_end, stage in stages}
     if problem.coupled is not None:
         x_0, x_N = ca.SX.sym("x_0", problem.nx), ca.SX.sym("x_N", problem.nx)
-        coupled = _curved(problem.coupled(x_0, x_N), x_N)
-    found = []
-    for k, kind, index, _ in problem.qp_rows:
-        nonlinear = kind and (coupled if kind == 2 else curved[k == problem.N])[index]
-        found.append(int(not nonlinear))
-    return tuple(found)
+        bent[2, True] = curved(problem.coupled(x_0, x_N), x_N)
+    rows = problem.qp_rows
+    return tuple(int(kind == 0 or index not in bent[kind, k == problem.N]) for k, kind, index, _ in rows)
 
 
-def _curved(h: Expression, z: Expression) -> list[bool]:
-    """Which elements have second derivatives."""
-    return list(ca.which_depends(h, z, 2, True)) if h.numel() else []
+def curved(h: Expression, z: Expression) -> set[int]:
+    """Numbers of the elements of h that are no affine functions of z."""
+    return {i for i, bent in enumerate(ca.which_depends(h, z, 2, True)) if bent} if h.numel() else set()
 
 
 def cost_curvature(problem: Problem, scale: Array) -> float:
@@ -79,11 +76,8 @@ def cost_curvature(problem: Problem, scale: Array) -> float:
     H = ca.diag(ca.tril2symm(ca.tril(ca.densify(cost.hessian))))
     if stage.cost_rate is not None:
         H = H + stage.dt * ca.diag(ca.hessian(stage.cost_rate, cost.z)[0])
-    weight = np.diag(stage.weight) if stage.diagonal_weight else stage.weight.ravel()
-    u = [stage.reference[i] if i >= 0 else 0.0 for i in problem.control_reference]
-    evaluate = ca.Function("curvature", [*cost.inputs, cost.yref, cost.W, cost.mu], [H])
-    data = (problem.x_initial, u, problem.p_value, problem.dt[0], stage.reference, weight, np.zeros(stage.nh))
-    size = float(np.max(np.abs(np.asarray(evaluate(*data)).ravel()) * scale**2, initial=0.0))
+    (found,) = _at_start(cost, stage, problem, H)
+    size = float(np.max(found * scale**2, initial=0.0))
     return size if np.isfinite(size) and size > 0 else 1.0
 
 
@@ -91,26 +85,32 @@ def cost_magnitude(problem: Problem, scale: Array) -> float:
     """How much the cost of a plan depends on a variable in its scale, at the initial state and the references of the
     controls: the largest curvature of a path node and the largest slope of the general costs, that of a path node N
     times, as states keep what they are given. The curvature of the terminal node where all these are 0, else 1."""
-    u = np.array([problem.path.reference[i] if i >= 0 else 0.0 for i in problem.control_reference])
-    path, terminal = (_sizes(stage, problem, u, scale) for stage in (problem.path, problem.terminal))
+    path, terminal = (_sizes(stage, problem, scale) for stage in (problem.path, problem.terminal))
     most = max(path[0], problem.N * path[1], terminal[1]) or terminal[0]
     return most if most > 0 else 1.0
 
 
-def _sizes(stage: Stage, problem: Problem, u: Array, scale: Array) -> tuple[float, float]:
+def _sizes(stage: Stage, problem: Problem, scale: Array) -> tuple[float, float]:
     """Largest curvature of the cost of a stage and largest slope of its general cost, in scales; 0 if not finite."""
     cost = stage_cost(stage, "path" if stage.nu else "terminal")
     general = ca.SX(0) if cost.general is None else cost.general
     if stage.cost_rate is not None:
         general = general + stage.dt * stage.cost_rate
     bend = ca.diag(ca.densify(cost.gauss_newton)) + ca.diag(ca.densify(ca.hessian(general, cost.z)[0]))
-    evaluate = ca.Function("sizes", [*cost.inputs, cost.yref, cost.W], [bend, ca.gradient(general, cost.z)])
-    weight = np.diag(stage.weight) if stage.diagonal_weight else stage.weight.ravel()
-    at = (problem.x_initial, u, problem.p_value, problem.dt[0]) if stage.nu else (problem.x_initial, problem.p_value)
-    curvature, slope = (np.abs(np.asarray(v).ravel()) for v in evaluate(*at, stage.reference, weight))
+    curvature, slope = _at_start(cost, stage, problem, bend, ca.gradient(general, cost.z))
     size = scale[: slope.size]
     largest = [float(np.max(v, initial=0.0, where=np.isfinite(v))) for v in (curvature * size**2, slope * size)]
     return largest[0], largest[1]
+
+
+def _at_start(cost: StageCost, stage: Stage, problem: Problem, *expressions: Expression) -> list[Array]:
+    """Magnitudes of expressions of a stage at the initial state, the references of the controls and declared data."""
+    u = [problem.path.reference[i] if i >= 0 else 0.0 for i in problem.control_reference]
+    at = (problem.x_initial, u, problem.p_value, problem.dt[0]) if stage.nu else (problem.x_initial, problem.p_value)
+    weight = np.diag(stage.weight) if stage.diagonal_weight else stage.weight.ravel()
+    evaluate = ca.Function("sizes", [*cost.inputs, cost.yref, cost.W, cost.mu], list(expressions))
+    found = evaluate(*at, stage.reference, weight, np.zeros(stage.nh))
+    return [np.abs(np.asarray(v).ravel()) for v in (found if len(expressions) > 1 else (found,))]
 
 
 def _slopes(h: Expression, stage: Stage, problem: Problem) -> Array:

@@ -23,7 +23,15 @@ def check_sampling_time(algorithm: str, shift: str | None, sampling_time: float 
         )
 
 
-def auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | None, str]:
+def decided_shift(shift: str | None, sampling_time: float | None, problem: Problem) -> tuple[str | None, list[str]]:
+    """The shift that "auto" stands for, with the reason; every other one as it is."""
+    if shift != "auto":
+        return shift, []
+    found, why = _auto_shift(sampling_time, problem)
+    return found, [f"shift: {found}; {why}"]
+
+
+def _auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | None, str]:
     """What shift="auto" is for a problem, and the reason.
 
     A loop on a periodic orbit that does not move its plan begins another period at every sample: where a mean over the
