@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable
 
 from benchmarks.lib import export, strangers
-from benchmarks.lib.adjoint import crane, cstr, rod, vandevusse
+from benchmarks.lib.adjoint import crane, cstr, precision, rod, vandevusse
 from benchmarks.lib.augmented import bounds, cold, loop, schemes, tracking
 from benchmarks.lib.convergence import loops, singles, starts, units
 from benchmarks.lib.economic import driving, evaporation, figure3, figure4, figures, timing
@@ -93,6 +93,7 @@ TOPICS: dict[str, Topic] = {
     "augmented/schemes": scaled(schemes.measure),
     "adjoint/crane": plain(crane.measure),
     "adjoint/cstr": plain(cstr.measure),
+    "adjoint/precision": plain(precision.measure),
     "adjoint/vandevusse": lambda report, run: vandevusse.measure(report, run.pictures),
     "adjoint/heat_rod": plain(rod.measure),
 }

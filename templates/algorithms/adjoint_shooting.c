@@ -32,6 +32,9 @@ static void forget_past(solver_t *s)
 #if NG
     memset(s->row, 0, sizeof s->row);
 #endif
+#if NT
+    weigh_terminal(s, R(1));
+#endif
 #if QUASI_NEWTON
     s->shooting.pairs = 0;
 #endif
@@ -87,10 +90,10 @@ static void algorithm_reset(solver_t *s)
         s->x[0][i] = initial_state[i];
     }
     hold_states(s);
-    forget_plan(s);
 #if SOLVE && (NG || !QUASI_NEWTON)
     set_weights(s);
 #endif
+    forget_plan(s);
     memset(&s->stats, 0, sizeof s->stats);
 #if SHIFT
     s->samples = 0;

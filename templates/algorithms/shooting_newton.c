@@ -188,37 +188,73 @@ static int solve_face(solver_t *s, real_t *largest)
 }
 
 #if NT
-/* The multipliers mu += Omega (c + Xi d) of those terminal rows that the step meets. Returns 1 if it meets all. */
-static int update_terminal(solver_t *s)
+/* What the step leaves of terminal row t, c_t + (Xi d)_t. */
+static real_t left_of(const shooting_t *a, int t)
+{
+    return a->gap[t] + ((a->omega[t] > R(0)) ? inner(a->Xi[t][0], a->d[0]) : R(0));
+}
+
+static int is_met(const shooting_t *a, int t, real_t left)
+{
+    const real_t unit = SQRT(row_weight[terminal_row[t]]);
+    return unit * FABS(left) <= TOL_TERMINAL_GAP * (R(1) + unit * FABS(a->gap[t]));
+}
+
+/* A step of the method of multipliers, mu += Omega (c + Xi d), if a row is not met and what is left of all of them may
+ * be due to their compliance, and not to the bounds. Returns 1 if it is taken. */
+static int tighten_rows(solver_t *s)
 {
     shooting_t *a = &s->shooting;
     int met = 1;
     for (int t = 0; t < NT; t++) {
-        const int m = terminal_row[t];
-        const real_t unit = SQRT(row_weight[m]), left = a->gap[t] + inner(a->Xi[t][0], a->d[0]);
-        const real_t allowed = TOL_TERMINAL_GAP * (R(1) + unit * FABS(a->gap[t]));
-        if (!(a->omega[t] > R(0))) {
-            met &= unit * FABS(a->gap[t]) <= allowed;
-        } else if (unit * FABS(left) <= allowed) {
-            s->row[m] += a->omega[t] * left;
-        } else {
-            met = 0;
+        const real_t left = left_of(a, t), unit = SQRT(row_weight[terminal_row[t]]);
+        if (unit * FABS(left) > SQRT(TOL_TERMINAL_COMPLIANCE) * (R(1) + unit * FABS(a->gap[t]))) {
+            return 0;
         }
+        met &= is_met(a, t, left);
+    }
+    for (int t = 0; !met && t < NT; t++) {
+        const real_t left = left_of(a, t), change = a->omega[t] * left;
+        s->row[terminal_row[t]] += change;
+        a->model += change * (left - a->gap[t]);
+        add_multiple(a->r[0], change, a->Xi[t][0]);
+    }
+    return !met;
+}
+
+/* The last of these steps if all terminal rows are met. Otherwise their forces on one another say nothing, and they keep
+ * the multipliers that they had before the step of the controls. */
+static int update_terminal(solver_t *s, const real_t *before)
+{
+    const shooting_t *a = &s->shooting;
+    int met = 1;
+    for (int t = 0; t < NT; t++) {
+        met &= is_met(a, t, left_of(a, t));
+    }
+    for (int t = 0; t < NT; t++) {
+        real_t *mu = &s->row[terminal_row[t]];
+        *mu = met ? *mu + a->omega[t] * left_of(a, t) : before[t];
     }
     return met;
 }
 
-/* The part of r' d that is due to the terminal rows in the model, and in the merit function. */
-static real_t terminal_descent(const solver_t *s, int of_model)
+/* Takes the terminal rows out of the slope of the model along d and adds those of the merit function. They weigh so much
+ * that the step, which goes to them, decreases it: their multipliers are estimates where products have run out. */
+static real_t slope_of_merit(solver_t *s, real_t slope, const real_t *before)
 {
     const shooting_t *a = &s->shooting;
-    real_t sum = R(0);
+    real_t other = slope, own = R(0), bend = R(2) * (a->model - slope);
     for (int t = 0; t < NT; t++) {
         const int m = terminal_row[t];
-        const real_t weight = of_model ? a->omega[t] : row_penalty(s) * row_weight[m];
-        sum += (s->row[m] + weight * a->gap[t]) * inner(a->Xi[t][0], a->d[0]);
+        const real_t step = inner(a->Xi[t][0], a->d[0]);
+        other += (s->row[m] - before[t] - a->omega[t] * a->gap[t]) * step;
+        bend -= a->omega[t] * step * step;
+        own -= row_penalty(s) * row_weight[m] * a->gap[t] * step;
     }
-    return sum;
+    const real_t rest = other + R(0.5) * bend;
+    const real_t factor = (R(4) * rest > own && own > R(0)) ? R(4) * rest / own : R(1);
+    weigh_terminal(s, factor);
+    return other - factor * own;
 }
 #endif
 
@@ -255,28 +291,38 @@ static status_t improve(solver_t *s, int trials, int *moved)
     a->left = products_allowed(s);
     a->model = R(0);
 #if NT
-    for (int t = 0; t < NT; t++) {
-        a->omega[t] = R(0);
-    }
+    int rounds = MAX_ROUNDS;
+    real_t before[NT], tightened[NT];
     impulse_rows(s);
+    for (int t = 0; t < NT; t++) {
+        before[t] = s->row[terminal_row[t]];
+    }
 #endif
     if (!all_finite(a->r[0], N * NU)) {
         return NUMERICAL_FAILURE;
     }
     for (int face = 0; face < MAX_FACES && a->left > 0; face++) {
         const int reached = solve_face(s, &largest);
-        if (!reached && !release(s, least_part(s) * largest)) {
-            break;
+        if (reached || release(s, least_part(s) * largest)) {
+            continue;
         }
+#if NT
+        if (rounds-- > 0 && tighten_rows(s)) {
+            continue;
+        }
+#endif
+        break;
     }
     if (!direction_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
     slope = R(2) * a->model - inner(a->r[0], a->d[0]);
 #if NT
-    slope -= terminal_descent(s, 1);
-    met = update_terminal(s);
-    slope += terminal_descent(s, 0);
+    for (int t = 0; t < NT; t++) {
+        tightened[t] = s->row[terminal_row[t]];
+    }
+    met = update_terminal(s, before);
+    slope = slope_of_merit(s, slope, tightened);
 #endif
     *moved = move(s, (slope < R(0)) ? slope : R(0), trials);
     return met ? OK : (a->left > 0) ? INFEASIBLE : ITERATION_LIMIT;

@@ -16,6 +16,16 @@ static real_t row_penalty(const solver_t *s)
 #endif
 }
 
+#if NT
+/* The weights of the terminal rows in the merit function: those of other rows, times ``factor``. */
+static void weigh_terminal(solver_t *s, real_t factor)
+{
+    for (int t = 0; t < NT; t++) {
+        s->shooting.omega[t] = factor * row_penalty(s) * row_weight[terminal_row[t]];
+    }
+}
+#endif
+
 #if SMOOTH_ROWS
 /* max(x, 0) + log(1 + exp(-a |x|)) / a, a smooth max(x, 0); its first and second derivatives times factor are added. */
 static real_t smooth_excess(real_t x, real_t a, real_t factor, real_t *slope, real_t *curvature)
@@ -126,7 +136,13 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
 #else
     const real_t mu = R(0);
 #endif
-    const real_t weight = row_penalty(s) * row_weight[m], moved = v + mu / weight;
+#if NT
+    const int t = terminal_index[m];
+    const real_t weight = (t >= 0) ? s->shooting.omega[t] : row_penalty(s) * row_weight[m];
+#else
+    const real_t weight = row_penalty(s) * row_weight[m];
+#endif
+    const real_t moved = v + mu / weight;
     const int inside = moved > lower && moved < upper;
     real_t y = inside ? moved : clip(moved, lower, upper), penalty = R(0);
     *slope = inside ? R(0) : mu + weight * (v - y);

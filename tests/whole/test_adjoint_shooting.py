@@ -306,7 +306,31 @@ def test_the_crane_comes_to_rest(precision: Any, method: str) -> None:
     log = simulate(controller, X0, steps=40, dt=0.3)
     assert np.abs(log.x[-1]).max() < 5e-3
     assert np.abs(log.u).max() <= 1
-    assert not np.any(log.status[2:])
+    assert not np.any(log.status[2 if method == "quasi_newton" else 0 :])
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("p", [1.0, 1.8, 1.825, 1.85, 1.9, 1.95, 2.0])
+def test_single_precision_meets_the_rows_that_double_precision_meets(p: float) -> None:
+    """Near the largest distance from which the crane can stop, controls are at their bounds and the rows nearly
+    dependent on the others: what the compliance of the rows leaves of them is no contradiction with the bounds."""
+    controller = build(crane.build_ocp(), options(precision="single", shift="repeat"), "test")
+    plant = build(crane.build_ocp(), options(shift="repeat"), "test")
+    log = simulate(controller, [p, 0.0, 0.0, 0.0], steps=12, dt=0.3, plant=lambda x, u, dt: plant.integrate(x, u, dt))
+    assert not np.any(log.status)
+    solution = controller.solve([p, 0.0, 0.0, 0.0], tol=1e-4, max_iterations=20)
+    assert solution.status is Status.OK
+    np.testing.assert_allclose(solution.u, ipopt(crane.build_ocp(), np.array([p, 0.0, 0.0, 0.0])).u, atol=2e-3)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_an_infeasible_sample_leaves_no_trace(precision: Any) -> None:
+    """The multipliers of rows that contradict one another are forgotten: the next feasible sample is solved."""
+    controller = build(crane.build_ocp(), options(precision=precision), "test")
+    controller.step([1.9, 0.2, 0.1, 0.2])
+    assert controller.status is Status.INFEASIBLE
+    assert controller.step([1.0, 0.0, 0.0, 0.0]).shape == (1,)
+    assert controller.status is Status.OK
 
 
 @pytest.mark.parametrize(("given", "simulations"), [({}, 4), ({"trials": 1}, 3), ({"products": 4}, 4)])

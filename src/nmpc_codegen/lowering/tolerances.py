@@ -81,12 +81,16 @@ ROOTS: dict[str, float] = {
     "qp_accepted": 0.25,
     "step": 0.5,
     "ipm_ray": 2.0**-4,
-    "terminal_compliance": 4.0,
     "ipm_contradiction": 2.0**-10,
 }
 
 #: Values below which a tolerance does not fall in any precision.
-FLOORS: dict[str, float] = {"step_gradient": 2.0**-20, "qp_residual": 2.0**-35, "terminal_gap": 2.0**-10}
+FLOORS: dict[str, float] = {
+    "step_gradient": 2.0**-20,
+    "qp_residual": 2.0**-35,
+    "terminal_gap": 2.0**-10,
+    "terminal_compliance": 2.0**-24,
+}
 
 
 def tolerance(name: str, precision: str) -> float:

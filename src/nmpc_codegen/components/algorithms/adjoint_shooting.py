@@ -54,6 +54,9 @@ MARGIN, WEIGHTS = 1e-2, (1.0, 1e-2, 1e-10)
 #: Simulations of a step of solve(); failures in a row after which the plan is given up.
 MAX_TRIALS, PATIENCE = 30, 3
 
+#: Steps of the method of multipliers for the terminal rows of the model.
+MAX_ROUNDS = 3
+
 #: Defaults of options that only one method has.
 PRODUCTS, MEMORY = 12, 5
 ITERATIONS = {"gauss_newton": 1, "quasi_newton": 10}
@@ -258,6 +261,7 @@ class AdjointShooting(Defaults):
             ("MAX_PRODUCTS", self.products or PRODUCTS, "products with the Hessian of a step at most"),
             ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
             ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
+            ("MAX_ROUNDS", MAX_ROUNDS, "steps of the method of multipliers for terminal rows in a step"),
         )
         memory = (("MEMORY", self.memory or MEMORY, "pairs of the quasi-Newton method"),)
         return (
@@ -316,7 +320,7 @@ class AdjointShooting(Defaults):
             real("Xi", (terminal, *controls), "slopes of the terminal rows"),
             real("S", (terminal, terminal), "factor of their Schur complement"),
             real("gap", (terminal,), "their distances from the bounds that they are held at"),
-            real("omega", (terminal,), "their weights in the model"),
+            real("omega", (terminal,), "their weights in the model and then in the merit function"),
             real("model", (), "change of the model by the step"),
             Field("solving", (), "1 during solve()", "scratch", "int32", only="SOLVE"),
             Field("left", (), "products that are left", "scratch", "int32"),
