@@ -51,6 +51,7 @@ if TYPE_CHECKING:
         Midpoint,
     )
     from nmpc_codegen.components.qp import DenseActiveSet, Osqp, RiccatiActiveSet, RiccatiInteriorPoint
+    from nmpc_codegen.frontend.excess import smooth_excess
     from nmpc_codegen.frontend.ocp import OCP
     from nmpc_codegen.options import Online, Options
 
@@ -65,6 +66,7 @@ _HOMES = {
     "components.integrators": (
         *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
     ),
+    "frontend.excess": ("smooth_excess",),
     "frontend.ocp": ("OCP",),
     "options": ("Online", "Options"),
     "components.qp": ("DenseActiveSet", "Osqp", "RiccatiActiveSet", "RiccatiInteriorPoint"),
@@ -117,6 +119,7 @@ __all__ = [
     "generate",
     "open_package",
     "simulate",
+    "smooth_excess",
 ]
 if not HAS_COMPILER:
     __all__ = [name for name in __all__ if name not in _HOME]

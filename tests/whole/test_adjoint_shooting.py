@@ -31,8 +31,10 @@ from nmpc_codegen import (
     simulate,
 )
 from nmpc_codegen.components.integrators.directional import Directional
+from nmpc_codegen.components.integrators.quadrature import Quadrature
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.ir.sweep import unroll
+from nmpc_codegen.ir.kernel import Port
+from nmpc_codegen.ir.sweep import Call, Slice, unroll
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, interval_map, node_data
 from verification import problems, samples
 
@@ -264,12 +266,42 @@ def test_soft_rows_that_are_violated(penalty: tuple[float, float], rows: str) ->
         assert largest == pytest.approx(penalty[0], rel=1e-6)
 
 
-def test_integrated_cost_with_gradients_alone() -> None:
+@pytest.mark.parametrize("method", METHODS)
+def test_integrated_cost(method: str) -> None:
     ocp = samples.economic()
     x0 = disturbed(ocp)
-    solution = build(ocp, options(method="quasi_newton"), "test").solve(x0, tol=1e-8, max_iterations=300)
+    solution = build(ocp, options(method=method), "test").solve(x0, tol=1e-8, max_iterations=300)
     assert solution.status is Status.OK
     np.testing.assert_allclose(solution.u, ipopt(ocp, x0).u, atol=3e-6)
+
+
+@pytest.mark.parametrize("tableau", [RK4, samples.LOOPED.tableau], ids=["rk4", "looped"])
+@pytest.mark.parametrize("steps", [1, 3])
+def test_the_product_of_an_integrated_cost_is_that_of_gauss_newton(steps: int, tableau: Any) -> None:
+    """sum_i h b_i V_i' rate_zz V_i d, V_i = d (X_i, u) / d (x, u), from CasADi's Jacobians of the stage points."""
+    ocp = samples.economic()
+    ocp.stage_cost(ca.exp(ocp.x[0]) + ca.sin(ocp.x[1] * ocp.u[0]) + ocp.x[0] ** 2 * ocp.u[0], integrate=True)
+    problem = classify(ocp)
+    nx, nu, dt = problem.nx, problem.nu, problem.dt[0]
+    x, u, p, h = ca.MX.sym("x", nx), ca.MX.sym("u", nu), ca.MX.sym("p", problem.np), dt / steps
+    z, at = ca.vertcat(x, u), problem.path
+    bend = ca.Function("bend", [at.x, at.u, at.p], [ca.hessian(at.cost_rate, ca.vertcat(at.x, at.u))[0]])
+    H, X = ca.MX(nx + nu, nx + nu), x
+    for _ in range(steps):
+        K: list[ca.MX] = []
+        for row, weight in zip(tableau.a, tableau.b, strict=True):
+            point = sum((h * float(a) * k for a, k in zip(row, K, strict=False)), X)
+            V = ca.jacobian(ca.vertcat(point, u), z)
+            H += h * float(weight) * V.T @ bend(point, u, p) @ V
+            K.append(problem.dynamics(point, u, p))
+        X = sum((h * float(b) * k for b, k in zip(tableau.b, K, strict=True)), X)
+    random = np.random.default_rng(steps)
+    here = random.uniform(-1, 1, nx), random.uniform(-1, 1, nu), problem.p_value
+    d = random.uniform(-1, 1, nx + nu)
+    clear = Call(ca.Function("clear", [], [ca.SX.zeros(nx + nu)]), (), (Slice("w", nx + nu),))
+    sweep = Quadrature(problem, tableau, steps).product("product", "", clear, (Port("d", nx + nu),))
+    found = np.asarray(unroll(sweep)(*here, dt, d)).ravel()
+    np.testing.assert_allclose(found, np.asarray(ca.Function("H", [x, u, p], [H])(*here)) @ d, rtol=1e-12, atol=1e-13)
 
 
 def test_negative_curvature_is_met_and_survived() -> None:
@@ -516,8 +548,6 @@ def test_what_makes_no_sense_is_refused() -> None:
         Options(algorithm=AdjointShooting(), qp=DenseActiveSet())
     with pytest.raises(OptionError, match="free initial state"):
         generate(samples.arrival(), options())
-    with pytest.raises(OptionError, match=r"integrated cost.*quasi_newton"):
-        generate(samples.economic(), options())
     with pytest.raises(OptionError, match=r"hard row 'effort.*expected penalty="):
         generate(samples.path(), options(rows="smooth_l1"))
     with pytest.raises(OptionError, match=r'rows="lumped".*hard row'):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.lib.adjoint.integral import cost_of, optimum
 from benchmarks.lib.report import Report
 from examples import vandevusse
 from nmpc_codegen import build
@@ -47,6 +48,16 @@ def measure(report: Report, folder: Path) -> None:
         if penalty == vandevusse.PENALTIES[-1]:
             error = max(relative(found.u, exact.u), relative(found.x, exact.x))
             report.add("vandevusse_error", error, case=case, limit=1e-3)
+    for penalty in vandevusse.INTEGRAL_PENALTIES:
+        controller = build(vandevusse.build_integral_ocp(penalty), vandevusse.options())
+        case = f"integral, penalty {penalty:g}"
+        plans[case] = found = vandevusse.plan(controller, reference)
+        gap = cost_of(found.u, reference, penalty) / optimum(reference, penalty, reference[:-1, 2:]) - 1
+        report.add("integral_cost_gap", gap, case=case, limit=1e-2)
+        report.add("integral_status", found.status, case=case, limit=0)
+        report.add("integral_iterations", found.iterations, case=case)
+        for name, excess in zip(vandevusse.HIGHEST, vandevusse.excess(controller, found).max(axis=0), strict=True):
+            report.add(f"integral_excess_{name}", float(excess), case=case)
     picture = folder / "figure_7_3.png"
     vandevusse.draw(plans, reference, str(picture))
     print(picture)

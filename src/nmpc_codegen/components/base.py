@@ -189,6 +189,10 @@ class Integrator(Component, Protocol):
         """(x, u, p, dt, more) -> g: the value that ``start`` stores in g, plus the gradient of that integral."""
         ...
 
+    def integrated_product(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more) -> w: w of ``start`` plus the Gauss-Newton Hessian of the integrated cost times d."""
+        ...
+
 
 class Hessian(Component, Protocol):
     """Provides the Hessian block of every node."""

@@ -18,7 +18,7 @@ from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import StageModel
-from nmpc_codegen.ir.sweep import Call, Slice
+from nmpc_codegen.ir.sweep import Call, Routine, Slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,6 +182,17 @@ def stage_model(problem: Problem, integrator: Integrator, cost: StageCost) -> St
         integrator.integrated_gradient(problem, "path_gradient", gradient, cost.data_ports),
         integrated=True,
     )
+
+
+def stage_product(problem: Problem, integrator: Integrator, cost: StageCost) -> Routine:
+    """Hessian of the cost of a stage times a vector d; of an integral the part that is that of its rate, along d."""
+    if cost.name != "path" or problem.path.cost_rate is None:
+        return cost.product_kernel()
+    more = (*cost.data_ports, Port("d", cost.nz))
+    symbols = [*cost.inputs, cost.yref, cost.W, cost.direction]
+    leaf = ca.Function("node_product", symbols, [ca.densify(cost.product)])
+    start = Call(leaf, slices(*cost.ports, *more), (Slice("w", cost.nz),))
+    return integrator.integrated_product(problem, "path_product", start, more)
 
 
 def slices(*ports: Port) -> tuple[Slice, ...]:

@@ -11,7 +11,7 @@ from nmpc_codegen.components.algorithms.scales import curved
 from nmpc_codegen.components.base import Algorithm, Component, Hessian, Integrator, Parts, refuse_unsupported
 from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
-from nmpc_codegen.components.stage_cost import stage_costs, stage_model
+from nmpc_codegen.components.stage_cost import stage_costs, stage_model, stage_product
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.frontend.program import program
@@ -159,7 +159,7 @@ def _functions(
         forward, adjoint = integrator.directional(problem)
         interval = replace(interval, forward=forward, adjoint=adjoint)
         path, terminal = (
-            replace(stage, product=cost.product_kernel())
+            replace(stage, product=stage_product(problem, integrator, cost))
             for stage, cost in ((path, costs.path), (terminal, costs.terminal))
         )
     elif algorithm.pulls_back:

@@ -161,14 +161,8 @@ class AdjointShooting(Defaults):
         }
 
     def check(self, problem: Problem) -> None:
-        """Raise OptionError for shifts that clash with the grid, and for an integrated cost with Gauss-Newton."""
+        """Raise OptionError for shifts that clash with the grid, and for rows that their terms cannot represent."""
         check_shift("AdjointShooting", self.shift, self.sampling_time, problem)
-        if self.second_order and problem.path.cost_rate is not None:
-            raise OptionError(
-                f"{problem.name} has an integrated cost, which AdjointShooting() does not support with "
-                'method="gauss_newton"; expected method="quasi_newton" (--set algorithm.method=quasi_newton) or a cost '
-                "of the nodes"
-            )
         self._check_rows(problem)
 
     def _check_rows(self, problem: Problem) -> None:

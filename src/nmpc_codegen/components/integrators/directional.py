@@ -58,9 +58,7 @@ class Directional:
 
     def _slopes(self, stage: int) -> Call:
         """K_i and dK_i."""
-        dx, du = ca.SX.sym("dx", self.nx), ca.SX.sym("du", self.nu)
-        tangent = ca.jtimes(self.f, self.x, dx) + ca.jtimes(self.f, self.u, du)
-        leaf = ca.Function("f_and_tangent", [self.x, self.u, self.p, dx, du], [self.f, tangent])
+        leaf = self.rk.slope_and_tangent(self.f, self.x, self.u, self.p)
         ins = (Slice("Xi", self.nx), *self.rk.up, Slice("dXi", self.nx), Slice("du", self.nu))
         return Call(leaf, ins, (self.rk.slope(stage), self._tangent(stage)))
 

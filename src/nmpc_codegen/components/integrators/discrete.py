@@ -139,6 +139,10 @@ class Discrete(Defaults):
         """Raise OptionError: a map has no continuous time to integrate over."""
         raise OptionError(_no_time(problem))
 
+    def integrated_product(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """Raise OptionError: a map has no continuous time to integrate over."""
+        raise OptionError(_no_time(problem))
+
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("STEPS", 1, "evaluations of the map per interval"),)
 

@@ -178,6 +178,12 @@ class ExplicitRungeKutta(Defaults):
         doc = "g = d (cost of the node + integral of the cost rate over dt) / d(x, u)"
         return self._backward(Quadrature(problem, self.tableau, self.steps).gradient(name, doc, start, more))
 
+    def integrated_product(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, more, d) -> w: what ``start`` stores in w, plus the Gauss-Newton Hessian of the integral times
+        d: the second derivatives of the cost rate along the linearised states."""
+        doc = "w = (Hessian of the cost of the node + Gauss-Newton Hessian of the integral of the cost rate over dt) d"
+        return self._backward(Quadrature(problem, self.tableau, self.steps).product(name, doc, start, more))
+
     def _backward(self, sweep: Sweep) -> Routine:
         self._refuse_long(sweep.name, sweep.locals)
         return self._spelled(sweep)

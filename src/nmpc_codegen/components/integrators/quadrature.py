@@ -1,7 +1,8 @@
-"""Integral of a cost rate over an interval, by the scheme of the dynamics: its value and, by the adjoint, its gradient.
+"""Integral of a cost rate over an interval, by the scheme of the dynamics: value, adjoint gradient, and products.
 
 q = h sum over steps and stages of b_i rate(X_i, u, p)
 dq / d(x, u): kappa_i = (h b_i lam + h sum_j a_ji Xbar_j; h b_i), (Xbar_i; ubar_i) = F_z' kappa_i, lam = 0 at the end
+H d, Gauss-Newton: (dX_i; du) by the linearised steps, then the same with f_z' kappa_i + h b_i rate_zz (dX_i; du)
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Port
+from nmpc_codegen.ir.passes import copy
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep
 
 
@@ -54,6 +56,65 @@ class Quadrature:
             *(("adj", nx), ("Xbar", s * nx)),
         )
         return Sweep(name, doc, (*self.rk.ports, *more), (Port("g", nx + nu),), buffers, tuple(body))
+
+    def product(self, name: str, doc: str, start: Call, more: tuple[Port, ...]) -> Sweep:
+        """(x, u, p, dt, more) -> w; ``more`` ends with the direction d = (dx, du)."""
+        nx, nu, s = self.nx, self.nu, self.stages
+        moved, adj, w = Slice("dX", nx), Slice("adj", nx), Slice("w", nx)
+        body: list[Node] = [start, *self.rk.start(), Call(copy("copy_dx", nx), (Slice("d", nx),), (moved,))]
+        first: list[Node] = []
+        for i in range(s):
+            first += [self.rk.point(i, self._point(i)), self._move(i, moved), self._slopes(i)]
+        first += [self.rk.update_state(), self.rk.update("move", moved, self._tangent)]
+        body.append(For("step", 0, self.steps, tuple(first)))
+        body.append(Call(ca.Function("clear", [], [ca.SX.zeros(nx)]), (), (adj,)))
+        backward = [self._backward_along(i) for i in reversed(range(s))]
+        update = self.rk.update_adjoint("update_adjoint", adj, self._bar)
+        body.append(For("step", 0, self.steps, (*backward, update), down=True))
+        total, value = ca.SX.sym("w", nx), ca.SX.sym("adj", nx)
+        body.append(Call(ca.Function("add", [total, value], [total + value]), (w, adj), (w,)))
+        kept = self.steps * s * nx
+        buffers = (
+            *(("h", 1), ("X", nx), ("Xs", kept), ("K", s * nx), ("dX", nx), ("dXs", kept), ("dK", s * nx)),
+            *(("adj", nx), ("Xbar", s * nx)),
+        )
+        return Sweep(name, doc, (*self.rk.ports, *more), (Port("w", nx + nu),), buffers, tuple(body))
+
+    @property
+    def _du(self) -> Slice:
+        return Slice("d", self.nu, Affine(self.nx))
+
+    def _tangent(self, stage: int) -> Slice:
+        return Slice("dK", self.nx, Affine(stage * self.nx))
+
+    def _moved(self, stage: int) -> Slice:
+        return Slice("dXs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))
+
+    def _move(self, stage: int, moved: Slice) -> Call:
+        """dX_i."""
+        return self.rk.combined(f"moved_{stage}", self.rk.tableau.a[stage], moved, self._tangent, self._moved(stage))
+
+    def _slopes(self, stage: int) -> Call:
+        """K_i and dK_i."""
+        ins = (self._point(stage), *self.rk.up, self._moved(stage), self._du)
+        return Call(
+            self.rk.slope_and_tangent(self.f, self.x, self.u, self.p), ins, (self.rk.slope(stage), self._tangent(stage))
+        )
+
+    def _backward_along(self, stage: int) -> Call:
+        """Xbar_i, and w_u += ubar_i."""
+        sym, nx, z = ca.SX.sym, self.nx, ca.vertcat(self.x, self.u)
+        adj, h, total, d = sym("adj", nx), sym("h"), sym("w", self.nu), sym("d", nx + self.nu)
+        bars = {j: sym(f"Xbar{j}", nx) for j in self.rk.later(stage)}
+        kappa, k, weight = self.rk.adjoint_of_slope(stage, adj, h, bars), sym("k", nx), sym("weight")
+        bent = weight * ca.jtimes(ca.gradient(self.rate, z), z, d)
+        back = ca.densify(ca.jtimes(self.f, z, k, True) + bent)
+        (back,) = ca.substitute([back], [k, weight], [kappa, h * float(self.rk.tableau.b[stage])])
+        inputs = [self.x, self.u, self.p, adj, h, total, d[:nx], d[nx:], *bars.values()]
+        leaf = ca.Function(f"backward_{stage}", inputs, [back[:nx], total + back[nx:]])
+        here = Slice("w", self.nu, Affine(nx))
+        ins = [self._point(stage), *self.rk.up, Slice("adj", nx), LENGTH, here, self._moved(stage), self._du]
+        return Call(leaf, (*ins, *map(self._bar, bars)), (self._bar(stage), here))
 
     def _point(self, stage: int) -> Slice:
         return Slice("Xs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))

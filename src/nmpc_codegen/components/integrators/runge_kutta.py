@@ -14,7 +14,7 @@ import casadi as ca
 
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
 from nmpc_codegen.ir.sweep import Affine, Call, Slice
@@ -72,6 +72,12 @@ class RungeKutta:
     def update_state(self, target: Slice | None = None) -> Call:
         """X + h sum_i b_i K_i."""
         return self.update("update", self.state, self.slope, target)
+
+    def slope_and_tangent(self, f: Expression, x: Expression, u: Expression, p: Expression) -> Function:
+        """(x, u, p, dx, du) -> f and f_x dx + f_u du."""
+        dx, du = ca.SX.sym("dx", self.nx), ca.SX.sym("du", self.nu)
+        tangent = ca.jtimes(f, x, dx) + ca.jtimes(f, u, du)
+        return ca.Function("f_and_tangent", [x, u, p, dx, du], [f, tangent])
 
     # Adjoints --------------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,50 @@
+"""A smooth distance from an interval, for costs that penalise rows along the intervals of the grid."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.checks import vector
+from nmpc_codegen.ir.casadi_types import Expression
+
+
+def smooth_excess(lower: Any, expr: Any, upper: Any, width: Any) -> Expression:
+    """max(0, lower - h, h - upper) for every element h of a column, rounded off over ``width``.
+
+        s(lower - h) + s(h - upper),   s(e) = (e + sqrt(e^2 + width^2)) / 2
+
+    s(0) = width / 2, s(e) = e + width^2 / 4 e far outside and width^2 / 4 |e| far inside; all derivatives exist. With
+    ``ocp.stage_cost(weight * smooth_excess(-inf, h, 100, 0.01), integrate=True)`` a row costs its integral over time,
+    at all points of the integrator and not only at the nodes, as an l1 penalty: it holds if ``weight`` exceeds its
+    multiplier per unit of time, up to about ``width``.
+
+    Args:
+        lower: number, or one per element; -inf is allowed.
+        expr: scalar or column of states, controls and parameters.
+        upper: the same, inf is allowed.
+        width: positive number in the unit of h, or an expression, such as a parameter that solve() after solve()
+            decreases.
+
+    Raises:
+        ProblemError: sizes do not match, lower exceeds upper, or the width is not positive.
+    """
+    h = expr if isinstance(expr, (ca.SX, ca.MX)) else ca.SX(ca.DM(expr))
+    n, what = h.numel(), "smooth_excess"
+    low, high = (vector(v, n, f"{what}: {w}", finite=False) for v, w in ((lower, "lower"), (upper, "upper")))
+    if not np.all(low <= high):
+        raise ProblemError(f"{what}: lower {low.max():g} exceeds upper {high.min():g}")
+    if not isinstance(width, (ca.SX, ca.MX)) and not float(width) > 0:
+        raise ProblemError(f"{what}: width must be positive, got {width}")
+    total = ca.vertcat(
+        *(_rounded(low[i] - h[i], low[i], width) + _rounded(h[i] - high[i], high[i], width) for i in range(n))
+    )
+    return total
+
+
+def _rounded(e: Expression, bound: float, width: Any) -> Expression:
+    """s(e), 0 without a bound."""
+    return (e + ca.sqrt(e**2 + width**2)) / 2 if np.isfinite(bound) else ca.SX(0)
