@@ -54,7 +54,7 @@ static int advance_rows(solver_t *s, real_t tol, real_t *violation)
     int grown = 0;
 #if DUAL_ROWS
     const real_t now = dual_residual(s);
-    update_rows(s, INF);
+    update_rows(s, R(1));
     if (!(now < R(0.25) * *violation) && now > R(0.1) * tol) {
         grown = sharpen(s);
     }
@@ -125,7 +125,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
     progress.failed = 0;
 #if NG > NT
     progress.violation = INF;
-    progress.accuracy = R(1);
+    progress.accuracy = R(0.1);
 #endif
     for (int n = 0; n < max_iterations; n++) {
         const real_t stationarity = residual_of(s, ESTIMATE, &s->kkt);
