@@ -414,7 +414,7 @@ SAMPLES = (
     Sample("crane shooting", crane.build_ocp, _shooting({"shift": "repeat"}, online=SHARED, solve=False)),
     Sample("bare shooting", bare, _shooting(online=FIXED)),
     Sample("controls shooting", controls, _shooting({"shift": "resample", "sampling_time": 0.1})),
-    Sample("path shooting", path, _shooting({"rows": "quadratic"}, online=NODE)),
+    Sample("path shooting", path, _shooting(online=NODE)),
     Sample("soft rows shooting", soft_rows, _shooting(integrator=LOOPED)),
     Sample("ends shooting", ends, _shooting()),
     Sample("closing shooting", closing, _shooting({"shift": "periodic"})),

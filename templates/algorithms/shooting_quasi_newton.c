@@ -1,7 +1,33 @@
 /* Contract of this part: improve() takes a step of a projected quasi-Newton method with limited memory. The controls at
- * a bound whose gradient points outward are held; on the others d = -B r with the inverse B of the last pairs
+ * a bound whose gradient points outward are held. In the subspace of the others d = -B r with the inverse B of the last
+ * pairs, restricted to it,
  *
- *     y = change of the gradient, z = change of the controls,   B <- (I - z y'/y'z) B (I - y z'/y'z) + z z'/y'z.  */
+ *     y = change of the gradient, z = change of the controls,   B <- (I - z y'/y'z) B (I - y z'/y'z) + z z'/y'z,
+ *
+ * that starts from a diagonal D, whose inverse takes the diagonal of the same update (Gilbert and Lemarechal, Math.
+ * Programming 45, 1989): the first controls of an unstable plant bend the cost much more than the last ones. */
+
+/* D from the pair y, z, which has the curvature y'z = bend. */
+static void scale_directions(shooting_t *a, int n, real_t bend)
+{
+    real_t yDy = R(0), zz = R(0), yy = R(0);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t y = a->Y[n][k][j], z = a->Z[n][k][j];
+            yy += y * y;
+            yDy += y * y * a->D[k][j];
+            zz += z * z / a->D[k][j];
+        }
+    }
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t y = a->Y[n][k][j], z = a->Z[n][k][j] / a->D[k][j];
+            const real_t inverse = (yDy / a->D[k][j] + y * y - yDy * z * z / zz) / bend;
+            const int sound = a->pairs > 0 && inverse > R(0) && inverse < INF;
+            a->D[k][j] = sound ? R(1) / inverse : bend / yy;
+        }
+    }
+}
 
 /* Stores the pair of the last step, unless its curvature is not positive. */
 static void remember_step(solver_t *s)
@@ -16,7 +42,7 @@ static void remember_step(solver_t *s)
     }
     const real_t bend = inner(a->Y[n][0], a->Z[n][0]), size = inner(a->Y[n][0], a->Y[n][0]);
     if (bend > TOL_UNIT * size && bend < INF && size < INF) {
-        a->bend[n] = bend;
+        scale_directions(a, n, bend);
         a->pairs = (a->pairs < 2 * MEMORY - 1) ? a->pairs + 1 : MEMORY;
     }
 }
@@ -56,30 +82,48 @@ static void add_free(shooting_t *a, real_t factor, real_t (*x)[NU])
     }
 }
 
-/* d = B d by the two loops over the pairs, from the last to the first and back. */
+/* d = B d by the two loops over the pairs, from the last to the first and back; pairs without curvature in the subspace
+ * of the free controls are left out. */
 static void apply_memory(shooting_t *a)
 {
-    real_t part[MEMORY] = {R(0)};
+    real_t part[MEMORY] = {R(0)}, bend[MEMORY] = {R(0)};
     const int stored = (a->pairs < MEMORY) ? a->pairs : MEMORY;
     for (int i = 0; i < stored; i++) { /* at most MEMORY passes in apply_memory */
         const int n = (a->pairs - 1 - i) % MEMORY;
-        part[n] = free_inner(a, a->Z[n], a->d) / a->bend[n];
-        add_free(a, -part[n], a->Y[n]);
+        const real_t yz = free_inner(a, a->Y[n], a->Z[n]);
+        if (yz > TOL_UNIT * free_inner(a, a->Y[n], a->Y[n])) {
+            bend[n] = yz;
+            part[n] = free_inner(a, a->Z[n], a->d) / yz;
+            add_free(a, -part[n], a->Y[n]);
+        }
     }
-    const int last = (a->pairs - 1) % MEMORY;
-    const real_t scale = a->bend[last] / inner(a->Y[last][0], a->Y[last][0]);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            a->d[k][j] *= scale;
+            a->d[k][j] *= a->D[k][j];
         }
     }
     for (int i = stored - 1; i >= 0; i--) { /* at most MEMORY passes in apply_memory */
         const int n = (a->pairs - 1 - i) % MEMORY;
-        add_free(a, part[n] - free_inner(a, a->Y[n], a->d) / a->bend[n], a->Z[n]);
+        if (bend[n] > R(0)) {
+            add_free(a, part[n] - free_inner(a, a->Y[n], a->d) / bend[n], a->Z[n]);
+        }
     }
 }
 
-/* One step; it is at most one scale long where there are no pairs. */
+/* The direction along the gradient; it is at most one scale long. */
+static void descend_steepest(solver_t *s)
+{
+    shooting_t *a = &s->shooting;
+    hold_outward(s);
+    const real_t size = SQRT(inner(a->d[0], a->d[0]));
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; size > R(1) && j < NU; j++) {
+            a->d[k][j] /= size;
+        }
+    }
+}
+
+/* One step. Its pairs are forgotten if they yield no descent. */
 static status_t improve(solver_t *s, int trials, int *moved)
 {
     shooting_t *a = &s->shooting;
@@ -97,13 +141,7 @@ static status_t improve(solver_t *s, int trials, int *moved)
         apply_memory(a);
     }
     if (a->pairs == 0 || !all_finite(a->d[0], N * NU) || !(inner(a->r[0], a->d[0]) < R(0))) {
-        hold_outward(s);
-        const real_t size = SQRT(inner(a->d[0], a->d[0]));
-        for (int k = 0; k < N; k++) {
-            for (int j = 0; size > R(1) && j < NU; j++) {
-                a->d[k][j] /= size;
-            }
-        }
+        descend_steepest(s);
         a->pairs = 0;
     }
     memcpy(a->w, a->r, sizeof a->w);

@@ -131,11 +131,7 @@ static void recentre_rows(solver_t *s)
 static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature)
 {
     const real_t lower = ROW_LOWER(s, m), upper = ROW_UPPER(s, m);
-#if DUAL_ROWS
     const real_t mu = s->row[m];
-#else
-    const real_t mu = R(0);
-#endif
 #if NT
     const int t = terminal_index[m];
     const real_t weight = (t >= 0) ? s->shooting.omega[t] : row_penalty(s) * row_weight[m];

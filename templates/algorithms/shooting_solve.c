@@ -28,7 +28,7 @@ static int sharpen(solver_t *s)
     return 1;
 }
 
-#if DUAL_ROWS
+#if !SMOOTH_ROWS && !BARRIER_ROWS
 /* Largest |v_m - y_m| in the scale of a row, where y_m minimises psi_m: the violation of a hard row that is active, and
  * for others what the next update of its multiplier would change. */
 static real_t dual_residual(const solver_t *s)
@@ -52,7 +52,7 @@ static real_t dual_residual(const solver_t *s)
 static int advance_rows(solver_t *s, real_t tol, real_t *violation)
 {
     int grown = 0;
-#if DUAL_ROWS
+#if !SMOOTH_ROWS && !BARRIER_ROWS
     const real_t now = dual_residual(s);
     update_rows(s, R(1));
     if (!(now < R(0.25) * *violation) && now > R(0.1) * tol) {

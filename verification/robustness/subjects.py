@@ -211,7 +211,6 @@ def augmented() -> tuple[Candidate, ...]:
 TERMS: tuple[dict[str, Any], ...] = (
     {"rows": "barrier"},
     {"rows": "smooth_l1", "penalty": 100.0},
-    {"rows": "quadratic"},
     {"rows": "lumped", "penalty": 100.0},
 )
 

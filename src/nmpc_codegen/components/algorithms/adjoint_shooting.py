@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from nmpc_codegen.components.algorithms.real_time_iteration import PHASES, SOLVE
-from nmpc_codegen.components.algorithms.scales import cost_curvature, row_scales, tolerance_table, variable_scales
+from nmpc_codegen.components.algorithms.scales import cost_curvature, row_sizes, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
@@ -37,7 +37,7 @@ from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
 from nmpc_codegen.runtime.package_description import EntryPoint
 
 METHODS = ("gauss_newton", "quasi_newton")
-ROWS = ("augmented_lagrangian", "smooth_l1", "quadratic", "barrier", "lumped")
+ROWS = ("augmented_lagrangian", "smooth_l1", "barrier", "lumped")
 
 #: Relative residuals of conjugate gradients in a sample and in solve(), the sharpness of the smooth max in the scale of
 #: a row at first and at last, the part of the promised decrease that a step must keep, and the shortest part of a step
@@ -87,8 +87,8 @@ class AdjointShooting(Defaults):
 
     ``rows``: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
     multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no multiplier
-    exceeds the weight. "quadratic": satisfied up to multiplier / penalty. "barrier": logarithmic barriers, which keep
-    a distance from the bounds, recentred in every sample at the end of the plan; solve() decreases their weight to 0.
+    exceeds the weight. "barrier": logarithmic barriers, which keep a distance from the bounds, recentred in every sample
+    at the end of the plan; solve() decreases their weight to 0.
     "lumped": the sum C of the smooth l1 terms as one scalar row C <= 0, whose multiplier solve() increases. Soft rows
     keep their penalties, and have no barriers. ``penalty``: weight of the rows in their scales, the magnitudes of their
     declared slopes; None: three times the largest curvature of the cost of a node along a state or control in its
@@ -155,7 +155,6 @@ class AdjointShooting(Defaults):
             "SMOOTH_ROWS": int(self.rows in ("smooth_l1", "lumped")),
             "LUMPED_ROWS": int(self.rows == "lumped"),
             "BARRIER_ROWS": int(self.rows == "barrier"),
-            "DUAL_ROWS": int(self.rows == "augmented_lagrangian"),
             **shift_switches(self.shift),
             "RELAX": 0,
         }
@@ -196,7 +195,7 @@ class AdjointShooting(Defaults):
         rows, terminal = problem.qp_rows, self.terminal(problem)
         positions = [terminal.index(m) if m in terminal else -1 for m in range(len(rows))]
         accumulators = [int(i in problem.accumulators) for i in range(problem.nx)]
-        weights = 1.0 / row_scales(problem, scale) ** 2
+        weights = 1.0 / row_sizes(problem, scale) ** 2
         return (
             Table("is_accumulator", "int", tuple(accumulators), "1: the state starts at 0 at every sample"),
             Table("control_scale", "real", tuple(scale[problem.nx :]), "scales of the controls"),
@@ -322,7 +321,7 @@ class AdjointShooting(Defaults):
         memory = (
             real("Y", (pairs, *controls), "changes of the gradient"),
             real("Z", (pairs, *controls), "changes of the controls"),
-            real("bend", (pairs,), "their inner products"),
+            real("D", controls, "diagonal of the inverse Hessian without pairs"),
             Field(
                 "pairs", (), "pairs since the memory was empty; MEMORY .. 2 MEMORY - 1 if it is full", "keep", "int32"
             ),

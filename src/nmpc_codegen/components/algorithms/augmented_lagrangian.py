@@ -29,6 +29,7 @@ from nmpc_codegen.components.algorithms.scales import (
     cost_magnitude,
     linear_rows,
     row_scales,
+    row_sizes,
     tolerance_table,
     variable_scales,
 )
@@ -184,26 +185,12 @@ class AugmentedLagrangian(Defaults):
             Table("variable_weight", "real", (*weight, *padding), "1 / scale^2, with padding"),
             Table("initial_weight", "real", tuple(initial), "the same of x_0, 0 for free components"),
             Table("row_weight", "real", tuple(1.0 / row_scales(problem, declared) ** 2), "1 / scale^2 of row m"),
-            Table(
-                "row_size",
-                "real",
-                tuple(self._row_sizes(problem, declared)),
-                "what a violation of row m is measured in",
-            ),
+            Table("row_size", "real", tuple(row_sizes(problem, declared)), "what a violation of row m is measured in"),
             Table("row_bends", "int", bends, "1: soft row or linear one, whose term changes along a step"),
             Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
             Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
             *resample_tables(self.shift, self.sampling_time, problem),
         )
-
-    def _row_sizes(self, problem: Problem, scale: Array) -> Array:
-        """The smaller of what a row changes by in the scales of its variables and of its largest finite bound."""
-        found = row_scales(problem, scale)
-        for m, (_, kind, _, row) in enumerate(problem.qp_rows):
-            bounds = [abs(b) for b in (problem.rows[row].lower, problem.rows[row].upper) if np.isfinite(b) and b]
-            if kind and bounds:
-                found[m] = min(found[m], max(bounds))
-        return found
 
     def _scales(self, problem: Problem) -> Array:
         """Of (x, u)."""

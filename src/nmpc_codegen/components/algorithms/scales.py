@@ -53,6 +53,17 @@ def row_scales(problem: Problem, scale: Array) -> Array:
     return found
 
 
+def row_sizes(problem: Problem, scale: Array) -> Array:
+    """What violations of the rows of the QP are measured in: the smaller of the scale of a row and its largest finite
+    bound, as the slope of a row at the initial state says little of an obstacle that is far away."""
+    found = row_scales(problem, scale)
+    for m, (_, kind, _, row) in enumerate(problem.qp_rows):
+        bounds = [abs(b) for b in (problem.rows[row].lower, problem.rows[row].upper) if np.isfinite(b) and b]
+        if kind and bounds:
+            found[m] = min(found[m], max(bounds))
+    return found
+
+
 def linear_rows(problem: Problem) -> tuple[int, ...]:
     """1 for every row of the QP that is linear in the variables of its node, else 0; a coupled row in x_N."""
     stages = ((False, problem.path), (True, problem.terminal))
