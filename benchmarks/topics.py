@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable
 
 from benchmarks.lib import export, strangers
-from benchmarks.lib.adjoint import crane, cstr, precision, rod, vandevusse
+from benchmarks.lib.adjoint import crane, cstr, precision, quasi_newton, rod, vandevusse
 from benchmarks.lib.augmented import bounds, cold, loop, schemes, tracking
 from benchmarks.lib.convergence import loops, singles, starts, units
 from benchmarks.lib.economic import driving, evaporation, figure3, figure4, figures, timing
@@ -94,6 +94,7 @@ TOPICS: dict[str, Topic] = {
     "adjoint/crane": plain(crane.measure),
     "adjoint/cstr": plain(cstr.measure),
     "adjoint/precision": plain(precision.measure),
+    "adjoint/quasi_newton": plain(quasi_newton.measure),
     "adjoint/vandevusse": lambda report, run: vandevusse.measure(report, run.pictures),
     "adjoint/heat_rod": plain(rod.measure),
 }

@@ -127,14 +127,14 @@ def ramp(first: int = RAMP[0], last: int = RAMP[1], nodes: int = N + 1) -> np.nd
     return np.asarray(ends[0] + part * (ends[1] - ends[0]))
 
 
-def plan(controller: Controller, reference: np.ndarray, tol: float = 1e-7) -> Solution:
-    """Solve from the controls of the references."""
+def plan(controller: Controller, reference: np.ndarray, tol: float = 1e-7, most: int = 500) -> Solution:
+    """Solve from the controls of the references, in ``most`` iterations at most."""
     if controller.dims.ny:
         controller.set_reference(reference[:-1])
     else:
         controller.set_parameter("reference", reference)
     controller.u = reference[:-1, 2:]
-    return controller.solve(steady_state(ENDS[0]), tol=tol, max_iterations=500)
+    return controller.solve(steady_state(ENDS[0]), tol=tol, max_iterations=most)
 
 
 def excess(controller: Controller, found: Solution, points: int = 10) -> np.ndarray:

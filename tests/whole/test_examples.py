@@ -28,6 +28,7 @@ from examples import (
     evaporation,
     fermentation,
     heat_rod,
+    output_rows,
     quadrotor,
     vandevusse,
 )
@@ -72,6 +73,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         evaporation,
         fermentation,
         heat_rod,
+        output_rows,
         quadrotor,
         vandevusse,
     ):
@@ -477,6 +479,27 @@ def test_vandevusse_main(tmp_path: Path) -> None:
     assert all(plan.status.name == "OK" for plan in plans.values())
     assert over["penalty 0"][0] > over["penalty 10"][0] > 50
     np.testing.assert_allclose(over["penalty 20"], 0, atol=1e-3)
+    assert over["integral, penalty 20"][0] > over["integral, penalty 80"][0]
+    assert max(over["integral, penalty 80"]) < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick")
+def test_output_rows_main(tmp_path: Path) -> None:
+    """All treatments and both methods end at the optimum of IPOPT with the rows themselves."""
+    plans = output_rows.main(str(tmp_path / "rows.png"))
+    assert_picture(tmp_path / "rows.png")
+    problem = classify(output_rows.build_ocp())
+    data = replace(node_data(problem, x0=output_rows.START), p=np.arange(1.0, output_rows.N + 2)[:, None])
+    exact = Reference(problem).solve(data, u=output_rows.first_guess())
+    assert exact.success
+    for (method, rows), found in plans.items():
+        assert found.status is Status.OK, (method, rows)
+        assert found.cost == pytest.approx(exact.cost, rel=1e-3), (method, rows)
+        assert np.abs(output_rows.output_of(found)[1:]).max() < output_rows.HIGHEST + 1e-4
+    assert all(
+        plans["gauss_newton", r].iterations < plans["quasi_newton", r].iterations for r in output_rows.TREATMENTS
+    )
 
 
 @pytest.mark.parametrize(("u", "cB", "T"), [(vandevusse.ENDS[0], 739.7, 86.99), (vandevusse.ENDS[1], 959.9, 106.0)])

@@ -39,10 +39,9 @@ def smooth_excess(lower: Any, expr: Any, upper: Any, width: Any) -> Expression:
         raise ProblemError(f"{what}: lower {low.max():g} exceeds upper {high.min():g}")
     if not isinstance(width, (ca.SX, ca.MX)) and not float(width) > 0:
         raise ProblemError(f"{what}: width must be positive, got {width}")
-    total = ca.vertcat(
+    return ca.vertcat(
         *(_rounded(low[i] - h[i], low[i], width) + _rounded(h[i] - high[i], high[i], width) for i in range(n))
     )
-    return total
 
 
 def _rounded(e: Expression, bound: float, width: Any) -> Expression:

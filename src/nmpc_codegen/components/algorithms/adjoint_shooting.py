@@ -87,11 +87,11 @@ class AdjointShooting(Defaults):
 
     ``rows``: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
     multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no multiplier
-    exceeds the weight. "barrier": logarithmic barriers, which keep a distance from the bounds, recentred in every sample
-    at the end of the plan; solve() decreases their weight to 0.
-    "lumped": the sum C of the smooth l1 terms as one scalar row C <= 0, whose multiplier solve() increases. Soft rows
-    keep their penalties, and have no barriers. ``penalty``: weight of the rows in their scales, the magnitudes of their
-    declared slopes; None: three times the largest curvature of the cost of a node along a state or control in its
+    exceeds the weight. "barrier": logarithmic barriers, which keep a distance from the bounds, recentred in every
+    sample at the end of the plan; solve() decreases their weight to 0. "lumped": the sum C of the smooth l1 terms as
+    one scalar row C <= 0, whose multiplier solve() increases. Soft rows keep their penalties, and have no barriers.
+    ``penalty``: weight of the rows in their scales, the magnitudes of their declared slopes or of their bounds,
+    whichever is smaller; None: three times the largest curvature of the cost of a node along a state or control in its
     scale, for barriers a hundredth of that curvature. With "smooth_l1", "barrier" and "lumped" a continuation over the
     samples sharpens the max or decreases the barriers while steps are accepted at once, and a sample has 3 Gauss-Newton
     steps of 4 trials by default.
