@@ -358,6 +358,7 @@ SAMPLES = (
     Sample("cart_pole size", cart_pole.build_ocp, Options(goal="size", precision="single")),
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
+    Sample("states simulated", states, Options(algorithm=RealTimeIteration(simulate=True))),
     Sample("single dense", tiny, _dense(hessian=ExactHessian(), algorithm=PURE)),
     Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single", processor="scalar")),
     Sample("controls partial", controls, _partial(algorithm=RESAMPLE)),

@@ -92,6 +92,10 @@ static real_t nodal_change(const solver_t *s, int m);
 #endif
 #include "algorithms/residual.c"
 
+#if SIMULATE
+#include "algorithms/simulate.c"
+
+#endif
 /* Linearises the present point and evaluates the Hessian. */
 static void evaluate_here(solver_t *s)
 {
@@ -133,6 +137,9 @@ status_t API(prepare)(solver_t *s)
 #endif
 {
     status_t status;
+#if SIMULATE
+    real_t moved;
+#endif
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
@@ -153,12 +160,18 @@ status_t API(prepare)(solver_t *s)
         s->unconverged = 0;
     }
 #endif
+#if SIMULATE
+    moved = simulate_plan(s);
+#endif
 #if LEVELS
     status = evaluate(s, level);
 #else
     status = prepare_here(s);
 #endif
     measure_residual(s);
+#if SIMULATE
+    enlarge(&s->stats.residual, moved);
+#endif
 #if REPAIR && LEVELS
     if (s->levels.last == LEVEL_A) {
         status = repair(s, status);

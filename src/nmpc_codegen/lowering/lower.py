@@ -178,6 +178,7 @@ def _switches(model: Model) -> dict[str, int]:
         "START_IS_MEASURED": 0,
         "TUNED": 0,
         "REPAIR": 0,
+        "SIMULATE": 0,
         "HOST_LANES": 1,
         "HOST_AVX512": 0,
         "TILES": 0,

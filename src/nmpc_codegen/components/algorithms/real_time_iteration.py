@@ -131,6 +131,11 @@ class RealTimeIteration(Defaults):
     is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e4. None: the
     status is INFEASIBLE, and the plan does not change. repair=0, shift=None, relaxation=None: the pure scheme.
 
+    ``simulate``: single shooting. prepare() simulates the plan from its x_0 with its controls before it linearises it,
+    so that the QP has no gaps (Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). What the states change by
+    counts in stats.residual. A simulation that is not finite leaves the plan as it is; steps of a repair and solve() are
+    those of multiple shooting.
+
     ``first_control``: splits the feedback phase. feedback_first() returns the control of the minimiser on the predicted
     working set, clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
 
@@ -147,6 +152,7 @@ class RealTimeIteration(Defaults):
     repair: int = option(3, Whole(most=100, least=0))
     tolerance: float = option(0.1, Number())
     relaxation: float | str | None = option("auto", Number(optional=True, word="auto"))
+    simulate: bool = option(False, Flag())
     first_control: bool = option(False, Flag())
     levels: bool = option(False, Flag())
     advance: str | None = option(None, Words((None, "B", "C")))
@@ -168,6 +174,11 @@ class RealTimeIteration(Defaults):
             raise OptionError(
                 f'RealTimeIteration.advance: "{self.advance}" clashes with shift=None, which predicts no state; '
                 'expected shift="repeat", "periodic" or "resample" (--set algorithm.shift=repeat)'
+            )
+        if self.simulate and self.leveled:
+            raise OptionError(
+                "RealTimeIteration.simulate: True clashes with levels, which keep the derivatives of a plan that a "
+                "simulation leaves; expected levels=False and advance=None (--set algorithm.simulate=False)"
             )
         if self.advance is not None and self.first_control:
             raise OptionError(
@@ -220,6 +231,7 @@ class RealTimeIteration(Defaults):
             "LEVELS": int(self.leveled),
             "ADVANCED": int(self.advance is not None),
             "REPAIR": self.repair,
+            "SIMULATE": int(self.simulate),
         }
 
     def check(self, problem: Problem) -> None:
