@@ -338,7 +338,9 @@ def test_the_crane_comes_to_rest(precision: Any, method: str) -> None:
     log = simulate(controller, X0, steps=40, dt=0.3)
     assert np.abs(log.x[-1]).max() < 5e-3
     assert np.abs(log.u).max() <= 1
-    assert not np.any(log.status[2 if method == "quasi_newton" else 0 :])
+    first = 1 if method == "quasi_newton" else 0  # whose ten steps from no plan leave x_N more than a tenth off
+    assert not np.any(log.status[first:])
+    assert set(log.status[:first]) <= {Status.NOT_CONVERGED}
 
 
 @pytest.mark.few(4)

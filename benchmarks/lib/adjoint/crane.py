@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.lib.adjoint.loops import converged, follows, run
 from benchmarks.lib.report import Report
 from examples import crane
-from nmpc_codegen import AdjointShooting, Online, Options, RealTimeIteration, build, generate
+from nmpc_codegen import AdjointShooting, Online, Options, RealTimeIteration, Status, build, generate
 from nmpc_codegen.firmware.certificate import certify
 from nmpc_codegen.firmware.targets import find_target
 
@@ -44,7 +44,7 @@ def measure(report: Report) -> None:
     }
     for case, given in cases.items():
         controller = build(crane.build_ocp(), given)
-        counts: list[tuple[int, int]] = []
+        counts: list[tuple[int, int, int]] = []
         loop = run(follows(controller, counts), plant, X0, references, weight, DT)
         if case in BYTES:
             report.add(f"crane_struct_bytes_{case}", controller.nbytes, "bytes", limit=BYTES[case])
@@ -54,6 +54,7 @@ def measure(report: Report) -> None:
         report.add(gap, abs(loop.cost / best.cost - 1), case=case, n=SAMPLES, limit=1e-2)
         final = "crane_final_state" if case in BYTES else "crane_terms_final_state"
         report.add(final, float(np.abs(loop.x[-1]).max()), case=case, n=SAMPLES, limit=5e-3)
-        products, simulations = np.array(counts).T
+        products, simulations, statuses = np.array(counts).T
+        report.add("crane_not_ok", int((statuses != Status.OK).sum()), "samples", case=case, n=SAMPLES)
         report.add("crane_products", float(products.max()), "per sample", case=case, n=SAMPLES)
         report.add("crane_simulations", float(simulations.max()), "per sample", case=case, n=SAMPLES)

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.lib.adjoint.loops import converged, follows, run
 from benchmarks.lib.report import Report
 from examples import cstr
-from nmpc_codegen import AdjointShooting, Online, Options, RealTimeIteration, build
+from nmpc_codegen import AdjointShooting, Online, Options, RealTimeIteration, Status, build
 
 HOLD = 200
 #: Other terms of rows than the default, with their weights.
@@ -29,15 +29,16 @@ def measure(report: Report) -> None:
     cases = {"shifted": shift, "not shifted": AdjointShooting(), "quasi-Newton": replace(shift, method="quasi_newton")}
     for case, algorithm in {**cases, **others}.items():
         given = Options(algorithm=algorithm, online=Online(reference="shared"), solve=False)
-        controller, counts = build(cstr.build_ocp(), given), list[tuple[int, int]]()
+        controller, counts = build(cstr.build_ocp(), given), list[tuple[int, int, int]]()
         loop = run(follows(controller, counts), plant, cstr.START, references, WEIGHT, cstr.SAMPLING)
-        products, simulations = np.array(counts).T
+        products, simulations, statuses = np.array(counts).T
         if case in TERMS:
             report.add("cstr_terms_cost_gap", abs(loop.cost / best.cost - 1), case=case, n=len(references), limit=0.05)
             report.add("cstr_terms_violation", violation(loop.x), "K", case=case, n=len(references), limit=0.2)
         else:
             report.add("cstr_cost_gap", abs(loop.cost / best.cost - 1), case=case, n=len(references), limit=1e-2)
             report.add("cstr_violation", violation(loop.x), "K", case=case, n=len(references), limit=0.1)
+        report.add("cstr_not_ok", int((statuses != Status.OK).sum()), "samples", case=case, n=len(references))
         report.add("cstr_products", float(products.max()), "per sample", case=case, n=len(references))
         report.add("cstr_simulations", float(simulations.max()), "per sample", case=case, n=len(references))
         report.add("cstr_struct_bytes", controller.nbytes, "bytes", case=case)

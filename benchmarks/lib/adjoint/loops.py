@@ -58,9 +58,9 @@ def converged(ocp: OCP, steps: int) -> Step:
     return step
 
 
-def follows(controller: Controller, counts: list[tuple[int, int]] | None = None) -> Step:
-    """The control of a controller whose references are set before every sample; ``counts`` collects products and
-    simulations of its samples."""
+def follows(controller: Controller, counts: list[tuple[int, int, int]] | None = None) -> Step:
+    """The control of a controller whose references are set before every sample; ``counts`` collects products,
+    simulations and statuses of its samples, from the first one on."""
     dims = controller.dims
 
     def step(x: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -69,7 +69,7 @@ def follows(controller: Controller, counts: list[tuple[int, int]] | None = None)
             controller.set_terminal_reference(reference[: dims.ny_N])
         u = controller.step(x)
         if counts is not None:
-            counts.append((controller.stats.cg_iterations, controller.stats.simulations))
+            counts.append((controller.stats.cg_iterations, controller.stats.simulations, controller.status))
         return u
 
     return step
