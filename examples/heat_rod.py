@@ -52,7 +52,7 @@ def options() -> Options:
     """One reference for all nodes, as memory is the point."""
     return Options(
         integrator=ExplicitRungeKutta(RK4, steps=STEPS),
-        algorithm=AdjointShooting(shift="repeat", sampling_time=INTERVAL),
+        algorithm=AdjointShooting(sampling_time=INTERVAL),
         online=Online(reference="shared", weight="fixed"),
         solve=False,
     )

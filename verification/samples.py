@@ -304,7 +304,7 @@ def _augmented(hessian: Any = None, shift: str | None = None, repair: int = 3, *
 
 
 def _shooting(given: dict[str, Any] | None = None, **more: Any) -> Options:
-    return Options(algorithm=AdjointShooting(**(given or {})), **more)
+    return Options(algorithm=AdjointShooting(**({"shift": None} | (given or {}))), **more)
 
 
 def _dense(**more: Any) -> Options:

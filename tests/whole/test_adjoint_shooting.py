@@ -35,6 +35,7 @@ from nmpc_codegen.components.integrators.quadrature import Quadrature
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.sweep import Call, Slice, unroll
+from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, interval_map, node_data
 from verification import problems, samples
 
@@ -44,7 +45,8 @@ X0 = np.array([2.0, 0.0, 0.0, 0.0])
 
 
 def options(online: Online | None = None, precision: Any = "double", solve: bool = True, **algorithm: Any) -> Options:
-    return Options(algorithm=AdjointShooting(**algorithm), online=online or Online(), precision=precision, solve=solve)
+    shooting = AdjointShooting(**({"shift": None} | algorithm))
+    return Options(algorithm=shooting, online=online or Online(), precision=precision, solve=solve)
 
 
 def disturbed(ocp: OCP) -> np.ndarray:
@@ -365,6 +367,18 @@ def test_an_infeasible_sample_leaves_no_trace(precision: Any) -> None:
     assert controller.status is Status.INFEASIBLE
     assert controller.step([1.0, 0.0, 0.0, 0.0]).shape == (1,)
     assert controller.status is Status.OK
+
+
+def test_the_plan_moves_by_default() -> None:
+    """As that of other algorithms: by an interval, periodically where rows close the plan, or to a sampling time."""
+    for make, sampling_time, expected in (
+        (crane.build_ocp, None, "repeat"),
+        (samples.closing, None, "periodic"),
+        (cstr.build_ocp, 5.0, "resample"),
+    ):
+        model = linearize(classify(make()), Options(algorithm=AdjointShooting(sampling_time=sampling_time)))
+        assert model.parts.algorithm.shift == expected
+        assert any(f"shift: {expected}" in choice for choice in model.choices)
 
 
 @pytest.mark.parametrize(("given", "simulations"), [({}, 4), ({"trials": 1}, 3), ({"products": 4}, 4)])

@@ -226,8 +226,7 @@ def shooting() -> tuple[Candidate, ...]:
         moves, precision = SHIFTS[i % len(SHIFTS)], PRECISIONS[i % 2]
         sampling_time, turn = _shifted(moves, subject.make()).sampling_time, i % len(TERMS)
         for terms in ({}, next(t for t in (*TERMS[turn:], *TERMS) if _allowed(t, problem))):
-            gradients = problem.path.cost_rate is not None or (i // 2 + bool(terms)) % 2
-            method = "quasi_newton" if gradients else "gauss_newton"
+            method = "quasi_newton" if (i // 2 + bool(terms)) % 2 else "gauss_newton"
             algorithm = AdjointShooting(method=method, shift=moves, sampling_time=sampling_time, **terms)
             label = f"single shooting, {method}, {algorithm.rows}, {precision}, shift {moves}"
             options = Options(subject.integrator, algorithm=algorithm, precision=precision)

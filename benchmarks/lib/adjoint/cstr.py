@@ -26,7 +26,11 @@ def measure(report: Report) -> None:
     report.add("cstr_ipopt_violation", violation(best.x), "K", n=len(references))
     shift = AdjointShooting(shift="resample", sampling_time=cstr.SAMPLING)
     others = {rows: replace(shift, rows=rows, penalty=penalty) for rows, penalty in TERMS.items()}
-    cases = {"shifted": shift, "not shifted": AdjointShooting(), "quasi-Newton": replace(shift, method="quasi_newton")}
+    cases = {
+        "shifted": shift,
+        "not shifted": AdjointShooting(shift=None),
+        "quasi-Newton": replace(shift, method="quasi_newton"),
+    }
     for case, algorithm in {**cases, **others}.items():
         given = Options(algorithm=algorithm, online=Online(reference="shared"), solve=False)
         controller, counts = build(cstr.build_ocp(), given), list[tuple[int, int, int]]()

@@ -16,7 +16,7 @@ adjoint sweep each, with weights that make it satisfy them; a Schur complement o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from nmpc_codegen.components.algorithms.real_time_iteration import PHASES, SOLVE
@@ -25,6 +25,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
     check_shift,
+    decided_shift,
     resample_reach,
     resample_tables,
     shift_switches,
@@ -96,7 +97,8 @@ class AdjointShooting(Defaults):
     samples sharpens the max or decreases the barriers while steps are accepted at once, and a sample has 3 Gauss-Newton
     steps of 4 trials by default.
 
-    ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration.
+    ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration; by
+    default as "auto" does there.
     ``tolerance``: violation of a hard row in its scale above which a sample is NOT_CONVERGED.
     """
 
@@ -108,7 +110,7 @@ class AdjointShooting(Defaults):
     rows: str = option("augmented_lagrangian", Words(ROWS))
     penalty: float | None = option(None, Number(optional=True))
     tolerance: float = option(0.1, Number())
-    shift: str | None = option(None, Words(SHIFTS))
+    shift: str | None = option("auto", Words(("auto", *SHIFTS)))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
 
     seam: ClassVar[Seam] = "algorithm"
@@ -138,6 +140,11 @@ class AdjointShooting(Defaults):
     def default(self, seam: Seam) -> str | None:
         """None: the compiler chooses the integrator for the problem."""
         return None
+
+    def decided(self, problem: Problem, repairs: bool) -> tuple[AdjointShooting, tuple[str, ...]]:
+        """The shift that "auto" stands for."""
+        shift, reasons = decided_shift(self.shift, self.sampling_time, problem)
+        return replace(self, shift=shift), tuple(reasons)
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """A sample in one call, the shift of the plan, and the iteration to convergence."""

@@ -133,8 +133,8 @@ class RealTimeIteration(Defaults):
 
     ``simulate``: single shooting. prepare() simulates the plan from its x_0 with its controls before it linearises it,
     so that the QP has no gaps (Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). What the states change by
-    counts in stats.residual. A simulation that is not finite leaves the plan as it is; steps of a repair and solve() are
-    those of multiple shooting.
+    counts in stats.residual. A simulation that is not finite leaves the plan as it is; a repair and solve() take the
+    steps of multiple shooting.
 
     ``first_control``: splits the feedback phase. feedback_first() returns the control of the minimiser on the predicted
     working set, clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
