@@ -92,10 +92,6 @@ static real_t nodal_change(const solver_t *s, int m);
 #endif
 #include "algorithms/residual.c"
 
-#if SIMULATE
-#include "algorithms/simulate.c"
-
-#endif
 /* Linearises the present point and evaluates the Hessian. */
 static void evaluate_here(solver_t *s)
 {
@@ -115,6 +111,10 @@ static status_t prepare_here(solver_t *s)
     return condense_prepare(s);
 }
 
+#if SIMULATE
+#include "algorithms/simulate.c"
+
+#endif
 #if REPAIR
 static status_t repair(solver_t *s, status_t status);
 static int stays_far(solver_t *s);
@@ -137,9 +137,6 @@ status_t API(prepare)(solver_t *s)
 #endif
 {
     status_t status;
-#if SIMULATE
-    real_t moved;
-#endif
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
@@ -161,16 +158,13 @@ status_t API(prepare)(solver_t *s)
     }
 #endif
 #if SIMULATE
-    moved = simulate_plan(s);
-#endif
-#if LEVELS
+    status = prepare_simulated(s);
+#elif LEVELS
     status = evaluate(s, level);
+    measure_residual(s);
 #else
     status = prepare_here(s);
-#endif
     measure_residual(s);
-#if SIMULATE
-    enlarge(&s->stats.residual, moved);
 #endif
 #if REPAIR && LEVELS
     if (s->levels.last == LEVEL_A) {

@@ -1,6 +1,7 @@
-/* Single shooting: x_{k+1} = Phi(x_k, u_k) from x_0 of the plan, so that the linearisation has no gaps. A plan whose
- * simulation is not finite keeps its states. Returns the largest change of a state in its scale, which is what the gaps
- * of the plan add up to. */
+/* Contract of this part: prepare_simulated(), the preparation of single shooting. */
+
+/* x_{k+1} = Phi(x_k, u_k) from x_0 of the plan, so that the linearisation has no gaps. A plan whose simulation is not
+ * finite keeps its states. Returns the largest change of a state in its scale, which is what the gaps add up to. */
 static real_t simulate_plan(solver_t *s)
 {
     real_t size[NX], moved[NX] = {R(0)}, most = R(0);
@@ -23,4 +24,13 @@ static real_t simulate_plan(solver_t *s)
         enlarge(&most, moved[i] / size[i]);
     }
     return most;
+}
+
+static status_t prepare_simulated(solver_t *s)
+{
+    const real_t moved = simulate_plan(s);
+    const status_t status = prepare_here(s);
+    measure_residual(s);
+    enlarge(&s->stats.residual, moved);
+    return status;
 }
