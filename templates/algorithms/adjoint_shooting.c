@@ -160,21 +160,25 @@ static status_t recover(solver_t *s, status_t status)
     if (status == NUMERICAL_FAILURE && ++s->failing >= PATIENCE) {
         forget_plan(s);
     }
-    if (status == OK) {
+    if (status == OK || status == NOT_CONVERGED) {
         s->failing = 0;
     }
     return status;
 }
 
-/* ITERATIONS steps from the measured x_0, then one update of the multipliers of the rows. */
+/* ITERATIONS steps from the measured x_0, and up to REPAIRS more while the last one is long and was not taken as a whole,
+ * then one update of the multipliers of the rows. NOT_CONVERGED if the last one should have moved the first control. */
 static status_t run_sample(solver_t *s)
 {
     status_t status = start_sample(s);
-    int moved;
+    int moved = MOVED;
 #if NG && BARRIER_ROWS
     recentre_rows(s);
 #endif
-    for (int n = 0; n < ITERATIONS && status != NUMERICAL_FAILURE; n++) {
+    for (int n = 0; n < ITERATIONS + REPAIRS && status != NUMERICAL_FAILURE; n++) {
+        if (n >= ITERATIONS && (moved == MOVED || !step_is_long(s, N))) {
+            break;
+        }
         status = improve(s, TRIALS, &moved);
     }
 #if NG > NT
@@ -185,7 +189,7 @@ static status_t run_sample(solver_t *s)
 #endif
     }
 #endif
-    return status;
+    return (status == OK && moved < MOVED && step_is_long(s, 1)) ? NOT_CONVERGED : status;
 }
 
 status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])

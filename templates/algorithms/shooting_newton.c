@@ -281,9 +281,9 @@ static real_t free_size(const shooting_t *a)
 static status_t improve(solver_t *s, int trials, int *moved)
 {
     shooting_t *a = &s->shooting;
-    real_t largest = R(0), slope;
-    int met = 1;
-    *moved = 0;
+    real_t largest, slope;
+    int met = 1, solved = 1;
+    *moved = STAYED;
     s->stats.newton_iterations++;
     differentiate(s);
     hold_bounds(s);
@@ -313,6 +313,7 @@ static status_t improve(solver_t *s, int trials, int *moved)
 #endif
         break;
     }
+    solved = a->left > 0 || !is_far(SQRT(precondition(a) / largest));
     if (!direction_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
@@ -325,5 +326,6 @@ static status_t improve(solver_t *s, int trials, int *moved)
     slope = slope_of_merit(s, slope, tightened);
 #endif
     *moved = move(s, (slope < R(0)) ? slope : R(0), trials);
+    *moved -= *moved == MOVED && !solved;
     return met ? OK : (a->left > 0) ? INFEASIBLE : ITERATION_LIMIT;
 }

@@ -127,7 +127,7 @@ static void descend_steepest(solver_t *s)
 static status_t improve(solver_t *s, int trials, int *moved)
 {
     shooting_t *a = &s->shooting;
-    *moved = 0;
+    *moved = STAYED;
     s->stats.newton_iterations++;
     differentiate(s);
     if (!all_finite(a->r[0], N * NU)) {
@@ -145,6 +145,7 @@ static status_t improve(solver_t *s, int trials, int *moved)
         a->pairs = 0;
     }
     memcpy(a->w, a->r, sizeof a->w);
-    *moved = a->paired = move(s, R(0), trials);
+    *moved = move(s, R(0), trials) ? MOVED : STAYED;
+    a->paired = *moved == MOVED;
     return OK;
 }

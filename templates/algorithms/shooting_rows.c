@@ -357,7 +357,8 @@ static void update_rows(solver_t *s, real_t most)
 #if BARRIER_ROWS
         s->row[m] = clip(slope, (ROW_LOWER(s, m) > -INF) ? -limit : R(0), (ROW_UPPER(s, m) < INF) ? limit : R(0));
 #else
-        s->row[m] = clip(slope, s->row[m] - limit, s->row[m] + limit);
+        const real_t most_size = FABS(s->row[m]) + limit;
+        s->row[m] = clip(slope, -most_size, most_size);
 #endif
     }
 }

@@ -43,9 +43,12 @@ static real_t place_controls(solver_t *s, real_t length, real_t slope)
     return slope;
 }
 
-/* Takes quarters of the step until the merit function decreases by a part of what its slope promises. Returns 0 if it
- * does not in ``trials`` simulations: the plan is then the one before, simulated again. The next step begins with four
- * times the length that was found, at most 1, so that a sample goes on where the last one ended. */
+/* Whether a step is taken: not at all, in part, as a whole. */
+enum { STAYED, SHORTENED, MOVED };
+
+/* Takes quarters of the step until the merit function decreases by a part of what its slope promises. If it does not in
+ * ``trials`` simulations, the plan is the one before, simulated again. The next step begins with four times the length
+ * that was found, at most 1, so that a sample goes on where the last one ended. */
 static int move(solver_t *s, real_t slope, int trials)
 {
     const real_t before = merit(s);
@@ -58,7 +61,7 @@ static int move(solver_t *s, real_t slope, int trials)
             if (after <= before + armijo_part[0] * change + TOL_MERIT_ROUNDING * (R(1) + FABS(before))) {
                 s->stats.accepted++;
                 s->shooting.length = clip(R(4) * length, shortest_length[0], R(1));
-                return 1;
+                return (length < R(1)) ? SHORTENED : MOVED;
             }
         }
         length *= R(0.25);
@@ -67,5 +70,15 @@ static int move(solver_t *s, real_t slope, int trials)
     s->shooting.length = clip(length, shortest_length[0], R(1));
     (void)simulate_plan(s);
     (void)merit(s);
-    return 0;
+    return STAYED;
+}
+
+/* Returns 1 if the last step is longer than the tolerance in the scale of a control of the first ``nodes`` nodes. */
+static int step_is_long(const solver_t *s, int nodes)
+{
+    int is_long = 0;
+    for (int i = 0; i < nodes * NU; i++) {
+        is_long |= is_far(FABS(s->shooting.d[0][i]));
+    }
+    return is_long;
 }

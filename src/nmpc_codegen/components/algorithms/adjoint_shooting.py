@@ -110,6 +110,7 @@ class AdjointShooting(Defaults):
     rows: str = option("augmented_lagrangian", Words(ROWS))
     penalty: float | None = option(None, Number(optional=True))
     tolerance: float = option(0.1, Number())
+    repair: int = option(3, Whole(most=100, least=0))
     shift: str | None = option("auto", Words(("auto", *SHIFTS)))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
 
@@ -258,7 +259,7 @@ class AdjointShooting(Defaults):
         controls, followed = dims.N.value * dims.nu.value, self.rows in FOLLOWED
         steps = FOLLOWED_STEPS if followed and self.second_order else ITERATIONS[self.method]
         newton = (
-            ("MAX_PRODUCTS", self.products or PRODUCTS, "products with the Hessian of a step at most"),
+            ("MAX_PRODUCTS", self.products or max(PRODUCTS, min(100, controls)), "products with the Hessian of a step at most"),
             ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
             ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
             ("MAX_ROUNDS", MAX_ROUNDS, "steps of the method of multipliers for terminal rows in a step"),
@@ -267,6 +268,7 @@ class AdjointShooting(Defaults):
         return (
             ("NT", self._terminal_rows(dims.end_rows), "terminal rows in the model"),
             ("ITERATIONS", self.iterations or steps, "steps of a sample"),
+            ("REPAIRS", self.repair, "further steps of a sample whose last one is long and was not taken as a whole"),
             ("TRIALS", self.trials or (FOLLOWED_TRIALS if followed else TRIALS), "simulations of a step at most"),
             ("TRIALS_OF_SOLVE", MAX_TRIALS, "the same in solve()"),
             *(newton if self.second_order else memory),
