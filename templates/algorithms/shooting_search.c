@@ -77,8 +77,10 @@ static int move(solver_t *s, real_t slope, int trials)
 static int step_is_long(const solver_t *s, int nodes)
 {
     int is_long = 0;
-    for (int i = 0; i < nodes * NU; i++) {
-        is_long |= is_far(FABS(s->shooting.d[0][i]));
+    for (int k = 0; k < nodes; k++) {
+        for (int j = 0; j < NU; j++) {
+            is_long |= is_far(FABS(s->shooting.d[k][j]));
+        }
     }
     return is_long;
 }

@@ -19,8 +19,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import numpy as np
+
 from nmpc_codegen.components.algorithms.real_time_iteration import PHASES, SOLVE
-from nmpc_codegen.components.algorithms.scales import cost_curvature, row_sizes, tolerance_table, variable_scales
+from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
@@ -241,7 +243,9 @@ class AdjointShooting(Defaults):
         if self.penalty is not None:
             return float(self.penalty)
         factor = BARRIER if self.rows == "barrier" else FACTOR
-        return factor * cost_curvature(problem, variable_scales(problem))
+        scale = variable_scales(problem)
+        states = np.where(np.arange(scale.size) < problem.nx, scale, 0.0)
+        return factor * (cost_magnitude(problem, states, otherwise=0.0) or cost_magnitude(problem, scale))
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
         """How many terminal rows are part of the model, and the penalty of the others."""
@@ -259,7 +263,11 @@ class AdjointShooting(Defaults):
         controls, followed = dims.N.value * dims.nu.value, self.rows in FOLLOWED
         steps = FOLLOWED_STEPS if followed and self.second_order else ITERATIONS[self.method]
         newton = (
-            ("MAX_PRODUCTS", self.products or max(PRODUCTS, min(100, controls)), "products with the Hessian of a step at most"),
+            (
+                "MAX_PRODUCTS",
+                self.products or max(PRODUCTS, min(100, controls)),
+                "products with the Hessian of a step at most",
+            ),
             ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
             ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
             ("MAX_ROUNDS", MAX_ROUNDS, "steps of the method of multipliers for terminal rows in a step"),

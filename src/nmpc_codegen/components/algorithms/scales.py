@@ -80,25 +80,14 @@ def curved(h: Expression, z: Expression) -> set[int]:
     return {i for i, bent in enumerate(ca.which_depends(h, z, 2, True)) if bent} if h.numel() else set()
 
 
-def cost_curvature(problem: Problem, scale: Array) -> float:
-    """Largest |d2 l_0 / dz_i^2| scale_i^2 of the first path node at the initial state and the references of the
-    controls; 1 where that is 0 or not finite."""
-    stage, cost = problem.path, stage_cost(problem.path, "path")
-    H = ca.diag(ca.tril2symm(ca.tril(ca.densify(cost.hessian))))
-    if stage.cost_rate is not None:
-        H = H + stage.dt * ca.diag(ca.hessian(stage.cost_rate, cost.z)[0])
-    (found,) = _at_start(cost, stage, problem, H)
-    size = float(np.max(found * scale**2, initial=0.0))
-    return size if np.isfinite(size) and size > 0 else 1.0
-
-
-def cost_magnitude(problem: Problem, scale: Array) -> float:
+def cost_magnitude(problem: Problem, scale: Array, otherwise: float = 1.0) -> float:
     """How much the cost of a plan depends on a variable in its scale, at the initial state and the references of the
     controls: the largest curvature of a path node and the largest slope of the general costs, that of a path node N
-    times, as states keep what they are given. The curvature of the terminal node where all these are 0, else 1."""
+    times, as states keep what they are given. The curvature of the terminal node where all these are 0, else
+    ``otherwise``."""
     path, terminal = (_sizes(stage, problem, scale) for stage in (problem.path, problem.terminal))
     most = max(path[0], problem.N * path[1], terminal[1]) or terminal[0]
-    return most if most > 0 else 1.0
+    return most if most > 0 else otherwise
 
 
 def _sizes(stage: Stage, problem: Problem, scale: Array) -> tuple[float, float]:
@@ -120,8 +109,7 @@ def _at_start(cost: StageCost, stage: Stage, problem: Problem, *expressions: Exp
     at = (problem.x_initial, u, problem.p_value, problem.dt[0]) if stage.nu else (problem.x_initial, problem.p_value)
     weight = np.diag(stage.weight) if stage.diagonal_weight else stage.weight.ravel()
     evaluate = ca.Function("sizes", [*cost.inputs, cost.yref, cost.W, cost.mu], list(expressions))
-    found = evaluate(*at, stage.reference, weight, np.zeros(stage.nh))
-    return [np.abs(np.asarray(v).ravel()) for v in (found if len(expressions) > 1 else (found,))]
+    return [np.abs(np.asarray(v).ravel()) for v in evaluate(*at, stage.reference, weight, np.zeros(stage.nh))]
 
 
 def _slopes(h: Expression, stage: Stage, problem: Problem) -> Array:
