@@ -392,3 +392,13 @@ def actuated_pendulum(rows: str = "") -> OCP:
     if rows == "integrated":
         ocp.stage_cost(0.1 * rate**4, integrate=True)
     return ocp
+
+
+def explosive() -> OCP:
+    """x' = x^2 + u, which leaves the numbers in finite time from x = 1 with u = 5, not with the reference u = -2."""
+    ocp = OCP("explosive", T=4.0, N=8)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: x**2 + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1], reference=[0.0, -2.0])
+    ocp.subject_to(-8, u, 5)
+    return ocp

@@ -258,7 +258,6 @@ static real_t slope_of_merit(solver_t *s, real_t slope, const real_t *before)
 }
 #endif
 
-/* Whether the controls and the multipliers are finite. */
 static int direction_is_finite(const solver_t *s)
 {
     return all_finite(s->shooting.d[0], N * NU);
@@ -276,13 +275,34 @@ static real_t free_size(const shooting_t *a)
     return sum;
 }
 
+/* The minimiser of the model. Returns 0 if products or faces run out before. */
+static int solve_model(solver_t *s, real_t *largest)
+{
+#if NT
+    int rounds = MAX_ROUNDS;
+#endif
+    for (int face = 0; face < MAX_FACES && s->shooting.left > 0; face++) {
+        const int reached = solve_face(s, largest);
+        if (reached || release(s, least_part(s) * *largest)) {
+            continue;
+        }
+#if NT
+        if (rounds-- > 0 && tighten_rows(s)) {
+            continue;
+        }
+#endif
+        return 1;
+    }
+    return 0;
+}
+
 /* One step: the model at the plan, its minimiser, and the search. Returns ITERATION_LIMIT or INFEASIBLE if the step
  * does not meet the terminal rows because its products are used up, or because the bounds do not allow it. */
 static status_t improve(solver_t *s, int trials, int *moved)
 {
     shooting_t *a = &s->shooting;
     real_t largest, slope;
-    int met = 1, solved = 1;
+    int met = 1, done;
     *moved = STAYED;
     s->stats.newton_iterations++;
     differentiate(s);
@@ -291,7 +311,6 @@ static status_t improve(solver_t *s, int trials, int *moved)
     a->left = products_allowed(s);
     a->model = R(0);
 #if NT
-    int rounds = MAX_ROUNDS;
     real_t before[NT], tightened[NT];
     impulse_rows(s);
     for (int t = 0; t < NT; t++) {
@@ -301,19 +320,7 @@ static status_t improve(solver_t *s, int trials, int *moved)
     if (!all_finite(a->r[0], N * NU)) {
         return NUMERICAL_FAILURE;
     }
-    for (int face = 0; face < MAX_FACES && a->left > 0; face++) {
-        const int reached = solve_face(s, &largest);
-        if (reached || release(s, least_part(s) * largest)) {
-            continue;
-        }
-#if NT
-        if (rounds-- > 0 && tighten_rows(s)) {
-            continue;
-        }
-#endif
-        break;
-    }
-    solved = a->left > 0 || !is_far(SQRT(precondition(a) / largest));
+    done = solve_model(s, &largest);
     if (!direction_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
@@ -326,6 +333,13 @@ static status_t improve(solver_t *s, int trials, int *moved)
     slope = slope_of_merit(s, slope, tightened);
 #endif
     *moved = move(s, (slope < R(0)) ? slope : R(0), trials);
-    *moved -= *moved == MOVED && !solved;
-    return met ? OK : (a->left > 0) ? INFEASIBLE : ITERATION_LIMIT;
+    if (*moved == MOVED && !done && is_far(SQRT(precondition(a) / largest))) {
+        *moved = SHORTENED;
+    }
+#if NT
+    for (int t = 0; t < NT && *moved == STAYED; t++) {
+        s->row[terminal_row[t]] = before[t];
+    }
+#endif
+    return met ? OK : done ? INFEASIBLE : ITERATION_LIMIT;
 }

@@ -7,14 +7,19 @@
  * that starts from a diagonal D, whose inverse takes the diagonal of the same update (Gilbert and Lemarechal, Math.
  * Programming 45, 1989): the first controls of an unstable plant bend the cost much more than the last ones. */
 
-/* D from the pair y, z, which has the curvature y'z = bend. */
+/* D after the pair y, z, which has the curvature y'z = bend; y'z / y'y after the first one. */
 static void scale_directions(shooting_t *a, int n, real_t bend)
 {
-    real_t yDy = R(0), zz = R(0), yy = R(0);
+    const real_t first = bend / inner(a->Y[n][0], a->Y[n][0]);
+    for (int k = 0; a->pairs == 0 && k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            a->D[k][j] = first;
+        }
+    }
+    real_t yDy = R(0), zz = R(0);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t y = a->Y[n][k][j], z = a->Z[n][k][j];
-            yy += y * y;
             yDy += y * y * a->D[k][j];
             zz += z * z / a->D[k][j];
         }
@@ -23,8 +28,7 @@ static void scale_directions(shooting_t *a, int n, real_t bend)
         for (int j = 0; j < NU; j++) {
             const real_t y = a->Y[n][k][j], z = a->Z[n][k][j] / a->D[k][j];
             const real_t inverse = (yDy / a->D[k][j] + y * y - yDy * z * z / zz) / bend;
-            const int sound = a->pairs > 0 && inverse > R(0) && inverse < INF;
-            a->D[k][j] = sound ? R(1) / inverse : bend / yy;
+            a->D[k][j] = (inverse > R(0) && inverse < INF) ? R(1) / inverse : first;
         }
     }
 }
@@ -41,7 +45,7 @@ static void remember_step(solver_t *s)
         }
     }
     const real_t bend = inner(a->Y[n][0], a->Z[n][0]), size = inner(a->Y[n][0], a->Y[n][0]);
-    if (bend > TOL_UNIT * size && bend < INF && size < INF) {
+    if (bend > TOL_UNIT * SQRT(size * inner(a->Z[n][0], a->Z[n][0])) && bend < INF && size < INF) {
         scale_directions(a, n, bend);
         a->pairs = (a->pairs < 2 * MEMORY - 1) ? a->pairs + 1 : MEMORY;
     }
@@ -91,7 +95,7 @@ static void apply_memory(shooting_t *a)
     for (int i = 0; i < stored; i++) { /* at most MEMORY passes in apply_memory */
         const int n = (a->pairs - 1 - i) % MEMORY;
         const real_t yz = free_inner(a, a->Y[n], a->Z[n]);
-        if (yz > TOL_UNIT * free_inner(a, a->Y[n], a->Y[n])) {
+        if (yz > TOL_UNIT * SQRT(free_inner(a, a->Y[n], a->Y[n]) * free_inner(a, a->Z[n], a->Z[n]))) {
             bend[n] = yz;
             part[n] = free_inner(a, a->Z[n], a->d) / yz;
             add_free(a, -part[n], a->Y[n]);

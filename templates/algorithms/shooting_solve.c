@@ -82,6 +82,17 @@ static int advance_rows(solver_t *s, real_t tol, real_t *violation)
 }
 #endif
 
+#if NG > NT && !BARRIER_ROWS
+/* The multipliers of a plan that is no solution: what one sample could have made of them. */
+static void limit_rows(solver_t *s)
+{
+    for (int m = 0; m < NG; m++) {
+        const real_t limit = row_penalty(s) * SQRT(row_weight[m]);
+        s->row[m] = clip(s->row[m], -limit, limit);
+    }
+}
+
+#endif
 /* What iterations remember: the violation at the last dual update, the stationarity at which the next one takes place,
  * and how often neither a step nor an update has changed anything. */
 typedef struct {
@@ -181,13 +192,23 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         status = iterate(s, tol, max_iterations);
     }
 #if NG > NT
-    update_rows(s, INF);
+    if (status == OK) {
+        update_rows(s, INF);
+    }
 #endif
 #if NG || !QUASI_NEWTON
     set_weights(s);
 #endif
+#if NG > NT && !BARRIER_ROWS
+    if (status != OK) {
+        limit_rows(s);
+    }
+#endif
 #if NG && (SMOOTH_ROWS || BARRIER_ROWS)
     place_terms(s, status == OK);
+#endif
+#if QUASI_NEWTON
+    s->shooting.pairs = 0; /* of other terms and penalties */
 #endif
     return finish(s, recover(s, status));
 }

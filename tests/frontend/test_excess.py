@@ -40,13 +40,23 @@ def test_a_cost_of_excesses_is_smooth_for_the_compiler() -> None:
     assert classify(ocp).path.cost_rate is not None
 
 
+def test_symbols_of_either_kind() -> None:
+    x = ca.MX.sym("x", 2)
+    value = ca.Function("s", [x], [smooth_excess([-np.inf, 0], x, [1, np.inf], 0.1)])([3.0, -2.0])
+    np.testing.assert_allclose(np.asarray(value).ravel(), [2, 2], atol=3e-3)
+
+
 def test_what_makes_no_sense_is_refused() -> None:
     x = ca.SX.sym("x", 2)
     with pytest.raises(ProblemError, match="exceeds upper"):
         smooth_excess(1, x, 0, 0.1)
     with pytest.raises(ProblemError, match="width must be positive"):
         smooth_excess(0, x, 1, 0.0)
-    with pytest.raises(ProblemError, match="width must be positive"):
+    with pytest.raises(ProblemError, match="width must be numbers"):
         smooth_excess(0, x, 1, np.nan)
+    with pytest.raises(ProblemError, match="width has shape"):
+        smooth_excess(0, x, 1, [0.1, 0.2])
+    with pytest.raises(ProblemError, match="width must be a scalar"):
+        smooth_excess(0, x, 1, x)
     with pytest.raises(ProblemError, match="lower has shape"):
         smooth_excess([0, 0, 0], x, 1, 0.1)

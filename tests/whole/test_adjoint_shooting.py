@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from examples import crane, cstr
+from examples import adjoint_gradient, crane, cstr
 from nmpc_codegen import (
     OCP,
     RK4,
@@ -383,7 +383,7 @@ def test_the_plan_moves_by_default() -> None:
 
 @pytest.mark.parametrize(("given", "simulations"), [({}, 4), ({"trials": 1}, 3), ({"products": 4}, 4)])
 def test_the_work_of_a_sample_is_bounded(given: dict[str, Any], simulations: int) -> None:
-    controller = build(crane.build_ocp(), options(shift="repeat", **given), "test")
+    controller = build(crane.build_ocp(), options(shift="repeat", repair=0, **given), "test")
     random = np.random.default_rng(3)
     for _ in range(30):
         controller.step(random.uniform(-3, 3, 4))
@@ -506,13 +506,7 @@ def test_nan_keeps_the_plan_and_the_next_sample_is_good() -> None:
 
 
 def test_a_plan_that_overflows_is_replaced_in_the_same_sample() -> None:
-    """x' = x^2 + u leaves the numbers in finite time from x = 1 with u = 5, and does not with the reference u = -2."""
-    ocp = OCP("explosive", T=4.0, N=8)
-    x, u = ocp.state("x", initial=1.0), ocp.control("u")
-    ocp.dynamics({x: x**2 + u})
-    ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1], reference=[0.0, -2.0])
-    ocp.subject_to(-8, u, 5)
-    controller = build(ocp, options(), "test")
+    controller = build(problems.explosive(), options(), "test")
     controller.u = np.full((8, 1), 5.0)
     control = controller.step([1.0])
     assert -8 <= control[0] <= 5
@@ -535,6 +529,37 @@ def test_rows_that_the_bounds_exclude() -> None:
     assert controller.status is Status.OK
     found = ipopt(crane.build_ocp(), np.array([0.3, 0.0, 0.0, 0.0]))
     np.testing.assert_allclose(controller.u, found.u, atol=1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_failed_solve_leaves_no_multipliers(method: str) -> None:
+    """Penalties grow to 1e9 where rows contradict one another; what they make of multipliers ends with solve()."""
+    ocp = samples.controls()
+    ocp.subject_to(-0.2, ocp.x[0], 0.2, name="wall")
+    controller, fresh = (build(ocp, options(method=method), "test") for _ in range(2))
+    assert controller.solve([2.0, 1.0], max_iterations=200).status is not Status.OK
+    for _ in range(8):
+        controller.step([0.1, 0.0])
+        fresh.step([0.1, 0.0])
+    assert controller.status is fresh.status is Status.OK
+    np.testing.assert_allclose(controller.u, fresh.u, atol=1e-3)
+
+
+def test_a_sample_whose_step_is_refused_is_not_converged() -> None:
+    """One trial: the map runs away along the step, which would move the first control by more than a tenth."""
+    found = {}
+    for repair in (0, 10):
+        controller = build(adjoint_gradient.build_ocp(), options(trials=1, repair=repair), "test")
+        controller.set_parameter("k", np.arange(1.0, 12))
+        controller.u = adjoint_gradient.stabilised(10)[1]
+        controller.step([1.0, 1.0])
+        found[repair] = controller.stats.newton_iterations
+        if not repair:
+            assert controller.status is Status.NOT_CONVERGED
+            assert controller.stats.accepted == 0
+            assert np.abs(controller.view("shooting.d")[0]).max() > 0.1
+            assert "refused" in controller.diagnose()
+    assert found[10] > found[0] == 1
 
 
 def test_a_bad_argument_of_solve_and_reset() -> None:

@@ -277,6 +277,11 @@ class Algorithm(Component, Protocol):
         """True if it needs the adjoint of an interval besides its core."""
         ...
 
+    @property
+    def simulates(self) -> bool:
+        """True if the states of its plans are those of a simulation from x_0."""
+        ...
+
     def decided(self, problem: Problem, repairs: bool) -> tuple[Algorithm, tuple[str, ...]]:
         """The algorithm with every option chosen that it leaves open for the problem, and the reasons; ``repairs``: the
         package may iterate on a plan before a sample."""
@@ -357,6 +362,10 @@ class Defaults:
 
     @property
     def pulls_back(self) -> bool:
+        return False
+
+    @property
+    def simulates(self) -> bool:
         return False
 
     @property

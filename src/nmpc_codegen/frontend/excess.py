@@ -17,17 +17,18 @@ def smooth_excess(lower: Any, expr: Any, upper: Any, width: Any) -> Expression:
 
         s(lower - h) + s(h - upper),   s(e) = (e + sqrt(e^2 + width^2)) / 2
 
-    s(0) = width / 2, s(e) = e + width^2 / 4 e far outside and width^2 / 4 |e| far inside; all derivatives exist. With
-    ``ocp.stage_cost(weight * smooth_excess(-inf, h, 100, 0.01), integrate=True)`` a row costs its integral over time,
-    at all points of the integrator and not only at the nodes, as an l1 penalty: it holds if ``weight`` exceeds its
-    multiplier per unit of time, up to about ``width``.
+    s(0) = width / 2, s(e) = e + width^2 / (4 e) far outside and width^2 / (4 |e|) far inside; all derivatives exist.
+    With ``ocp.stage_cost(weight * smooth_excess(-inf, h, 100, 0.01), integrate=True)`` a row costs its integral over
+    time, at all points of the integrator and not only at the nodes, as an l1 penalty: it holds if ``weight`` exceeds
+    its multiplier per unit of time, up to about ``width``.
 
     Args:
         lower: number, or one per element; -inf is allowed.
         expr: scalar or column of states, controls and parameters.
         upper: the same, inf is allowed.
         width: positive number in the unit of h, or an expression, such as a parameter that solve() after solve()
-            decreases.
+            decreases. A step that moves h by more than the width does not see the penalty: with one QP per sample a
+            width of a tenth of what a disturbance moves h by is too small.
 
     Raises:
         ProblemError: sizes do not match, lower exceeds upper, or the width is not positive.
@@ -37,13 +38,17 @@ def smooth_excess(lower: Any, expr: Any, upper: Any, width: Any) -> Expression:
     low, high = (vector(v, n, f"{what}: {w}", finite=False) for v, w in ((lower, "lower"), (upper, "upper")))
     if not np.all(low <= high):
         raise ProblemError(f"{what}: lower {low.max():g} exceeds upper {high.min():g}")
-    if not isinstance(width, (ca.SX, ca.MX)) and not float(width) > 0:
-        raise ProblemError(f"{what}: width must be positive, got {width}")
+    if not isinstance(width, (ca.SX, ca.MX)):
+        (width,) = vector(width, 1, f"{what}: width")
+        if not width > 0:
+            raise ProblemError(f"{what}: width must be positive, got {width:g}")
+    elif width.numel() != 1:
+        raise ProblemError(f"{what}: width must be a scalar, got {width.numel()} elements")
     return ca.vertcat(
         *(_rounded(low[i] - h[i], low[i], width) + _rounded(h[i] - high[i], high[i], width) for i in range(n))
     )
 
 
-def _rounded(e: Expression, bound: float, width: Any) -> Expression:
+def _rounded(e: Expression, bound: float, width: Any) -> Expression | float:
     """s(e), 0 without a bound."""
-    return (e + ca.sqrt(e**2 + width**2)) / 2 if np.isfinite(bound) else ca.SX(0)
+    return (e + ca.sqrt(e**2 + width**2)) / 2 if np.isfinite(bound) else 0.0

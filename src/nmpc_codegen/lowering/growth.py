@@ -33,6 +33,8 @@ from nmpc_codegen.runtime.package_description import Precision
 AVOIDED: Mapping[Precision, float] = {"double": 1e-7, "single": 1e-4}
 #: Relative error above which condensing that is given is refused.
 REFUSED = 1e-3
+#: Growth over the horizon above which single shooting loses plans.
+SIMULATED = 200.0
 Marks = NDArray[np.bool_]
 
 #: Entries of products do not exceed this number.
@@ -84,6 +86,16 @@ class Growth:
             return ()
         advice = "try Options(condensing=NoCondensing())" if intervals > 1 else "shorten the intervals"
         return (f"condensing {condensing.label}: {self.describe(intervals)}; {advice}",)
+
+    def of_simulation(self, algorithm: str, intervals: int) -> tuple[str, ...]:
+        """A warning of an algorithm that simulates its plans, if they run away from small errors of their controls."""
+        factor = self.factor(intervals)
+        if factor <= SIMULATED:
+            return ()
+        return (
+            f"{algorithm} simulates its plans, and the open loop grows by a factor of {factor:.2g} over {intervals} "
+            "intervals: try RealTimeIteration(), or a shorter horizon",
+        )
 
     def left_out(self, problem: Problem, candidates: Iterable[Condensing]) -> tuple[str, ...]:
         """The reason for not choosing those candidates that cost many digits; none if there are none."""

@@ -111,15 +111,16 @@ def linearize(problem: Problem, options: Options) -> Model:
     constant = _constant_hessian(problem, online, functions)
     parts = Parts(integrator, options.algorithm, options.hessian)
     choice: Choice | None = None
+    grown = growth(problem, integrator, options.precision)
     if "qp" in options.algorithm.needs:
-        grown = growth(problem, integrator, options.precision)
         choice = choose_qp(problem, options, constant, functions, grown)
         parts = replace(parts, condensing=choice.condensing, qp=choice.qp)
     _check(problem, *parts.components)
     parts.algorithm.check_parts(parts)
     found = program(problem)
     second = bool(functions.exact) or isinstance(options.hessian, ExactHessian)
-    warned = (*stability_warning(problem, integrator), *first_plan_warnings(problem, found, second))
+    simulated = grown.of_simulation(type(algorithm).__name__, problem.N) if algorithm.simulates else ()
+    warned = (*stability_warning(problem, integrator), *simulated, *first_plan_warnings(problem, found, second))
     notes = (note for component in parts.components for note in component.notes(problem))
     return Model(
         **{field.name: getattr(functions, field.name) for field in fields(ModelFunctions)},

@@ -83,8 +83,9 @@ STEP = EntryPoint(
 class AdjointShooting(Defaults):
     """A fixed number of steps per sample, each with a bounded number of simulations.
 
-    ``method``: "gauss_newton", whose steps take ``products`` products with the Hessian at most (default 12), or
-    "quasi_newton", a projected method that stores ``memory`` pairs of vectors (default 5) and needs gradients alone.
+    ``method``: "gauss_newton", whose steps take ``products`` products with the Hessian at most (default: one for each
+    control of the plan, between 12 and 100), or "quasi_newton", a projected method that stores ``memory`` pairs of
+    vectors (default 5) and needs gradients alone.
     ``iterations``: steps of a sample (default 1 or 10). ``trials``: simulations of a step at most (default 2), besides
     one at the start of a sample and one after a step that is given up.
 
@@ -99,9 +100,13 @@ class AdjointShooting(Defaults):
     samples sharpens the max or decreases the barriers while steps are accepted at once, and a sample has 3 Gauss-Newton
     steps of 4 trials by default.
 
+    ``repair``: steps that a sample may add while the last one is longer than ``tolerance`` in the scale of a control
+    and was not taken as a whole; 0 in packages without solve() and for microcontrollers.
+
     ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration; by
     default as "auto" does there.
-    ``tolerance``: violation of a hard row in its scale above which a sample is NOT_CONVERGED.
+    ``tolerance``: violation of a hard row in its scale above which a sample is NOT_CONVERGED, as it is if the last step
+    was cut and is longer than that in the first control.
     """
 
     method: str = option("gauss_newton", Words(METHODS))
@@ -136,6 +141,11 @@ class AdjointShooting(Defaults):
                 )
 
     @property
+    def simulates(self) -> bool:
+        """The states are never variables."""
+        return True
+
+    @property
     def second_order(self) -> bool:
         """True if the method multiplies with a Hessian."""
         return self.method == "gauss_newton"
@@ -145,9 +155,11 @@ class AdjointShooting(Defaults):
         return None
 
     def decided(self, problem: Problem, repairs: bool) -> tuple[AdjointShooting, tuple[str, ...]]:
-        """The shift that "auto" stands for."""
+        """The shift that "auto" stands for; no repair in a package that cannot."""
         shift, reasons = decided_shift(self.shift, self.sampling_time, problem)
-        return replace(self, shift=shift), tuple(reasons)
+        if self.repair and not repairs:
+            reasons.append("repair: 0; a package without solve() or for a microcontroller has none")
+        return replace(self, shift=shift, repair=self.repair if repairs else 0), tuple(reasons)
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """A sample in one call, the shift of the plan, and the iteration to convergence."""
@@ -250,7 +262,7 @@ class AdjointShooting(Defaults):
     def notes(self, problem: Problem) -> tuple[str, ...]:
         """How many terminal rows are part of the model, and the penalty of the others."""
         count, others = len(self.terminal(problem)), len(problem.qp_rows) > len(self.terminal(problem))
-        chosen = f"penalty {self._penalty(problem):.4g}, from the curvature of the cost in the scales of its variables"
+        chosen = f"penalty {self._penalty(problem):.4g}, from the cost along the states in their scales"
         return (
             *((f"adjoint shooting: {count} terminal rows by a Schur complement",) if count else ()),
             *((f"adjoint shooting: {chosen}",) if others and self.penalty is None else ()),

@@ -133,8 +133,8 @@ class RealTimeIteration(Defaults):
 
     ``simulate``: single shooting. prepare() simulates the plan from its x_0 with its controls before it linearises it,
     so that the QP has no gaps (Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). What the states change by
-    counts in stats.residual. A simulation that is not finite leaves the plan as it is; a repair and solve() take the
-    steps of multiple shooting.
+    counts in stats.residual. A simulation that is not finite leaves the plan as it is. There is no repair, and solve()
+    is that of multiple shooting.
 
     ``first_control``: splits the feedback phase. feedback_first() returns the control of the minimiser on the predicted
     working set, clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
@@ -196,9 +196,10 @@ class RealTimeIteration(Defaults):
         found = replace(self, shift=shift)
         if self.relaxation == "auto":
             found = replace(found, relaxation=RELAXATION)
-        if self.repair and not repairs:
+        if self.repair and (self.simulate or not repairs):
             found = replace(found, repair=0)
-            reasons.append("repair: 0; a package without solve() or for a microcontroller has none")
+            bare = "a package without solve() or for a microcontroller has none"
+            reasons.append(f"repair: 0; {'a simulated plan has no gaps to repair' if self.simulate else bare}")
         return found, tuple(reasons)
 
     def default(self, seam: Seam) -> str | None:
@@ -215,6 +216,11 @@ class RealTimeIteration(Defaults):
     def leveled(self) -> bool:
         """True if the package has levels of an iteration."""
         return self.levels or self.advance is not None
+
+    @property
+    def simulates(self) -> bool:
+        """True if the plan is simulated before it is linearised."""
+        return self.simulate
 
     @property
     def pulls_back(self) -> bool:

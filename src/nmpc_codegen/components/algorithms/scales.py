@@ -55,12 +55,13 @@ def row_scales(problem: Problem, scale: Array) -> Array:
 
 def row_sizes(problem: Problem, scale: Array) -> Array:
     """What violations of the rows of the QP are measured in: the smaller of the scale of a row and its largest finite
-    bound, as the slope of a row at the initial state says little of an obstacle that is far away."""
+    bound, as the slope of a row at the initial state says little of an obstacle that is far away; at least a hundredth
+    of the scale, as a bound near 0 says nothing."""
     found = row_scales(problem, scale)
     for m, (_, kind, _, row) in enumerate(problem.qp_rows):
         bounds = [abs(b) for b in (problem.rows[row].lower, problem.rows[row].upper) if np.isfinite(b) and b]
         if kind and bounds:
-            found[m] = min(found[m], max(bounds))
+            found[m] = min(found[m], max(*bounds, 0.01 * found[m]))
     return found
 
 

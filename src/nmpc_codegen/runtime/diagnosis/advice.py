@@ -60,6 +60,8 @@ def row_advice(ctrl: Controller, node: int | None) -> str:
 def _numerical(options: str) -> Iterator[str]:
     if "regularization=None" in options and has_qp(options):
         yield "the Hessian may be indefinite: try ExactHessian(regularization=Mirror())"
+    if "algorithm=AdjointShooting(" in options:
+        yield "the simulation of the plan may have left the numbers: write controls that keep it finite to ctrl.u"
     if "precision='single'" in options:
         yield 'rounding may be the cause: try Options(precision="double")'
 
