@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package aacf98ee94f52c65, sha256 88d212ae7e45e06357d552c6c2ff39ab5db9e92a524132e260f493cd2dcde9e0 */
+/* nmpc_codegen package 643d9542a32c6d8e, sha256 6b3931dcab934e401c70975d4a1126b8b39fb0a65721d1697f99be51cb7c8777 */

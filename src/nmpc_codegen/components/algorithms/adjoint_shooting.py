@@ -95,8 +95,8 @@ class AdjointShooting(Defaults):
     sample at the end of the plan; solve() decreases their weight to 0. "lumped": the sum C of the smooth l1 terms as
     one scalar row C <= 0, whose multiplier solve() increases. Soft rows keep their penalties, and have no barriers.
     ``penalty``: weight of the rows in their scales, the magnitudes of their declared slopes or of their bounds,
-    whichever is smaller; None: three times the largest curvature of the cost of a node along a state or control in its
-    scale, for barriers a hundredth of that curvature. With "smooth_l1", "barrier" and "lumped" a continuation over the
+    whichever is smaller; None: three times the largest curvature of the cost of a node along a state in its scale or N
+    slopes of a general cost, along controls if states cost nothing; for barriers a hundredth of that. With "smooth_l1", "barrier" and "lumped" a continuation over the
     samples sharpens the max or decreases the barriers while steps are accepted at once, and a sample has 3 Gauss-Newton
     steps of 4 trials by default.
 
