@@ -335,19 +335,16 @@ static void follow_terms(solver_t *s)
 #endif
 
 #if NG > NT
-/* The dual update: mu_m = psi_m'(v_m), which changes by at most ``most`` times the penalty in the scale of the row, so
+/* The dual update: mu_m = psi_m'(v_m), in size at most ``most`` penalties more than before in the scale of the row, so
  * that no single sample has a lasting effect. Terminal rows whose multipliers the model yields keep them. */
 static void update_rows(solver_t *s, real_t most)
 {
     real_t value[NG], slope, curvature;
+#if BARRIER_ROWS
+    (void)most; /* the slope of a barrier is bounded by its margin */
+#endif
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-#if BARRIER_ROWS
-        const real_t limit = INF;
-        (void)most;
-#else
-        const real_t limit = most * row_penalty(s) * SQRT(row_weight[m]);
-#endif
 #if NT
         if (terminal_index[m] >= 0) {
             continue;
@@ -355,10 +352,10 @@ static void update_rows(solver_t *s, real_t most)
 #endif
         (void)row_term(s, m, value[m], &slope, &curvature);
 #if BARRIER_ROWS
-        s->row[m] = clip(slope, (ROW_LOWER(s, m) > -INF) ? -limit : R(0), (ROW_UPPER(s, m) < INF) ? limit : R(0));
+        s->row[m] = clip(slope, (ROW_LOWER(s, m) > -INF) ? -INF : R(0), (ROW_UPPER(s, m) < INF) ? INF : R(0));
 #else
-        const real_t most_size = FABS(s->row[m]) + limit;
-        s->row[m] = clip(slope, -most_size, most_size);
+        const real_t size = FABS(s->row[m]) + most * row_penalty(s) * SQRT(row_weight[m]);
+        s->row[m] = clip(slope, -size, size);
 #endif
     }
 }

@@ -96,9 +96,9 @@ class AdjointShooting(Defaults):
     one scalar row C <= 0, whose multiplier solve() increases. Soft rows keep their penalties, and have no barriers.
     ``penalty``: weight of the rows in their scales, the magnitudes of their declared slopes or of their bounds,
     whichever is smaller; None: three times the largest curvature of the cost of a node along a state in its scale or N
-    slopes of a general cost, along controls if states cost nothing; for barriers a hundredth of that. With "smooth_l1", "barrier" and "lumped" a continuation over the
-    samples sharpens the max or decreases the barriers while steps are accepted at once, and a sample has 3 Gauss-Newton
-    steps of 4 trials by default.
+    slopes of a general cost, along controls if states cost nothing; for barriers a hundredth of that. With "smooth_l1",
+    "barrier" and "lumped" a continuation over the samples sharpens the max or decreases the barriers while steps are
+    accepted at once, and a sample has 3 Gauss-Newton steps of 4 trials by default.
 
     ``repair``: steps that a sample may add while the last one is longer than ``tolerance`` in the scale of a control
     and was not taken as a whole; 0 in packages without solve() and for microcontrollers.
