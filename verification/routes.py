@@ -1,13 +1,15 @@
-"""The ways from stages to a solution of the QP: a condensing with a solver."""
+"""The ways from stages to a solution of the QP: a condensing with a solver; and the one without a QP."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from nmpc_codegen import (
+    AdjointShooting,
     DenseActiveSet,
     FullCondensing,
     NoCondensing,
+    Online,
     Options,
     Osqp,
     PartialCondensing,
@@ -35,3 +37,9 @@ def on(route: str, **more: Any) -> Options:
     """Options of a route."""
     condensing, qp = ROUTES[route]
     return Options(condensing=condensing, qp=qp, **more)
+
+
+def shooting(online: Online | None = None, precision: Any = "double", solve: bool = True, **algorithm: Any) -> Options:
+    """Single shooting whose plan does not move unless a shift is given."""
+    given = AdjointShooting(**({"shift": None} | algorithm))
+    return Options(algorithm=given, online=online or Online(), precision=precision, solve=solve)

@@ -138,7 +138,7 @@ def test_list_options_names_every_component_and_field(capsys: pytest.CaptureFixt
         "hessian.regularization = mirror; one of project, mirror, none;",
         "hessian.regularization.level = reduced; one of reduced, stage",
         "hessian.convex_rows = True; True or False",
-        "algorithm.shift = None; one of None, repeat, periodic, resample",
+        "algorithm.shift = auto; one of auto, None, repeat, periodic, resample",
         "online.weight = shared; one of fixed, shared, node",
     ):
         assert words in out

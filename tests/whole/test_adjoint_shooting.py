@@ -1,8 +1,7 @@
-"""AdjointShooting: solutions of IPOPT, gradients of CasADi, closed loops, the failure contract, and what it refuses."""
+"""AdjointShooting: solutions of IPOPT, gradients of CasADi, and closed loops."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -10,24 +9,17 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from examples import adjoint_gradient, crane, cstr
+from examples import crane, cstr
 from nmpc_codegen import (
     OCP,
     RK4,
     AdjointShooting,
-    Controller,
-    DenseActiveSet,
     ExplicitRungeKutta,
-    GaussNewton,
     Online,
-    OptionError,
     Options,
     Status,
     build,
-    generate,
     simulate,
 )
 from nmpc_codegen.components.integrators.directional import Directional
@@ -38,15 +30,11 @@ from nmpc_codegen.ir.sweep import Call, Slice, unroll
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, interval_map, node_data
 from verification import problems, samples
+from verification.routes import shooting as options
 
 TWO_STEPS = ExplicitRungeKutta(RK4, steps=2)
 METHODS = ("gauss_newton", "quasi_newton")
 X0 = np.array([2.0, 0.0, 0.0, 0.0])
-
-
-def options(online: Online | None = None, precision: Any = "double", solve: bool = True, **algorithm: Any) -> Options:
-    shooting = AdjointShooting(**({"shift": None} | algorithm))
-    return Options(algorithm=shooting, online=online or Online(), precision=precision, solve=solve)
 
 
 def disturbed(ocp: OCP) -> np.ndarray:
@@ -453,156 +441,3 @@ def test_bounds_that_change_open_and_close_a_terminal_row() -> None:
     assert abs(controller.x[-1, 0] - 0.1) > 1e-3
     controller.set_bounds("q_end", 0.1, 0.1)
     np.testing.assert_allclose(controller.solve(x0, tol=1e-9).u, closed, atol=1e-6)
-
-
-# Failure contract -----------------------------------------------------------------------------------------------------
-
-_BUILT: dict[tuple[str, ...], Controller] = {}
-
-
-@pytest.mark.few(2)
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("precision", ["double", "single"])
-@settings(max_examples=40, deadline=None)
-@given(data=st.data())
-def test_the_control_is_finite_and_inside_its_bounds(precision: Any, method: str, data: st.DataObject) -> None:
-    key = (precision, method)
-    if key not in _BUILT:
-        _BUILT[key] = build(cstr.build_ocp(), options(precision=precision, method=method, shift="repeat"), "test")
-    controller = _BUILT[key].copy()
-    problem = classify(cstr.build_ocp())
-    hostile = st.sampled_from([0.0, 1.0, -1e3, 1e30, -1e30, np.nan, np.inf, -np.inf])
-    bounds = [(row.lower, row.upper) for row in problem.rows if row.kind == "control"]
-    good = {name: controller.view(name).copy() for name in ("yref", "W")}
-    for _ in range(4):
-        where = data.draw(st.sampled_from(["x", "u", "row", "measured", "yref", "W"]))
-        x = np.array(problem.x_initial)
-        if where == "measured":
-            x[data.draw(st.integers(0, 3))] = data.draw(hostile)
-        else:
-            array = controller.view(where).reshape(-1)
-            array[data.draw(st.integers(0, array.size - 1))] = data.draw(hostile)
-        u = controller.step(x)
-        assert np.all(np.isfinite(u))
-        for value, (lower, upper) in zip(u, bounds, strict=True):
-            assert u.dtype.type(lower) <= value <= u.dtype.type(upper)
-    for name, value in good.items():
-        controller.view(name)[...] = value
-    for _ in range(12):
-        controller.step(problem.x_initial)
-    assert controller.status is Status.OK
-    assert np.all(np.isfinite(controller.x))
-
-
-def test_nan_keeps_the_plan_and_the_next_sample_is_good() -> None:
-    controller = build(crane.build_ocp(), options(), "test")
-    controller.solve(X0)
-    planned = controller.u[0].copy()
-    np.testing.assert_array_equal(controller.step([np.nan, 0, 0, 0]), planned)
-    assert controller.status is Status.NOT_FINITE
-    assert "p" in controller.diagnose()
-    np.testing.assert_allclose(controller.step(X0), planned, atol=1e-6)
-    assert controller.status is Status.OK
-
-
-def test_a_plan_that_overflows_is_replaced_in_the_same_sample() -> None:
-    controller = build(problems.explosive(), options(), "test")
-    controller.u = np.full((8, 1), 5.0)
-    control = controller.step([1.0])
-    assert -8 <= control[0] <= 5
-    assert controller.status in (Status.OK, Status.NUMERICAL_FAILURE)
-    for _ in range(3):
-        controller.step([0.1])
-    assert controller.status is Status.OK
-
-
-def test_rows_that_the_bounds_exclude() -> None:
-    """(0, 0, 1, 0) is infeasible; the controls do what they can, and feasible samples are solved at once afterwards."""
-    controller = build(crane.build_ocp(), options(), "test")
-    assert controller.solve([0.0, 0.0, 1.0, 0.0], max_iterations=60).status is Status.INFEASIBLE
-    for _ in range(4):
-        u = controller.step([0.0, 0.0, 1.0, 0.0])
-        assert controller.status in (Status.INFEASIBLE, Status.ITERATION_LIMIT)
-        assert abs(u[0]) <= 1
-    for _ in range(6):
-        controller.step([0.3, 0.0, 0.0, 0.0])
-    assert controller.status is Status.OK
-    found = ipopt(crane.build_ocp(), np.array([0.3, 0.0, 0.0, 0.0]))
-    np.testing.assert_allclose(controller.u, found.u, atol=1e-4)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_a_failed_solve_leaves_no_multipliers(method: str) -> None:
-    """Penalties grow to 1e9 where rows contradict one another; what they make of multipliers ends with solve()."""
-    ocp = samples.controls()
-    ocp.subject_to(-0.2, ocp.x[0], 0.2, name="wall")
-    controller, fresh = (build(ocp, options(method=method), "test") for _ in range(2))
-    assert controller.solve([2.0, 1.0], max_iterations=200).status is not Status.OK
-    for _ in range(8):
-        controller.step([0.1, 0.0])
-        fresh.step([0.1, 0.0])
-    assert controller.status is fresh.status is Status.OK
-    np.testing.assert_allclose(controller.u, fresh.u, atol=1e-3)
-
-
-def test_a_sample_whose_step_is_refused_is_not_converged() -> None:
-    """One trial: the map runs away along the step, which would move the first control by more than a tenth."""
-    found = {}
-    for repair in (0, 10):
-        controller = build(adjoint_gradient.build_ocp(), options(trials=1, repair=repair), "test")
-        controller.set_parameter("k", np.arange(1.0, 12))
-        controller.u = adjoint_gradient.stabilised(10)[1]
-        controller.step([1.0, 1.0])
-        found[repair] = controller.stats.newton_iterations
-        if not repair:
-            assert controller.status is Status.NOT_CONVERGED
-            assert controller.stats.accepted == 0
-            assert np.abs(controller.view("shooting.d")[0]).max() > 0.1
-            assert "refused" in controller.diagnose()
-    assert found[10] > found[0] == 1
-
-
-def test_a_bad_argument_of_solve_and_reset() -> None:
-    controller = build(crane.build_ocp(), options(), "test")
-    fresh = controller.u.copy()
-    controller.step(X0)
-    controller.reset()
-    np.testing.assert_array_equal(controller.u, fresh)
-    assert controller.call_solve(-1.0, 10) is Status.BAD_ARGUMENT
-
-
-# What a package contains and what is refused --------------------------------------------------------------------------
-
-
-def test_a_package_has_the_integrator_and_nothing_else() -> None:
-    sources = generate(crane.build_ocp(), options())
-    for file in ("crane.h", "crane.c", "README.md"):
-        assert not re.findall(r"(?i)\b(?:\w*condens\w*|qp_?\w*|\w*riccati\w*|working_set)\b", sources[file])
-    assert "integrator_interval(" not in sources["crane.c"]
-    assert "crane_prepare" not in sources["crane.h"]
-
-
-def test_what_makes_no_sense_is_refused() -> None:
-    with pytest.raises(OptionError, match=r"hessian .* clashes with algorithm AdjointShooting"):
-        Options(algorithm=AdjointShooting(), hessian=GaussNewton())
-    with pytest.raises(OptionError, match=r"qp .* clashes with algorithm AdjointShooting"):
-        Options(algorithm=AdjointShooting(), qp=DenseActiveSet())
-    with pytest.raises(OptionError, match="free initial state"):
-        generate(samples.arrival(), options())
-    with pytest.raises(OptionError, match=r"hard row 'effort.*expected penalty="):
-        generate(samples.path(), options(rows="smooth_l1"))
-    with pytest.raises(OptionError, match=r'rows="lumped".*hard row'):
-        generate(samples.path(), options(rows="lumped"))
-    with pytest.raises(OptionError, match=r"no terms for the equation 'q_end'"):
-        generate(samples.ends(), options(rows="barrier"))
-    with pytest.raises(OptionError, match=r"no terms for the soft row"):
-        generate(samples.soft_rows(), options(rows="barrier"))
-    with pytest.raises(OptionError, match="sampling_time"):
-        AdjointShooting(shift="resample")
-    with pytest.raises(OptionError, match=r"memory: 3 clashes .*quasi_newton"):
-        AdjointShooting(memory=3)
-    with pytest.raises(OptionError, match=r"products: 3 clashes .*gauss_newton"):
-        AdjointShooting(products=3, method="quasi_newton")
-    for wrong in ({"method": "newton"}, {"rows": "elastic"}, {"penalty": 0.0}, {"trials": 0}, {"iterations": 0}):
-        with pytest.raises(OptionError, match="expected"):
-            AdjointShooting(**wrong)  # type: ignore[arg-type]
