@@ -48,12 +48,7 @@ static void forget_past(solver_t *s)
 /* Sets the controls to their references and forgets the past. */
 static void forget_plan(solver_t *s)
 {
-    for (int k = 0; k < N; k++) {
-        for (int j = 0; j < NU; j++) {
-            s->u[k][j] = CONTROL_REFERENCE(s, k, j);
-            s->u[k][j] = safe_value(s, k, j);
-        }
-    }
+    refer_controls(s);
     forget_past(s);
 }
 

@@ -49,12 +49,7 @@ static void start_at_measured(solver_t *s)
 /* Sets the controls of the plan to their references, and free components of x_0 to their declared initial values. */
 static void forget_plan(solver_t *s)
 {
-    for (int k = 0; k < N; k++) {
-        for (int j = 0; j < NU; j++) {
-            s->u[k][j] = CONTROL_REFERENCE(s, k, j);
-            s->u[k][j] = safe_value(s, k, j);
-        }
-    }
+    refer_controls(s);
 #if NF
     for (int f = 0; f < NF; f++) {
         s->xhat[free_state[f]] = initial_state[free_state[f]];

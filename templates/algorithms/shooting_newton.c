@@ -1,4 +1,4 @@
-/* Contract of this part: descend() finds the step d of the controls that minimises the model inside the bounds, by
+/* Contract of this part: improve() takes the step d of the controls that minimises the model inside the bounds, by
  * conjugate gradients on a face of the box: the controls at a bound are held, a bound that is reached is added, and
  * bounds with multipliers of the wrong sign are released where the gradient on the face has become small. */
 
@@ -222,39 +222,32 @@ static int tighten_rows(solver_t *s)
     return !met;
 }
 
-/* The last of these steps if all terminal rows are met. Otherwise their forces on one another say nothing, and they keep
- * the multipliers that they had before the step of the controls. */
-static int update_terminal(solver_t *s, const real_t *before)
+/* Takes the terminal rows out of the slope of the model along d, updates their multipliers, and adds the rows as they are
+ * in the merit function. The multipliers take the last of the steps above if all rows are met. Otherwise the forces of
+ * the rows on one another say nothing, and they are those before the step of the controls. The rows weigh so much that
+ * the step, which goes to them, decreases the merit function: multipliers are rough where products have run out. */
+static int update_terminal(solver_t *s, const real_t *before, real_t *slope)
 {
     const shooting_t *a = &s->shooting;
+    real_t other = *slope, own = R(0), bend = R(2) * (a->model - *slope);
     int met = 1;
     for (int t = 0; t < NT; t++) {
         met &= is_met(a, t, left_of(a, t));
     }
     for (int t = 0; t < NT; t++) {
-        real_t *mu = &s->row[terminal_row[t]];
-        *mu = met ? *mu + a->omega[t] * left_of(a, t) : before[t];
-    }
-    return met;
-}
-
-/* Takes the terminal rows out of the slope of the model along d and adds those of the merit function. They weigh so much
- * that the step, which goes to them, decreases it: their multipliers are estimates where products have run out. */
-static real_t slope_of_merit(solver_t *s, real_t slope, const real_t *before)
-{
-    const shooting_t *a = &s->shooting;
-    real_t other = slope, own = R(0), bend = R(2) * (a->model - slope);
-    for (int t = 0; t < NT; t++) {
-        const int m = terminal_row[t];
         const real_t step = inner(a->Xi[t][0], a->d[0]);
-        other += (s->row[m] - before[t] - a->omega[t] * a->gap[t]) * step;
+        real_t *mu = &s->row[terminal_row[t]];
+        other -= (*mu + a->omega[t] * a->gap[t]) * step;
+        *mu = met ? *mu + a->omega[t] * left_of(a, t) : before[t];
+        other += *mu * step;
         bend -= a->omega[t] * step * step;
-        own -= row_penalty(s) * row_weight[m] * a->gap[t] * step;
+        own -= row_penalty(s) * row_weight[terminal_row[t]] * a->gap[t] * step;
     }
     const real_t rest = other + R(0.5) * bend;
     const real_t factor = (R(4) * rest > own && own > R(0)) ? R(4) * rest / own : R(1);
     weigh_terminal(s, factor);
-    return other - factor * own;
+    *slope = other - factor * own;
+    return met;
 }
 #endif
 
@@ -275,7 +268,7 @@ static real_t free_size(const shooting_t *a)
     return sum;
 }
 
-/* The minimiser of the model. Returns 0 if products or faces run out before. */
+/* The minimiser of the model. Returns 0 if products or faces run out. */
 static int solve_model(solver_t *s, real_t *largest)
 {
 #if NT
@@ -291,7 +284,7 @@ static int solve_model(solver_t *s, real_t *largest)
             continue;
         }
 #endif
-        return 1;
+        return s->shooting.left > 0;
     }
     return 0;
 }
@@ -302,7 +295,7 @@ static status_t improve(solver_t *s, int trials, int *moved)
 {
     shooting_t *a = &s->shooting;
     real_t largest, slope;
-    int met = 1, done;
+    int met = 1, done, rough;
     *moved = STAYED;
     s->stats.newton_iterations++;
     differentiate(s);
@@ -311,7 +304,7 @@ static status_t improve(solver_t *s, int trials, int *moved)
     a->left = products_allowed(s);
     a->model = R(0);
 #if NT
-    real_t before[NT], tightened[NT];
+    real_t before[NT];
     impulse_rows(s);
     for (int t = 0; t < NT; t++) {
         before[t] = s->row[terminal_row[t]];
@@ -321,21 +314,16 @@ static status_t improve(solver_t *s, int trials, int *moved)
         return NUMERICAL_FAILURE;
     }
     done = solve_model(s, &largest);
+    rough = !done && is_far(SQRT(precondition(a) / largest));
     if (!direction_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
     slope = R(2) * a->model - inner(a->r[0], a->d[0]);
 #if NT
-    for (int t = 0; t < NT; t++) {
-        tightened[t] = s->row[terminal_row[t]];
-    }
-    met = update_terminal(s, before);
-    slope = slope_of_merit(s, slope, tightened);
+    met = update_terminal(s, before, &slope);
 #endif
     *moved = move(s, (slope < R(0)) ? slope : R(0), trials);
-    if (*moved == MOVED && !done && is_far(SQRT(precondition(a) / largest))) {
-        *moved = SHORTENED;
-    }
+    *moved = (*moved == MOVED && rough) ? SHORTENED : *moved;
 #if NT
     for (int t = 0; t < NT && *moved == STAYED; t++) {
         s->row[terminal_row[t]] = before[t];

@@ -335,8 +335,16 @@ static void follow_terms(solver_t *s)
 #endif
 
 #if NG > NT
-/* The dual update: mu_m = psi_m'(v_m), in size at most ``most`` penalties more than before in the scale of the row, so
- * that no single sample has a lasting effect. Terminal rows whose multipliers the model yields keep them. */
+#if !BARRIER_ROWS
+/* What a violation of one scale of row m costs by its penalty: the unit of its multiplier. */
+static real_t multiplier_unit(const solver_t *s, int m)
+{
+    return row_penalty(s) * SQRT(row_weight[m]);
+}
+
+#endif
+/* The dual update: mu_m = psi_m'(v_m), in size at most ``most`` of its units more than before, so that no single sample
+ * has a lasting effect. Terminal rows whose multipliers the model yields keep them. */
 static void update_rows(solver_t *s, real_t most)
 {
     real_t value[NG], slope, curvature;
@@ -354,7 +362,7 @@ static void update_rows(solver_t *s, real_t most)
 #if BARRIER_ROWS
         s->row[m] = clip(slope, (ROW_LOWER(s, m) > -INF) ? -INF : R(0), (ROW_UPPER(s, m) < INF) ? INF : R(0));
 #else
-        const real_t size = FABS(s->row[m]) + most * row_penalty(s) * SQRT(row_weight[m]);
+        const real_t size = FABS(s->row[m]) + most * multiplier_unit(s, m);
         s->row[m] = clip(slope, -size, size);
 #endif
     }

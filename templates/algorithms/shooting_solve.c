@@ -42,7 +42,7 @@ static real_t dual_residual(const solver_t *s)
         }
 #endif
         (void)row_term(s, m, value[m], &slope, &curvature);
-        enlarge(&most, (slope - s->row[m]) / (row_penalty(s) * SQRT(row_weight[m])));
+        enlarge(&most, (slope - s->row[m]) / multiplier_unit(s, m));
     }
     return most;
 }
@@ -87,7 +87,7 @@ static int advance_rows(solver_t *s, real_t tol, real_t *violation)
 static void limit_rows(solver_t *s)
 {
     for (int m = 0; m < NG; m++) {
-        const real_t limit = row_penalty(s) * SQRT(row_weight[m]);
+        const real_t limit = multiplier_unit(s, m);
         s->row[m] = clip(s->row[m], -limit, limit);
     }
 }

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 643d9542a32c6d8e, sha256 6b3931dcab934e401c70975d4a1126b8b39fb0a65721d1697f99be51cb7c8777 */
+/* nmpc_codegen package 31d5c53bf58ced39, sha256 c7117fe4fc76154a0429651e423cbddcf874c18408bdf6e403d420ca604e878a */

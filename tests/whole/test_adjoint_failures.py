@@ -140,6 +140,20 @@ def test_a_sample_whose_step_is_refused_is_not_converged() -> None:
     assert found[10] > found[0] == 1
 
 
+def test_products_that_run_out_are_no_solution_and_no_contradiction() -> None:
+    """Two products minimise the model roughly: more steps follow, and terminal rows that are not met may well be."""
+    found = {}
+    for repair in (0, 5):
+        controller = build(cstr.build_ocp(1, state_bounds=False), options(products=2, repair=repair), "test")
+        controller.step(cstr.START)
+        found[repair] = controller.stats.newton_iterations
+        assert controller.status is (Status.OK if repair else Status.NOT_CONVERGED)
+    assert found[5] > found[0] == 1
+    short = build(crane.build_ocp(), options(products=2, repair=0), "test")
+    short.step(X0)
+    assert short.status is Status.ITERATION_LIMIT
+
+
 def test_a_bad_argument_of_solve_and_reset() -> None:
     controller = build(crane.build_ocp(), options(), "test")
     fresh = controller.u.copy()
