@@ -17,7 +17,7 @@ EXACT = {"ipopt.tol": 1e-12, "ipopt.bound_relax_factor": 0.0, "ipopt.max_iter": 
 
 
 def interval() -> ca.Function:
-    """(x, u) -> x_next, the stage points side by side, and the weight of each in the integral."""
+    """(x, u) -> x_next and the stage points side by side, whose weights in the integral are STAGE_WEIGHTS in turn."""
     x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
     rates, h = ca.Function("f", [x, u], [vandevusse.rates(x, u)]), vandevusse.SAMPLING / STEPS
     state, points = x, []
@@ -61,17 +61,17 @@ def optimum(reference: np.ndarray, penalty: float, u: np.ndarray) -> float:
     """IPOPT's value of (7.16) by multiple shooting, from the plan that the controls u lead to."""
     step, N = interval(), len(u)
     X, U, S = ca.MX.sym("X", 4, N + 1), ca.MX.sym("U", 2, N), ca.MX.sym("S", 2 * 4 * STEPS, N)
-    bounds, cost = ca.DM(list(vandevusse.HIGHEST.values())), ca.MX(0)
+    highest, cost = np.array(list(vandevusse.HIGHEST.values())), ca.MX(0)
     gaps, rows = [X[:, 0] - vandevusse.steady_state(vandevusse.ENDS[0])], []
     states, slacks = [vandevusse.steady_state(vandevusse.ENDS[0])], []
     for k in range(N):
         following, points = step(X[:, k], U[:, k])
         gaps.append(following - X[:, k + 1])
-        rows.append(ca.vec(points[1:3, :] - ca.repmat(bounds, 1, 4 * STEPS)) - S[:, k])
+        rows.append(ca.vec(points[1:3, :] - ca.repmat(ca.DM(highest), 1, 4 * STEPS)) - S[:, k])
         cost += tracking(points, U[:, k], reference[k]) + ca.dot(price(penalty).T.ravel(), S[:, k])
         x, at = step(states[-1], u[k])
         states.append(np.asarray(x).ravel())
-        slacks.append(np.maximum(np.asarray(at)[1:3].T.ravel() - np.tile(list(vandevusse.HIGHEST.values()), 16), 0.0))
+        slacks.append(np.maximum(np.asarray(at)[1:3].T.ravel() - np.tile(highest, 4 * STEPS), 0.0))
     variables = ca.vertcat(ca.vec(X), ca.vec(U), ca.vec(S))
     start = np.concatenate([np.ravel(states), np.ravel(u), np.ravel(slacks) + 1e-3])
     n, m, free = 4 * (N + 1), 2 * 4 * STEPS * N, 4 * (N + 1) + 2 * N

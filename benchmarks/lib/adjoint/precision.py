@@ -53,15 +53,17 @@ def false_statuses(plant: Plant) -> dict[str, tuple[int, int]]:
     starts = plant.centre + plant.spread * np.random.default_rng(7).uniform(-1, 1, (STARTS, plant.spread.size))
     calls: dict[str, list[tuple[Status, Status]]] = {"first sample": [], "later samples": [], "solve()": []}
     for start in starts:
-        double.reset(), single.reset()
+        for controller in (double, single):
+            controller.reset()
         x = start
         for n in range(SAMPLES):
             u = double.step(x)
             single.step(x)
             calls["later samples" if n else "first sample"].append((double.status, single.status))
             x = np.asarray(double.integrate(x, u, plant.dt))
-        double.reset(), single.reset()
-        solved = (c.solve(start, tol=TOL, max_iterations=ITERATIONS).status for c in (double, single))
-        calls["solve()"].append((next(solved), next(solved)))
+        for controller in (double, single):
+            controller.reset()
+            controller.solve(start, tol=TOL, max_iterations=ITERATIONS)
+        calls["solve()"].append((double.status, single.status))
     good = {what: [b for a, b in pairs if a is Status.OK] for what, pairs in calls.items()}
     return {what: (sum(b is not Status.OK for b in found), len(found)) for what, found in good.items()}

@@ -23,7 +23,7 @@ from nmpc_codegen.lowering.choose import Choice, choose_qp
 from nmpc_codegen.lowering.choose_hessian import choose_hessian, solves_exactly
 from nmpc_codegen.lowering.dimensions import multiple_of
 from nmpc_codegen.lowering.first_plan import first_plan_warnings
-from nmpc_codegen.lowering.growth import growth
+from nmpc_codegen.lowering.growth import Growth, growth
 from nmpc_codegen.lowering.stability import stability_warning
 from nmpc_codegen.options import REGISTRIES, Goal, Math, Online, Options, Processor
 from nmpc_codegen.runtime.diagnosis.program import Program
@@ -111,7 +111,8 @@ def linearize(problem: Problem, options: Options) -> Model:
     constant = _constant_hessian(problem, online, functions)
     parts = Parts(integrator, options.algorithm, options.hessian)
     choice: Choice | None = None
-    grown = growth(problem, integrator, options.precision)
+    asked = "qp" in algorithm.needs or algorithm.simulates
+    grown = growth(problem, integrator, options.precision) if asked else Growth((), options.precision)
     if "qp" in options.algorithm.needs:
         choice = choose_qp(problem, options, constant, functions, grown)
         parts = replace(parts, condensing=choice.condensing, qp=choice.qp)

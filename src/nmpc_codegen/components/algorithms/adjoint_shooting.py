@@ -60,8 +60,8 @@ MAX_TRIALS, PATIENCE = 30, 3
 #: Steps of the method of multipliers for the terminal rows of the model.
 MAX_ROUNDS = 3
 
-#: Defaults of options that only one method has.
-PRODUCTS, MEMORY = 12, 5
+#: Defaults of options that only one method has; products are as many as controls, between two numbers.
+PRODUCTS, MEMORY = (12, 100), 5
 ITERATIONS = {"gauss_newton": 1, "quasi_newton": 10}
 
 #: Terms of rows that a continuation over the samples brings closer to the rows: a Gauss-Newton step of their model is
@@ -262,7 +262,7 @@ class AdjointShooting(Defaults):
     def notes(self, problem: Problem) -> tuple[str, ...]:
         """How many terminal rows are part of the model, and the penalty of the others."""
         count, others = len(self.terminal(problem)), len(problem.qp_rows) > len(self.terminal(problem))
-        chosen = f"penalty {self._penalty(problem):.4g}, from the cost along the states in their scales"
+        chosen = f"penalty {self._penalty(problem):.4g}, from the cost in the scales of its variables"
         return (
             *((f"adjoint shooting: {count} terminal rows by a Schur complement",) if count else ()),
             *((f"adjoint shooting: {chosen}",) if others and self.penalty is None else ()),
@@ -274,12 +274,9 @@ class AdjointShooting(Defaults):
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         controls, followed = dims.N.value * dims.nu.value, self.rows in FOLLOWED
         steps = FOLLOWED_STEPS if followed and self.second_order else ITERATIONS[self.method]
+        products = min(max(PRODUCTS[0], controls), PRODUCTS[1])
         newton = (
-            (
-                "MAX_PRODUCTS",
-                self.products or max(PRODUCTS, min(100, controls)),
-                "products with the Hessian of a step at most",
-            ),
+            ("MAX_PRODUCTS", self.products or products, "products with the Hessian of a step at most"),
             ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
             ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
             ("MAX_ROUNDS", MAX_ROUNDS, "steps of the method of multipliers for terminal rows in a step"),

@@ -36,31 +36,18 @@ class Directional:
     def forward(self) -> Sweep:
         """(x, u, p, dt, dx, du) -> dx_next."""
         rk, nx, s = self.rk, self.nx, self.stages
-        moved, slope = Slice("dX", nx), self._tangent
-        body: list[Node] = [*rk.start(), Call(copy("copy_dx", nx), (Slice("dx", nx),), (moved,))]
+        point, moved, du = Slice("Xi", nx), Slice("dXi", nx), Slice("du", self.nu)
+        leaf = rk.slope_and_tangent(self.f, self.x, self.u, self.p)
+        body: list[Node] = [*rk.start(), Call(copy("copy_dx", nx), (Slice("dx", nx),), (rk.moved,))]
         step: list[Node] = []
         for i in range(s):
-            step += [rk.point(i, Slice("Xi", nx)), self._move(i, moved), self._slopes(i)]
-        step += [rk.update_state(), rk.update("move", moved, slope)]
+            step += [rk.point(i, point), rk.move(i, moved), rk.slopes(i, leaf, point, moved, du)]
+        step += [rk.update_state(), rk.update("move", rk.moved, rk.tangent)]
         body.append(For("step", 0, self.steps, tuple(step)))
-        body.append(Call(copy("copy_dx_next", nx), (moved,), (Slice("dx_next", nx),)))
+        body.append(Call(copy("copy_dx_next", nx), (rk.moved,), (Slice("dx_next", nx),)))
         buffers = (("h", 1), ("X", nx), ("Xi", nx), ("K", s * nx), ("dX", nx), ("dXi", nx), ("dK", s * nx))
         ports = (*rk.ports, Port("dx", nx), Port("du", self.nu))
         return Sweep(FORWARD, FORWARD_DOC, ports, (Port("dx_next", nx),), buffers, tuple(body))
-
-    def _tangent(self, stage: int) -> Slice:
-        return Slice("dK", self.nx, Affine(stage * self.nx))
-
-    def _move(self, stage: int, moved: Slice) -> Call:
-        """dX_i."""
-        coefficients = self.rk.tableau.a[stage]
-        return self.rk.combined(f"moved_{stage}", coefficients, moved, self._tangent, Slice("dXi", self.nx))
-
-    def _slopes(self, stage: int) -> Call:
-        """K_i and dK_i."""
-        leaf = self.rk.slope_and_tangent(self.f, self.x, self.u, self.p)
-        ins = (Slice("Xi", self.nx), *self.rk.up, Slice("dXi", self.nx), Slice("du", self.nu))
-        return Call(leaf, ins, (self.rk.slope(stage), self._tangent(stage)))
 
     def adjoint(self) -> Sweep:
         """(x, u, p, dt, adj) -> g."""

@@ -7,6 +7,8 @@ H d, Gauss-Newton: (dX_i; du) by the linearised steps, then the same with f_z' k
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import casadi as ca
 
 from nmpc_codegen.components.integrators.runge_kutta import LENGTH, RungeKutta
@@ -46,7 +48,7 @@ class Quadrature:
         first = [node for i in range(s) for node in self._stage(i, self._point(i), rate=False)]
         body.append(For("step", 0, self.steps, (*first, self.rk.update_state())))
         body.append(Call(ca.Function("clear", [], [ca.SX.zeros(nx)]), (), (Slice("adj", nx),)))
-        backward = [self._backward(i) for i in reversed(range(s))]
+        backward = [self._backward(i, "g") for i in reversed(range(s))]
         update = self.rk.update_adjoint("update_adjoint", Slice("adj", nx), self._bar)
         body.append(For("step", 0, self.steps, (*backward, update), down=True))
         g, adj, here = ca.SX.sym("g", nx), ca.SX.sym("adj", nx), Slice("g", nx)
@@ -59,17 +61,20 @@ class Quadrature:
 
     def product(self, name: str, doc: str, start: Call, more: tuple[Port, ...]) -> Sweep:
         """(x, u, p, dt, more) -> w; ``more`` ends with the direction d = (dx, du)."""
-        nx, nu, s = self.nx, self.nu, self.stages
-        moved, adj, w = Slice("dX", nx), Slice("adj", nx), Slice("w", nx)
-        body: list[Node] = [start, *self.rk.start(), Call(copy("copy_dx", nx), (Slice("d", nx),), (moved,))]
+        nx, nu, s, rk = self.nx, self.nu, self.stages, self.rk
+        adj, w, dx, du = Slice("adj", nx), Slice("w", nx), Slice("d", nx), Slice("d", nu, Affine(nx))
+        leaf = rk.slope_and_tangent(self.f, self.x, self.u, self.p)
+        body: list[Node] = [start, *rk.start(), Call(copy("copy_dx", nx), (dx,), (rk.moved,))]
         first: list[Node] = []
         for i in range(s):
-            first += [self.rk.point(i, self._point(i)), self._move(i, moved), self._slopes(i)]
-        first += [self.rk.update_state(), self.rk.update("move", moved, self._tangent)]
+            first += [rk.point(i, self._point(i)), rk.move(i, self._moved(i))]
+            first.append(rk.slopes(i, leaf, self._point(i), self._moved(i), du))
+        first += [rk.update_state(), rk.update("move", rk.moved, rk.tangent)]
         body.append(For("step", 0, self.steps, tuple(first)))
         body.append(Call(ca.Function("clear", [], [ca.SX.zeros(nx)]), (), (adj,)))
-        backward = [self._backward_along(i) for i in reversed(range(s))]
-        update = self.rk.update_adjoint("update_adjoint", adj, self._bar)
+        along = {i: {"dx": self._moved(i), "du": du} for i in range(s)}
+        backward = [self._backward(i, "w", along[i]) for i in reversed(range(s))]
+        update = rk.update_adjoint("update_adjoint", adj, self._bar)
         body.append(For("step", 0, self.steps, (*backward, update), down=True))
         total, value = ca.SX.sym("w", nx), ca.SX.sym("adj", nx)
         body.append(Call(ca.Function("add", [total, value], [total + value]), (w, adj), (w,)))
@@ -78,43 +83,10 @@ class Quadrature:
             *(("h", 1), ("X", nx), ("Xs", kept), ("K", s * nx), ("dX", nx), ("dXs", kept), ("dK", s * nx)),
             *(("adj", nx), ("Xbar", s * nx)),
         )
-        return Sweep(name, doc, (*self.rk.ports, *more), (Port("w", nx + nu),), buffers, tuple(body))
-
-    @property
-    def _du(self) -> Slice:
-        return Slice("d", self.nu, Affine(self.nx))
-
-    def _tangent(self, stage: int) -> Slice:
-        return Slice("dK", self.nx, Affine(stage * self.nx))
+        return Sweep(name, doc, (*rk.ports, *more), (Port("w", nx + nu),), buffers, tuple(body))
 
     def _moved(self, stage: int) -> Slice:
         return Slice("dXs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))
-
-    def _move(self, stage: int, moved: Slice) -> Call:
-        """dX_i."""
-        return self.rk.combined(f"moved_{stage}", self.rk.tableau.a[stage], moved, self._tangent, self._moved(stage))
-
-    def _slopes(self, stage: int) -> Call:
-        """K_i and dK_i."""
-        ins = (self._point(stage), *self.rk.up, self._moved(stage), self._du)
-        return Call(
-            self.rk.slope_and_tangent(self.f, self.x, self.u, self.p), ins, (self.rk.slope(stage), self._tangent(stage))
-        )
-
-    def _backward_along(self, stage: int) -> Call:
-        """Xbar_i, and w_u += ubar_i."""
-        sym, nx, z = ca.SX.sym, self.nx, ca.vertcat(self.x, self.u)
-        adj, h, total, d = sym("adj", nx), sym("h"), sym("w", self.nu), sym("d", nx + self.nu)
-        bars = {j: sym(f"Xbar{j}", nx) for j in self.rk.later(stage)}
-        kappa, k, weight = self.rk.adjoint_of_slope(stage, adj, h, bars), sym("k", nx), sym("weight")
-        bent = weight * ca.jtimes(ca.gradient(self.rate, z), z, d)
-        back = ca.densify(ca.jtimes(self.f, z, k, True) + bent)
-        (back,) = ca.substitute([back], [k, weight], [kappa, h * float(self.rk.tableau.b[stage])])
-        inputs = [self.x, self.u, self.p, adj, h, total, d[:nx], d[nx:], *bars.values()]
-        leaf = ca.Function(f"backward_{stage}", inputs, [back[:nx], total + back[nx:]])
-        here = Slice("w", self.nu, Affine(nx))
-        ins = [self._point(stage), *self.rk.up, Slice("adj", nx), LENGTH, here, self._moved(stage), self._du]
-        return Call(leaf, (*ins, *map(self._bar, bars)), (self._bar(stage), here))
 
     def _point(self, stage: int) -> Slice:
         return Slice("Xs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))
@@ -137,17 +109,21 @@ class Quadrature:
         leaf = ca.Function("add_rates", [q, h, rates], [combine(q, h, used, b)])
         return Call(leaf, (Slice("l", 1), LENGTH, Slice("L", self.stages)), (Slice("l", 1),))
 
-    def _backward(self, stage: int) -> Call:
-        """Xbar_i, and g_u += ubar_i."""
+    def _backward(self, stage: int, target: str, direction: Mapping[str, Slice] | None = None) -> Call:
+        """Xbar_i, and ``target``_u += ubar_i: of the rate or, for a product, of its derivative along (dX_i, du)."""
         sym, nx = ca.SX.sym, self.nx
         adj, h, g = sym("adj", nx), sym("h"), sym("g", self.nu)
         bars = {j: sym(f"Xbar{j}", nx) for j in self.rk.later(stage)}
         kappa = self.rk.adjoint_of_slope(stage, adj, h, bars)
-        k, weight = sym("k", nx), sym("weight")
-        value = ca.dot(k, self.f) + weight * self.rate
+        k, weight, rate, along = sym("k", nx), sym("weight"), self.rate, direction or {}
+        moved = [sym(name, slot.size) for name, slot in along.items()]
+        if moved:
+            rate = ca.jtimes(rate, ca.vertcat(self.x, self.u), ca.vertcat(*moved))
+        value = ca.dot(k, self.f) + weight * rate
         bar, ubar = (ca.densify(ca.gradient(value, v)) for v in (self.x, self.u))
         bar, ubar = ca.substitute([bar, ubar], [k, weight], [kappa, h * float(self.rk.tableau.b[stage])])
-        leaf = ca.Function(f"backward_{stage}", [self.x, self.u, self.p, adj, h, g, *bars.values()], [bar, g + ubar])
-        here = Slice("g", self.nu, Affine(nx))
-        ins = [self._point(stage), *self.rk.up, Slice("adj", nx), LENGTH, here, *map(self._bar, bars)]
+        inputs = [self.x, self.u, self.p, adj, h, g, *moved, *bars.values()]
+        leaf = ca.Function(f"backward_{stage}", inputs, [bar, g + ubar])
+        here = Slice(target, self.nu, Affine(nx))
+        ins = [self._point(stage), *self.rk.up, Slice("adj", nx), LENGTH, here, *along.values(), *map(self._bar, bars)]
         return Call(leaf, tuple(ins), (self._bar(stage), here))

@@ -73,6 +73,25 @@ class RungeKutta:
         """X + h sum_i b_i K_i."""
         return self.update("update", self.state, self.slope, target)
 
+    # Directions ------------------------------------------------------------------------------------------------------
+
+    @property
+    def moved(self) -> Slice:
+        """dX, the derivative of the state along a direction."""
+        return Slice("dX", self.nx)
+
+    def tangent(self, stage: int) -> Slice:
+        """dK of a stage."""
+        return Slice("dK", self.nx, Affine(stage * self.nx))
+
+    def move(self, stage: int, target: Slice) -> Call:
+        """dX_i = dX + h sum_j a_ij dK_j."""
+        return self.combined(f"moved_{stage}", self.tableau.a[stage], self.moved, self.tangent, target)
+
+    def slopes(self, stage: int, leaf: Function, point: Slice, moved: Slice, du: Slice) -> Call:
+        """K_i and dK_i at a stage point, by slope_and_tangent()."""
+        return Call(leaf, (point, *self.up, moved, du), (self.slope(stage), self.tangent(stage)))
+
     def slope_and_tangent(self, f: Expression, x: Expression, u: Expression, p: Expression) -> Function:
         """(x, u, p, dx, du) -> f and f_x dx + f_u du."""
         dx, du = ca.SX.sym("dx", self.nx), ca.SX.sym("du", self.nu)
