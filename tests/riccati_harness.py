@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs
-from nmpc_codegen.ir.cmodule import Field, Size, Struct
 from nmpc_codegen.ir.tuning import PANEL
+from nmpc_codegen.package.description import union_dtype
+from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.runtime.compilers import find_compiler, with_required_options
-from nmpc_codegen.runtime.package_description import union_dtype
 from verification.qp.harness import (
     FAST,
     SCALARS,

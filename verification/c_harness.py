@@ -20,14 +20,15 @@ from nmpc_codegen import OCP, Options
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.ir.print_loops import print_routine
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import Sources, render
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.package.description import union_dtype
+from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import PROFILES, WARNINGS
 from nmpc_codegen.runtime.compilers import find_compiler
-from nmpc_codegen.runtime.package_description import union_dtype
 
 SCALARS = {"double": np.float64, "single": np.float32}
 

@@ -8,8 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from nmpc_codegen.host.unit import hosted
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.generated import MATH
-from nmpc_codegen.lowering.parts import evaluate, template_directory
+from nmpc_codegen.lowering.parts import MATH, evaluate, template_directory
 
 #: Parts that unit.c.jinja inlines in every package.
 ALWAYS = ("rows.c", "cost.c")
@@ -43,7 +42,7 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
     parts: set[str] = set()
     values: Values = defaultdict(set)
     for module in (unit for m in modules for unit in (m, *(hosted(m, *host) for host in HOSTS))):
-        math = (MATH,) if module.switches["OWN_MATH"] or module.switches["LANE_NODES"] else ()
+        math = (MATH,) if module.switches["OWN_MATH"] or module.sizes["LANE_NODES"] else ()
         for root in (*ALWAYS, *math, *module.core_parts, *(section.template for section in module.sections)):
             for part, number, value in _walk(root, module.sizes):
                 parts.add(part)

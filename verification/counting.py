@@ -15,10 +15,11 @@ from pathlib import Path
 from nmpc_codegen import OCP, Options
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import Sources, render
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.sources import Sources
 
 HEADER = Path(__file__).with_name("counting.hpp")
 

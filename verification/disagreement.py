@@ -17,7 +17,7 @@ import numpy as np
 
 from nmpc_codegen import Controller
 from nmpc_codegen.frontend.problem import Array
-from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import PROFILES
 from verification.closed_loop import Scenario, disturbed
 from verification.quality import package_name, written

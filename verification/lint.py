@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 
 from nmpc_codegen.lowering.parts import template_directory
-from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.package.sources import Sources
 from verification.quality import package_name, written
 from verification.timed import Sample
 from verification.unresolved import lowered, texts

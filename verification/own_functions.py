@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.host.lanes import in_lanes, transpose
-from nmpc_codegen.lowering.generated import MATH, MATH_IN_LANES, own_names, own_text
-from nmpc_codegen.lowering.parts import read_part, resolve
+from nmpc_codegen.lowering.parts import MATH, MATH_IN_LANES, own_names, own_text, read_part, resolve
+from nmpc_codegen.package.program import OF_ONE, OF_TWO
 from nmpc_codegen.runtime.compilers import find_compiler
-from nmpc_codegen.runtime.diagnosis.program import OF_ONE, OF_TWO
 
 #: Functions that have no text for lanes.
 SCALAR_ONLY = ("fmod",)

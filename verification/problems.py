@@ -24,7 +24,6 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.oracle.reference import Reference, ReferenceSolution
 from nmpc_codegen.oracle.trajectory import (
     CLASSICAL,
@@ -37,7 +36,8 @@ from nmpc_codegen.oracle.trajectory import (
     node_rows,
     row_nodes,
 )
-from nmpc_codegen.runtime.package_description import Precision
+from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.sources import Sources
 from verification.routes import PURE
 
 

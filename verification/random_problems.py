@@ -7,7 +7,7 @@ unused states and controls, cost terms without curvature, a single row, a single
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,7 +71,7 @@ class Draw:
     number: int
     name: str
     options: Options
-    sources: dict[str, str]
+    sources: Mapping[str, str]
 
     def __str__(self) -> str:
         return f"draw {self.number}: package {self.name}, {self.options}"

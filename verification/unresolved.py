@@ -26,7 +26,8 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import Sources, render
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.package.sources import Sources
 from verification.quality import package_name
 from verification.timed import Sample
 

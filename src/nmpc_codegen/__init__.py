@@ -20,14 +20,15 @@ from nmpc_codegen.errors import (
     ProblemWarning,
 )
 from nmpc_codegen.exclusive import COMPILING
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
 from nmpc_codegen.runtime.package import open_package
 from nmpc_codegen.runtime.records.log import Log
 from nmpc_codegen.runtime.simulate import simulate
-from nmpc_codegen.runtime.status import Status
 
 if TYPE_CHECKING:
+    from nmpc_codegen.analysis import worst_case
     from nmpc_codegen.compiler import Package, build, export, generate
     from nmpc_codegen.components.algorithms import AdjointShooting, AugmentedLagrangian, RealTimeIteration
     from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.options import Online, Options
 
 _HOMES = {
+    "analysis": ("worst_case",),
     "components.algorithms": ("AdjointShooting", "AugmentedLagrangian", "RealTimeIteration"),
     "compiler": ("Package", "build", "export", "generate"),
     "components.condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
@@ -120,6 +122,7 @@ __all__ = [
     "open_package",
     "simulate",
     "smooth_excess",
+    "worst_case",
 ]
 if not HAS_COMPILER:
     __all__ = [name for name in __all__ if name not in _HOME]

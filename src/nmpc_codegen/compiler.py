@@ -3,34 +3,33 @@
     OCP --classify--> Problem --linearize--> Model --lower--> CModule --render--> Sources --build--> Controller
     (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C names)  (path -> text)  (NumPy views)
 
-settled() lowers the model, derives the worst case of a sample from the text of its functions and, where QP solvers are
-close, decides between them by it. Every stage is a pure function from frozen values to a frozen value; only OCP and
-Controller, at the ends, are mutable.
-CasADi is used up to linearize, jinja2 only in render, and cffi only in build.
+Every stage is a pure function from frozen values to a frozen value, and none looks back; only OCP and Controller, at
+the ends, are mutable. CasADi is used up to linearize, jinja2 only in render, and cffi only in build. What follows from
+the text, the worst case of a sample, is an analysis of Sources that is made on request (analysis/).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nmpc_codegen.bounds.package import settled
 from nmpc_codegen.errors import OptionError, warn
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.host.unit import host_unit
-from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
-from nmpc_codegen.lowering.render import Sources, render
-from nmpc_codegen.options import GOALS, Options
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.options import Options
+from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.seal import sealed_beside
+from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import host, load
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.folder import write
-from nmpc_codegen.runtime.seal import sealed, sealed_beside
 
 
 @dataclass(frozen=True)
@@ -46,6 +45,12 @@ class Package:
     report: Mapping[str, Any]
 
 
+def compile(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:
+    """The files of the C package: OCP -> Problem -> Model -> CModule -> Sources. It raises the errors of generate()."""
+    with COMPILING:
+        return render(lower(linearize(classify(ocp), options), name))
+
+
 def generate(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:
     """Run the pipeline up to text; return path -> contents of every file of the package.
 
@@ -56,50 +61,15 @@ def generate(ocp: OCP, options: Options | None = None, name: str | None = None) 
         ProblemError: the problem is stated wrongly.
         OptionError: options clash, or a component does not support the problem.
     """
-    module, sources = _rendered(ocp, options, name)
-    _warn(module)
+    sources = compile(ocp, options, name)
+    _warn(sources.description)
     return sources
 
 
-def _rendered(ocp: OCP, options: Options | None, name: str | None) -> tuple[CModule, Sources]:
-    """The last value before text, and the sealed text."""
-    with COMPILING:
-        module = compiled(ocp, options, name)
-        return module, sealed(render(module), module.name)
-
-
-def _warn(module: CModule) -> None:
+def _warn(description: PackageDescription) -> None:
     """Issue what the compiler warns of as Python warnings."""
-    for text in module.description.report.warnings:
-        warn(f"{module.name}: {text}")
-
-
-def for_every_goal(ocp: OCP, options: Options, name: str | None = None) -> dict[str, Sources]:
-    """Goal -> the files of the package with this goal, for a processor without a vector unit."""
-    return {goal: _rendered(ocp, replace(options, goal=goal, processor="scalar"), name)[1] for goal in GOALS}
-
-
-def compiled(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
-    """Run the pipeline up to the CModule, the last value before text. It raises the errors of generate()."""
-    if options is not None and not isinstance(options, Options):
-        raise OptionError(f"options: {options!r}; expected Options(...) or None")
-    with COMPILING:
-        return settled(linearize(stated(ocp, options), options or Options()), name)
-
-
-def stated(ocp: OCP, options: Options | None = None) -> Problem:
-    """The problem of the OCP, with the terminal cost of lqr_terminal_cost(), which depends on the integrator.
-
-    Raises:
-        ProblemError: the problem is stated wrongly, or that terminal cost does not exist.
-    """
-    problem = classify(ocp)
-    if problem.terminal_lqr is None:
-        return problem
-    # SciPy is loaded only for those who need it.
-    from nmpc_codegen.economic.terminal import with_terminal_cost
-
-    return with_terminal_cost(problem, options)
+    for text in description.report.warnings:
+        warn(f"{description.name}: {text}")
 
 
 def export(
@@ -128,21 +98,17 @@ def export(
         ProblemError, OptionError: see generate(); OptionError also for foreign code that is not allowed.
         ExportError: a file must not be replaced, and nothing is written; or a file cannot be written.
     """
-    module = compiled(ocp, options, name)
-    foreign = module.folders
-    if foreign and not allow_foreign:
+    sources = compile(ocp, options, name)
+    if sources.foreign and not allow_foreign:
         raise OptionError(
-            f"qp {foreign[0]!r} adds foreign code with globals, which export() refuses; "
+            f"qp {sources.foreign[0]!r} adds foreign code with globals, which export() refuses; "
             "choose another solver, or export(..., allow_foreign=True) (--allow-foreign)"
         )
-    with COMPILING:
-        sources = sealed(render(module), module.name)
-    _warn(module)
-    if more is not None:
-        sources |= sealed_beside(more(sources), sources[f"{module.name}.c"])
-    folder = write(directory, sources, force=force)
-    files = tuple(folder / path for path in sources)
-    return Package(folder, module.name, files, module.description.report.as_dict())
+    _warn(sources.description)
+    files = dict(sources) if more is None else {**sources, **sealed_beside(more(sources), sources)}
+    folder = write(directory, files, force=force)
+    description = sources.description
+    return Package(folder, description.name, tuple(folder / path for path in files), description.report.as_dict())
 
 
 def build(
@@ -170,8 +136,9 @@ def build(
     """
     target = host(lanes, profile)
     with COMPILING:
-        module, sources = _rendered(ocp, options, name)
-        if target.lanes > 1:
-            sources[f"{module.name}_host.c"] = host_unit(module, target.lanes, target.avx512, target.tiles)
-    _warn(module)
-    return load(sources, module.name, profile, lanes=target.lanes)
+        module = lower(linearize(classify(ocp), options), name)
+        sources = render(module)
+        hosted = host_unit(module, target.lanes, target.avx512, target.tiles) if target.lanes > 1 else None
+    _warn(sources.description)
+    files = sources if hosted is None else {**sources, f"{module.name}_host.c": hosted}
+    return load(files, module.name, profile, lanes=target.lanes)

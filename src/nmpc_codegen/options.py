@@ -21,7 +21,8 @@ from nmpc_codegen.components.base import (
     called,
 )
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.runtime.package_description import Layout, Layouts, Precision
+from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.signals import Layout, Layouts
 
 REGISTRIES: Mapping[str, Mapping[str, type[Component]]] = {
     "integrator": integrators.REGISTRY,

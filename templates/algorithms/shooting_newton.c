@@ -166,7 +166,7 @@ static int solve_face(solver_t *s, real_t *largest)
     real_t size = precondition(a);
     s->stats.faces++;
     memset(a->p, 0, sizeof a->p);
-    for (int n = 0; n < PRODUCTS_OF_SOLVE && a->left > 0; n++) {
+    while (a->left > 0) { /* at most products_allowed(s) passes in solve_model */
         if (!(size > least_part(s) * *largest)) {
             return 0;
         }

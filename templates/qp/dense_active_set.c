@@ -127,7 +127,7 @@ static status_t qp_solve(qp_t *q)
 {
     int proofs = 0;
     status_t status = q->factorized ? qp_take_bounds(q) : NUMERICAL_FAILURE;
-    q->iterations = q->searches = q->changes = 0;
+    q->iterations = q->searches = q->proximal_steps = q->changes = 0;
     if (status != OK) {
         return qp_fail(q, status);
     }

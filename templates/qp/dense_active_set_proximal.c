@@ -111,7 +111,10 @@ static status_t qp_iterate_proximal(qp_t *q)
     clear(q->direction);
     q->total = R(0);
     q->step = INF;
-    for (int step = 0; step < QP_MAX_PROXIMAL_STEPS && status == ITERATION_LIMIT; ++step) {
+    while (status == ITERATION_LIMIT) { /* at most QP_MAX_PROXIMAL_STEPS passes in qp_solve */
+        if (q->proximal_steps++ >= QP_MAX_PROXIMAL_STEPS) {
+            return ITERATION_LIMIT;
+        }
         status = qp_iterate(q);
         if (status != OK) {
             return status;

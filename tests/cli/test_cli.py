@@ -428,7 +428,7 @@ def test_an_exception_of_ours_names_its_stage(
     state_problem: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Even an unexpected error is reported in one line."""
-    monkeypatch.setattr("nmpc_codegen.compiler.settled", lambda *_: len(None))  # type: ignore[arg-type]
+    monkeypatch.setattr("nmpc_codegen.compiler.lower", lambda *_: len(None))  # type: ignore[arg-type]
     assert main([state_problem("ocp = cart()")]) == 1
     _, err = said(capsys)
     assert "TypeError: object of type 'NoneType' has no len(), in nmpc_codegen/compiler.py (-v shows where)" in err

@@ -13,14 +13,15 @@ import pytest
 from nmpc_codegen import EconomicGaussNewton, GaussNewton, OptionError, Options
 from nmpc_codegen.components.base import SEAMS, Component, Dims, called, refuse_unsupported
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.ir.cmodule import Field, Macro, Size, Struct, struct_layout
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.cmodule import Macro
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import Model, linearize
-from nmpc_codegen.lowering.lower import _dims, lower
+from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import REGISTRIES, Online
+from nmpc_codegen.package.memory import Field, Size, Struct, struct_layout
+from nmpc_codegen.package.opcount import OpCount
 from verification.models import discrete_map, problem_of
 
 COMPONENTS = [cls for seam in SEAMS for cls in REGISTRIES[seam].values()]
@@ -54,7 +55,7 @@ def linearization(cls: type) -> Model:
 
 def parts(cls: type) -> tuple[Any, Model, Dims]:
     lin = linearization(cls)
-    return getattr(lin.parts, cls.seam), lin, _dims(lin)  # type: ignore[attr-defined]
+    return getattr(lin.parts, cls.seam), lin, lin.dims  # type: ignore[attr-defined]
 
 
 @every_component

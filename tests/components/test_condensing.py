@@ -18,8 +18,8 @@ from nmpc_codegen import OCP, DenseActiveSet, Options
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir import stage_products as products
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.tuning import COLUMNS
+from nmpc_codegen.package.opcount import OpCount
 from verification.c_harness import Package, module_of
 from verification.oracles.condensing import Condensed, StageData, condense, condense_row, multipliers
 

@@ -585,7 +585,7 @@ def test_bad_options(bad: object) -> None:
 def test_registered_under_its_name() -> None:
     assert REGISTRY["dense_active_set"] is DenseActiveSet
     assert {n: v for n, v, _ in DenseActiveSet().sizes(qp_dims(10, 4))} == {
-        "QP_MAX_ITERATIONS": 190,
-        "QP_MAX_PROXIMAL_STEPS": 200,
-        "QP_MAX_SEARCHES": 590,
+        "QP_MAX_ITERATIONS": 96,  # 2 x 3.4 per variable and row
+        "QP_MAX_PROXIMAL_STEPS": 34,
+        "QP_MAX_SEARCHES": 164,
     }

@@ -29,10 +29,10 @@ from nmpc_codegen import (
 from nmpc_codegen.components.base import Algorithm, Core, Defaults, Dims, Seam
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Field, Struct
 from nmpc_codegen.options import REGISTRIES
 from nmpc_codegen.oracle.reference import Reference, node_data
-from nmpc_codegen.runtime.package_description import Argument, EntryPoint
+from nmpc_codegen.package.memory import Field, Struct
+from nmpc_codegen.package.signals import Argument, EntryPoint
 
 PART = Path(__file__).parents[1] / "data" / "algorithms" / "projected_gradient.c"
 

@@ -27,11 +27,11 @@ from nmpc_codegen import (
 from nmpc_codegen.components.integrators import TABLEAUS
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir import stage_products as products
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import REGISTRIES
+from nmpc_codegen.package.opcount import OpCount
 from tests.components.test_condensing import PROBLEMS, SPELLINGS
 from verification import problems, samples
 from verification.c_harness import module_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import OptionError, Options, Osqp, build, export, generate, open_package
-from nmpc_codegen.runtime.status import Status
+from nmpc_codegen.package.status import Status
 from verification import problems
 from verification.routes import PURE
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, Options, RealTimeIteration
-from nmpc_codegen.compiler import compiled
+from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, Options, RealTimeIteration, generate, worst_case
+from verification.c_harness import module_of
 
 INTERVALS = st.sampled_from([0.01, 0.1, 0.3, 1 / 3, 0.7])
 
@@ -42,7 +42,7 @@ def _steps(dt: list[float], sampling_time: float, step: float, real: type) -> in
 @given(dt=st.lists(INTERVALS, min_size=1, max_size=6), sampling_time=st.floats(1e-3, 3.0), steps=st.integers(1, 3))
 def test_no_new_node_needs_more_steps_than_stated(dt: list[float], sampling_time: float, steps: int) -> None:
     algorithm = RealTimeIteration(shift="resample", sampling_time=sampling_time)
-    module = compiled(_ocp(dt), Options(integrator=ExplicitRungeKutta(RK4, steps), algorithm=algorithm))
+    module = module_of(_ocp(dt), Options(integrator=ExplicitRungeKutta(RK4, steps), algorithm=algorithm))
     needed = max(_steps(dt, sampling_time, max(dt) / steps, real) for real in (np.float32, np.float64))
     assert needed <= module.sizes["PLAN_STEPS"] <= needed + 1 + steps
 
@@ -51,7 +51,7 @@ def test_no_new_node_needs_more_steps_than_stated(dt: list[float], sampling_time
 def test_the_worst_case_counts_the_steps_of_the_shift(sampling_time: float) -> None:
     def worst(**more: object) -> dict[str, int]:
         options = Options(algorithm=RealTimeIteration(**more))  # type: ignore[arg-type]
-        return dict(compiled(_ocp([0.1] * 5), options).description.report.worst_operations)
+        return worst_case(generate(_ocp([0.1] * 5), options))
 
     resampled, kept = worst(shift="resample", sampling_time=sampling_time), worst()
     assert resampled["feedback"] == kept["feedback"]

@@ -15,12 +15,13 @@ from examples import bioreactor, cart_pole, chain, crane
 from nmpc_codegen import OCP
 from nmpc_codegen.components.integrators import TABLEAUS, Discrete, ExplicitRungeKutta, derivatives, symmetric
 from nmpc_codegen.components.integrators.derivatives import Derivatives
-from nmpc_codegen.components.stage_cost import stage_cost, stage_model
+from nmpc_codegen.components.stage_cost import stage_cost
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.stage_products import pattern
 from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Routine, Slice
+from nmpc_codegen.lowering.linearize import stage_model
 from verification.c_harness import Routines
 from verification.models import GRID, LENGTH, discrete_map, problem_of
 from verification.oracles import jets

@@ -27,8 +27,8 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import kkt_residuals, node_data
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.status import Status
 from verification import problems
 from verification.routes import PURE
 

@@ -10,12 +10,17 @@ import pytest
 import scipy.linalg
 
 from examples import driving
-from nmpc_codegen import OCP, ExplicitRungeKutta, Options, ProblemError, build
-from nmpc_codegen.compiler import compiled, stated
+from nmpc_codegen import OCP, ExplicitRungeKutta, Options, ProblemError, build, generate
 from nmpc_codegen.economic.terminal import lqr_terminal_cost
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.lowering.linearize import completed
 from nmpc_codegen.oracle.reference import CLASSICAL, solve_reference
+
+
+def completed_of(ocp: OCP, options: Options | None = None) -> Problem:
+    """The problem with its terminal cost."""
+    return completed(classify(ocp), options)
 
 
 def oscillator(N: int = 4, **request: object) -> OCP:
@@ -36,7 +41,7 @@ def test_tracking_is_the_infinite_horizon() -> None:
     found = lqr_terminal_cost(ocp, options)
     np.testing.assert_allclose([*found.x_s, *found.u_s], [1, 0, 1], atol=1e-9)
     assert found.semidefinite
-    problem = stated(ocp, options)
+    problem = completed_of(ocp, options)
     assert problem.terminal.y_names == ("x", "v")
     assert problem.features == frozenset()
     u0 = solve_reference(problem, replace(CLASSICAL, steps=3)).u[0]
@@ -73,7 +78,7 @@ def test_economic_is_the_infinite_horizon(N: int) -> None:
     found = lqr_terminal_cost(ocp, economic=True)
     assert found.P[0, 0] < 0
     assert abs(found.lam[0]) > 0.5
-    problem = stated(ocp)
+    problem = completed_of(ocp)
     assert "general cost" in problem.features
     u0 = solve_reference(problem).u[0]
     np.testing.assert_allclose(u0, found.u_s - found.K @ (problem.x_initial - found.x_s), rtol=0, atol=1e-7)
@@ -107,7 +112,7 @@ def test_active_row_at_the_steady_state(N: int, turn: float, mixed: bool) -> Non
     found = lqr_terminal_cost(pushed(2, turn, mixed), economic=True)
     assert found.active == (("row",) if mixed else ("x[0]",))
     assert (abs(found.slope[0] - found.lam[0]) < 1e-9) == mixed
-    long, short = (solve_reference(stated(pushed(k, turn, mixed))) for k in (40, N))
+    long, short = (solve_reference(completed_of(pushed(k, turn, mixed))) for k in (40, N))
     np.testing.assert_allclose(short.u, long.u[:N], rtol=0, atol=2e-7)
     np.testing.assert_allclose(short.x, long.x[: N + 1], rtol=0, atol=2e-7)
     assert np.abs(long.x[N] - found.x_s).max() > 1e-4, "the plan must not end in the steady state already"
@@ -118,7 +123,7 @@ def test_indefinite_cost_to_go_of_the_car() -> None:
     plans = []
     for N in (20, 120):
         ocp = driving.build_ocp(intervals=N)
-        problem = stated(ocp, driving.options())
+        problem = completed_of(ocp, driving.options())
         x0 = np.array([0.0, 0.3, driving.SPEED + 0.05, 0.01, 0.0])
         plans.append(solve_reference(problem, replace(CLASSICAL, steps=driving.STEPS), x0=x0))
     assert np.linalg.eigvalsh(lqr_terminal_cost(ocp, driving.options(), economic=True).P)[0] < -0.1
@@ -163,7 +168,7 @@ def test_steady_state_outside_its_bounds_is_refused() -> None:
     ocp = oscillator(x=[0.5, 0.0], u=[0.5])
     ocp.subject_to(-1, ocp.x[0], 0.4, name="near")
     with pytest.raises(ProblemError, match=r"violates the row 'near': 0\.5 is not in -1 \.\. 0\.4"):
-        stated(ocp)
+        completed_of(ocp)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +184,7 @@ def test_terminal_terms_add_up() -> None:
     """A terminal cost of the user stays."""
     ocp = economic(2)
     ocp.terminal_cost(5 * ocp.x**2)
-    both, alone = stated(ocp).terminal, stated(economic(2)).terminal
+    both, alone = completed_of(ocp).terminal, completed_of(economic(2)).terminal
     values = [float(ca.Function("V", [s.x, s.p], [s.cost])(0.7, ca.DM(0, 1))) for s in (both, alone)]
     assert values[0] - values[1] == pytest.approx(5 * 0.49, abs=1e-12)
 
@@ -190,7 +195,7 @@ def test_given_steady_state() -> None:
     np.testing.assert_allclose(found.x_s, [0.5, 0])
     np.testing.assert_allclose(found.P, lqr_terminal_cost(oscillator()).P, rtol=1e-8)
     assert not found.lam.any()
-    problem = stated(oscillator(x=[0.5, 0.0], u=[0.5]))
+    problem = completed_of(oscillator(x=[0.5, 0.0], u=[0.5]))
     np.testing.assert_allclose(problem.terminal.reference, [0.5, 0])
 
 
@@ -201,7 +206,7 @@ def test_cyclic_state_is_left_out() -> None:
     ocp.least_squares(ca.vertcat(v, u), weight=1.0)
     ocp.lqr_terminal_cost()
     ocp.cyclic(p)
-    assert stated(ocp).terminal.y_names == ("v",)
+    assert completed_of(ocp).terminal.y_names == ("v",)
     found = lqr_terminal_cost(ocp)
     assert not found.P[0].any()
     assert found.P[1, 1] > 0
@@ -219,7 +224,7 @@ def test_cyclic_state_is_left_out() -> None:
 )
 def test_refusals(request_: dict[str, object], message: str) -> None:
     with pytest.raises(ProblemError, match=message):
-        compiled(oscillator(**request_))
+        generate(oscillator(**request_))
 
 
 def test_references_that_are_no_steady_state() -> None:
@@ -229,7 +234,7 @@ def test_references_that_are_no_steady_state() -> None:
     ocp.least_squares(ca.vertcat(x, u), weight=1.0, reference=[1.0, 0.0])
     ocp.lqr_terminal_cost()
     with pytest.raises(ProblemError, match="the references are no steady state"):
-        stated(ocp)
+        completed_of(ocp)
 
 
 def test_general_cost_needs_economic() -> None:
@@ -239,12 +244,6 @@ def test_general_cost_needs_economic() -> None:
     ocp.stage_cost(x**2 + u**2)
     ocp.lqr_terminal_cost()
     with pytest.raises(ProblemError, match="no least squares; use economic=True"):
-        stated(ocp)
+        completed_of(ocp)
     with pytest.raises(ProblemError, match="stated twice"):
         ocp.lqr_terminal_cost(economic=True)
-
-
-def test_open_request_is_no_model() -> None:
-    """A problem whose terminal cost has not been computed never reaches the C."""
-    with pytest.raises(ProblemError, match="lqr_terminal_cost"):
-        linearize(classify(oscillator()), Options())

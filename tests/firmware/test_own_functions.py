@@ -16,8 +16,8 @@ from nmpc_codegen.firmware.recording import record
 from nmpc_codegen.firmware.targets import TARGETS
 from nmpc_codegen.firmware.toolchain import gcc
 from nmpc_codegen.firmware.verify import verify
+from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.build import load
-from nmpc_codegen.runtime.package_description import Precision
 
 EXAMPLES: dict[str, ModuleType] = {"crane": crane, "cstr": cstr}
 SAMPLES = 20

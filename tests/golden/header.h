@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 31d5c53bf58ced39, sha256 c7117fe4fc76154a0429651e423cbddcf874c18408bdf6e403d420ca604e878a */
+/* nmpc_codegen package 0263d2362f31b5c1, sha256 fe38a4a4db9c6a6493d499d4384360c9a6302a7c2309e2ff78bc037014101424 */

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import ProblemError
-from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, OpCount, Port, lift, live, opcode_name
+from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, lift, live, opcode_name
+from nmpc_codegen.package.opcount import OpCount
 from verification.c_harness import Routines
 
 x, y = ca.SX.sym("x"), ca.SX.sym("y")

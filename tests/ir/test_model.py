@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from nmpc_codegen import ExactHessian, GaussNewton, Options
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.model import operations
 from nmpc_codegen.ir.stage_products import pattern
 from nmpc_codegen.lowering.linearize import Model, linearize
+from nmpc_codegen.package.opcount import OpCount
 from verification.models import problem_of
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from nmpc_codegen.ir import stage_products
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.ir.print_loops import print_routine
 from nmpc_codegen.ir.stage_products import Pattern, Products
 from nmpc_codegen.ir.sweep import unroll
 from nmpc_codegen.ir.tuning import COLUMNS
+from nmpc_codegen.package.opcount import OpCount
 
 WRITTEN_OUT = {"nonzeros": 10**9, "loops": -1}
 SIZES = ((1, 1), (2, 1), (4, 2), (5, 3), (9, 1))

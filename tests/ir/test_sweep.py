@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen.ir.kernel import Kernel, OpCount, Port
+from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.ir.print_loops import print_routine
 from nmpc_codegen.ir.sweep import (
     Affine,
     Call,
@@ -22,6 +22,7 @@ from nmpc_codegen.ir.sweep import (
     straight,
     unroll,
 )
+from nmpc_codegen.package.opcount import OpCount
 from verification.c_harness import Routines
 
 N, M = 3, 4

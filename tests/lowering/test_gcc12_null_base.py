@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 from nmpc_codegen import NoCondensing, Options, RiccatiActiveSet, generate
-from nmpc_codegen.lowering.render import GCC_12, Sources
+from nmpc_codegen.lowering.render import GCC_12
+from nmpc_codegen.package.sources import Sources
 from tests.conftest import require_tool
 from verification import problems
 

@@ -11,9 +11,9 @@ from conftest import require_tool
 
 from nmpc_codegen import Options, RealTimeIteration, generate
 from nmpc_codegen.errors import BuildError
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.cache import CACHE_VARIABLE
-from nmpc_codegen.runtime.status import Status
 from verification import problems, quality
 
 #: Cases whose C differs in structure; dense_changed differs from dense_weight only in its data.

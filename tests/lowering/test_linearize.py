@@ -10,8 +10,8 @@ import pytest
 
 from nmpc_codegen import OCP, ExplicitRungeKutta, GaussNewton, OptionError, Options
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.package.opcount import OpCount
 from verification.c_harness import Package, Routines, module_of
 from verification.models import GRID, LENGTH, problem_of
 from verification.oracles.runge_kutta import MODELS, POINTS, Array, complex_step, integrate

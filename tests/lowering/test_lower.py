@@ -12,11 +12,12 @@ import pytest
 from nmpc_codegen import Options
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import CModule, Field, Size, Struct, struct_layout
+from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
-from nmpc_codegen.runtime.package_description import PackageDescription
+from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.memory import Field, Size, Struct, struct_layout
 from verification import problems
 from verification.c_harness import memory_layout, shared_library
 

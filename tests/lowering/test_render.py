@@ -15,7 +15,8 @@ import pytest
 from nmpc_codegen import Options, generate
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.preamble import arithmetic
-from nmpc_codegen.lowering.render import Sources, context, environment, tidy
+from nmpc_codegen.lowering.render import context, environment, tidy
+from nmpc_codegen.package.sources import Sources
 from verification import problems
 
 ROOT = Path(__file__).parents[2]

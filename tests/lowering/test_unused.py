@@ -22,7 +22,7 @@ from nmpc_codegen import (
     generate,
 )
 from nmpc_codegen.components.integrators import ButcherTableau
-from nmpc_codegen.lowering.unit.unused import without_unused
+from nmpc_codegen.lowering.unused import without_unused
 from verification import quality
 
 #: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.

@@ -30,7 +30,7 @@ def test_most_optimised(compiler: str) -> None:
 
 def test_soft_rows_without_terminal_rows() -> None:
     """The rows of the last node are those of its states, so that no value of a general row may be read there."""
-    text = generate(soft_without_terminal_rows())
+    text = dict(generate(soft_without_terminal_rows()))
     assert "#define SOFT_PATH_NH_N 0 " in text["soft_path.h"]
     assert "h_N" not in text["soft_path.c"]
 
@@ -38,7 +38,7 @@ def test_soft_rows_without_terminal_rows() -> None:
 def test_uninitialised_values_are_seen() -> None:
     """Found by gcc only, with its optimiser."""
     require_tool("gcc")
-    text = generate(problems.tiny())
+    text = dict(generate(problems.tiny()))
     text["tiny.c"] += "int tiny_late(int n);\nint tiny_late(int n)\n{\n    int found;\n    if (n > 3) {\n"
     text["tiny.c"] += "        found = n;\n    }\n    return found;\n}\n"
     assert quality.warnings_of(text, ("-O0",), ("C99",), "gcc") == ""
@@ -50,7 +50,7 @@ def test_unused_functions_are_seen(compiler: str) -> None:
     """Found by gcc when it compiles; by the front end of clang also for functions declared inline."""
     require_tool(compiler)
     level = {"gcc": "-O0", "clang": "-fsyntax-only"}[compiler]
-    text = generate(problems.tiny())
+    text = dict(generate(problems.tiny()))
     text["tiny.c"] += "static int spare(void)\n{\n    return 1;\n}\n"
     text["tiny.c"] += "static inline int spare_inline(void)\n{\n    return 1;\n}\n"
     found = quality.warnings_of(text, (level,), ("C99",), compiler)

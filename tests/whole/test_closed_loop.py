@@ -15,8 +15,8 @@ from nmpc_codegen import OCP, DenseActiveSet, GaussNewton, Options, build
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import solve_reference
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.status import Status
 from verification import problems
 from verification.routes import PURE
 

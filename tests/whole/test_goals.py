@@ -27,8 +27,8 @@ from nmpc_codegen import (
     generate,
 )
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.package_description import PackageDescription
 from verification.counting import count_mismatches
 from verification.routes import PURE
 

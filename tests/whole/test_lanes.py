@@ -26,9 +26,9 @@ from nmpc_codegen import (
     generate,
     open_package,
 )
-from nmpc_codegen.compiler import compiled
 from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.runtime.build import host, load
+from verification.c_harness import module_of
 from verification.lanes import LIMIT, errors
 from verification.samples import SAMPLES
 from verification.timed import TIMED
@@ -66,7 +66,7 @@ def test_products_of_several_steps(steps: int) -> None:
     require_tool("cc")
     options = Options(ExplicitRungeKutta(RK4, steps=steps, unroll="none"))
     ocp = chain.build_ocp(3, N=11)
-    assert "lanes_chain" in host_unit(compiled(ocp, options), 4, False)
+    assert "lanes_chain" in host_unit(module_of(ocp, options), 4, False)
     one, other = (build(ocp, options, "test", lanes=n) for n in (1, 4))
     assert max(dict(errors(one, other, np.random.default_rng(2))).values()) <= LIMIT
 
@@ -139,9 +139,9 @@ def test_controllers_with_lanes_are_copied_and_pickled() -> None:
 
 def test_few_intervals_take_fewer_lanes() -> None:
     """N = 1 has one node: the unit is the exported text."""
-    module = compiled(KNOWN["single dense"].make(), KNOWN["single dense"].options)
+    module = module_of(KNOWN["single dense"].make(), KNOWN["single dense"].options)
     assert "lanes_t" not in host_unit(module, 8, True)
-    bare = compiled(KNOWN["bare dense"].make(), Options(hessian=ExactHessian()))
+    bare = module_of(KNOWN["bare dense"].make(), Options(hessian=ExactHessian()))
     assert "vector_size(HOST_LANES" in host_unit(bare, 8, True)
     assert "#define HOST_LANES 4" in host_unit(bare, 8, True)
 

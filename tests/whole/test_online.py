@@ -31,8 +31,8 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, ReferenceSolution, node_data
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.status import Status
 from verification.quality import warnings_of
 from verification.routes import PURE
 

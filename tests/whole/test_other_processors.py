@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from conftest import require_tool
 
-from nmpc_codegen.compiler import compiled
 from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.runtime.build import PROCESSOR_VARIABLE, WARNINGS, host
+from verification.c_harness import module_of
 from verification.samples import SAMPLES
 from verification.timed import TIMED
 
@@ -28,7 +28,7 @@ STRICT = ("-std=gnu99", "-O1", *(flag for flag in WARNINGS if flag not in ("-std
 def write(folder: Path, name: str, lanes: int) -> str:
     """Write the exported package and unit.c, its form with several lanes; returns the name of the package."""
     sample = KNOWN[name]
-    module = compiled(sample.make(), sample.options)
+    module = module_of(sample.make(), sample.options)
     for path, text in {**render(module), "unit.c": host_unit(module, lanes, avx512=False)}.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_text(text, encoding="utf-8")

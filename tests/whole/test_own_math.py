@@ -20,11 +20,10 @@ from conftest import require_tool
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import OCP, Controller, OptionError, Options, Osqp, ProblemWarning, build, derivatives, generate
 from nmpc_codegen.cli.command import main
-from nmpc_codegen.lowering.generated import own_names
-from nmpc_codegen.lowering.parts import needed
+from nmpc_codegen.lowering.parts import needed, own_names
+from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.program import OF_TWO
 from nmpc_codegen.runtime.build import PROFILES
-from nmpc_codegen.runtime.diagnosis.program import OF_TWO
-from nmpc_codegen.runtime.package_description import Precision
 from verification import quality
 from verification.own_functions import (
     LIMIT,

@@ -12,9 +12,9 @@ from nmpc_codegen import OCP, ExactHessian, GaussNewton, Options, RealTimeIterat
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.solving import Solution
-from nmpc_codegen.runtime.status import Status
 from verification import problems
 from verification.problems import CASES
 

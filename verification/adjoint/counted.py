@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from nmpc_codegen.ir.kernel import OpCount
-from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.sources import Sources
 from verification.counting import CLASSES, run_program
 
 #: Arguments of every function after the data.

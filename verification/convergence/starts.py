@@ -23,7 +23,7 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Point, Tableau, kkt_residuals, node_data
-from nmpc_codegen.runtime.package_description import Names
+from nmpc_codegen.package.signals import Names
 from nmpc_codegen.runtime.solving import Solution
 from verification.convergence.problems import StartProblem, problems
 

@@ -82,9 +82,9 @@ MUTANTS = (
     ),
     Mutant(
         "a count that is too small: the last test of a loop in the worst case",
-        "src/nmpc_codegen/bounds/worst_case.py",
-        "        total += self._cost(loop.test, frame)\n        frame.facts = outer",
-        "        frame.facts = outer",
-        ("tests/bounds/test_worst_case.py",),
+        "src/nmpc_codegen/analysis/interpret.py",
+        "        return total + self.cost(node.cond, scope)",
+        "        return total",
+        ("tests/analysis/test_interpret.py",),
     ),
 )

@@ -17,13 +17,13 @@ import numpy as np
 
 from nmpc_codegen.components.base import Dims, QpDims
 from nmpc_codegen.components.qp import DenseActiveSet
-from nmpc_codegen.ir.cmodule import Size, Struct
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.tolerances import TOLERANCES
+from nmpc_codegen.package.description import union_dtype
+from nmpc_codegen.package.memory import Size, Struct
 from nmpc_codegen.runtime.build import MARCH
 from nmpc_codegen.runtime.compilers import find_compiler, with_required_options
-from nmpc_codegen.runtime.package_description import union_dtype
 
 STATUSES = (
     "OK", "ITERATION_LIMIT", "INFEASIBLE", "RELAXED", "NUMERICAL_FAILURE", "NOT_FINITE", "NOT_PREPARED",

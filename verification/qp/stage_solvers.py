@@ -25,9 +25,9 @@ from nmpc_codegen import OCP, Online, Options
 from nmpc_codegen.components import condensing, qp
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.lowering.render import render
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.runtime.compilers import find_compiler
-from nmpc_codegen.runtime.status import Status
 from verification.c_harness import memory_layout, module_of
 from verification.oracles.stage_qp import (
     Array,

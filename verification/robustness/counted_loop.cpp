@@ -1,7 +1,7 @@
 // Counts the operations of every sample of a recorded loop: additions, multiplications, divisions, roots and calls of math.h.
 // Compile as C++ with -DNAME=<prefix> -DMACRO=<PREFIX> -DPACKAGE='"<prefix>.c"', the package's real type being counted.
 // Input: how many rows are opened, their numbers; then per sample 1 y... y_N... or 0, and the measured state.
-// Prints per sample of prepare and feedback: status, these operations, all with comparisons and signs, u0...
+// Prints per sample, prepare and feedback or step: status, these operations, all with comparisons and signs, u0...
 #include "counting.hpp"
 #include PACKAGE
 #include <stdio.h>
@@ -66,8 +66,12 @@ int main()
     open_rows();
     while (take_set_point() && take(SIZE(_NX), x)) {
         counted::reset();
+#ifdef ONE_CALL // the algorithm has no phases
+        const int prepared = 0, status = (int)API(_step)(&solver, x, u);
+#else
         const int prepared = (int)API(_prepare)(&solver);
         const int status = (int)API(_feedback)(&solver, x, u);
+#endif
         const long operations = counted::add + counted::mul + counted::div + counted::sqrt + counted::call;
         printf("%d %ld %ld", prepared ? prepared : status, operations, operations + counted::other);
         for (int j = 0; j < SIZE(_NU); j++) {

@@ -172,13 +172,14 @@ def count(loop: Loop, *played: Recorded, optimise: bool = True) -> list[Counted]
     Without optimiser the program is there four times as fast, and as much slower.
     """
     sources = generate(loop.make(), loop.options)
-    name = next(path[:-2] for path in sources if path.endswith(".h"))
+    name = sources.description.name
     with tempfile.TemporaryDirectory(prefix="counted-") as temporary:
         folder = Path(temporary)
         (folder / HEADER.name).write_text(HEADER.read_text(encoding="utf-8"), encoding="utf-8")
         (folder / f"{name}.h").write_text(counting_header(sources[f"{name}.h"], name), encoding="utf-8")
         (folder / f"{name}.c").write_text(sources[f"{name}.c"], encoding="utf-8")
-        define = [f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"']
+        phases = [] if sources.description.has_phases else ["-DONE_CALL"]
+        define = [*phases, f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"']
         compiler = ["g++", "-O1"] if optimise else [shutil.which("clang++") or "g++", "-O0"]
         command = [*compiler, "-std=c++17", "-w", *define, f"-I{folder}", str(DRIVER), "-o", "loop", "-lm"]
         subprocess.run(command, cwd=folder, check=True)

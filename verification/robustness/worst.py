@@ -10,8 +10,8 @@ import dataclasses
 
 import numpy as np
 
-from nmpc_codegen.compiler import compiled
-from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.compiler import compile
+from nmpc_codegen.package.sources import Sources
 from verification.robustness.work import Counted, Loop, Recorded, count, record, steps_of
 
 Array = np.ndarray
@@ -29,9 +29,9 @@ def hostile(loop: Loop, samples: int) -> Recorded:
     return Recorded([], states, np.zeros((samples, 0)), np.zeros(samples, dtype=bool))
 
 
-def package_of(loop: Loop) -> CModule:
+def package_of(loop: Loop) -> Sources:
     """Its package."""
-    return compiled(loop.make(), loop.options)
+    return compile(loop.make(), loop.options)
 
 
 def played(loop: Loop, scale: float) -> Counted:

@@ -28,7 +28,7 @@ from nmpc_codegen import (
     Options,
     build,
 )
-from nmpc_codegen.runtime.status import Stats
+from nmpc_codegen.package.status import Stats
 from verification.routes import PURE
 
 SAMPLES, JUMP = 160, 80

@@ -9,8 +9,8 @@ import numpy as np
 
 from nmpc_codegen import Controller, ExplicitRungeKutta, Options, RiccatiActiveSet, build, generate
 from nmpc_codegen.firmware.recording import Array, Disturbed, Event, Recording, record
-from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.options import Precision
+from nmpc_codegen.package.sources import Sources
 from verification.closed_loop import Scenario, disturbed
 from verification.robustness.work import Loop, closed_loops
 

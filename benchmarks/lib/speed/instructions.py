@@ -15,7 +15,7 @@ from benchmarks.lib.speed.loops import LOOPS, exported, hosted, module_of
 from nmpc_codegen.firmware.targets import TARGETS
 from nmpc_codegen.firmware.toolchain import EMULATOR, PREFIX
 from nmpc_codegen.firmware.verify import verify
-from nmpc_codegen.lowering.render import Sources
+from nmpc_codegen.package.sources import Sources
 from verification.closed_loop import compile_driver
 from verification.robustness.work import Loop
 

@@ -7,11 +7,12 @@ from functools import cache
 
 from examples import chain
 from nmpc_codegen import Options, RealTimeIteration
-from nmpc_codegen.compiler import compiled
 from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.render import Sources, render
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import host
+from verification import c_harness
 from verification.robustness.work import Loop
 from verification.scenarios import EXAMPLES, of_sample
 from verification.timed import TIMED
@@ -47,7 +48,7 @@ def with_algorithm(loop: Loop, **changes: object) -> Loop:
 @cache
 def module_of(loop: Loop) -> CModule:
     """The package of a loop."""
-    return compiled(loop.make(), loop.options)
+    return c_harness.module_of(loop.make(), loop.options)
 
 
 def exported(loop: Loop) -> Sources:

@@ -19,9 +19,9 @@ from nmpc_codegen.firmware.delivery import recorded
 from nmpc_codegen.firmware.targets import TARGETS
 from nmpc_codegen.firmware.toolchain import EMULATOR, PREFIX
 from nmpc_codegen.firmware.verify import verify
+from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.program import OF_TWO
 from nmpc_codegen.runtime.build import PROFILES, host
-from nmpc_codegen.runtime.diagnosis.program import OF_TWO
-from nmpc_codegen.runtime.package_description import Precision
 from verification.closed_loop import compile_driver, run_driver
 from verification.own_functions import (
     LIMIT,

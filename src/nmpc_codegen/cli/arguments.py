@@ -23,7 +23,6 @@ BUDGETS = {
     "ram": "bytes of solver struct",
     "flash": "bytes of code and constants on the target",
     "stack": "bytes of stack on the target",
-    "operations": "operations per sample in the worst case",
 }
 
 EPILOG = (
@@ -84,6 +83,11 @@ def parser() -> Parser:
     add("--target", choices=list(TARGETS), help="microcontroller: scalar code, a certificate, a bare-metal replay")
     add("--level", choices=LEVELS, help=f"optimisation level of the code for the target (default {LEVELS[0]})")
     add("--verify", action="store_true", help="with --target: replay a closed loop on the emulated board, compare")
+    add(
+        "--max-operations",
+        metavar="NUMBER",
+        help="choose the largest caps on iterations for which a sample takes so many operations at most, e.g. 2e6",
+    )
     for name, what in BUDGETS.items():
         add(f"--max-{name}", metavar="NUMBER", help=f"export nothing if the package takes more {what}, e.g. 64k or 2e6")
     add("--list-options", action="store_true", help="print every component, its options and their values, and exit")

@@ -6,19 +6,23 @@ import argparse
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nmpc_codegen.cli.arguments import check_usage, parser
 from nmpc_codegen.cli.messages import message, one_line
 from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, own_streams, saying_warnings, undisturbed
+from nmpc_codegen.errors import OptionError
 
 if TYPE_CHECKING:
     from nmpc_codegen.compiler import Package
     from nmpc_codegen.frontend.ocp import OCP
     from nmpc_codegen.options import Options
+    from nmpc_codegen.package.sources import Sources
 
 SHOWN_FUNCTIONS = 8
+TEXT = (".h", ".c", ".json")  # files of a package from which its worst case follows
 LONG_SIMULATION = 10_000  # number of samples from which the simulation is announced
 
 
@@ -60,13 +64,15 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         return 0
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
-    from nmpc_codegen.compiler import export, for_every_goal
+    from nmpc_codegen.compiler import export
 
     _look_for_tools(arguments)
     ocp, options = _problem(arguments, printer)
     name = ocp.name if arguments.name is None else arguments.name
+    if arguments.max_operations is not None:
+        options = _capped(ocp, options, arguments.max_operations, printer)
     folder = Path(arguments.output or Path("out") / name)
-    firmware = Firmware(arguments, name, lambda: for_every_goal(ocp, options, name))
+    firmware = Firmware(arguments, name, lambda: _every_goal(ocp, options, name))
     given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": firmware.more}
     with saying_warnings(printer):
         package = export(ocp, options, str(folder), name=name, **given)
@@ -77,6 +83,25 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         if arguments.simulate is not None:
             passed = _simulate(arguments, folder, name, printer) and passed
     return 0 if passed else 1
+
+
+def _capped(ocp: OCP, options: Options, text: str, printer: Printer) -> Options:
+    """The options with the largest caps on iterations that --max-operations allows."""
+    from nmpc_codegen.firmware.budgets import parsed
+    from nmpc_codegen.firmware.caps import fitting
+
+    limit = parsed("--max-operations", text)
+    options, most, worst = fitting(ocp, options, limit)
+    printer.line(f"caps    {most} on the iterations of a sample, which takes {worst:,} operations at most")
+    return options
+
+
+def _every_goal(ocp: OCP, options: Options, name: str) -> dict[str, Sources]:
+    """Goal -> the files of the package with this goal, for a processor without a vector unit."""
+    from nmpc_codegen.compiler import compile
+    from nmpc_codegen.options import GOALS
+
+    return {goal: compile(ocp, replace(options, goal=goal, processor="scalar"), name) for goal in GOALS}
 
 
 def _look_for_tools(arguments: argparse.Namespace) -> None:
@@ -147,9 +172,21 @@ def _print_package(printer: Printer, package: Package, folder: Path, verbose: bo
         bytes_of_struct = f"{package.report['ram_bytes']:,} bytes of solver struct"
         printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack, which --target states")
     _print_operations(printer, package.report.get("operations", {}), verbose)
-    worst = package.report.get("worst_operations", {})
-    if worst:
-        printer.line("worst   " + ", ".join(f"{phase} {count:,}" for phase, count in worst.items()) + " operations")
+    if verbose:
+        printer.line(f"worst   {_worst(package)}")
+
+
+def _worst(package: Package) -> str:
+    """The worst case of a sample in words."""
+    from nmpc_codegen.analysis import worst_case
+
+    try:
+        found = worst_case(
+            {path.name: path.read_text(encoding="utf-8") for path in package.files if path.suffix in TEXT}
+        )
+    except OptionError as error:
+        return str(error)
+    return ", ".join(f"{phase} {count:,}" for phase, count in found.items()) + " operations"
 
 
 def _print_operations(printer: Printer, operations: Mapping[str, Mapping[str, Any]], verbose: bool) -> None:

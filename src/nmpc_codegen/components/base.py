@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, Self, get_args
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.tuning import PANEL
-from nmpc_codegen.runtime.package_description import OpCount
+from nmpc_codegen.package.opcount import OpCount
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.stage_cost import StageCosts
     from nmpc_codegen.frontend.problem import Problem, Row
-    from nmpc_codegen.ir.cmodule import Size, Struct, Table
+    from nmpc_codegen.ir.cmodule import Table
     from nmpc_codegen.ir.kernel import Port
     from nmpc_codegen.ir.model import HessianModel, Interval, IntervalProducts, ModelFunctions
     from nmpc_codegen.ir.sweep import Call, Routine
-    from nmpc_codegen.runtime.package_description import EntryPoint, Precision
+    from nmpc_codegen.package.memory import Precision, Size, Struct
+    from nmpc_codegen.package.signals import EntryPoint
 
 # C function -> operations of one run
 Counts = Mapping[str, OpCount]
@@ -137,6 +138,10 @@ class Component(Protocol):
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         """Integer members of its structs that limit loops -> least and largest value, for the worst case."""
+        ...
+
+    def capped(self, most: int, dims: Dims) -> Self:
+        """The component with every cap on its iterations in a sample at most this number."""
         ...
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
@@ -350,6 +355,9 @@ class Defaults:
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         return {}
+
+    def capped(self, most: int, dims: Dims) -> Self:
+        return self
 
     def reach(self, problem: Problem) -> float:
         return 0.0

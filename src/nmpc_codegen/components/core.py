@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from nmpc_codegen.components.base import Core, Dims
-from nmpc_codegen.ir.cmodule import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct
 
 #: Word of Core -> the templates that belong to it; the other words have none.
 PARTS: dict[Core, tuple[str, ...]] = {"nodes": ("nodal_row.c",)}

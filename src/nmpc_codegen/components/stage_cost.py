@@ -13,12 +13,10 @@ from functools import cached_property
 
 import casadi as ca
 
-from nmpc_codegen.components.base import Integrator
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
-from nmpc_codegen.ir.model import StageModel
-from nmpc_codegen.ir.sweep import Call, Routine, Slice
+from nmpc_codegen.ir.sweep import Slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,32 +165,6 @@ class StageCosts:
 def stage_costs(problem: Problem) -> StageCosts:
     """The expressions that algorithms and Hessians share."""
     return StageCosts(*(stage_cost(getattr(problem, name), name) for name in ("start", "path", "terminal")))
-
-
-def stage_model(problem: Problem, integrator: Integrator, cost: StageCost) -> StageModel:
-    """Cost and gradient of a stage; the integrator provides them if the cost contains an integral."""
-    if cost.name != "path" or problem.path.cost_rate is None:
-        return StageModel(cost.cost_kernel(), cost.gradient_kernel())
-    arguments, symbols = slices(*cost.ports, *cost.data_ports), [*cost.inputs, cost.yref, cost.W]
-    value = Call(ca.Function("node_cost", symbols, [ca.densify(cost.value)]), arguments, (Slice("l", 1),))
-    leaf = ca.Function("node_gradient", symbols, [ca.densify(cost.gradient)])
-    gradient = Call(leaf, arguments, (Slice("g", cost.nz),))
-    return StageModel(
-        integrator.integrated_cost(problem, "path_cost", value, cost.data_ports),
-        integrator.integrated_gradient(problem, "path_gradient", gradient, cost.data_ports),
-        integrated=True,
-    )
-
-
-def stage_product(problem: Problem, integrator: Integrator, cost: StageCost) -> Routine:
-    """Hessian of the cost of a stage times a vector d; of an integral the part that is that of its rate, along d."""
-    if cost.name != "path" or problem.path.cost_rate is None:
-        return cost.product_kernel()
-    more = (*cost.data_ports, Port("d", cost.nz))
-    symbols = [*cost.inputs, cost.yref, cost.W, cost.direction]
-    leaf = ca.Function("node_product", symbols, [ca.densify(cost.product)])
-    start = Call(leaf, slices(*cost.ports, *more), (Slice("w", cost.nz),))
-    return integrator.integrated_product(problem, "path_product", start, more)
 
 
 def slices(*ports: Port) -> tuple[Slice, ...]:

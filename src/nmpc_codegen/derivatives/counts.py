@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from nmpc_codegen.derivatives.model import DerivativeModel
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.package.opcount import OpCount
 
 
 def _add(n: int) -> OpCount:

@@ -9,20 +9,20 @@ from typing import Any
 
 import casadi as ca
 
-from nmpc_codegen.compiler import stated
 from nmpc_codegen.components.base import Integrator
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
-from nmpc_codegen.components.stage_cost import StageCost, stage_costs, stage_model
+from nmpc_codegen.components.stage_cost import StageCost, stage_costs
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.classify import outputs_of
+from nmpc_codegen.frontend.classify import classify, outputs_of
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Port, lift
 from nmpc_codegen.ir.model import IntervalProducts, StageModel
 from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.lowering.linearize import completed, stage_model
 from nmpc_codegen.options import Options
-from nmpc_codegen.runtime.package_description import Precision
+from nmpc_codegen.package.memory import Precision
 
 #: Entries of a matrix that C can count by its type int.
 MOST_ENTRIES = 2**31 - 1
@@ -75,7 +75,7 @@ def derivative_model(ocp: OCP, outputs: Any, names: Sequence[str] | None, option
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
     chosen = options or Options()
     _refuse_options(chosen)
-    problem = stated(ocp, chosen)
+    problem = completed(classify(ocp), chosen)
     integrator = _integrator(problem, chosen)
     _refuse(problem)
     names, z = outputs_of(ocp, problem, outputs, names)

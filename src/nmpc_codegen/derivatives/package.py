@@ -13,13 +13,12 @@ from nmpc_codegen.derivatives.model import DerivativeModel, derivative_model
 from nmpc_codegen.derivatives.render import render
 from nmpc_codegen.derivatives.toolbox import Derivatives
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.naming import check_package_name
-from nmpc_codegen.lowering.render import Sources
 from nmpc_codegen.options import Options
+from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.seal import sealed
 from nmpc_codegen.runtime.build import load_library
 from nmpc_codegen.runtime.folder import write
-from nmpc_codegen.runtime.seal import sealed
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ def generate(
     name: str | None = None,
     *,
     output_names: Sequence[str] | None = None,
-) -> Sources:
+) -> dict[str, str]:
     """Path -> text of every file of the package.
 
     Args:
@@ -66,7 +65,7 @@ def _prefix(model: DerivativeModel, name: str | None) -> str:
     return prefix
 
 
-def _sources(model: DerivativeModel, name: str) -> Sources:
+def _sources(model: DerivativeModel, name: str) -> dict[str, str]:
     return sealed(render(model, name), name)
 
 

@@ -1,4 +1,4 @@
-"""DerivativeModel -> Sources: the folder of C that export() writes."""
+"""DerivativeModel -> dict[str, str]: the folder of C that export() writes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from nmpc_codegen.derivatives.counts import Counts
 from nmpc_codegen.derivatives.layout import Function, Member, functions, macros, size_of, structs
 from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.ir.print_c import unit_style
+from nmpc_codegen.ir.print_loops import print_routine
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.lowering.parts import read_part, resolve
+from nmpc_codegen.lowering.parts import names_in, read_part, rename, renamed_words, resolve
 from nmpc_codegen.lowering.preamble import (
     REAL_CONSTANT,
     WIDTH,
@@ -20,11 +21,9 @@ from nmpc_codegen.lowering.preamble import (
     arithmetic,
     definitions,
     preamble,
-    unit_style,
 )
-from nmpc_codegen.lowering.render import GCC_12, Sources, block_comment, context, environment, table_values, tidy
-from nmpc_codegen.lowering.unit.names import names_in, rename, renamed_words
-from nmpc_codegen.runtime.status import Status
+from nmpc_codegen.lowering.render import GCC_12, block_comment, context, environment, table_values, tidy
+from nmpc_codegen.package.status import Status
 
 FOLDER = "derivatives"
 
@@ -53,7 +52,7 @@ PLACES = {"p": "(d)->p[k]", "dt": "&interval_length[k]", "yref": "(d)->yref[k]",
 TERMINAL_PLACES = {"p": "(d)->p[N]", "yref": "(d)->yref_N", "W": "(d)->W_N"}
 
 
-def render(model: DerivativeModel, name: str) -> Sources:
+def render(model: DerivativeModel, name: str) -> dict[str, str]:
     """All files of the package ``name``."""
     style = unit_style(model.precision)
     names = _names(model, name)

@@ -14,9 +14,9 @@ from nmpc_codegen.derivatives.counts import Counts
 from nmpc_codegen.derivatives.layout import structs
 from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.errors import DerivativeError
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.lowering.tolerances import EPS
-from nmpc_codegen.runtime.status import Status
+from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.status import Status
 
 Array = NDArray[Any]
 

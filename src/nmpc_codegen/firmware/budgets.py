@@ -1,4 +1,4 @@
-"""Limits on memory, stack and operations that a package must keep, or it is not exported."""
+"""Limits on memory and stack that a package must keep, or it is not exported."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from dataclasses import dataclass, fields
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.certificate import Certificate
-from nmpc_codegen.options import REGISTRIES
-from nmpc_codegen.runtime.package_description import PackageDescription
+from nmpc_codegen.package.description import PackageDescription
 
 _NUMBER = re.compile(r"(\d+(?:\.\d*)?(?:e\d+)?)([km]?)$", re.IGNORECASE)
 _UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20}
@@ -17,7 +16,7 @@ _UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20}
 
 @dataclass(frozen=True)
 class Budgets:
-    """Largest sizes in bytes, and the largest number of operations of a sample; None: no limit.
+    """Largest sizes in bytes; None: no limit. Operations are limited before the export (caps.py).
 
     ``ram``: the solver struct; ``flash``: code and constants of the package; ``stack``: of the entry point that needs
     most, libraries included.
@@ -26,7 +25,6 @@ class Budgets:
     ram: int | None = None
     flash: int | None = None
     stack: int | None = None
-    operations: int | None = None
 
     @property
     def given(self) -> bool:
@@ -72,13 +70,6 @@ def _exceeded(budgets: Budgets, description: PackageDescription, certificate: Ce
         used = certificate.flash_bytes if name == "flash" else certificate.stack_worst
         what = "bytes of code and constants" if name == "flash" else f"bytes ({' > '.join(certificate.stack_chain)})"
         yield from _judged(name, limit, used, what, description, advice)
-    if budgets.operations is not None:
-        worst = report.worst_operations.get("sample")
-        if worst is None:
-            raise OptionError("--max-operations: the worst case of this package is unknown; choose another qp")
-        yield from _judged(
-            "operations", budgets.operations, worst, "operations of a sample at most", description, _operations_advice
-        )
 
 
 def _judged(
@@ -124,16 +115,3 @@ def _stack_advice(description: PackageDescription, limit: int) -> Iterator[str]:
     yield from _common_advice(description)
     if not description.discrete:
         yield "another --set integrator.unroll=step|none|all"
-
-
-def _operations_advice(description: PackageDescription, limit: int) -> Iterator[str]:
-    solver = re.search(r"\bqp=(\w+)\(", description.options)
-    if any(s.name == "qp" for s in description.structs) and solver is not None:
-        word = next(word for word, cls in REGISTRIES["qp"].items() if cls.__name__ == solver[1])
-        alone = " --set qp.fallback=None" if "fallback=" in description.options else ""
-        if "fallback=RiccatiInteriorPoint(" in description.options:
-            yield f"--qp {word}{alone}, which leaves out the interior point method"
-        yield f"--qp {word}{alone} and a smaller --set qp.max_iterations=..."
-    else:
-        yield "a smaller --set algorithm.iterations=..."
-    yield "fewer intervals"

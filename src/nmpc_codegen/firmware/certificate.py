@@ -15,11 +15,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from nmpc_codegen.analysis import worst_case
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.firmware import stack
 from nmpc_codegen.firmware.targets import Level, Target
 from nmpc_codegen.firmware.toolchain import PREFIX, gcc, run, version
-from nmpc_codegen.runtime.package_description import PackageDescription
+from nmpc_codegen.package.description import PackageDescription
 
 #: Entry points that a controller with a real-time iteration calls.
 REAL_TIME = ("init", "prepare", "feedback", "step", "shift", "reset")
@@ -118,7 +119,7 @@ def _certified(
         stack_bytes={label: d.bytes for label, d in depths.items()},
         stack_bytes_package={label: d.bytes for label, d in alone.items()},
         stack_chain=tuple(f.removeprefix(f"{name}.c:") for f in deepest.chain),
-        worst_operations=dict(description.report.worst_operations),
+        worst_operations=worst_case(package),
         math_functions=tuple(f for f in undefined if not _COMPILER.match(f)),
         compiler_functions=tuple(f for f in undefined if _COMPILER.match(f)),
         double_functions=tuple(f for f in undefined if _DOUBLE.match(f)),

@@ -21,8 +21,8 @@ from nmpc_codegen.firmware.recording import Recording, record, started_again
 from nmpc_codegen.firmware.targets import ICOUNT_SHIFT, Level, Target
 from nmpc_codegen.firmware.verify import Verdict, verify
 from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.runtime.build import load
-from nmpc_codegen.runtime.package_description import PackageDescription
 
 FOLDER = "firmware"
 SAMPLES = 200

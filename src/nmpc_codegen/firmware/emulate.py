@@ -17,7 +17,7 @@ from nmpc_codegen.errors import BuildError
 from nmpc_codegen.firmware.image import ELF, Image
 from nmpc_codegen.firmware.targets import ICOUNT_SHIFT, INSTRUCTIONS_PER_TICK
 from nmpc_codegen.firmware.toolchain import EMULATOR, run
-from nmpc_codegen.runtime.package_description import PackageDescription
+from nmpc_codegen.package.description import PackageDescription
 
 OUTPUT = "uart.txt"
 SECONDS = 600.0  # that an emulation may take

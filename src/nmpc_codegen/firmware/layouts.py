@@ -14,7 +14,7 @@ from nmpc_codegen.firmware.recording import Recording, literals
 from nmpc_codegen.firmware.targets import ARITHMETIC, ICOUNT_SHIFT, SECTIONS, Target
 from nmpc_codegen.firmware.verify import TOLERANCE
 from nmpc_codegen.lowering.render import environment
-from nmpc_codegen.runtime.seal import has_seal
+from nmpc_codegen.package.seal import has_seal
 
 #: File -> template below templates/firmware.
 CROSS = {

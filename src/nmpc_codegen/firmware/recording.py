@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.package_description import PackageDescription, Precision
 
 Array = NDArray[np.float64]
 Disturbed = Callable[[int, Array], Array]

@@ -8,7 +8,7 @@ from typing import Literal
 
 from nmpc_codegen.components.allowed import shown
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.runtime.package_description import Precision
+from nmpc_codegen.package.memory import Precision
 
 Level = Literal["O2", "Os"]
 LEVELS: tuple[Level, ...] = ("O2", "Os")

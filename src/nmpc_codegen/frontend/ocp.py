@@ -37,6 +37,7 @@ from nmpc_codegen.frontend.statement import (
     Kind,
     Residual,
     StageName,
+    Stated,
     Statement,
     intersection,
     misplaced,
@@ -51,7 +52,7 @@ _NODE: tuple[Kind, ...] = ("state", "control", "parameter")
 _STATES: tuple[Kind, ...] = ("state", "parameter")
 
 
-class OCP:
+class OCP(Stated):
     """An optimal control problem over N intervals:
 
         min   sum_{k<N} l_k(x_k, u_k, p_k) + l_N(x_N, p_N)
@@ -74,23 +75,9 @@ class OCP:
         self, name: str, *, T: float | None = None, N: int | None = None, intervals: Any = None, time_unit: str = "s"
     ) -> None:
         check_package_name(name, "OCP: name")
-        self.name = name
-        self.time_unit = unit_text(time_unit, f"OCP '{name}': time_unit")
-        self.N, self.dt = grid(name, T, N, intervals, self.time_unit)
-        self.states: list[Declared] = []
-        self.controls: list[Declared] = []
-        self.parameters: list[Declared] = []
-        self.derivatives: dict[int, Any] = {}  # position in x -> SX
-        self._discrete: bool | None = None
-        self.residuals: list[Residual] = []
-        self.costs: list[GeneralCost] = []
-        self.statements: list[Statement] = []
-        self._terminal_lqr: LqrRequest | None = None
-        self.free: set[int] = set()
-        self.accumulators: set[int] = set()
-        self.cyclic_states: set[int] = set()
+        unit = unit_text(time_unit, f"OCP '{name}': time_unit")
+        super().__init__(name, *grid(name, T, N, intervals, unit), unit)
         self._symbols: dict[str, Any] = {}
-        self._elements: dict[int, Element] = {}
         self._start: list[Any] = []
         self._end: list[Any] = []
         self._unnamed = 0
@@ -109,16 +96,6 @@ class OCP:
         def __getattr__(self, attribute: str) -> Any:
             """Explain attributes that do not exist, those of other tools among them."""
             raise missing("OCP", attribute, OF_PROBLEM, dir(self))
-
-    @property
-    def discrete(self) -> bool | None:
-        """True if the dynamics are a discrete map, None before the first call of dynamics()."""
-        return self._discrete
-
-    @property
-    def terminal_lqr(self) -> LqrRequest | None:
-        """The request of lqr_terminal_cost(), None without one."""
-        return self._terminal_lqr
 
     def __repr__(self) -> str:
         return in_one_line(self)
@@ -264,7 +241,7 @@ class OCP:
             raise ProblemError(f"{what} {quote(which)} is no state{known(names)}")
         if not isinstance(which, ca.SX):
             raise ProblemError(f"{what} {quote(which)} must be the symbol or the name of a state{known(names)}")
-        found = [self._element(which[i]) for i in range(which.numel())]
+        found = [self.element(which[i]) for i in range(which.numel())]
         if not found or any(e is None or e.kind != "state" for e in found):
             raise ProblemError(f"{what} {quote(which)} is no state{known(names)}")
         return [e.index for e in found if e is not None]
@@ -322,7 +299,7 @@ class OCP:
         if names is None:
             found: list[str] = []
             for i in range(y.numel()):
-                element = self._element(y[i])
+                element = self.element(y[i])
                 taken = element is None or element.name in earlier or element.name in found
                 found.append(f"y_{len(earlier) + i}" if element is None or taken else element.name)
         else:
@@ -481,12 +458,12 @@ class OCP:
 
     def _earlier(self, new: Statement, i: int) -> tuple[Statement, int] | None:
         """The earlier row of the same name, bare state or control, nodes and penalty; None if there is none."""
-        element = self._element(new.expression[i])
+        element = self.element(new.expression[i])
         for s in self.statements:
             if element is None or (s.at, s.soft) != (new.at, new.soft):
                 continue
             for j, name in enumerate(s.names):
-                if name == new.names[i] and self._element(s.expression[j]) == element:
+                if name == new.names[i] and self.element(s.expression[j]) == element:
                     return s, j
         return None
 
@@ -499,7 +476,7 @@ class OCP:
         else:
             names = []
             for i in range(n):
-                element = self._element(h[i])
+                element = self.element(h[i])
                 if element is None or element.kind not in ("state", "control"):
                     names.append(f"row_{self._unnamed + unnamed}")
                     unnamed += 1
@@ -562,7 +539,7 @@ class OCP:
         """A dense SX column; raise ProblemError unless it contains only symbols of the given kinds."""
         expression = column(value, what, self._symbols)
         for symbol in ca.symvar(expression):
-            element = self._element(symbol)
+            element = self.element(symbol)
             if element is None:
                 raise ProblemError(
                     f"{what} contains the unknown symbol '{symbol.name()}'{known(self._symbols)}"
@@ -574,15 +551,5 @@ class OCP:
         check_operations(expression, what)
         return expression
 
-    def _element(self, scalar: Any) -> Element | None:
-        """The Element of a bare symbol; None for any other expression and for symbols not declared here."""
-        if not scalar.is_scalar() or not scalar.is_symbolic():
-            return None
-        return self._elements.get(scalar.element_hash())
-
-    def element(self, scalar: Any) -> Element | None:
-        """Kind, position and name of a bare declared symbol, or None."""
-        return self._element(scalar)
-
     def _kinds(self, scalar: Any) -> set[str]:
-        return {e.kind for e in map(self._element, ca.symvar(scalar)) if e is not None}
+        return {e.kind for e in map(self.element, ca.symvar(scalar)) if e is not None}

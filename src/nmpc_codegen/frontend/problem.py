@@ -11,16 +11,17 @@ has only a cost, with fixed weights and references; the rows at node 0 belong to
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.ir.casadi_types import Expression, Function, elements
-from nmpc_codegen.runtime.package_description import Row as Row
-from nmpc_codegen.runtime.package_description import RowKind as RowKind
-from nmpc_codegen.runtime.package_description import Signal as Signal
-from nmpc_codegen.runtime.package_description import c_identifier as c_identifier
+from nmpc_codegen.package.signals import Row as Row
+from nmpc_codegen.package.signals import RowKind as RowKind
+from nmpc_codegen.package.signals import Signal as Signal
+from nmpc_codegen.package.signals import c_identifier as c_identifier
 
 Array = NDArray[np.float64]
 
@@ -80,7 +81,13 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class LqrRequest:
-    """A terminal cost that is computed when the integrator is known: the cost-to-go of the regulator at (x, u)."""
+    """A terminal cost that is computed when the integrator is known: the cost-to-go of the regulator at (x, u).
+
+    ``rule``: the function (problem, options) -> problem that computes it. Its room stands above the compiler's stages
+    and loads SciPy, so that it is named here and imported where a problem asks for it.
+    """
+
+    rule: ClassVar[str] = "nmpc_codegen.economic.terminal:with_terminal_cost"
 
     economic: bool
     x: Array | None  # (nx,)
@@ -116,6 +123,12 @@ class Problem:
     cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
     terminal_lqr: LqrRequest | None = None  # a terminal cost to be computed before linearize()
     time_unit: str = "s"  # of dt and of every other time
+
+    @property
+    def couples_free_start(self) -> bool:
+        """True if rows couple x_N with components of x_0 that the solver chooses: a recursion over the stages alone
+        cannot hold such equations. solve() then leaves an indefinite Hessian to the route of the QP."""
+        return bool(self.coupled_rows and self.free_initial)
 
     @property
     def nx(self) -> int:

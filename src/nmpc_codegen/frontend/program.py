@@ -15,8 +15,8 @@ from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression, elements
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, lift, live, opcode_name
 from nmpc_codegen.ir.print_c import needs_parentheses
-from nmpc_codegen.runtime.diagnosis.domains import EDGES
-from nmpc_codegen.runtime.diagnosis.program import Operation, Program, Quantity, Step
+from nmpc_codegen.package.domains import EDGES
+from nmpc_codegen.package.program import Operation, Program, Quantity, Step
 
 #: Longer texts of operations are cut.
 LONGEST = 100

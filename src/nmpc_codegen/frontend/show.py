@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from nmpc_codegen.frontend.statement import Declared, Residual, Statement
-from nmpc_codegen.runtime.records.html import ROWS, horizon, listed, nodes, page, shortened, table, units
-
-if TYPE_CHECKING:
-    from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.statement import Declared, Residual, Stated, Statement
+from nmpc_codegen.package.signals import horizon, listed, nodes
+from nmpc_codegen.runtime.records.html import ROWS, page, shortened, table, units
 
 LONGEST = 80  # characters of an expression
 STAGES = {"start": "node 0", "path": "nodes 0..N-1", "terminal": "node N"}
 
 
-def in_one_line(ocp: OCP) -> str:
+def in_one_line(ocp: Stated) -> str:
     """Name, grid, signals by name, number of rows."""
     kinds = {"states": ocp.states, "controls": ocp.controls, "parameters": ocp.parameters}
     parts = [f"{kind} {listed(_elements(declared))}" for kind, declared in kinds.items() if declared]
@@ -24,7 +20,7 @@ def in_one_line(ocp: OCP) -> str:
     return f"<OCP {ocp.name}: {'; '.join([_grid(ocp), *parts])}; rows: {rows}>"
 
 
-def in_html(ocp: OCP) -> str:
+def in_html(ocp: Stated) -> str:
     """Signals with units and values, rows with bounds, terms of the cost."""
     return page(
         f"OCP {ocp.name}",
@@ -48,11 +44,11 @@ def _elements(declared: list[Declared]) -> list[str]:
     return [element for d in declared for element in d.signal.elements]
 
 
-def _grid(ocp: OCP) -> str:
+def _grid(ocp: Stated) -> str:
     return f"N={horizon(ocp.dt or (1.0,) * ocp.N, ocp.time_unit, ocp.dt is None or bool(ocp.discrete))}"
 
 
-def _incomplete(ocp: OCP) -> list[str]:
+def _incomplete(ocp: Stated) -> list[str]:
     """What is still to be stated before a controller can be built."""
     names = _elements(ocp.states)
     open_states = [name for i, name in enumerate(names) if i not in ocp.derivatives]
@@ -62,7 +58,7 @@ def _incomplete(ocp: OCP) -> list[str]:
     return [f"still missing: {', '.join(missing)}"] if missing else []
 
 
-def _signals(ocp: OCP) -> list[tuple[object, ...]]:
+def _signals(ocp: Stated) -> list[tuple[object, ...]]:
     marks = {"free at node 0": ocp.free, "accumulator": ocp.accumulators, "cyclic": ocp.cyclic_states}
     found: list[tuple[object, ...]] = []
     for kind, declared in (("state", ocp.states), ("control", ocp.controls), ("parameter", ocp.parameters)):
@@ -75,7 +71,7 @@ def _signals(ocp: OCP) -> list[tuple[object, ...]]:
     return found
 
 
-def _rows(ocp: OCP, statement: Statement) -> list[tuple[object, ...]]:
+def _rows(ocp: Stated, statement: Statement) -> list[tuple[object, ...]]:
     known = units((d.signal for d in ocp.states), (d.signal for d in ocp.controls))
     at = statement.at if isinstance(statement.at, str) else "x_0, x_N" if statement.at is None else nodes(statement.at)
     l1, l2 = statement.soft or (0.0, 0.0)

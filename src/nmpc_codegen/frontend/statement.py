@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.frontend.problem import Array, Signal
+from nmpc_codegen.frontend.problem import Array, LqrRequest, Signal
 
 Kind = Literal["state", "control", "parameter", "start", "end"]
 StageName = Literal["start", "path", "terminal"]
@@ -63,6 +63,41 @@ class Statement:
     at: At | None
     soft: Soft
     names: tuple[str, ...]
+
+
+class Stated:
+    """What an OCP has been told so far: its name, its grid, and every statement in the order of the calls."""
+
+    def __init__(self, name: str, N: int, dt: tuple[float, ...] | None, time_unit: str) -> None:
+        self.name, self.N, self.dt, self.time_unit = name, N, dt, time_unit
+        self.states: list[Declared] = []
+        self.controls: list[Declared] = []
+        self.parameters: list[Declared] = []
+        self.derivatives: dict[int, Any] = {}  # position in x -> SX
+        self._discrete: bool | None = None
+        self.residuals: list[Residual] = []
+        self.costs: list[GeneralCost] = []
+        self.statements: list[Statement] = []
+        self._terminal_lqr: LqrRequest | None = None
+        self.free: set[int] = set()
+        self.accumulators: set[int] = set()
+        self.cyclic_states: set[int] = set()
+        self._elements: dict[int, Element] = {}  # by the hash of its symbol
+
+    @property
+    def discrete(self) -> bool | None:
+        """True if the dynamics are a discrete map, None before the first call of dynamics()."""
+        return self._discrete
+
+    @property
+    def terminal_lqr(self) -> LqrRequest | None:
+        """The request of lqr_terminal_cost(), None without one."""
+        return self._terminal_lqr
+
+    def element(self, scalar: Any) -> Element | None:
+        """Kind, position and name of a bare declared symbol; None for any other expression, and for foreign symbols."""
+        is_bare = scalar.is_scalar() and scalar.is_symbolic()
+        return self._elements.get(scalar.element_hash()) if is_bare else None
 
 
 def intersection(new: Statement, i: int, old: Statement, j: int, what: str) -> tuple[float, float]:

@@ -15,13 +15,11 @@ from nmpc_codegen.host import steps
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, called_functions
 from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_sweep import print_routine
+from nmpc_codegen.ir.print_loops import print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.generated import MATH_IN_LANES, own_names, own_text
-from nmpc_codegen.lowering.parts import needed
+from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, needed, own_names, own_text
 from nmpc_codegen.lowering.preamble import PLACES
-from nmpc_codegen.lowering.unit.names import names_in
-from nmpc_codegen.runtime.package_description import Kind
+from nmpc_codegen.package.signals import Kind
 
 SUFFIX = "_lanes"
 
@@ -74,14 +72,14 @@ def lane_routines(module: CModule) -> LaneRoutines | None:
     That is for one lane, for an interval with loops that cannot be expanded, and for a Hessian that does not promise
     (NODE_KERNELS) that expand_node() is no more than its printed kernels.
     """
-    if module.switches["HOST_LANES"] == 1 or not module.switches["NODE_KERNELS"]:
+    if module.sizes["HOST_LANES"] == 1 or not module.switches.get("NODE_KERNELS"):
         return None
     first = ("path_exact",) if module.switches["LAGRANGIAN"] else ("integrator_interval", "path_gradient")
     known = {r.name: r for r in module.routines}
     routines = tuple(known[name] for name in (*first, "path_rows") if name in known)
     if routines[0].name != "integrator_interval" or isinstance(routines[0], Kernel):
         return LaneRoutines(routines)
-    return None if module.one_step is None else LaneRoutines(routines, module.one_step())
+    return None if module.one_step is None else LaneRoutines(routines, module.one_step)
 
 
 def has_conditions(routines: Iterable[Routine]) -> bool:

@@ -24,3 +24,8 @@ def elements(matrix: Expression) -> list[Expression]:
 def nonzeros(matrix: Expression) -> list[Expression]:
     """Entries that are not structurally zero, column by column."""
     return cast("list[Expression]", matrix.nonzeros())
+
+
+def curved(h: Expression, z: Expression) -> set[int]:
+    """Numbers of the elements of h that are no affine functions of z."""
+    return {i for i, bent in enumerate(ca.which_depends(h, z, 2, True)) if bent} if h.numel() else set()

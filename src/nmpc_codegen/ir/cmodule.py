@@ -5,31 +5,20 @@ Header, struct, initialisation, cffi declarations, README table and NumPy views 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.ir.kernel import Kernel, OpCount
+from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.naming import check_package_name
+from nmpc_codegen.ir.print_c import CStyle, unit_style
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.runtime.package_description import EntryPoint, Kind, Layouts, PackageDescription, Precision, Role
-from nmpc_codegen.runtime.package_description import Field as Field
-from nmpc_codegen.runtime.package_description import Size as Size
-from nmpc_codegen.runtime.package_description import Struct as Struct
-from nmpc_codegen.runtime.status import Status
-
-#: Purpose of the members of the solver struct, by role.
-WORK = "work"
-PURPOSES: Mapping[Role, str] = {
-    "iterate": "plan",
-    "setting": "settings",
-    "result": "results of the last call",
-}
-
-# Bytes of the C types; "real" depends on the precision.
-REAL_BYTES = {"double": 8, "single": 4}
+from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.memory import Field, Precision, Size, Struct
+from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.signals import EntryPoint, Kind, Layouts
+from nmpc_codegen.package.status import Status
 
 
 @dataclass(frozen=True)
@@ -110,6 +99,10 @@ class Section:
     bytes: int
 
 
+#: What `#if` in the parts may test of a unit that evaluates one shooting node at a time in scalar C (see host/).
+ONE_NODE: Mapping[str, int] = {"HOST_LANES": 1, "HOST_AVX512": 0, "TILES": 0, "LANE_NODES": 0}
+
+
 @dataclass(frozen=True, eq=False)
 class CModule:
     """Everything that the templates print; they take no decisions."""
@@ -129,8 +122,7 @@ class CModule:
     diagonal_weight: bool
     scaled_weight: bool
     diagonal_weight_N: bool
-    ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)  # integer member -> least and largest value
-    one_step: Callable[[], Kernel] | None = None  # an integration step with its Jacobian, for units of a host
+    one_step: Kernel | None = None  # an integration step with its Jacobian, for units of a host
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 
     @property
@@ -142,6 +134,11 @@ class CModule:
     def precision(self) -> Precision:
         """Working precision."""
         return self.description.precision
+
+    @property
+    def style(self) -> CStyle:
+        """The spelling of its unit."""
+        return unit_style(self.precision, bool(self.switches["OWN_MATH"]))
 
     @property
     def structs(self) -> tuple[Struct, ...]:
@@ -202,27 +199,12 @@ class CModule:
     @property
     def sizes(self) -> Mapping[str, int]:
         """Names that `#if` in the parts may test, the size macros and the switches, with their values."""
-        return {**{m.name: m.value for m in self.macros}, **self.switches}
+        return {**{m.name: m.value for m in self.macros}, **ONE_NODE, **self.switches}
 
     @property
     def bytes(self) -> int:
         """sizeof the solver struct."""
         return self.description.report.ram_bytes
-
-
-def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[int, int]]:
-    """(size, alignment) in bytes of every struct by the usual C rules, members in order."""
-    types = {"real": (REAL_BYTES[precision],) * 2, "int32": (4, 4)}
-    layout: dict[str, tuple[int, int]] = {}
-    for struct in structs:
-        size, alignment = 0, 1
-        for member in struct.fields:
-            element, align = layout[member.ctype] if member.ctype in layout else types[member.ctype]
-            end = element * math.prod(member.padded)
-            size = max(size, end) if struct.union else -(-size // align) * align + end
-            alignment = max(alignment, align)
-        layout[struct.name] = (-(-size // alignment) * alignment, alignment)
-    return layout
 
 
 def check_prefix(name: str) -> None:

@@ -16,7 +16,7 @@ import casadi as ca
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.ir.casadi_types import Function, Sparsity
-from nmpc_codegen.runtime.package_description import OpCount as OpCount
+from nmpc_codegen.package.opcount import OpCount as OpCount
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-from nmpc_codegen.ir.kernel import Kernel, OpCount
+from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.stage_products import Pattern, Products, pattern
 from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.package.opcount import OpCount
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +18,7 @@ class Interval:
 
     linearize: (x, u, p, dt) -> x_next, S = d x_next / d(x, u); step: (x, u, p, h) -> x_next, one integration step;
     curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians with second derivatives of the dynamics.
-    one_step: yields linearize for the first of its steps as straight-line code, where linearize has loops.
+    one_step: linearize for the first of its steps as straight-line code, where linearize has loops that expand.
     forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) -> g = [A B]' adj; both for
     algorithms that multiply with S = [A B] and do not store it.
     """
@@ -25,7 +26,7 @@ class Interval:
     linearize: Routine
     step: Routine
     curved: Routine | None = None
-    one_step: Callable[[], Kernel] | None = None
+    one_step: Kernel | None = None
     forward: Routine | None = None
     adjoint: Routine | None = None
 

@@ -203,3 +203,8 @@ def _uses(kernel: Kernel) -> list[int]:
     for _, _, value in kernel.stores:
         uses[value] += 1
     return uses
+
+
+def unit_style(precision: str, own: bool = False) -> CStyle:
+    """Spelling of numbers and functions inside the translation unit."""
+    return CStyle("real_t", precision == "single", own=own)

@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from nmpc_codegen.ir.kernel import OpCount
 from nmpc_codegen.ir.product_sweeps import Loops, StageSweeps, WrittenOut
 from nmpc_codegen.ir.product_sweeps import Pattern as Pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine, nonzeros
 from nmpc_codegen.ir.tuning import SPARSE, WRITTEN_OUT
+from nmpc_codegen.package.opcount import OpCount
 
 
 @dataclass(frozen=True)

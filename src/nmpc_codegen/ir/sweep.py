@@ -14,7 +14,8 @@ from typing import Literal
 import casadi as ca
 
 from nmpc_codegen.ir.casadi_types import Expression, Function
-from nmpc_codegen.ir.kernel import Kernel, OpCount, Port, lift
+from nmpc_codegen.ir.kernel import Kernel, Port, lift
+from nmpc_codegen.package.opcount import OpCount
 
 
 class Size(int):

@@ -1,21 +1,25 @@
-"""Choice of condensing and QP solver: the candidate that takes the fewest operations, counted exactly."""
+"""The choices that options leave open, from counts, and the sizes that follow from them.
+
+First the Hessian, then the condensing and QP solver that take the fewest operations, counted exactly.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from nmpc_codegen.components.base import Condensing, QpSolver, called
+from nmpc_codegen.components.base import Condensing, Dims, QpDims, QpShape, QpSolver, called
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
-from nmpc_codegen.components.hessians import GaussNewton
+from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
 from nmpc_codegen.components.qp import REGISTRY
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.model import ModelFunctions
-from nmpc_codegen.lowering.dimensions import dimensions, multiple_of
+from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.growth import Growth
-from nmpc_codegen.options import Options
+from nmpc_codegen.options import Goal, Options
+from nmpc_codegen.package.memory import Size
+from nmpc_codegen.package.opcount import OpCount
 
 #: Block lengths of partial condensing that are considered.
 BLOCKS = (2, 3, 4, 5, 8, 10)
@@ -26,12 +30,13 @@ class Candidate:
     """A condensing, a solver for its QP, and their operations.
 
     ``operations``: of a warm-started sample with an empty working set; if there are soft rows, which are active in
-    blocks that come and go, also those of finding another working set.
+    blocks that come and go, also those of finding another working set. ``searching``: with those in any case.
     """
 
     condensing: Condensing
     qp: QpSolver
     operations: int
+    searching: int
 
     def __str__(self) -> str:
         return f"{self.condensing.label} + {self.qp.name}: {self.operations:,}"
@@ -42,25 +47,19 @@ class Candidate:
 #: too large in the others: samples of economic problems run away or stand still.
 MOST_MIRRORED = 120
 
-#: A solver that takes at most this many times the fewest operations is close: the worst case decides between them.
+#: A solver that takes at most this many times the fewest operations is close: the search for another working set, which
+#: most of the longest samples consist of, decides between them.
 CLOSE = 1.5
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Condensing, QP solver, the reasons for them, the candidates with other solvers that are close to them, and
-    warnings of the digits that they cost."""
+    """Condensing, QP solver, the reasons for them, and warnings of the digits that they cost."""
 
     condensing: Condensing
     qp: QpSolver
     reasons: tuple[str, ...] = ()
-    rivals: tuple[Choice, ...] = ()
     warnings: tuple[str, ...] = ()
-
-    @property
-    def label(self) -> str:
-        """Both in words."""
-        return f"{self.condensing.label} + {self.qp.name}"
 
 
 def choose_qp(
@@ -95,26 +94,31 @@ def choose_qp(
         if all(problem.features <= c.supports for c in (condensing, qp)):
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian, multiple_of(options.goal))
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
-            total = sum(counts, qp.search(dims) if soft else OpCount())
-            candidates.append(Candidate(condensing, qp, total.total))
+            warm, search = sum(counts, OpCount()).total, qp.search(dims).total
+            candidates.append(Candidate(condensing, qp, warm + search * soft, warm + search))
     if not candidates:
         return Choice(*pairs[0])  # the checks of this pair raise the error that says why
+    best, reason = _best(candidates, soft)
+    words = [f"condensing: {best.condensing.name}"] if given is None else []
+    words += [f"qp: {best.qp.name}"] if options.qp is None else []
+    warned = grown.warning(problem, best.condensing)
+    lossy = () if warned else grown.left_out(problem, [pair[0] for pair in fitting])
+    reasons = (*_instead(given, best.condensing), f"{', '.join(words)}; {reason}", *lossy)
+    return Choice(best.condensing, best.qp, reasons, warned)
+
+
+def _best(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
+    """The candidate to choose, and why: the fewest operations, or the fewest with a search among those close to it."""
     ranked = sorted(candidates, key=lambda c: c.operations)
-    table = "; ".join(map(str, ranked))
     sample = "warm-started sample and a search for its working set" if soft else "warm-started sample"
-    why = f"fewest operations of a {sample} ({table})"
-    best, *others = (next(c for c in ranked if c.qp.name == name) for name in dict.fromkeys(c.qp.name for c in ranked))
-
-    def chosen(c: Candidate) -> Choice:
-        words = [f"condensing: {c.condensing.name}"] if given is None else []
-        words += [f"qp: {c.qp.name}"] if options.qp is None else []
-        warned = grown.warning(problem, c.condensing)
-        lossy = () if warned else grown.left_out(problem, [pair[0] for pair in fitting])
-        reasons = (*_instead(given, c.condensing), f"{', '.join(words)}; {why}", *lossy)
-        return Choice(c.condensing, c.qp, reasons, warnings=warned)
-
-    close = (chosen(c) for c in others if c.operations <= CLOSE * best.operations)
-    return replace(chosen(best), rivals=tuple(close))
+    why = f"fewest operations of a {sample} ({'; '.join(map(str, ranked))})"
+    of_solvers = (next(c for c in ranked if c.qp.name == name) for name in dict.fromkeys(c.qp.name for c in ranked))
+    close = [c for c in of_solvers if c.operations <= CLOSE * ranked[0].operations]
+    best = min(close, key=lambda c: c.searching)
+    if best is not ranked[0]:
+        table = "; ".join(f"{c.condensing.label} + {c.qp.name}: {c.searching:,}" for c in close)
+        why = f"fewest operations with a search for the working set ({table}) among those within {CLOSE} of the {why}"
+    return best, why
 
 
 def _mirrors_few(problem: Problem, options: Options) -> bool:
@@ -153,3 +157,87 @@ def _check_forms(condensing: Condensing, qp: QpSolver) -> None:
             f"condensing {called(condensing)} clashes with qp {called(qp)}: it gives a QP in the form "
             f"{condensing.gives!r}, the solver takes {qp.takes!r}"
         )
+
+
+def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
+    """The options with a Hessian, and the reason if it is not the default of the algorithm.
+
+    Gauss-Newton is that of samples of a least-squares problem, whatever its rows: one step of it is short enough
+    beside an obstacle, where a step with an exact Hessian that is made convex may be far too long.
+    """
+    if options.hessian is not None or options.algorithm.default("hessian") != GaussNewton.name:
+        return options, ()
+    beyond = problem.features - GaussNewton.supports
+    if not beyond or not beyond <= ExactHessian.supports:
+        return options, ()
+    why = f"the problem has a {sorted(beyond)[0]}"
+    exact = ExactHessian() if options.algorithm.convex else ExactHessian(regularization=None)
+    return replace(options, hessian=exact), (f"hessian: {ExactHessian.name}; {why}",)
+
+
+def solves_exactly(problem: Problem, options: Options, chosen: bool) -> bool:
+    """True if solve() has the exact Hessian although samples have another: nothing was ``chosen`` by the user, and the
+    package is not for a microcontroller, where a second Hessian is too much code."""
+    approximate = isinstance(options.hessian, GaussNewton) and "qp" in options.algorithm.needs
+    roomy = options.solve and options.goal == "speed" and options.processor == "vector"
+    return approximate and chosen and roomy and not problem.couples_free_start
+
+
+# -- sizes -------------------------------------------------------------------------------------------------------------
+
+
+def multiple_of(goal: Goal) -> int:
+    """To which leading dimensions of stage matrices are rounded up: small ones have no padding."""
+    return 1 if goal == "size" else PANEL
+
+
+def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool, multiple: int = PANEL) -> Dims:
+    """All shared sizes; ``shape`` is None without a QP; ``constant_hessian``: one path block serves all nodes.
+
+    Leading dimensions of stage matrices are rounded up to a multiple of ``multiple``.
+    """
+    p = problem
+    sizes = {
+        "N": p.N,
+        "NX": p.nx,
+        "NU": p.nu,
+        "NZ": p.nx + p.nu,
+        "NP": p.np,
+        "NY": p.path.ny,
+        "NY_N": p.terminal.ny,
+        "NW": _weight_entries(p.path),
+        "NW_N": _weight_entries(p.terminal),
+        "NH": p.path.nh,
+        "NH_N": p.terminal.nh,
+        "NR": len(p.rows),
+        "NQ": 1 if constant_hessian else p.N,
+        "NF": len(p.free_initial),
+        "NE": p.coupled_rows,
+        "NG": len(p.qp_rows),
+    }
+    fields = {"NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
+    condensed = None if shape is None else _qp_dims(p, shape)
+    return Dims(**_sizes(sizes, fields), condensed=condensed, end_rows=len(p.end_rows), multiple=multiple)
+
+
+def _qp_dims(problem: Problem, shape: QpShape) -> QpDims:
+    sizes = {
+        "NS": shape.stages,
+        "NUS": shape.controls,
+        "NXS": problem.nx + shape.copies,
+        "NZS": problem.nx + shape.copies + shape.controls,
+        "NV": shape.variables,
+        "NSL": shape.slacks,
+        "LDV": -(-shape.variables // PANEL) * PANEL,
+        "LDH": -(-(shape.variables - shape.slacks) // PANEL) * PANEL,
+    }
+    return QpDims(**_sizes(sizes, {"LDV": "ld", "LDH": "ldh"}))
+
+
+def _sizes(values: Mapping[str, int], fields: Mapping[str, str]) -> dict[str, Size]:
+    """Field -> size, by macro; a field is its macro in lower case unless ``fields`` names it."""
+    return {fields.get(name, name.lower()): Size(name, value) for name, value in values.items()}
+
+
+def _weight_entries(stage: Stage) -> int:
+    return stage.ny if stage.diagonal_weight else stage.ny**2

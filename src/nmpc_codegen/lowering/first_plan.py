@@ -15,8 +15,8 @@ import numpy as np
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.lowering.growth import Marks, first_plan
-from nmpc_codegen.runtime.diagnosis.domains import NOT_FINITE, in_words, locate
-from nmpc_codegen.runtime.diagnosis.program import Program
+from nmpc_codegen.package.domains import NOT_FINITE, in_words, locate
+from nmpc_codegen.package.program import Program
 
 #: Points at which a property that is to hold for all states is tested.
 DRAWN = 4

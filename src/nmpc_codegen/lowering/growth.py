@@ -26,7 +26,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.ir.casadi_types import Function, elements
 from nmpc_codegen.lowering.tolerances import EPS
-from nmpc_codegen.runtime.package_description import Precision
+from nmpc_codegen.package.memory import Precision
 
 #: Relative error of the controls above which the compiler does not choose the condensing that causes it, and warns of
 #: one that is given. In double precision the check before OK takes errors above it for failures now and then.

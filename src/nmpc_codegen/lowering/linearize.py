@@ -3,31 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pkgutil import resolve_name
 from typing import TypeVar
 
 import casadi as ca
 
-from nmpc_codegen.components.algorithms.scales import curved
-from nmpc_codegen.components.base import Algorithm, Component, Hessian, Integrator, Parts, refuse_unsupported
+from nmpc_codegen.components.base import Algorithm, Component, Dims, Hessian, Integrator, Parts, refuse_unsupported
 from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
-from nmpc_codegen.components.stage_cost import stage_costs, stage_model, stage_product
-from nmpc_codegen.errors import OptionError, ProblemError
+from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.frontend.program import program
+from nmpc_codegen.ir.casadi_types import curved
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
-from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions
+from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, StageModel
 from nmpc_codegen.ir.stage_products import Pattern, pattern
-from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.choose import Choice, choose_qp
-from nmpc_codegen.lowering.choose_hessian import choose_hessian, solves_exactly
-from nmpc_codegen.lowering.dimensions import multiple_of
+from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Routine, Slice
+from nmpc_codegen.lowering.choose import Choice, choose_hessian, choose_qp, dimensions, multiple_of, solves_exactly
 from nmpc_codegen.lowering.first_plan import first_plan_warnings
 from nmpc_codegen.lowering.growth import Growth, growth
 from nmpc_codegen.lowering.stability import stability_warning
 from nmpc_codegen.options import REGISTRIES, Goal, Math, Online, Options, Processor
-from nmpc_codegen.runtime.diagnosis.program import Program
-from nmpc_codegen.runtime.package_description import Precision
+from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.program import Program
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -55,10 +55,12 @@ class Model(ModelFunctions):
     goal: Goal = "speed"
     processor: Processor | None = "vector"
 
-    @property
-    def multiple(self) -> int:
-        """To which leading dimensions of stage matrices are rounded up."""
-        return multiple_of(self.goal)
+    @cached_property
+    def dims(self) -> Dims:
+        """The sizes that components share."""
+        condensing = self.parts.condensing
+        shape = None if condensing is None else condensing.qp_shape(self.problem)
+        return dimensions(self.problem, shape, self.constant_hessian, multiple_of(self.goal))
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -85,15 +87,17 @@ class Model(ModelFunctions):
         )
 
 
-def linearize(problem: Problem, options: Options) -> Model:
+def linearize(problem: Problem, options: Options | None = None) -> Model:
     """Problem -> Model.
 
     Raises:
         OptionError: a component does not support the problem, or options clash.
-        ProblemError: the problem requests a terminal cost that has not been computed.
+        ProblemError: the terminal cost of lqr_terminal_cost() does not exist.
     """
-    if problem.terminal_lqr is not None:
-        raise ProblemError(f"OCP '{problem.name}': lqr_terminal_cost() is open; compiler.stated() computes it")
+    if options is not None and not isinstance(options, Options):
+        raise OptionError(f"options: {options!r}; expected Options(...) or None")
+    options = options or Options()
+    problem = completed(problem, options)
     chosen = options.hessian is None
     options, of_hessian = choose_hessian(problem, options)
     options = options.with_defaults
@@ -142,6 +146,14 @@ def linearize(problem: Problem, options: Options) -> Model:
     )
 
 
+def completed(problem: Problem, options: Options | None = None) -> Problem:
+    """The problem with the terminal cost of lqr_terminal_cost(), which depends on the integrator."""
+    if problem.terminal_lqr is None:
+        return problem
+    found: Problem = resolve_name(problem.terminal_lqr.rule)(problem, options)
+    return found
+
+
 def _check(problem: Problem, *components: Component | None) -> None:
     """Raise OptionError if a component does not support the problem or its options clash with it."""
     present = [component for component in components if component is not None]
@@ -181,6 +193,32 @@ def _functions(
         blocks.initial,
         _coupled(problem),
     )
+
+
+def stage_model(problem: Problem, integrator: Integrator, cost: StageCost) -> StageModel:
+    """Cost and gradient of a stage; the integrator provides them if the cost contains an integral."""
+    if cost.name != "path" or problem.path.cost_rate is None:
+        return StageModel(cost.cost_kernel(), cost.gradient_kernel())
+    arguments, symbols = slices(*cost.ports, *cost.data_ports), [*cost.inputs, cost.yref, cost.W]
+    value = Call(ca.Function("node_cost", symbols, [ca.densify(cost.value)]), arguments, (Slice("l", 1),))
+    leaf = ca.Function("node_gradient", symbols, [ca.densify(cost.gradient)])
+    gradient = Call(leaf, arguments, (Slice("g", cost.nz),))
+    return StageModel(
+        integrator.integrated_cost(problem, "path_cost", value, cost.data_ports),
+        integrator.integrated_gradient(problem, "path_gradient", gradient, cost.data_ports),
+        integrated=True,
+    )
+
+
+def stage_product(problem: Problem, integrator: Integrator, cost: StageCost) -> Routine:
+    """Hessian of the cost of a stage times a vector d; of an integral the part that is that of its rate, along d."""
+    if cost.name != "path" or problem.path.cost_rate is None:
+        return cost.product_kernel()
+    more = (*cost.data_ports, Port("d", cost.nz))
+    symbols = [*cost.inputs, cost.yref, cost.W, cost.direction]
+    leaf = ca.Function("node_product", symbols, [ca.densify(cost.product)])
+    start = Call(leaf, slices(*cost.ports, *more), (Slice("w", cost.nz),))
+    return integrator.integrated_product(problem, "path_product", start, more)
 
 
 def _with_exact(

@@ -14,31 +14,18 @@ from nmpc_codegen.components.base import Counts, Dims
 from nmpc_codegen.components.core import PARTS, core_structs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
-from nmpc_codegen.ir.cmodule import (
-    CModule,
-    Enum,
-    Field,
-    Macro,
-    Section,
-    Setter,
-    Setting,
-    Size,
-    Struct,
-    Table,
-    check_prefix,
-    struct_layout,
-)
-from nmpc_codegen.ir.kernel import OpCount, called_functions
+from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Setting, Table, check_prefix
+from nmpc_codegen.ir.kernel import called_functions
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.ir.tuning import PANEL
-from nmpc_codegen.lowering.choose_hessian import couples_free_start
-from nmpc_codegen.lowering.dimensions import dimensions
-from nmpc_codegen.lowering.generated import own_names
 from nmpc_codegen.lowering.linearize import Model
-from nmpc_codegen.lowering.placement import placed
-from nmpc_codegen.runtime.package_description import Kind, Layout, PackageDescription, Report, Residual, c_constants
-from nmpc_codegen.runtime.status import Status
+from nmpc_codegen.lowering.parts import own_names
+from nmpc_codegen.package.description import PackageDescription, Report
+from nmpc_codegen.package.memory import Field, Size, Struct, placed, struct_layout
+from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.signals import Kind, Layout, Residual, c_constants
+from nmpc_codegen.package.status import Status
 
 # Maximum value of counters, and maximum number of steps of integrate().
 MANY = 1_000_000
@@ -54,9 +41,10 @@ def lower(model: Model, name: str | None = None) -> CModule:
     problem = model.problem
     name = problem.name if name is None else name
     check_prefix(name)
-    dims = _dims(model)
+    dims = model.dims
+    foreign = [(c.name, c.foreign_sources(name, model.precision, dims)) for c in model.parts.components]
     if model.math == "own":
-        _check_math(model, name, dims)
+        _check_math(model, [component for component, files in foreign if files])
     switches = _switches(model)
     structs = _structs(model, dims, switches)
     layout = struct_layout(structs, model.precision)
@@ -75,8 +63,9 @@ def lower(model: Model, name: str | None = None) -> CModule:
         for c in model.parts.components
     )
     macros = _macros(model, dims)
+    ranges = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
     return CModule(
-        description=_description(model, name, macros, structs, _report(model, dims, switches, structs, layout)),
+        description=_description(model, name, macros, structs, _report(model, dims, switches, structs, layout), ranges),
         macros=macros,
         enums=_enums(problem),
         tables=_tables(model),
@@ -99,22 +88,16 @@ def lower(model: Model, name: str | None = None) -> CModule:
         diagonal_weight=problem.path.diagonal_weight,
         scaled_weight=any(problem.path.scale_with_dt),
         diagonal_weight_N=problem.terminal.diagonal_weight,
-        ranges={name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()},
         one_step=model.interval.one_step,
-        foreign={
-            path: text
-            for c in model.parts.components
-            for path, text in c.foreign_sources(name, model.precision, dims).items()
-        },
+        foreign={path: text for _, files in foreign for path, text in files.items()},
     )
 
 
-def _check_math(model: Model, name: str, dims: Dims) -> None:
+def _check_math(model: Model, foreign: list[str]) -> None:
     """Raise OptionError if the package needs functions of math.h that have no text of their own."""
     clash = 'math="own" (--math own) clashes with'
-    for component in model.parts.components:
-        if component.foreign_sources(name, model.precision, dims):
-            raise OptionError(f"{clash} {component.name}, whose foreign code calls the C library; choose another one")
+    for component in foreign:
+        raise OptionError(f"{clash} {component}, whose foreign code calls the C library; choose another one")
     known = {*own_names(), *CStyle.INSTRUCTIONS}
     for routine in _printed(model):
         missing = sorted(called_functions([routine]) - known)
@@ -179,11 +162,6 @@ def _switches(model: Model) -> dict[str, int]:
         "TUNED": 0,
         "REPAIR": 0,
         "SIMULATE": 0,
-        "HOST_LANES": 1,
-        "HOST_AVX512": 0,
-        "TILES": 0,
-        "LANE_NODES": 0,
-        "NODE_KERNELS": 0,
         "SINGLE": int(model.precision == "single"),
         "OWN_MATH": int(model.math == "own"),
         "SCALAR": int(model.processor == "scalar"),
@@ -208,7 +186,7 @@ def _switches(model: Model) -> dict[str, int]:
 def _hessian_of_solve(model: Model, switches: Mapping[str, int]) -> dict[str, int]:
     """Whether solve() has a Hessian of its own, makes it convex by itself, and keeps multipliers of its QPs."""
     exact = bool(model.exact or switches.get("REGULARIZE_REDUCED"))
-    curved = model.solve and exact and not couples_free_start(model.problem)
+    curved = model.solve and exact and not model.problem.couples_free_start
     return {
         "TWO_HESSIANS": int(bool(model.exact)),
         "CURVED": int(curved),
@@ -234,12 +212,6 @@ def _is_equation(row: Row) -> bool:
 
 def _section_count(counts: Counts) -> OpCount | None:
     return sum(counts.values(), OpCount()) if counts else None
-
-
-def _dims(model: Model) -> Dims:
-    condensing = model.parts.condensing
-    shape = None if condensing is None else condensing.qp_shape(model.problem)
-    return dimensions(model.problem, shape, model.constant_hessian, model.multiple)
 
 
 def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
@@ -476,7 +448,12 @@ def _default_controls(p: Problem) -> list[float]:
 
 
 def _description(
-    model: Model, name: str, macros: tuple[Macro, ...], structs: tuple[Struct, ...], report: Report
+    model: Model,
+    name: str,
+    macros: tuple[Macro, ...],
+    structs: tuple[Struct, ...],
+    report: Report,
+    ranges: Mapping[str, tuple[int, int]],
 ) -> PackageDescription:
     """The data that Controller and open_package() need besides the C text."""
     p = model.problem
@@ -502,6 +479,7 @@ def _description(
         options=repr(model.options),
         report=report,
         program=model.program,
+        ranges=ranges,
     )
 
 

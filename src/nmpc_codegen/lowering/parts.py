@@ -3,6 +3,14 @@
 A part compiles unchanged after its preamble (preamble.py), so that linters check the code that is shipped. A condition
 is an integer expression of C in the sizes and switches of the package (0: absent); a name that the package does not
 define is an error, as it is for a compiler with -Wundef.
+
+What parts include as ``generated/<name>.c`` is written here: products with the stage matrices, tables of their
+structure. So are the elementary functions that a package contains, of which a unit has those that it calls.
+
+Names inside the unit differ from all names of its header. The header declares <name>_..., where <name> is the user's;
+names inside the unit are short and the same in every package. Both can be one word: the package "ny" declares NY_N, the
+number of its intervals, and NY_N is also the short name of the number of terminal residuals. The inner name, of a
+macro, function, variable or member, then ends in "_".
 """
 
 from __future__ import annotations
@@ -10,11 +18,17 @@ from __future__ import annotations
 import ast
 import operator
 import re
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
+
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.ir.kernel import OPERATIONS
+from nmpc_codegen.ir.print_c import CStyle
+from nmpc_codegen.ir.print_loops import print_routine
 
 _INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
 _DIRECTIVE = re.compile(r"#(if|elif|else|endif)\b\s*(.*)")
@@ -207,3 +221,140 @@ def _value(node: ast.AST, sizes: Mapping[str, int]) -> int:
         case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _BINARY:
             return int(_BINARY[type(op)](_value(left, sizes), _value(right, sizes)))
     raise ValueError(f"#if: {ast.unparse(node)} is not supported")
+
+
+# -- parts that are generated ------------------------------------------------------------------------------------------
+
+
+def products(module: CModule, style: CStyle) -> str:
+    """The products with a vector that the package calls, after the tables that the loops of all products read."""
+    routines = module.products.called_vectors(module.switches).values()
+    heading = (
+        "/* Products with the stage matrices S = [A B] and Q (lower triangle): "
+        + ("written out over the structural nonzeros." if module.products.written_out else "dense loops.")
+        + " */"
+    )
+    called = [print_routine(r, style) for r in routines]
+    read = {name: of for name, of in module.products.tables.items() if any(f"{name}[" in text for text in called)}
+    tables = _tables(read)
+    if tables:
+        tables = "/* Structural nonzeros (row, column) of the lower triangles Q and Q_N. */\n" + tables
+    return _paragraphs(heading, tables, *called)
+
+
+def product_columns(module: CModule, style: CStyle) -> str:
+    """The products with a panel of columns of G_k."""
+    routines = (print_routine(r, style) for r in module.products.panels.values())
+    return _paragraphs("/* Products with a panel of columns of G_k. */", *routines)
+
+
+def hessian_blocks(module: CModule, style: CStyle) -> str:
+    """Irreducible blocks of Q and Q_N: a table of the rows of all blocks, and of where each block begins in it."""
+    blocks = {"Q": module.products.Q_blocks, "Q_N": module.products.Q_N_blocks}
+    numbers = ", ".join(f"{name}_BLOCKS = {len(found)}" for name, found in blocks.items())
+    tables: dict[str, Iterable[int]] = {}
+    for name, found in blocks.items():
+        tables[f"{name}_block_row"] = [i for block in found for i in block]
+        tables[f"{name}_block_first"] = [0, *accumulate(map(len, found))]
+    heading = "/* Irreducible blocks of Q and Q_N: the rows of all blocks, and where each block begins among them. */"
+    return "\n".join([heading, f"enum {{ {numbers} }};", _tables(tables)])
+
+
+def of_host(module: CModule, style: CStyle) -> str:
+    """Nothing: only units for a host have this part, and replace it (host/unit.py)."""
+    return ""
+
+
+#: Path of an include -> its text.
+GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
+    "generated/lane_transpose.c": of_host,
+    "generated/lane_functions.c": of_host,
+    "generated/lane_kernels.c": of_host,
+    "generated/lane_nodes.c": of_host,
+    "generated/products.c": products,
+    "generated/product_columns.c": product_columns,
+    "generated/hessian_blocks.c": hessian_blocks,
+}
+
+
+#: The elementary functions of a package, and those of them that lanes have too.
+MATH, MATH_IN_LANES = "math/own.c", "math/functions.c"
+_FUNCTION = re.compile(r"^static (?:inline )?real_t own_(\w+)\(", re.MULTILINE)
+_HEADING = f"/* ==== elementary functions {'=' * 79} */"
+
+
+def own_text(part: str, sizes: Mapping[str, int], resolved: bool = True) -> str:
+    """A part of the elementary functions with what it includes."""
+    text = read_part(part, lambda path: "")
+    return resolve(text, sizes) if resolved else text
+
+
+@cache
+def own_names(part: str = MATH) -> frozenset[str]:
+    """Functions of math.h that have a text of their own."""
+    in_math_h = {operation.function for operation in OPERATIONS.values()}
+    return frozenset(_FUNCTION.findall(own_text(part, {}, resolved=False))) & in_math_h
+
+
+def own_math(module: CModule, names: Collection[str], resolved: bool = True) -> str:
+    """The elementary functions that a unit with these identifiers calls; lanes need some of them as well."""
+    if not (module.switches["OWN_MATH"] or module.sizes["LANE_NODES"]):
+        return ""
+    text = needed(own_text(MATH, module.sizes, resolved), names)
+    return f"{_HEADING}\n\n{text}\n" if text else ""
+
+
+def _tables(tables: Mapping[str, Iterable[int]]) -> str:
+    texts = {name: list(map(str, values)) for name, values in tables.items()}
+    return "\n".join(f"static const int {name}[{len(v)}] = {{ {', '.join(v)} }};" for name, v in texts.items())
+
+
+def _paragraphs(*texts: str) -> str:
+    return "\n\n".join(text for text in texts if text) + "\n"
+
+
+# -- names of the unit -------------------------------------------------------------------------------------------------
+
+_INNER = re.compile(r"\bAPI\(\w+\)|[A-Za-z_]\w*")
+
+#: Types of <stdint.h> in the header, which are not the package's even if it is called "int32".
+STANDARD = frozenset({"int32_t"})
+
+
+def names_in(*texts: str) -> set[str]:
+    """The identifiers of C texts."""
+    return {name for text in texts for name in _WORD.findall(text)}
+
+
+def with_members_apart(module: CModule) -> CModule:
+    """The package with an underscore after every member of a struct that would have the name of a size macro."""
+    macros = {f"{module.macro}_{macro.name}" for macro in module.macros}
+    if not any(member.name in macros for struct in module.structs for member in struct.fields):
+        return module
+    structs = tuple(
+        replace(s, fields=tuple(replace(f, name=f"{f.name}_") if f.name in macros else f for f in s.fields))
+        for s in module.structs
+    )
+    ranges = {f"{name}_" if name in macros else name: limits for name, limits in module.description.ranges.items()}
+    return replace(module, description=replace(module.description, structs=structs, ranges=ranges))
+
+
+def renamed_words(words: Collection[str], header: str, name: str, members: Collection[str] = ()) -> Mapping[str, str]:
+    """Inner name -> new name, for those of ``words`` that the header of the package ``name`` declares.
+
+    ``members``: words of the header that belong to its structs alone.
+    """
+    prefixes = (f"{name}_", f"{name.upper()}_")
+    declared = {w for w in names_in(without_comments(header)) if w.startswith(prefixes)} - set(members) - STANDARD
+    found: dict[str, str] = {}
+    for word in sorted(declared.intersection(words)):
+        inner = f"{word}_"
+        while inner in words or inner in declared:
+            inner += "_"
+        found[word] = inner
+    return found
+
+
+def rename(text: str, words: Mapping[str, str]) -> str:
+    """The text of a unit with new inner names; API(f), the name of a function of the header, stays."""
+    return _INNER.sub(lambda found: words.get(found[0], found[0]), text) if words else text

@@ -10,13 +10,13 @@ from collections.abc import Collection, Mapping, Sequence
 from textwrap import wrap
 
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_framed import call
+from nmpc_codegen.ir.print_c import CStyle, unit_style
+from nmpc_codegen.ir.print_loops import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
+from nmpc_codegen.lowering.parts import names_in, rename
 from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
-from nmpc_codegen.lowering.unit.names import names_in, rename
-from nmpc_codegen.lowering.unit.unused import Definition as Definition
-from nmpc_codegen.runtime.package_description import Kind
+from nmpc_codegen.lowering.unused import Definition as Definition
+from nmpc_codegen.package.signals import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
 FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos", "exp", "log", "log1p")
@@ -27,16 +27,6 @@ WIDTH = 114
 
 #: A number in the working precision: R(0.5).
 REAL_CONSTANT = ("R", "x", "((real_t)(x))")
-
-
-def unit_style(precision: str, own: bool = False) -> CStyle:
-    """Spelling of numbers and functions inside the translation unit."""
-    return CStyle("real_t", precision == "single", own=own)
-
-
-def module_style(module: CModule) -> CStyle:
-    """The spelling of a package."""
-    return unit_style(module.precision, bool(module.switches["OWN_MATH"]))
 
 
 def preamble(
@@ -77,14 +67,14 @@ def all_definitions(module: CModule) -> list[Definition]:
     constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
     constants += [
-        ("HOST_LANES", str(module.switches["HOST_LANES"])),
+        ("HOST_LANES", str(module.sizes["HOST_LANES"])),
         *arithmetic(module.precision, bool(module.switches["OWN_MATH"])),
     ]
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
     parametric.append(("HESSIAN", "s, k", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]"))
     places = PLACES | (MEASURED_START if module.switches["START_IS_MEASURED"] else {})
     parametric += [kernel_call(routine, places) for routine in module.routines]
-    parametric += [product_call(routine, module_style(module)) for routine in module.called_products]
+    parametric += [product_call(routine, module.style) for routine in module.called_products]
     return [*((name, None, text) for name, text in constants), *parametric]
 
 

@@ -14,24 +14,32 @@ from typing import Any
 
 import jinja2
 
-from nmpc_codegen.ir.cmodule import PURPOSES, WORK, CModule, Field, Struct, Table
-from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_sweep import print_routine
-from nmpc_codegen.lowering.generated import GENERATED, own_math
-from nmpc_codegen.lowering.parts import read_part, resolve, template_directory
+from nmpc_codegen.ir.cmodule import CModule, Table
+from nmpc_codegen.ir.print_c import CStyle, unit_style
+from nmpc_codegen.ir.print_loops import print_routine
+from nmpc_codegen.lowering.parts import (
+    GENERATED,
+    names_in,
+    own_math,
+    read_part,
+    rename,
+    renamed_words,
+    resolve,
+    template_directory,
+    with_members_apart,
+)
 from nmpc_codegen.lowering.preamble import (
     Definition,
     all_definitions,
     conditions,
     definitions,
-    module_style,
     preamble,
-    unit_style,
 )
-from nmpc_codegen.lowering.unit.names import names_in, rename, renamed_words, with_members_apart
-from nmpc_codegen.lowering.unit.unused import without_unused
-from nmpc_codegen.runtime.package_description import Argument, EntryPoint, Layout, Signal, c_constants
-from nmpc_codegen.runtime.records.html import horizon, nodes
+from nmpc_codegen.lowering.unused import without_unused
+from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
+from nmpc_codegen.package.seal import sealed
+from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, c_constants, horizon, nodes
+from nmpc_codegen.package.sources import Sources
 
 #: Maximum length of a comment line in the header without its margin.
 WIDTH = 116
@@ -39,9 +47,6 @@ WIDTH = 116
 #: -f options that GCC 12 needs: with these optimisations it drops calls, assumes an aligned stack in leaf functions,
 #: and inlines loops into functions in which it does not vectorise them.
 GCC_12 = ("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
-
-# path -> text of one package
-Sources = dict[str, str]
 
 
 @cache
@@ -68,7 +73,7 @@ Generators = Mapping[str, Callable[[CModule, CStyle], str]]
 
 
 def render(module: CModule, resolved: bool = True) -> Sources:
-    """All files of the package. Unless ``resolved``, the `#if`s of the parts are left to the compiler, for tests."""
+    """All files of the package, sealed. Unless ``resolved``, the `#if`s of the parts are left to the compiler."""
     module = with_members_apart(module)
     names = _filled(module, GENERATED, resolved)
     files = {
@@ -81,7 +86,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
     names |= _page(module) | {"folders": module.folders, "libraries": module.libraries}
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
-    return {**sources, **module.foreign}
+    return Sources(sealed({**sources, **module.foreign}, module.name), module.description)
 
 
 def render_c(module: CModule, more: Generators) -> str:
@@ -118,13 +123,7 @@ def _filled(module: CModule, generators: Generators, resolved: bool) -> dict[str
     }
 
 
-def unit_text(module: CModule) -> str:
-    """The translation unit after its tables."""
-    return render_unit(module, _names(module))
-
-
 def _names(module: CModule) -> dict[str, Any]:
-    style = module_style(module)
     names: dict[str, Any] = context(module.name, module.precision)
     names |= {
         "m": module,
@@ -134,12 +133,12 @@ def _names(module: CModule) -> dict[str, Any]:
         "comment": lambda text: block_comment(text),
         "prototype": lambda entry: _prototype(entry, module),
         "dim": lambda macro: f"{module.macro}_{macro}",
-        "values": lambda table: table_values(table, style),
-        "print_routine": lambda routine: print_routine(routine, style),
+        "values": lambda table: table_values(table, module.style),
+        "print_routine": lambda routine: print_routine(routine, module.style),
         "resolved": lambda template: resolve(environment().get_template(template).render(names), module.sizes).rstrip(),
         "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
-        "initial": ", ".join(style.literal(v) for s in module.description.states for v in s.value),
-        "dt": style.literal(module.description.sampling_time or module.description.dt[0]),
+        "initial": ", ".join(names["lit"](v) for s in module.description.states for v in s.value),
+        "dt": names["lit"](module.description.sampling_time or module.description.dt[0]),
     }
     return names
 
@@ -157,7 +156,7 @@ def render_unit(
     """The translation unit after its tables: printed kernels, parts."""
 
     def generated(path: str) -> str:
-        return generators[path](module, module_style(module))
+        return generators[path](module, module.style)
 
     def part(path: str) -> str:
         text = read_part(path, generated)
@@ -206,9 +205,8 @@ def _page(module: CModule) -> dict[str, Any]:
         for vector, group in (("y", d.residuals), ("y_N (terminal)", d.residuals_N))
         if group
     ]
-    worst = ", ".join(f"{phase} {count:,}" for phase, count in d.report.worst_operations.items()) or "not known"
     grid = horizon(d.dt, d.time_unit, d.discrete)
-    texts = {"grid": grid, "sample": period.capitalize(), "worst": worst}
+    texts = {"grid": grid, "sample": period.capitalize()}
     return texts | {"files": files.items(), "signals": signals, "rows": rows, "residuals": residuals}
 
 

@@ -32,11 +32,11 @@ from typing import Any
 import cffi
 
 from nmpc_codegen.errors import BuildError, OptionError
+from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, cached, keep_failed
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.compilers import environment, find_compiler
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.package_description import PackageDescription
 
 BEGIN, END = "/* begin declarations */", "/* end declarations */"
 WARNINGS = (

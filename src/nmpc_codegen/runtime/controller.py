@@ -8,7 +8,6 @@ pickling and saving copy these bytes. Use one controller per thread; C calls rel
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from time import perf_counter_ns
@@ -18,19 +17,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import Kind
+from nmpc_codegen.package.status import Kkt, Stats, Status
 from nmpc_codegen.runtime import compiled, given
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.diagnosis.diagnose import diagnosis
 from nmpc_codegen.runtime.diagnosis.foreign_names import OF_CONTROLLER, missing
-from nmpc_codegen.runtime.package_description import Dimensions, Kind, Names
+from nmpc_codegen.runtime.memory import Memory
 from nmpc_codegen.runtime.records.show import in_html, in_one_line
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
-from nmpc_codegen.runtime.status import Kkt, Stats, Status
 
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
-
-#: Stats of an algorithm without counters.
-_NO_COUNTS = {**dict.fromkeys((*compiled.COUNTERS, *compiled.NEWTON), 0), "violation": 0.0}
 
 EVERY_NODE = -1  # <NAME>_ALL of the C package
 
@@ -38,29 +35,11 @@ Array = NDArray[Any]
 OnFailure = Literal["status", "raise"]
 
 
-class Controller:
+class Controller(Memory):
     """A controller with its memory, which build() or open_package() creates initialised and ready to step.
 
     The arrays x, u, lam, mu_x, mu_u, mu, mu_N are views on the current iterate; write an initial guess to them.
     """
-
-    def __init__(self, package: CompiledPackage) -> None:
-        self._package = package
-        self.description = package.description
-        self.dims: Dimensions = self.description.dims
-        self.names: Names = self.description.names
-        self._real = self.description.real
-        self._memory = compiled.aligned(package.dtype.itemsize)
-        self._struct: NDArray[np.void] = self._memory.view(package.dtype).reshape(())
-        self._s = package.ffi.from_buffer(f"{package.name}_solver_t *", self._memory)
-        self._xhat, self._xhat_c = self._buffer(self.dims.nx)
-        self._u0, self._u0_c = self._buffer(self.dims.nu)
-        self._phases = self._functions("prepare", "feedback")
-        self._starts_at_measured = "REPAIRS" in self.description.sizes
-        self._prepare_ns = 0
-        self._feedback_ns = 0
-        self._solved = False  # the last call was solve()
-        self._expect(self._call("init", self._s), "init")
 
     # -- the real-time iteration ------------------------------------------------------------------------------------
 
@@ -160,16 +139,6 @@ class Controller:
         self._measure(xhat)
         self._solved = True
         return solve(self, tol, max_iterations, globalization)
-
-    def call_solve(self, tol: float, last: int) -> Status:
-        """C function solve() for the state last given, up to iteration ``last``."""
-        return Status(self._call("solve", self._s, self._xhat_c, tol, last))
-
-    def call_iteration(self) -> Status:
-        """C functions prepare() and feedback() for the state last given, or what replaces them."""
-        if self._phases is None:
-            return Status(self._call("step", self._s, self._xhat_c, self._u0_c))
-        return Status(self._call("prepare", self._s) or self._call("feedback", self._s, self._xhat_c, self._u0_c))
 
     def reset(self) -> None:
         """Return to the initial plan; references, weights, parameters and bounds are kept."""
@@ -277,64 +246,7 @@ class Controller:
             status = self._call("set_bounds", self._s, row, k, one_low, one_high)
             self._expect(status, "set_bounds", f"row {self.names.rows[row]!r}, node {node}")
 
-    # -- the iterate and what is known about it ---------------------------------------------------------------------
-
-    @property
-    def x(self) -> Array:
-        """States of the plan, (N+1, nx)."""
-        return self._view("x")
-
-    @x.setter
-    def x(self, value: ArrayLike) -> None:
-        self._assign("x", value)
-
-    @property
-    def u(self) -> Array:
-        """Controls of the plan, (N, nu)."""
-        return self._view("u")
-
-    @u.setter
-    def u(self, value: ArrayLike) -> None:
-        self._assign("u", value)
-
-    @property
-    def lam(self) -> Array:
-        """Multipliers of initial condition and dynamics, (N+1, nx)."""
-        return self._view("lam")
-
-    @lam.setter
-    def lam(self, value: ArrayLike) -> None:
-        self._assign("lam", value)
-
-    @property
-    def mu_x(self) -> Array:
-        """Multipliers of state bounds, (N+1, nx)."""
-        return self._view("mu_x")
-
-    @property
-    def mu_u(self) -> Array:
-        """Multipliers of control bounds, (N, nu)."""
-        return self._view("mu_u")
-
-    @property
-    def mu(self) -> Array:
-        """Multipliers of general path rows, (N, nh)."""
-        return self._view("mu")
-
-    @property
-    def mu_N(self) -> Array:
-        """Multipliers of general terminal rows, (nh_N,)."""
-        return self._view("mu_N")
-
-    @property
-    def eta(self) -> Array:
-        """Multipliers of coupled rows; empty without such rows."""
-        return self.member("eta")
-
-    @property
-    def status(self) -> Status:
-        """Outcome of the last prepare(), feedback(), step() or solve()."""
-        return Status(int(self._struct["status"]))
+    # -- what is known about it ----------------------------------------------------------------------------------------
 
     def diagnose(self) -> str:
         """Why the last call was not OK, in the user's names, and what to try; a few lines.
@@ -343,64 +255,6 @@ class Controller:
         warnings of the compiler and gives advice for the options in force.
         """
         return diagnosis(self, self._xhat, self._solved)
-
-    @property
-    def stats(self) -> Stats:
-        """Counters, residuals and times of the last call; counters that the algorithm does not have are 0."""
-        found: Any = self._struct["stats"] if "stats" in self.description.members("solver") else {}
-        counts = _NO_COUNTS | {name: found[name] for name in self.description.members("stats")}
-        return Stats(
-            **{name: int(counts[name]) for name in (*compiled.COUNTERS[:5], *compiled.NEWTON)},
-            violated_row=self._violated_row(),
-            violated_node=int(counts["violated_node"]) if self._violated_row() else None,
-            violation=float(counts["violation"]),
-            kkt=self.kkt() if self.description.members("kkt") else Kkt.read(lambda _: math.nan),
-            prepare_ns=self._prepare_ns,
-            feedback_ns=self._feedback_ns,
-            stale_hessian=bool(counts.get("stale_hessian", 0)),
-            first_deviation=float(counts.get("first_deviation", 0)),
-            residual=float(counts["residual"] if "residual" in counts else counts["violation"]),
-            repairs=int(counts.get("repairs", 0)),
-        )
-
-    @property
-    def time_ns(self) -> int:
-        """Time (ns) of the last prepare() and feedback() together, or of step()."""
-        return self._prepare_ns + self._feedback_ns
-
-    @property
-    def cost(self) -> float:
-        """Cost of the current plan, with the present references and weights."""
-        return float(self._call("cost", self._s))
-
-    def kkt(self) -> Kkt:
-        """KKT residuals of the current iterate."""
-        evaluate = self._package.function("kkt")
-        out = self._package.ffi.new(f"{self._package.name}_kkt_t *")
-        evaluate(self._s, out)
-        return Kkt.read(lambda part: getattr(out, part), self.description.members("kkt"))
-
-    def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
-        """State (nx,) after the time dt (s) from x (nx,) under constant u (nu,), by the integrator of the package."""
-        start = self._array("x", x, (self.dims.nx,), finite=False)
-        control = self._array("u", u, (self.dims.nu,), finite=False)
-        out, out_c = self._buffer(self.dims.nx)
-        self._call("integrate", self._s, self._pointer(start), self._pointer(control), float(dt), out_c)
-        return out[: self.dims.nx]
-
-    def view(self, path: str) -> Array:
-        """View on any member of the solver struct, in its true shape; dots access inner structs ("qp.g")."""
-        return self._view(path)
-
-    @property
-    def profile(self) -> str:
-        """Name of the compiler profile."""
-        return str(self._package.profile.name)
-
-    @property
-    def nbytes(self) -> int:
-        """Size of the solver struct in bytes: all memory that the C package uses except the stack."""
-        return self._package.dtype.itemsize
 
     def __repr__(self) -> str:
         return in_one_line(self)
@@ -445,15 +299,6 @@ class Controller:
 
     # -- inner ------------------------------------------------------------------------------------------------------
 
-    def _functions(self, *names: str) -> tuple[Any, ...] | None:
-        """The entry points of these names, looked up once; None if one of them does not exist."""
-        if not all(map(self.description.offers, names)):
-            return None
-        return tuple(map(self._package.function, names))
-
-    def _call(self, name: str, *arguments: Any) -> Any:
-        return self._package.function(name)(*arguments)
-
     def _judge(self, status: int, call: str, on_failure: OnFailure) -> Status:
         judged = Status(status)
         if on_failure == "raise" and judged.is_failure:
@@ -463,29 +308,6 @@ class Controller:
             raise ControllerError(f"on_failure is {on_failure!r}; allowed: 'status', 'raise'")
         return judged
 
-    def _expect(self, status: int, call: str, what: str = "") -> None:
-        """Raise ControllerError if a call that only writes data has failed."""
-        if Status(status).is_failure:
-            subject = f" ({what})" if what else ""
-            raise ControllerError(f"{self._package.name}.{call}{subject}: {Status(status)}")
-
-    def _violated_row(self) -> str | None:
-        if "violated_row" not in self.description.members("stats"):
-            return None
-        index = int(self._struct["stats"]["violated_row"])
-        return self.description.rows[index].name if index >= 0 else None
-
-    def _buffer(self, size: int) -> tuple[Array, Any]:
-        """An array of max(1, size) numbers for C, cut to size, and its pointer."""
-        whole = np.zeros(max(1, size), dtype=self._real)
-        return whole[:size], self._pointer(whole)
-
-    def _pointer(self, array: Array) -> Any:
-        contiguous = np.ascontiguousarray(array, dtype=self._real).reshape(-1)
-        if contiguous.size == 0:
-            contiguous = np.zeros(1, dtype=self._real)
-        return self._package.ffi.from_buffer(f"{self._package.name}_real[]", contiguous)
-
     def _measure(self, xhat: ArrayLike) -> None:
         """Copy the measured state to the buffer that C reads. NaN is passed on, as the C code handles it."""
         self._solved = False
@@ -493,10 +315,6 @@ class Controller:
             self._xhat[:] = xhat
         else:
             self._xhat[:] = self._array("xhat", xhat, (self.dims.nx,), finite=False)
-
-    def _array(self, what: str, value: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Array:
-        """``value`` as an array of the given shape in the working precision."""
-        return given.checked_array(value, what, self._real, shape, finite)
 
     def _each_node(self, option: Kind, what: str, node: int | None = None, terminal: bool = False) -> bool:
         """True if this kind of data is stored for every node; ControllerError if ``node`` cannot be set.
@@ -565,27 +383,3 @@ class Controller:
         for index, value in columns.items():
             new[index] = value
         return new
-
-    def _view(self, path: str) -> Array:
-        struct, here = "solver", self._struct
-        for part in path.split("."):
-            member = self.description.members(struct).get(part)
-            if member is None and path in self._package.empty:
-                return np.zeros(self._package.empty[path], dtype=self._real)
-            if member is None:
-                raise AttributeError(f"the algorithm of {self._package.name} has no {path!r}")
-            here, struct = here[part], member.ctype
-            true_shape: Any = (..., *(slice(n) for n in member.values))
-            here = here[true_shape] if member.shape else here
-        return here
-
-    def member(self, name: str) -> Array:
-        """A member that only some algorithms and problems have; empty if it does not exist."""
-        try:
-            return self._view(name)
-        except AttributeError:
-            return np.zeros(0, dtype=self._real)
-
-    def _assign(self, name: str, value: ArrayLike) -> None:
-        view = self._view(name)
-        view[...] = self._array(name, value, view.shape)

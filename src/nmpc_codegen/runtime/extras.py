@@ -13,7 +13,14 @@ HAS_COMPILER = find_spec("nmpc_codegen.compiler") is not None
 DISTRIBUTION = "nmpc-codegen" if HAS_COMPILER else "nmpc-codegen-runtime"
 
 #: Package -> the extra of it that brings it.
-EXTRAS = {"matplotlib": "plot", "pandas": "notebook", "xarray": "notebook", "cvxpy": "economic", "clarabel": "economic"}
+EXTRAS = {
+    "matplotlib": "plot",
+    "pandas": "notebook",
+    "xarray": "notebook",
+    "cvxpy": "economic",
+    "clarabel": "economic",
+    "pycparser": "analysis",
+}
 
 
 def extra(module: str, user: str) -> Any:

@@ -22,7 +22,7 @@ from pathlib import Path, PurePosixPath
 from filelock import FileLock, Timeout
 
 from nmpc_codegen.errors import ExportError, OptionError
-from nmpc_codegen.runtime.seal import LARGEST, has_seal, intact
+from nmpc_codegen.package.seal import LARGEST, has_seal, intact
 
 TEMPORARY = ".nmpc_codegen-new"
 PATIENCE = 10.0  # seconds that an export waits for another one into the same folder

@@ -8,9 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from nmpc_codegen.errors import BuildError
+from nmpc_codegen.package.seal import LARGEST, has_seal, intact, package_of
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.seal import LARGEST, has_seal, intact, package_of
 
 
 def open_package(

@@ -6,19 +6,17 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter_ns
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.status import Kkt, Status
 from nmpc_codegen.runtime.given import is_integer, is_positive
+from nmpc_codegen.runtime.memory import Memory
 from nmpc_codegen.runtime.records import convergence
 from nmpc_codegen.runtime.records.convergence import Iteration
-from nmpc_codegen.runtime.status import Kkt, Status
-
-if TYPE_CHECKING:
-    from nmpc_codegen.runtime.controller import Controller
 
 Array = NDArray[Any]
 Globalization = Literal["filter", "full_step"]
@@ -93,7 +91,7 @@ class _Run:
     time_ns: int = 0
 
 
-def solve(ctrl: Controller, tol: float, max_iterations: int, globalization: Globalization) -> Solution:
+def solve(ctrl: Memory, tol: float, max_iterations: int, globalization: Globalization) -> Solution:
     """Iterate from the present plan and the state that the controller has been given; see Controller.solve()."""
     if not is_positive(tol):
         raise ControllerError(f"tol is {tol!r}; expected a positive number")
@@ -124,7 +122,7 @@ def solve(ctrl: Controller, tol: float, max_iterations: int, globalization: Glob
     )
 
 
-def _searched(ctrl: Controller, run: _Run, tol: float, most: int) -> Status:
+def _searched(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
     """The iterations of the C code, one by one if it can be resumed."""
     status = Status.ITERATION_LIMIT
     steps = "resumes" in ctrl.description.members("sqp")
@@ -145,7 +143,7 @@ def _searched(ctrl: Controller, run: _Run, tol: float, most: int) -> Status:
     return status
 
 
-def _full_steps(ctrl: Controller, run: _Run, tol: float, most: int) -> Status:
+def _full_steps(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
     """The real-time iteration, repeated for the same state without a shift of the plan."""
     members = ctrl.description.members("solver")
     for number in range(1, most + 1):
@@ -166,12 +164,12 @@ def _full_steps(ctrl: Controller, run: _Run, tol: float, most: int) -> Status:
     return Status.ITERATION_LIMIT
 
 
-def _entry(ctrl: Controller, kkt: Kkt, length: float, restoring: bool) -> Iteration:
+def _entry(ctrl: Memory, kkt: Kkt, length: float, restoring: bool) -> Iteration:
     active = sum(int(np.count_nonzero(ctrl.member(part))) for part in MULTIPLIERS[1:])
     shift = float(ctrl.view("curved.used")) if "curved" in ctrl.description.members("solver") else 0.0
     return Iteration(kkt, length, _count(ctrl, "qp_iterations"), active, restoring, ctrl.cost, shift)
 
 
-def _count(ctrl: Controller, name: str) -> int:
+def _count(ctrl: Memory, name: str) -> int:
     """A counter of the last call, without the residuals that all stats contain; 0 if the algorithm has none."""
     return int(ctrl.view(f"stats.{name}")) if name in ctrl.description.members("stats") else 0

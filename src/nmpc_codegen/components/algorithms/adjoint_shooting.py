@@ -36,8 +36,9 @@ from nmpc_codegen.components.allowed import Number, Whole, Words, check_options,
 from nmpc_codegen.components.base import Core, Defaults, Dims, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
-from nmpc_codegen.runtime.package_description import EntryPoint
+from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.signals import EntryPoint
 
 METHODS = ("gauss_newton", "quasi_newton")
 ROWS = ("augmented_lagrangian", "smooth_l1", "barrier", "lumped")
@@ -271,12 +272,22 @@ class AdjointShooting(Defaults):
     def reach(self, problem: Problem) -> float:
         return resample_reach(self.shift, self.sampling_time, problem)
 
+    def _steps(self) -> int:
+        followed = self.rows in FOLLOWED and self.second_order
+        return self.iterations or (FOLLOWED_STEPS if followed else ITERATIONS[self.method])
+
+    def _products(self, dims: Dims) -> int:
+        return self.products or min(max(PRODUCTS[0], dims.N.value * dims.nu.value), PRODUCTS[1])
+
+    def capped(self, most: int, dims: Dims) -> AdjointShooting:
+        """At most so many steps, and products with the Hessian in each of them."""
+        products = min(most, self._products(dims)) if self.second_order else None
+        return replace(self, iterations=min(most, self._steps()), products=products)
+
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         controls, followed = dims.N.value * dims.nu.value, self.rows in FOLLOWED
-        steps = FOLLOWED_STEPS if followed and self.second_order else ITERATIONS[self.method]
-        products = min(max(PRODUCTS[0], controls), PRODUCTS[1])
         newton = (
-            ("MAX_PRODUCTS", self.products or products, "products with the Hessian of a step at most"),
+            ("MAX_PRODUCTS", self._products(dims), "products with the Hessian of a step at most"),
             ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
             ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
             ("MAX_ROUNDS", MAX_ROUNDS, "steps of the method of multipliers for terminal rows in a step"),
@@ -284,7 +295,7 @@ class AdjointShooting(Defaults):
         memory = (("MEMORY", self.memory or MEMORY, "pairs of the quasi-Newton method"),)
         return (
             ("NT", self._terminal_rows(dims.end_rows), "terminal rows in the model"),
-            ("ITERATIONS", self.iterations or steps, "steps of a sample"),
+            ("ITERATIONS", self._steps(), "steps of a sample"),
             ("REPAIRS", self.repair, "further steps of a sample whose last one is long and was not taken as a whole"),
             ("TRIALS", self.trials or (FOLLOWED_TRIALS if followed else TRIALS), "simulations of a step at most"),
             ("TRIALS_OF_SOLVE", MAX_TRIALS, "the same in solve()"),
@@ -293,6 +304,10 @@ class AdjointShooting(Defaults):
             ("MOST_PENALTY", 1_000_000_000, "largest penalty of solve()"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before the sample"),
         )
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """A sample does not run inside solve()."""
+        return {"solving": (0, 0)} if self.second_order else {}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         members = (

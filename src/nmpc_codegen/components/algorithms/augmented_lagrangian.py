@@ -47,9 +47,10 @@ from nmpc_codegen.components.allowed import Number, Whole, Words, check_options,
 from nmpc_codegen.components.base import Core, Defaults, Dims, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem
-from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import PANEL
-from nmpc_codegen.runtime.package_description import EntryPoint
+from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.signals import EntryPoint
 
 PREPARE = EntryPoint(
     "prepare",
@@ -217,6 +218,10 @@ class AugmentedLagrangian(Defaults):
 
     def reach(self, problem: Problem) -> float:
         return resample_reach(self.shift, self.sampling_time, problem)
+
+    def capped(self, most: int, dims: Dims) -> AugmentedLagrangian:
+        """At most so many Newton iterations."""
+        return replace(self, iterations=min(most, self.iterations))
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (

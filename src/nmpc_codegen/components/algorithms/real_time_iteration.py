@@ -28,10 +28,11 @@ from nmpc_codegen.components.allowed import Flag, Number, Whole, Words, check_op
 from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Parts, Seam, called
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions, operations
-from nmpc_codegen.runtime.package_description import Argument, EntryPoint
+from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.signals import Argument, EntryPoint
 
 _XHAT = Argument("xhat", "real", ("NX",))
 _U0 = Argument("u0", "real", ("NU",))

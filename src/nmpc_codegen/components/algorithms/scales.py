@@ -7,7 +7,7 @@ import numpy as np
 
 from nmpc_codegen.components.stage_cost import StageCost, stage_cost
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
-from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.ir.casadi_types import Expression, curved
 from nmpc_codegen.ir.cmodule import Table
 
 
@@ -74,11 +74,6 @@ def linear_rows(problem: Problem) -> tuple[int, ...]:
         bent[2, True] = curved(problem.coupled(x_0, x_N), x_N)
     rows = problem.qp_rows
     return tuple(int(kind == 0 or index not in bent[kind, k == problem.N]) for k, kind, index, _ in rows)
-
-
-def curved(h: Expression, z: Expression) -> set[int]:
-    """Numbers of the elements of h that are no affine functions of z."""
-    return {i for i, bent in enumerate(ca.which_depends(h, z, 2, True)) if bent} if h.numel() else set()
 
 
 def cost_magnitude(problem: Problem, scale: Array, otherwise: float = 1.0) -> float:

@@ -13,10 +13,11 @@ from typing import ClassVar
 
 from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape, Seam
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.ir.tuning import COLUMNS
+from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.opcount import OpCount
 
 
 def _panels(width: int) -> int:

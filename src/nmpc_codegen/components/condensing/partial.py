@@ -13,9 +13,10 @@ from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape, Seam
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Field, Struct, Table
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions
+from nmpc_codegen.package.memory import Field, Struct
+from nmpc_codegen.package.opcount import OpCount
 
 
 @dataclass(frozen=True)

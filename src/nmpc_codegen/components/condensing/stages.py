@@ -11,7 +11,7 @@ from bisect import bisect_left
 from nmpc_codegen.components.base import Dims
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.package.opcount import OpCount
 
 
 def copied_states(problem: Problem) -> tuple[int, ...]:

@@ -25,10 +25,11 @@ from nmpc_codegen.components.hessians.steady_rows import limits, terminal_state_
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem
-from nmpc_codegen.ir.cmodule import Field, Struct, Table
+from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import pattern
+from nmpc_codegen.package.memory import Field, Struct
 
 
 @dataclass(frozen=True)

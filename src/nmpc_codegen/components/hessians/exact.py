@@ -21,11 +21,12 @@ from nmpc_codegen.components.hessians.regularization import Mirror, Project
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts, slices
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
-from nmpc_codegen.ir.cmodule import Field, Size, Struct, Table
+from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import Pattern, irreducible_blocks, pattern
 from nmpc_codegen.ir.sweep import Call, Routine, Slice
+from nmpc_codegen.package.memory import Field, Size, Struct
 
 #: Switch of the parts, and the level of a regularisation that sets it.
 LEVELS = (("STAGES", "stage"), ("REDUCED", "reduced"))

@@ -17,10 +17,10 @@ from nmpc_codegen.components.allowed import Flag, Number, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Field, Struct
 from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import pattern
+from nmpc_codegen.package.memory import Field, Struct
 
 
 @dataclass(frozen=True)

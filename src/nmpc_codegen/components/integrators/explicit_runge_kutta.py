@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar, Literal, get_args
 
 from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, option
@@ -100,9 +99,9 @@ class ExplicitRungeKutta(Defaults):
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         sensitivities = Sensitivities(problem, self.tableau, self.steps)
         interval = self._spelled(sensitivities.sweep())
-        one_step = partial(straight, sensitivities.sweep("integrator_one_step", 1))
         loops = isinstance(interval, LoopedRoutine) and interval.count.total <= STEP_OPERATIONS * self.steps
-        return Interval(interval, straight(step_sweep(problem, self.tableau)), None, one_step if loops else None)
+        one_step = straight(sensitivities.sweep("integrator_one_step", 1)) if loops else None
+        return Interval(interval, straight(step_sweep(problem, self.tableau)), None, one_step)
 
     def products(self, problem: Problem) -> IntervalProducts:
         """The value of an interval, and products with its Jacobians that do not form them."""

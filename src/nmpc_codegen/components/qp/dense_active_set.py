@@ -8,28 +8,38 @@ The preparation phase factorises at the predicted working set; the feedback phas
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
-from nmpc_codegen.ir.cmodule import Field, Size, Struct
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.opcount import OpCount
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
     from nmpc_codegen.ir.model import ModelFunctions
 
-#: Cap on the proximal steps for a semidefinite Hessian.
-PROXIMAL_STEPS = 200
+#: What closed loops with disturbances need of a QP at most (verification/robustness and strangers): iterations per
+#: variable and row, and proximal steps for a semidefinite Hessian. The default caps are CAUTION times as many.
+ITERATIONS_NEEDED, PROXIMAL_STEPS_NEEDED = 3.4, 17
+CAUTION = 2
+
+#: Default cap on the iterations of a QP with few variables and rows.
+LEAST_ITERATIONS = 50
+
+#: Cap on the proximal steps of a QP.
+PROXIMAL_STEPS = math.ceil(CAUTION * PROXIMAL_STEPS_NEEDED)
 
 
 @dataclass(frozen=True)
 class DenseActiveSet(Defaults):
     """Options of the dense active-set solver.
 
-    ``max_iterations``: maximum number of working-set changes in one feedback phase; None: 10 (NV + NG) + 50.
+    ``max_iterations``: maximum number of working-set changes in one feedback phase; None: 6.8 (NV + NG),
+    at least 50.
     """
 
     seam: ClassVar[Seam] = "qp"
@@ -48,13 +58,22 @@ class DenseActiveSet(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
+    def _cap(self, dims: Dims) -> int:
+        needed = math.ceil(CAUTION * ITERATIONS_NEEDED * (dims.qp.nv.value + dims.ng.value))
+        return self.max_iterations or max(LEAST_ITERATIONS, needed)
+
+    def capped(self, most: int, dims: Dims) -> DenseActiveSet:
+        """At most so many iterations."""
+        return replace(self, max_iterations=min(most, self._cap(dims)))
+
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """The iteration cap."""
-        cap = 10 * (dims.qp.nv.value + dims.ng.value) + 50 if self.max_iterations is None else self.max_iterations
+        cap = self._cap(dims)
+        steps = min(cap, PROXIMAL_STEPS)
         return (
             ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one feedback phase"),
-            ("QP_MAX_PROXIMAL_STEPS", PROXIMAL_STEPS, "cap on the proximal steps for a semidefinite Hessian"),
-            ("QP_MAX_SEARCHES", cap + 2 * PROXIMAL_STEPS, "cap on the searches for violated rows"),
+            ("QP_MAX_PROXIMAL_STEPS", steps, "cap on the proximal steps of a QP with a semidefinite Hessian"),
+            ("QP_MAX_SEARCHES", cap + 2 * steps, "cap on the searches for violated rows"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -104,6 +123,7 @@ class DenseActiveSet(Defaults):
                     Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
                     Field("searches", (), "searches for violated rows in that call", "scratch", "int32"),
+                    Field("proximal_steps", (), "steps for a semidefinite Hessian in that call", "scratch", "int32"),
                     Field("changes", (), "rows that entered or left the working set in that call", "result", "int32"),
                     Field("dropped", (), "equalities left out as redundant", "result", "int32"),
                     Field("relaxed", (), "elastic rows that are violated", "result", "int32"),

@@ -19,11 +19,11 @@ import numpy as np
 from nmpc_codegen.components.allowed import Number, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.ir.cmodule import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
-    from nmpc_codegen.runtime.package_description import Precision
+    from nmpc_codegen.package.memory import Precision
 
 
 @dataclass(frozen=True)

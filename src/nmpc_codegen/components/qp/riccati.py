@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nmpc_codegen.ir.cmodule import Field, Size, Struct
-from nmpc_codegen.ir.kernel import OpCount
+from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.opcount import OpCount
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims

@@ -10,7 +10,7 @@ in this set; if the set is right, the feedback phase is one forward substitution
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
@@ -24,16 +24,17 @@ from nmpc_codegen.components.qp.riccati import (
     units_structs,
 )
 from nmpc_codegen.components.qp.riccati_interior_point import RiccatiInteriorPoint, interior_point_struct
-from nmpc_codegen.ir.cmodule import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
-    from nmpc_codegen.ir.kernel import OpCount
     from nmpc_codegen.ir.model import ModelFunctions
+    from nmpc_codegen.package.opcount import OpCount
 
 
-#: Default cap on the number of working sets that are tried.
-MAX_ITERATIONS = 50
+#: Default cap on the number of working sets that are tried: one and a half times what closed loops with disturbances
+#: need of a QP at most (verification/robustness and strangers).
+MAX_ITERATIONS = 30
 
 #: Cap on the working sets that are tried from one that is expected to be nearly that of the solution.
 MAX_POLISH = 5
@@ -79,7 +80,7 @@ def _schur_struct(dims: Dims) -> Struct:
 class RiccatiActiveSet(Defaults):
     """Options of the Riccati active-set solver.
 
-    ``max_iterations``: maximum number of working sets that are tried in one feedback phase; None: 50. ``fallback``: the
+    ``max_iterations``: maximum number of working sets that are tried in one feedback phase; None: 30. ``fallback``: the
     method, with its options, that takes over earlier, once the number of changes has failed to fall three times. It
     continues until its iterate indicates a working set, from which the active-set method finishes. With None a QP for
     which no working set is found, even an infeasible one, ends with ITERATION_LIMIT (crossed bounds with INFEASIBLE),
@@ -111,6 +112,11 @@ class RiccatiActiveSet(Defaults):
     @property
     def _cap(self) -> int:
         return self.max_iterations or MAX_ITERATIONS
+
+    def capped(self, most: int, dims: Dims) -> RiccatiActiveSet:
+        """At most so many working sets, and iterations of the fall-back."""
+        fallback = None if self.fallback is None else self.fallback.capped(most, dims)
+        return replace(self, max_iterations=min(most, self._cap), fallback=fallback)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions and caps."""

@@ -9,13 +9,13 @@ its cost is linear in the number of stages.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
-from nmpc_codegen.ir.cmodule import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
@@ -139,6 +139,10 @@ class RiccatiInteriorPoint(Defaults):
     def switches(self) -> Mapping[str, int]:
         """INTERIOR_POINT: the method is in the package."""
         return {"INTERIOR_POINT": 1}
+
+    def capped(self, most: int, dims: Dims) -> RiccatiInteriorPoint:
+        """At most so many factorisations."""
+        return replace(self, max_iterations=min(most, self.max_iterations))
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions of the recursion, the iteration cap, the warm start."""

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nmpc_codegen.runtime.status import Status
-
-if TYPE_CHECKING:
-    from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime.memory import Memory
 
 #: Relative KKT residual that is as small as rounding lets solve() come on badly scaled problems.
 NEARLY_SOLVED = 1e-5
@@ -21,7 +18,7 @@ MANY = 50
 SCALE = "scale states, controls and rows to magnitudes near 1"
 
 
-def advice(ctrl: Controller, solved: bool, warned: bool) -> Iterator[str]:
+def advice(ctrl: Memory, solved: bool, warned: bool) -> Iterator[str]:
     """What to try, the most likely remedy first.
 
     Args:
@@ -49,7 +46,7 @@ def has_qp(options: str) -> bool:
     return "qp=None" not in options
 
 
-def row_advice(ctrl: Controller, node: int | None) -> str:
+def row_advice(ctrl: Memory, node: int | None) -> str:
     """What to do about a row that cannot hold at a node."""
     longer = "lengthen the horizon, " if node == ctrl.dims.N else ""
     hard = "relaxation=None" in ctrl.description.options
@@ -66,7 +63,7 @@ def _numerical(options: str) -> Iterator[str]:
         yield 'rounding may be the cause: try Options(precision="double")'
 
 
-def _not_converged(ctrl: Controller) -> Iterator[str]:
+def _not_converged(ctrl: Memory) -> Iterator[str]:
     options = ctrl.description.options
     if "algorithm=RealTimeIteration(" in options:
         more = ": let prepare() repair the plan, RealTimeIteration(repair=3)" if "repair=0" in options else ""
@@ -89,7 +86,7 @@ def _not_converged(ctrl: Controller) -> Iterator[str]:
     yield "if it goes on, sample more often, or bound the states where the model is strongly nonlinear"
 
 
-def _of_solve(ctrl: Controller, warned: bool) -> Iterator[str]:
+def _of_solve(ctrl: Memory, warned: bool) -> Iterator[str]:
     options, status, kkt = ctrl.description.options, ctrl.status, ctrl.kkt()
     part = max(kkt.parts, key=lambda name: float(np.nan_to_num(kkt.parts[name], nan=np.inf)))
     count = int(ctrl.stats.sqp_iterations)

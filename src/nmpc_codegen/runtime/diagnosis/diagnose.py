@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nmpc_codegen.package.domains import NOT_FINITE, in_words, locate
+from nmpc_codegen.package.program import Array
+from nmpc_codegen.package.status import STALE, Status
 from nmpc_codegen.runtime.diagnosis.advice import advice, has_qp, row_advice
-from nmpc_codegen.runtime.diagnosis.domains import NOT_FINITE, in_words, locate
-from nmpc_codegen.runtime.diagnosis.program import Array
 from nmpc_codegen.runtime.diagnosis.rows import parameters, violations
-from nmpc_codegen.runtime.status import STALE, Status
-
-if TYPE_CHECKING:
-    from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.memory import Memory
 
 #: Relative KKT residual of a sample above which steps with another Hessian than that of solve() may be the cause.
 FAR_FROM_OPTIMAL = 0.01
@@ -35,7 +32,7 @@ _OF_NUMBERS = (Status.NUMERICAL_FAILURE, Status.STALLED, Status.ITERATION_LIMIT,
 _BEFORE = (Status.OK, Status.NOT_FINITE, Status.NOT_PREPARED)
 
 
-def diagnosis(ctrl: Controller, measured: Array, solved: bool) -> str:
+def diagnosis(ctrl: Memory, measured: Array, solved: bool) -> str:
     """Why the last call of a Controller was not OK: node, state or row by its name, and what to try.
 
     Args:
@@ -55,7 +52,7 @@ def diagnosis(ctrl: Controller, measured: Array, solved: bool) -> str:
     return "\n".join(dict.fromkeys([_headline(ctrl, solved, bool(broken)), *broken, *where, *tried, *warned, *stale]))
 
 
-def _warnings(ctrl: Controller, solved: bool) -> tuple[str, ...]:
+def _warnings(ctrl: Memory, solved: bool) -> tuple[str, ...]:
     """What the compiler has warned of, as far as it matters by now."""
     if ctrl.status in _BEFORE:
         return ()
@@ -63,7 +60,7 @@ def _warnings(ctrl: Controller, solved: bool) -> tuple[str, ...]:
     return tuple(text for text in ctrl.description.report.warnings if not (late and FIRST_PLAN in text))
 
 
-def _headline(ctrl: Controller, solved: bool, broken: bool) -> str:
+def _headline(ctrl: Memory, solved: bool, broken: bool) -> str:
     """The status and its meaning, as far as it is known."""
     status = ctrl.status
     if broken and status == Status.NUMERICAL_FAILURE:
@@ -74,12 +71,12 @@ def _headline(ctrl: Controller, solved: bool, broken: bool) -> str:
     return str(status)
 
 
-def solves_exactly(ctrl: Controller) -> bool:
+def solves_exactly(ctrl: Memory) -> bool:
     """Whether solve() has the exact Hessian although samples have another."""
     return "hessian=GaussNewton(" in ctrl.description.options and "in_solve" in ctrl.description.members("curved")
 
 
-def _left_by_samples(ctrl: Controller) -> list[str]:
+def _left_by_samples(ctrl: Memory) -> list[str]:
     """That the plan is not optimal, which may be due to the steps of the samples."""
     if not solves_exactly(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
         return []
@@ -89,7 +86,7 @@ def _left_by_samples(ctrl: Controller) -> list[str]:
     ]
 
 
-def _stale(ctrl: Controller) -> str:
+def _stale(ctrl: Memory) -> str:
     """STALE, and which parameters and bounds have other values than the declared ones."""
     description, changed = ctrl.description, []
     p, declared = ctrl.member("p"), [v for s in description.parameters for v in s.value]
@@ -106,7 +103,7 @@ def _stale(ctrl: Controller) -> str:
 # -- what is not finite -----------------------------------------------------------------------------------------------
 
 
-def _broken(ctrl: Controller, measured: Array) -> Iterator[Iterator[str]]:
+def _broken(ctrl: Memory, measured: Array) -> Iterator[Iterator[str]]:
     """Searches for numbers that are not finite; the first one that finds some explains the failure."""
     if ctrl.status == Status.NOT_FINITE:
         yield _measured(ctrl, measured)
@@ -117,13 +114,13 @@ def _broken(ctrl: Controller, measured: Array) -> Iterator[Iterator[str]]:
         yield _linearisation(ctrl)
 
 
-def _measured(ctrl: Controller, measured: Array) -> Iterator[str]:
+def _measured(ctrl: Memory, measured: Array) -> Iterator[str]:
     unknown = [n for n, v in zip(ctrl.names.states, measured, strict=True) if not np.isfinite(v)]
     if unknown:
         yield f"measured {', '.join(unknown)} is not finite: hand over the last good value, or an estimate"
 
 
-def _plan(ctrl: Controller) -> Iterator[str]:
+def _plan(ctrl: Memory) -> Iterator[str]:
     """The first number of the plan or of the parameters that is not finite."""
     names = ctrl.names
     for what, array, columns, remedy in (
@@ -138,7 +135,7 @@ def _plan(ctrl: Controller) -> Iterator[str]:
             return
 
 
-def _domains(ctrl: Controller) -> Iterator[str]:
+def _domains(ctrl: Memory) -> Iterator[str]:
     """Operations that have no finite value or derivative at the plan, and what to write instead."""
     second = "hessian=ExactHessian(" in ctrl.description.options or solves_exactly(ctrl)
     x, u = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u))
@@ -146,7 +143,7 @@ def _domains(ctrl: Controller) -> Iterator[str]:
     yield from list(in_words(found))[:MOST]
 
 
-def _model(ctrl: Controller) -> Iterator[str]:
+def _model(ctrl: Memory) -> Iterator[str]:
     """The first interval over which the model yields no finite state."""
     for k, end in enumerate(_ends(ctrl)):
         bad = [name for name, value in zip(ctrl.names.states, end, strict=True) if not np.isfinite(value)]
@@ -165,7 +162,7 @@ def _model(ctrl: Controller) -> Iterator[str]:
 _PARTS = ("b", "S", "h", "J", "g")
 
 
-def _linearisation(ctrl: Controller) -> Iterator[str]:
+def _linearisation(ctrl: Memory) -> Iterator[str]:
     """The first interval whose linearisation is not finite; the plan to which it belongs may have been given up."""
     first: dict[str, int] = {}
     for part in _PARTS:
@@ -186,7 +183,7 @@ def _linearisation(ctrl: Controller) -> Iterator[str]:
         )
 
 
-def _part(ctrl: Controller, part: str, k: int) -> tuple[str, list[str]]:
+def _part(ctrl: Memory, part: str, k: int) -> tuple[str, list[str]]:
     """What is not finite in a member of linearised node ``k``, and the names of the quantities that it belongs to."""
     if part == "g":
         found = {q.name for o in ctrl.description.program.operations for q in o.quantities}
@@ -206,7 +203,7 @@ def _part(ctrl: Controller, part: str, k: int) -> tuple[str, list[str]]:
 # -- where it is far from a solution ----------------------------------------------------------------------------------
 
 
-def _rows(ctrl: Controller, solved: bool) -> Iterator[str]:
+def _rows(ctrl: Memory, solved: bool) -> Iterator[str]:
     """The hard rows that the last QP, or the plan, violates most."""
     status, stats = ctrl.status, ctrl.stats
     if status in (Status.INFEASIBLE, Status.RELAXED) and stats.violated_row is not None:
@@ -220,11 +217,11 @@ def _rows(ctrl: Controller, solved: bool) -> Iterator[str]:
         yield from map(str, violations(ctrl)[:MOST])
 
 
-def _ends(ctrl: Controller) -> Iterator[Array]:
+def _ends(ctrl: Memory) -> Iterator[Array]:
     return (np.asarray(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt)) for k, dt in enumerate(ctrl.description.dt))
 
 
-def _largest_gap(ctrl: Controller, solved: bool) -> Iterator[str]:
+def _largest_gap(ctrl: Memory, solved: bool) -> Iterator[str]:
     """Where the plan is farthest from the model, in units of the state's largest value."""
     if ctrl.status in (Status.INFEASIBLE, Status.RELAXED) or not (solved or ctrl.status == Status.NOT_CONVERGED):
         return

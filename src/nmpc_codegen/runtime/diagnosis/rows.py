@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nmpc_codegen.runtime.diagnosis.program import Array
-
-if TYPE_CHECKING:
-    from nmpc_codegen.runtime.controller import Controller
-    from nmpc_codegen.runtime.package_description import Row
+from nmpc_codegen.package.program import Array
+from nmpc_codegen.package.signals import Row
+from nmpc_codegen.runtime.memory import Memory
 
 #: Violations up to this part of the size of a row are rounding, or what a QP solver leaves.
 NEGLIGIBLE = 1e-6
@@ -30,7 +27,7 @@ class Violation:
         return f"row {self.row.name!r} at node {self.node} is violated by {self.amount:.3g}"
 
 
-def start_parameters(ctrl: Controller) -> Array:
+def start_parameters(ctrl: Memory) -> Array:
     """Parameters of node 0, (np,); the declared ones if they are fixed."""
     if ctrl.description.online["parameter"] == "fixed":
         return np.array([v for s in ctrl.description.parameters for v in s.value])
@@ -38,7 +35,7 @@ def start_parameters(ctrl: Controller) -> Array:
     return np.asarray(stored[0], dtype=np.float64) if stored.size else np.zeros(ctrl.dims.np)
 
 
-def parameters(ctrl: Controller) -> Array:
+def parameters(ctrl: Memory) -> Array:
     """Parameters of all nodes, (N+1, np); the declared ones if they are fixed."""
     d = ctrl.dims
     if ctrl.description.online["parameter"] == "fixed":
@@ -49,7 +46,7 @@ def parameters(ctrl: Controller) -> Array:
     return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
 
 
-def references(ctrl: Controller) -> Array:
+def references(ctrl: Memory) -> Array:
     """Reference of the path residual at node 0, (ny,); the declared one if it is fixed."""
     if ctrl.description.online["reference"] == "fixed":
         return np.array([residual.reference for residual in ctrl.description.residuals])
@@ -57,7 +54,7 @@ def references(ctrl: Controller) -> Array:
     return stored[0] if len(stored) else np.zeros(ctrl.dims.ny)
 
 
-def row_values(ctrl: Controller, x: Array, u: Array, p: Array, end: bool = False) -> Array:
+def row_values(ctrl: Memory, x: Array, u: Array, p: Array, end: bool = False) -> Array:
     """Values of all general rows at x (n, nx), u (n, nu), p (n, np) -> (n, number of rows), NaN for other rows.
 
     end: those of the end of the horizon.
@@ -73,7 +70,7 @@ def row_values(ctrl: Controller, x: Array, u: Array, p: Array, end: bool = False
     return out
 
 
-def bounds_at(ctrl: Controller, row: int, node: int) -> tuple[float, float]:
+def bounds_at(ctrl: Memory, row: int, node: int) -> tuple[float, float]:
     """Present bounds of scalar row number ``row`` at a node."""
     info = ctrl.description.rows[row]
     if ctrl.description.online["bounds"] == "fixed":
@@ -83,14 +80,14 @@ def bounds_at(ctrl: Controller, row: int, node: int) -> tuple[float, float]:
     return float(stored[0][place, row]), float(stored[1][place, row])
 
 
-def path_bounds(ctrl: Controller, row: int) -> tuple[float, float]:
+def path_bounds(ctrl: Memory, row: int) -> tuple[float, float]:
     """Smallest lower and largest upper bound of a scalar row at present over its nodes before the end, else at it."""
     nodes = [k for k in ctrl.description.rows[row].nodes if k < ctrl.dims.N] or [ctrl.dims.N]
     found = [bounds_at(ctrl, row, k) for k in nodes]
     return min(lower for lower, _ in found), max(upper for _, upper in found)
 
 
-def violations(ctrl: Controller) -> list[Violation]:
+def violations(ctrl: Memory) -> list[Violation]:
     """Hard rows that the plan violates, at their worst nodes; those that are worst in their size come first."""
     x, u, p = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u, parameters(ctrl)))
     held = np.append(u, u[-1:], axis=0)

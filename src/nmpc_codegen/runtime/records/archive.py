@@ -9,23 +9,20 @@ import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.records.trace import COLUMNS, Bound, Trace
-from nmpc_codegen.runtime.status import Status
-
-if TYPE_CHECKING:
-    from nmpc_codegen.runtime.records.log import Log
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime.records.trace import COLUMNS, Bound, Record, Trace
 
 FORMAT = "nmpc_codegen log 1"
 ARRAYS = ("t", *COLUMNS, "status", "cost", "time_ns")
 
 
-def write(log: Log, file: str | os.PathLike[str] | IO[bytes]) -> None:
+def write(log: Record, file: str | os.PathLike[str] | IO[bytes]) -> None:
     """Write a log."""
     text = {
         "format": FORMAT,
@@ -50,7 +47,7 @@ def write_arrays(
 
 
 def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
-    """The fields of a Log.
+    """The fields of a Record.
 
     Raises:
         ControllerError: the file is no log.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nmpc_codegen.package.status import Kkt
 from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.records.plot import (
     BOUND_COLOR,
@@ -21,7 +22,6 @@ from nmpc_codegen.runtime.records.plot import (
     STYLE,
     new_figure,
 )
-from nmpc_codegen.runtime.status import Kkt
 
 PARTS = {"stationarity": STATE_COLOR, "equality": CONTROL_COLOR, "inequality": ROW_COLOR, "complementarity": "#7a4fa3"}
 

@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from nmpc_codegen.runtime.package_description import Signal
+from nmpc_codegen.package.signals import Signal
 
 #: Head of the table of rows of a problem.
 ROWS = ("lower", "row", "upper", "unit", "nodes", "")
 
-#: Rows of a table, and names of a list; of more, the first ones are shown and their number.
-SHOWN, LISTED = 40, 12
+#: Rows of a table; of more, the first ones are shown and their number.
+SHOWN = 40
 
 
 def page(title: str, text: str, tables: Iterable[str]) -> str:
@@ -41,26 +41,6 @@ def _in_short(value: object) -> str:
     if not isinstance(value, float):
         return str(value)
     return ("∞" if value > 0 else "-∞") if math.isinf(value) else f"{value:.6g}"
-
-
-def listed(names: Sequence[object]) -> str:
-    """Names separated by commas; of more than LISTED the first ones and the number of all."""
-    shown = ", ".join(map(str, names[:LISTED]))
-    return shown if len(names) <= LISTED else f"{shown}, ... ({len(names)} in all)"
-
-
-def horizon(dt: Sequence[float], unit: str, discrete: bool) -> str:
-    """The grid: "10 intervals over 3 s", with the least and the largest length if they differ."""
-    if discrete:
-        return f"{len(dt)} intervals of a discrete map"
-    uneven = "" if len(set(dt)) == 1 else f" of {min(dt):g} to {max(dt):g} {unit}"
-    return f"{len(dt)} intervals{uneven} over {sum(dt):g} {unit}"
-
-
-def nodes(which: Sequence[int]) -> str:
-    """Nodes in ascending order: "0..9" if they follow one another, else "0, 5, 10"."""
-    consecutive = len(which) > 2 and which[-1] - which[0] == len(which) - 1
-    return f"{which[0]}..{which[-1]}" if consecutive else listed(which)
 
 
 def units(*groups: Iterable[Signal]) -> dict[str, str]:

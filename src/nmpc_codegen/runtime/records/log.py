@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.package.signals import listed
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
 from nmpc_codegen.runtime.records import archive, tables
-from nmpc_codegen.runtime.records.html import listed, page, shortened, table
+from nmpc_codegen.runtime.records.html import page, shortened, table
 from nmpc_codegen.runtime.records.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, TIME_COLOR, Curve, draw
-from nmpc_codegen.runtime.records.trace import Trace
-from nmpc_codegen.runtime.status import Status
+from nmpc_codegen.runtime.records.trace import Record, Trace
 
 Array = NDArray[np.float64]
 
@@ -27,32 +27,8 @@ UNEVEN = 20
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Log:
-    """The record of a closed loop, one entry per sample; t and x have one more for its end.
-
-    ``h``: values of the general path rows at x[k], u[k], those that hold at node 0 or at several nodes before the end.
-    ``p``, ``y``: parameters and reference of the path residual at node 0. ``cost[k]``: of the plan of sample k.
-    ``states`` ... ``references``: names, units and bounds of the columns of x, u, h, p, y.
-    ``reasons``: what Controller.diagnose() said at the first sample with each status.
-    """
-
-    name: str
-    time_unit: str  # "samples" for a discrete map
-    t: Array  # (steps+1,)
-    x: Array  # (steps+1, nx)
-    u: Array  # (steps, nu)
-    h: Array  # (steps, number of rows)
-    p: Array  # (steps, np)
-    y: Array  # (steps, ny)
-    status: NDArray[np.int64]  # (steps,), values of Status
-    cost: Array  # (steps,)
-    time_ns: NDArray[np.int64]  # (steps,), prepare and feedback together
-    states: tuple[Trace, ...]
-    controls: tuple[Trace, ...]
-    rows: tuple[Trace, ...]
-    parameters: tuple[Trace, ...]
-    references: tuple[Trace, ...]
-    reasons: Mapping[Status, str] = field(default_factory=dict)
+class Log(Record):
+    """The record of a closed loop, which says, draws and saves what happened."""
 
     def __str__(self) -> str:
         return self.summary()

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from nmpc_codegen.package.signals import horizon, nodes
 from nmpc_codegen.runtime.diagnosis.rows import path_bounds, references, start_parameters
-from nmpc_codegen.runtime.records.html import ROWS, horizon, nodes, page, shortened, table, units
-
-if TYPE_CHECKING:
-    from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.memory import Memory
+from nmpc_codegen.runtime.records.html import ROWS, page, shortened, table, units
 
 
-def in_one_line(ctrl: Controller) -> str:
+def in_one_line(ctrl: Memory) -> str:
     """Name, sizes, profile, bytes and status."""
     d = ctrl.dims
     sizes = f"N={d.N}, nx={d.nx}, nu={d.nu}, np={d.np}, {d.nr} rows"
@@ -21,7 +18,7 @@ def in_one_line(ctrl: Controller) -> str:
     )
 
 
-def in_html(ctrl: Controller) -> str:
+def in_html(ctrl: Memory) -> str:
     """Signals at node 0 of the plan, rows with their present bounds, references, and what the compiler has chosen."""
     described = ctrl.description
     values = {"state": ctrl.x[0], "control": ctrl.u[0], "parameter": start_parameters(ctrl)}

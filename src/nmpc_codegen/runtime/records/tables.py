@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.extras import extra
-from nmpc_codegen.runtime.records.trace import COLUMNS
-from nmpc_codegen.runtime.status import Status
-
-if TYPE_CHECKING:
-    from nmpc_codegen.runtime.records.log import Log
+from nmpc_codegen.runtime.records.trace import COLUMNS, Record
 
 #: Array of a log -> the name of the dimension of its columns.
 DIMENSIONS = {"x": "state", "u": "control", "h": "row", "p": "parameter", "y": "residual"}
 PER_SAMPLE = ("cost", "time_ns")
 
 
-def to_dataframe(log: Log) -> Any:
+def to_dataframe(log: Record) -> Any:
     """See Log.to_dataframe()."""
     pandas = extra("pandas", "Log.to_dataframe()")
     index = pandas.Index(log.t, name=f"time [{log.time_unit}]")
@@ -36,7 +33,7 @@ def to_dataframe(log: Log) -> Any:
     return frame
 
 
-def to_xarray(log: Log) -> Any:
+def to_xarray(log: Record) -> Any:
     """See Log.to_xarray()."""
     xarray = extra("xarray", "Log.to_xarray()")
     coordinates: dict[str, Any] = {"time": ("time", log.t, {"units": log.time_unit})}
@@ -57,5 +54,5 @@ def _padded(values: Any) -> Any:
     return np.append(values, np.full((1, *values.shape[1:]), np.nan), axis=0)
 
 
-def _statuses(log: Log) -> list[str]:
+def _statuses(log: Record) -> list[str]:
     return [Status(status).name for status in log.status]

@@ -1,10 +1,18 @@
-"""The quantities of a log: their names, units and bounds."""
+"""The fields of a log, and its quantities: their names, units and bounds."""
 
 from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.package.status import Status
+
+Array = NDArray[np.float64]
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -51,3 +59,32 @@ class Trace:
     def label(self) -> str:
         """Label of its axis."""
         return with_unit(self.name, self.unit)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Record:
+    """The record of a closed loop, one entry per sample; t and x have one more for its end.
+
+    ``h``: values of the general path rows at x[k], u[k], those that hold at node 0 or at several nodes before the end.
+    ``p``, ``y``: parameters and reference of the path residual at node 0. ``cost[k]``: of the plan of sample k.
+    ``states`` ... ``references``: names, units and bounds of the columns of x, u, h, p, y.
+    ``reasons``: what Controller.diagnose() said at the first sample with each status.
+    """
+
+    name: str
+    time_unit: str  # "samples" for a discrete map
+    t: Array  # (steps+1,)
+    x: Array  # (steps+1, nx)
+    u: Array  # (steps, nu)
+    h: Array  # (steps, number of rows)
+    p: Array  # (steps, np)
+    y: Array  # (steps, ny)
+    status: NDArray[np.int64]  # (steps,), values of Status
+    cost: Array  # (steps,)
+    time_ns: NDArray[np.int64]  # (steps,), prepare and feedback together
+    states: tuple[Trace, ...]
+    controls: tuple[Trace, ...]
+    rows: tuple[Trace, ...]
+    parameters: tuple[Trace, ...]
+    references: tuple[Trace, ...]
+    reasons: Mapping[Status, str] = field(default_factory=dict)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-from nmpc_codegen.bounds.c_source import MATH, CFunction, CMacro, Type
+from nmpc_codegen.analysis.c_source import MATH, CFunction, CMacro, Type
 
 INT = Type("int")
 
@@ -16,10 +16,10 @@ INT = Type("int")
 class Callee:
     """What is called: the type of its value, and for functions of the unit those of its parameters.
 
-    A macro has its text, a function of the C library its operations.
+    A macro has its text; kernels, and functions of the C library, have ``operations`` that are known.
     """
 
-    kind: Literal["counted", "function", "macro", "library", "unknown"]
+    kind: Literal["known", "function", "macro", "unknown"]
     result: Type = INT
     parameters: tuple[Type, ...] = ()
     macro: CMacro | None = None
@@ -74,53 +74,13 @@ class Unit:
         macro = self.macros.get(name)
         name = name if macro is None or macro.parameters else macro.text
         if name in self.counts:
-            return Callee("counted", Type("void"))
+            return Callee("known", Type("void"), operations=self.counts[name])
+        word = name if name in MATH else name.removesuffix("f").removeprefix("own_")
+        if word in MATH:
+            return Callee("known", Type("real" if MATH[word] else "int"), operations=MATH[word])
         if name in self.functions:
             function = self.functions[name]
             return Callee("function", function.result, tuple(t for _, t in function.parameters))
         if name in self.macros:
             return Callee("macro", macro=self.macros[name])
-        word = name if name in MATH else name.removesuffix("f").removeprefix("own_")
-        if word not in MATH:
-            return Callee("unknown")
-        return Callee("library", Type("real" if MATH[word] else "int"), operations=MATH[word])
-
-
-class Names:
-    """The names of a unit, with a record of all that was asked about them."""
-
-    def __init__(self, unit: Unit) -> None:
-        self._unit = unit
-        self.members: dict[str, Type] = {}
-        self.constants: dict[str, Type] = {}
-        self.callees: dict[str, Callee] = {}
-
-    def member(self, name: str) -> Type:
-        """See Unit.member()."""
-        if name not in self.members:
-            self.members[name] = self._unit.member(name)
-        return self.members[name]
-
-    def constant(self, name: str) -> Type:
-        """See Unit.constant()."""
-        if name not in self.constants:
-            self.constants[name] = self._unit.constant(name)
-        return self.constants[name]
-
-    def callee(self, name: str) -> Callee:
-        """See Unit.callee()."""
-        if name not in self.callees:
-            self.callees[name] = self._unit.callee(name)
-        return self.callees[name]
-
-    def another(self) -> Names:
-        """The names of the same unit with an empty record."""
-        return Names(self._unit)
-
-    def same_in(self, other: Names) -> bool:
-        """Whether the names mean the same in the unit of ``other``."""
-        return (
-            all(other.member(name) == known for name, known in self.members.items())
-            and all(other.constant(name) == known for name, known in self.constants.items())
-            and all(other.callee(name) == known for name, known in self.callees.items())
-        )
+        return Callee("unknown")

@@ -13,17 +13,20 @@ from conftest import require_tool
 from examples import crane
 from nmpc_codegen import (
     OCP,
+    AdjointShooting,
+    AugmentedLagrangian,
     ExactHessian,
+    OptionError,
     Options,
+    Osqp,
     PartialCondensing,
     Project,
     RealTimeIteration,
     RiccatiActiveSet,
     generate,
 )
-from nmpc_codegen.bounds import package
-from nmpc_codegen.compiler import compiled
-from nmpc_codegen.runtime.package_description import PackageDescription
+from nmpc_codegen.analysis import worst_case
+from nmpc_codegen.components.base import Algorithm
 from verification import problems
 from verification.closed_loop import Scenario
 from verification.robustness.work import Loop, count
@@ -61,11 +64,21 @@ def loop_of(problem: str, solver: str, **more: object) -> Loop:
 def test_no_sample_exceeds_the_worst_case(problem: str, solver: str) -> None:
     require_tool("cxx")
     loop = loop_of(problem, solver, algorithm=RealTimeIteration(relaxation=100.0))
-    worst = package_of(loop).description.report.worst_operations
+    worst = worst_case(package_of(loop))
     assert worst["prepare"] + worst["feedback"] == worst["sample"]
     (found,) = count(loop, hostile(loop, 80), optimise=False)
     assert np.max(found.every) <= worst["sample"]
     assert np.min(found.every) > 0
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("problem", ["boxes", "soft rows"])
+@pytest.mark.parametrize("algorithm", [AugmentedLagrangian(), AdjointShooting()], ids=lambda a: a.name)
+def test_no_sample_without_a_qp_exceeds_it(problem: str, algorithm: Algorithm) -> None:
+    require_tool("cxx")
+    loop = Loop("crane", PROBLEMS[problem], Options(algorithm=algorithm), Scenario((0.0,) * 4, 0.3, 20))
+    (found,) = count(loop, hostile(loop, 80), optimise=False)
+    assert 0 < np.min(found.every) <= np.max(found.every) <= worst_case(package_of(loop))["sample"]
 
 
 @pytest.mark.few(2)
@@ -75,8 +88,8 @@ def test_the_cap_on_iterations_counts(solver: str) -> None:
     require_tool("cxx")
     few = dataclasses.replace(SOLVERS[solver], max_iterations=2)
     loop = loop_of("soft rows", solver, qp=few)
-    stated = package_of(loop).description.report.worst_operations["sample"]
-    more = package_of(loop_of("soft rows", solver)).description.report.worst_operations["sample"]
+    stated = worst_case(package_of(loop))["sample"]
+    more = worst_case(package_of(loop_of("soft rows", solver)))["sample"]
     (found,) = count(loop, hostile(loop, 80), optimise=False)
     assert np.max(found.every) <= stated < more
 
@@ -92,34 +105,16 @@ OTHERS = {
 @pytest.mark.few(5)
 @pytest.mark.parametrize("case", OTHERS)
 @pytest.mark.parametrize("make", [problems.scaled, problems.tiny, problems.dense_weight], ids=lambda m: m.__name__)
-def test_every_package_states_its_worst_case(make: Callable[[], OCP], case: str) -> None:
-    generated = generate(make(), OTHERS[case])
-    text = next(text for path, text in generated.items() if path.endswith(".json"))
-    description = PackageDescription.from_json(text)
-    assert set(description.report.worst_operations) == {"prepare", "feedback", "sample"}
-    assert PackageDescription.from_json(description.to_json()).report == description.report
+def test_every_package_has_a_worst_case(make: Callable[[], OCP], case: str) -> None:
+    worst = worst_case(generate(make(), OTHERS[case]))
+    assert set(worst) == {"prepare", "feedback", "sample"}
+    assert 0 < worst["feedback"] < worst["sample"]
 
 
-def test_equal_texts_with_other_data_have_bounds_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second package of the same text and data is not analysed again; one whose tables differ is."""
-    analysed: list[str] = []
-    real = package.WorstCase.operations
+def test_a_sample_in_one_call() -> None:
+    assert set(worst_case(generate(crane.build_ocp(), Options(algorithm=AdjointShooting())))) == {"sample"}
 
-    def told(self: package.WorstCase, function: str) -> int:
-        analysed.append(function)
-        return real(self, function)
 
-    monkeypatch.setattr(package.WorstCase, "operations", told)
-    monkeypatch.setattr(package, "_KNOWN", {})
-
-    def bounded_at(node: int) -> int:
-        ocp = crane.build_ocp(False)
-        ocp.subject_to(-1, ocp.x[0], 1, at=[node], name="wall")
-        return compiled(ocp, Options()).description.report.worst_operations["sample"]
-
-    first = bounded_at(3)
-    count = len(analysed)
-    assert bounded_at(3) == first
-    assert len(analysed) == count > 0
-    bounded_at(7)
-    assert len(analysed) > count
+def test_foreign_code_is_not_bounded() -> None:
+    with pytest.raises(OptionError, match="crane: the worst case of a sample is unknown: "):
+        worst_case(generate(crane.build_ocp(False), Options(qp=Osqp())))

@@ -33,11 +33,9 @@ def sealed(sources: Mapping[str, str], name: str) -> dict[str, str]:
     return {path: _sealed(path, text, package) for path, text in sources.items()}
 
 
-def sealed_beside(files: Mapping[str, str], source: str) -> dict[str, str]:
-    """More files of a package, each with its seal; ``source`` is a file of the package with its own."""
-    package = package_of(source)
-    if package is None:
-        raise ValueError("the package has no seal")
+def sealed_beside(files: Mapping[str, str], package_files: Mapping[str, str]) -> dict[str, str]:
+    """More files of a package, each with its seal; ``package_files``: those that have theirs."""
+    package = next(filter(None, map(package_of, package_files.values())))
     return {path: _sealed(path, text, package) for path, text in files.items()}
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nmpc_codegen.runtime.diagnosis.program import VALUES, Array, Operation, Program
+from nmpc_codegen.package.program import VALUES, Array, Operation, Program
 
 #: How a warning of the compiler begins that repeats what locate() finds at the first plan.
 NOT_FINITE = "the first plan has no finite derivatives"

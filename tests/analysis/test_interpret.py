@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from nmpc_codegen.bounds.c_source import CMacro, Type, functions
-from nmpc_codegen.bounds.names import Unit
-from nmpc_codegen.bounds.worst_case import UnboundedError, WorstCase
+from nmpc_codegen.analysis.c_source import CMacro, Type, functions
+from nmpc_codegen.analysis.interpret import UnboundedError, WorstCase
+from nmpc_codegen.analysis.names import Unit
 
 
 def unit(text: str) -> WorstCase:

@@ -8,76 +8,24 @@ from __future__ import annotations
 
 import json
 import math
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.diagnosis.program import Program
-
-Precision = Literal["double", "single"]
-Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
-RowKind = Literal["control", "state", "general", "coupled"]
-
-#: Data that can be changed at run time, and how they are stored: as a table of declared values, once, or once per node.
-Kind = Literal["reference", "weight", "bounds", "parameter"]
-Layout = Literal["fixed", "shared", "node"]
-Layouts = Mapping[Kind, Layout]
-
-REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
-INTEGERS: dict[str, type[np.integer[Any]]] = {"int32": np.int32, "int64": np.int64}
+from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Struct
+from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.program import Program
+from nmpc_codegen.package.signals import EntryPoint, Layouts, Names, Residual, Row, Signal
 
 #: Version of the layout of <name>.json.
-FORMAT = 3
+FORMAT = 4
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
-
-
-@dataclass(frozen=True)
-class OpCount:
-    """Floating-point operations by class, counted from the instructions that are printed.
-
-    add: + and -; mul; div; sqrt; call: other functions of math.h; other: negation, absolute value, floor and ceil,
-    comparison, selection.
-    """
-
-    add: int = 0
-    mul: int = 0
-    div: int = 0
-    sqrt: int = 0
-    call: int = 0
-    other: int = 0
-
-    def __add__(self, o: OpCount) -> OpCount:
-        return OpCount(*map(operator.add, vars(self).values(), vars(o).values()))
-
-    def __mul__(self, times: int) -> OpCount:
-        return OpCount(*(count * times for count in vars(self).values()))
-
-    @property
-    def total(self) -> int:
-        """All operations, every class counted once."""
-        return sum(vars(self).values())
-
-    def as_dict(self) -> dict[str, int]:
-        return dict(vars(self))
-
-
-def c_identifier(name: str) -> str:
-    """C spelling of an element name: ``r[0]`` becomes ``r_0``."""
-    return name.replace("[", "_").replace("]", "")
-
-
-def c_constants(names: Sequence[str]) -> tuple[str, ...]:
-    """Last words of the C constants of user names: upper case; names that differ by case alone keep their spelling."""
-    spelled = [c_identifier(name) for name in names]
-    upper = [name.upper() for name in spelled]
-    return tuple(big if upper.count(big) == 1 else name for name, big in zip(spelled, upper, strict=True))
 
 
 @dataclass(frozen=True)
@@ -96,168 +44,19 @@ class Dimensions:
 
 
 @dataclass(frozen=True)
-class Size:
-    """A compile-time size: a C expression in the package's macros and its value, e.g. ("N + 1", 11).
-
-    ``text`` names macros without prefix; ``c(prefix)`` writes them with it. Two sizes are equal if their values are.
-    """
-
-    text: str = field(compare=False)
-    value: int
-
-    def c(self, macro: str) -> str:
-        """C text with every identifier prefixed, e.g. ``CRANE_N + 1``."""
-        words = (f"{macro}_{w}" if w[0].isalpha() else w for w in self.text.split())
-        return " ".join(words)
-
-
-@dataclass(frozen=True)
-class Field:
-    """A member of a C struct. A description may contain members of size 0, which are padded to 1 in C.
-
-    ``only``: name of a switch; if it is 0, lowering drops the member, as it does with members of size 0.
-    """
-
-    name: str
-    shape: tuple[Size, ...]
-    doc: str
-    role: Role
-    ctype: str = "real"  # "real", "int32", "int64" or the name of a struct
-    only: str = ""
-
-    @property
-    def values(self) -> tuple[int, ...]:
-        """True shape in numbers."""
-        return tuple(s.value for s in self.shape)
-
-    @property
-    def padded(self) -> tuple[int, ...]:
-        """Shape of the C array: every size at least 1."""
-        return tuple(max(1, s.value) for s in self.shape)
-
-
-@dataclass(frozen=True)
-class Struct:
-    """A C struct <prefix>_<name>_t, and the member ``name`` of the solver with this type and the given shape.
-
-    The solver itself is the struct "solver"; a component adds members to it with a Struct of that name. A struct that
-    is a member of another one is not a member of the solver. ``only``: name of a switch; if it is 0, the struct does
-    not exist. ``union``: its members share memory, for phases that do not overlap; all components that define a union
-    of the same name add their members to it.
-    """
-
-    name: str
-    doc: str
-    fields: tuple[Field, ...]
-    shape: tuple[Size, ...] = ()
-    only: str = ""
-    union: bool = False
-
-    @property
-    def count(self) -> int:
-        """Number of these structs in the solver."""
-        return math.prod(size.value for size in self.shape)
-
-
-@dataclass(frozen=True)
-class Argument:
-    """An argument of an entry point: an array of the sizes that ``shape`` names, or a number."""
-
-    name: str
-    ctype: Literal["real", "int"]
-    shape: tuple[str, ...] = ()  # macros without prefix
-
-
-@dataclass(frozen=True)
-class EntryPoint:
-    """A function <prefix>_<name>(solver, inputs, outputs) -> status that the algorithm offers."""
-
-    name: str
-    doc: str
-    inputs: tuple[Argument, ...] = ()
-    outputs: tuple[Argument, ...] = ()
-
-
-@dataclass(frozen=True)
-class Signal:
-    """A named scalar or vector among the states, controls or parameters.
-
-    ``offset`` is the position of its first element in the stacked vector; ``value`` holds the initial value of a
-    state (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control.
-    """
-
-    name: str
-    size: int
-    unit: str
-    value: tuple[float, ...]
-    offset: int
-    scalar: bool  # declared without size=
-
-    @property
-    def elements(self) -> tuple[str, ...]:
-        """Names of the elements as the user reads them: ``v`` or ``r[0], r[1]``."""
-        return (self.name,) if self.scalar else tuple(f"{self.name}[{i}]" for i in range(self.size))
-
-
-@dataclass(frozen=True)
-class Row:
-    """One scalar row lower <= value <= upper that holds at ``nodes``, with its declared bounds.
-
-    kind "control": value = u[index], a hard simple bound at every node 0..N-1;
-    kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaces the whole row (N = 1);
-    kind "general": value = h[index] of the path stage (nodes < N) and h[index_terminal] of the terminal stage (node N),
-    -1 if the row does not hold there;
-    kind "coupled": r[index](x_0, x_N), ``nodes`` is (0, N). ``soft`` is (l1, l2) or None. Equality: lower == upper.
-    """
-
-    name: str
-    kind: RowKind
-    index: int
-    index_terminal: int
-    nodes: tuple[int, ...]
-    lower: float
-    upper: float
-    soft: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True)
-class Residual:
-    """One residual of the least-squares cost: its name, its declared reference, and the state or control that it is,
-    "" if it is another expression."""
-
-    name: str
-    reference: float
-    signal: str
-
-
-@dataclass(frozen=True)
-class Names:
-    """Element names in the order of the vectors that hold them."""
-
-    states: tuple[str, ...]
-    controls: tuple[str, ...]
-    parameters: tuple[str, ...]
-    rows: tuple[str, ...]
-    y: tuple[str, ...]
-    y_N: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Report:
     """The compiler's report on a package.
 
     ``ram_bytes``: size of the solver struct; ``ram_bytes_by_struct``: sizes of the structs in it; ``operations``: of
     one call of every C function for which they do not depend on data; ``linearization_operations``: of all nodes
-    together; ``worst_operations``: at most, of "prepare" and "feedback" at the caps on iterations and of the "sample"
-    that calls both; empty if unknown; ``choices``: the chosen components and the reasons; ``warnings``: what is likely
-    to give poor results; ``looped``: functions with loops instead of straight-line code.
+    together; ``choices``: the chosen components and the reasons; ``warnings``: what is likely to give poor results;
+    ``looped``: functions with loops instead of straight-line code.
     """
 
     ram_bytes: int = 0
     ram_bytes_by_struct: Mapping[str, int] = field(default_factory=dict)
     operations: Mapping[str, OpCount] = field(default_factory=dict)
     linearization_operations: int = 0
-    worst_operations: Mapping[str, int] = field(default_factory=dict)
     choices: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     looped: tuple[str, ...] = ()
@@ -269,7 +68,6 @@ class Report:
             "ram_bytes_by_struct": dict(self.ram_bytes_by_struct),
             "operations": {name: count.as_dict() for name, count in self.operations.items()},
             "linearization_operations": self.linearization_operations,
-            "worst_operations": dict(self.worst_operations),
             "choices": list(self.choices),
             "warnings": list(self.warnings),
             "looped": list(self.looped),
@@ -278,7 +76,10 @@ class Report:
 
 @dataclass(frozen=True)
 class PackageDescription:
-    """Description of a whole package; each struct follows those that it contains, so that "solver" is last."""
+    """Description of a whole package; each struct follows those that it contains, so that "solver" is last.
+
+    ``ranges``: integer members that limit loops -> least and largest value, for the worst case of a sample.
+    """
 
     name: str
     precision: Precision
@@ -301,6 +102,7 @@ class PackageDescription:
     options: str
     report: Report
     program: Program
+    ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def dims(self) -> Dimensions:

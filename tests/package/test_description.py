@@ -11,8 +11,9 @@ import pytest
 
 from nmpc_codegen import BuildError, export, open_package
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.description import PackageDescription, Report
+from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.runtime.build import load
-from nmpc_codegen.runtime.package_description import OpCount, PackageDescription, Report
 from verification import problems
 
 Files = dict[str, str]
@@ -40,7 +41,7 @@ def changed(text: str, path: str, value: Any) -> str:
         ("dt", 0.1, r"at `\$\.dt"),
         ("structs", [], "'solver' is missing"),
         ("rows.0.lower", 10**400, "package description"),
-        ("format", 7, "format 7, not 3: export it again"),
+        ("format", 7, "format 7, not 4: export it again"),
         ("format", "1", "Expected"),
     ],
 )
@@ -53,9 +54,7 @@ def test_what_is_read_is_what_was_written(toy_files: Files) -> None:
     """Soft penalties, rows at the end and a report, which the small package does not contain."""
     read = PackageDescription.from_json(toy_files["toy.json"])
     rows = tuple(replace(row, name=f"r[{i}]_end", soft=(10.0, 0.5)) for i, row in enumerate(read.rows))
-    report = Report(
-        8, {"kkt": 4}, {"linearize": OpCount(add=1, call=2)}, 3, {"sample": 9}, ("qp: none",), ("path_exact",)
-    )
+    report = Report(8, {"kkt": 4}, {"linearize": OpCount(add=1, call=2)}, 3, ("qp: none",), ("path_exact",))
     described = replace(read, rows=rows, report=report)
     assert described != read
     assert PackageDescription.from_json(described.to_json()) == described

@@ -25,9 +25,13 @@ _TYPE = re.compile(r"\b\w+_t\b")
 _ENUM = re.compile(r"enum \{([^{}]*)\}")
 _VALUE = re.compile(r"(\w+) = (-?\d+)\b")
 _TABLE = re.compile(r"^static const int (\w+)\[\d+\] = \{ ([-\d, \n]+?) \};", re.MULTILINE)
-_STRUCT = re.compile(r"typedef struct \{\n(.*?)\} (\w+);", re.DOTALL)
+_STRUCT = re.compile(r"typedef (?:struct|union) \{(.*?)\} \w+;", re.DOTALL)
+_DEFINE = re.compile(r"^#define (\w+)(?:\(([^()]*)\))?[ \t]+(.+)$", re.MULTILINE)
 _MEMBER = re.compile(r"(\w+) (\w+)((?:\[[^\]]+\])*);")
 
+
+#: Types of integer members.
+INTEGERS = ("int", "int32_t", "int64_t")
 
 #: Operators that change their operand, or give its address away.
 _CHANGING = ("++", "--", "p++", "p--", "&")
@@ -134,11 +138,12 @@ def _function(name: str, text: str) -> CFunction:
     return CFunction(name, text)
 
 
-def macros(known: Iterable[tuple[str, str | None, str]]) -> dict[str, CMacro]:
-    """Macros (name, arguments or None, text) by name."""
+def defined_macros(text: str) -> dict[str, CMacro]:
+    """The macros that a text defines, by name."""
+    found = _DEFINE.findall(_COMMENT.sub("", text).replace("\\\n", " "))
     return {
-        name: CMacro(() if arguments is None else tuple(a.strip() for a in arguments.split(",")), text)
-        for name, arguments, text in known
+        name: CMacro(tuple(a.strip() for a in arguments.split(",")) if arguments else (), body.strip())
+        for name, arguments, body in found
     }
 
 
@@ -153,11 +158,12 @@ def tables(unit: str) -> dict[str, tuple[int, ...]]:
 
 
 def struct_members(unit: str) -> dict[str, list[Type]]:
-    """Types of the members of the structs that the unit itself defines, by name of the member."""
+    """Types of the members of the structs that a text defines, by name of the member."""
     found: dict[str, list[Type]] = {}
-    for body, _ in _STRUCT.findall(unit):
+    for body in _STRUCT.findall(_COMMENT.sub("", unit)):
         for ctype, name, sizes in _MEMBER.findall(body):
-            found.setdefault(name, []).append(Type({"real_t": "real"}.get(ctype, "int"), sizes.count("[")))
+            base = "real" if ctype.endswith(("_real", "real_t")) else "int" if ctype in INTEGERS else ctype
+            found.setdefault(name, []).append(Type(base, sizes.count("[")))
     return found
 
 
@@ -172,27 +178,18 @@ def declared(node: c_ast.Node) -> Type:
     return Type({"real_t": "real"}.get(names[-1], names[-1]), depth)
 
 
-def assigned_names(node: c_ast.Node, bodies: dict[c_ast.For, set[str]]) -> set[str]:
-    """Variables that a statement changes, or whose address it takes; counters that its `for` loops declare excepted.
-
-    Those that the body of each of its `for` loops changes are added to ``bodies``.
-    """
-    found: set[str] = set()
+@lru_cache(maxsize=1 << 16)
+def assigned_names(node: c_ast.Node) -> frozenset[str]:
+    """Variables that a statement changes, or whose address it takes; counters that its `for` loops declare excepted."""
     if isinstance(node, _NAMELESS):
-        return found
-    if isinstance(node, c_ast.For):
-        own = {d.name for d in node.init.decls} if isinstance(node.init, c_ast.DeclList) else set()
-        for part in (node.init, node.cond, node.next):
-            if part is not None:
-                found |= assigned_names(part, bodies)
-        bodies[node] = assigned_names(node.stmt, bodies)
-        return (found - own) | bodies[node]
+        return frozenset()
+    found = frozenset[str]().union(*(assigned_names(child) for child in node))
+    if isinstance(node, c_ast.For) and isinstance(node.init, c_ast.DeclList):
+        return (found - {d.name for d in node.init.decls}) | assigned_names(node.stmt)
     if isinstance(node, c_ast.Assignment) and isinstance(node.lvalue, c_ast.ID):
-        found.add(node.lvalue.name)
-    elif isinstance(node, c_ast.UnaryOp) and node.op in _CHANGING and isinstance(node.expr, c_ast.ID):
-        found.add(node.expr.name)
-    for child in node:
-        found |= assigned_names(child, bodies)
+        return found | {node.lvalue.name}
+    if isinstance(node, c_ast.UnaryOp) and node.op in _CHANGING and isinstance(node.expr, c_ast.ID):
+        return found | {node.expr.name}
     return found
 
 
@@ -207,4 +204,4 @@ def _expression(text: str) -> c_ast.Node:
 
 
 #: Functions of the C library that the parts call, with their operations.
-MATH: Mapping[str, int] = {"sqrt": 1, "fabs": 1, "ceil": 1, "isfinite": 0, "memcpy": 0, "memset": 0}
+MATH: Mapping[str, int] = {"sqrt": 1, "exp": 1, "log": 1, "fabs": 1, "ceil": 1, "isfinite": 0, "memcpy": 0, "memset": 0}

@@ -8,8 +8,8 @@ import json
 import numpy as np
 import pytest
 
+from nmpc_codegen.package.status import Kkt, Status
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.status import Kkt, Status
 
 
 @pytest.mark.parametrize("status", Status)

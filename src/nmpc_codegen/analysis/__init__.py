@@ -1,0 +1,31 @@
+"""Analyses of Sources, made on request: how long can a sample take?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from nmpc_codegen.runtime.extras import extra
+
+
+def worst_case(package: Mapping[str, str]) -> dict[str, int]:
+    """Floating-point operations of a sample at most, whatever is measured, from the C text of the package.
+
+    Comparisons and signs are included. All iterations that the caps allow are run, and the dearer branch is taken; see
+    interpret.py. Caps are seldom reached: what is usual is far less.
+
+    Args:
+        package: path -> text of a package: what generate() returns, or the files of an exported folder.
+
+    Returns:
+        Operations of "prepare", of "feedback" and of the "sample" that calls both; of an algorithm without these phases
+        those of a "sample" alone.
+
+    Raises:
+        OptionError: the text does not bound them, as foreign code (OSQP) does not.
+        ControllerError: <name>.json is not a package description.
+        ExtraError: pycparser is not installed.
+    """
+    extra("pycparser", "worst_case()")
+    from nmpc_codegen.analysis.sample import bound
+
+    return bound(package)

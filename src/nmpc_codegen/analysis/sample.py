@@ -1,0 +1,48 @@
+"""Worst case of a sample: Sources -> bounds on the operations of its phases, from the C text alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from nmpc_codegen.analysis.c_source import Type, constants, defined_macros, functions, struct_members, tables
+from nmpc_codegen.analysis.interpret import UnboundedError, WorstCase
+from nmpc_codegen.analysis.names import Unit
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.package.description import PackageDescription
+
+# The comment over a printed kernel states its operations, e.g. "159 add, 160 mul, 16 call */".
+_COUNT = r"\d+ (?:add|mul|div|sqrt|call|other)"
+_KERNEL = re.compile(rf"[ :]((?:{_COUNT}, )*{_COUNT}|no operations) \*/\nstatic \w+ (\w+)\(")
+_NUMBER = re.compile(r"\d+")
+
+
+def bound(package: Mapping[str, str]) -> dict[str, int]:
+    """See analysis.worst_case()."""
+    (description,) = (PackageDescription.from_json(text) for path, text in package.items() if path.endswith(".json"))
+    found = WorstCase(unit_of(package, description))
+    try:
+        if not description.has_phases:
+            return {"sample": found.operations("api_step")}
+        worst = {phase: found.operations(f"api_{phase}") for phase in ("prepare", "feedback")}
+    except UnboundedError as error:
+        raise OptionError(f"{description.name}: the worst case of a sample is unknown: {error}") from error
+    return worst | {"sample": sum(worst.values())}
+
+
+def unit_of(package: Mapping[str, str], description: PackageDescription) -> Unit:
+    """What the text of a package says of its names."""
+    header, source = (package[f"{description.name}.{ext}"] for ext in ("h", "c"))
+    members: dict[str, list[Type]] = {}
+    for text in (header, source):
+        for name, types in struct_members(text).items():
+            members.setdefault(name, []).extend(types)
+    return Unit(
+        functions=functions(source),
+        macros=defined_macros(header) | defined_macros(source),
+        counts={name: sum(map(int, _NUMBER.findall(count))) for count, name in _KERNEL.findall(source)},
+        sizes=constants(header) | constants(source),
+        tables=tables(source),
+        ranges=description.ranges,
+        members=members,
+    )

@@ -1,1 +1,0 @@
-"""Upper bounds on the operations of a package, from the text of its C functions."""

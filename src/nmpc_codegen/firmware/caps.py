@@ -1,0 +1,100 @@
+"""The largest caps on iterations whose worst case fits a limit on the operations of a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from typing import Any
+
+from nmpc_codegen.analysis import worst_case
+from nmpc_codegen.components.base import Component, Dims, Parts
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.lowering.linearize import Model, linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.options import Options
+
+#: Sizes of a package that are caps on iterations of a sample.
+CAPS = ("QP_MAX_ITERATIONS", "IPM_MAX_ITERATIONS", "ITERATIONS", "MAX_PRODUCTS")
+
+#: What a sample can do without, in the order in which it is given up: flag, seam, option, its value without it.
+REMEDIES = (
+    ("--set qp.fallback=None", "qp", "fallback", None),
+    ("--set algorithm.repair=0", "algorithm", "repair", 0),
+    ("--set algorithm.relaxation=None", "algorithm", "relaxation", None),
+)
+
+
+def fitting(ocp: OCP, options: Options, limit: int) -> tuple[Options, int, int]:
+    """The options with every cap on iterations at most a number, the largest for which a sample takes ``limit``
+    operations at most; this number; the worst case that results.
+
+    Raises:
+        OptionError: no caps are low enough; the message says what else to change, which has been tried. Or the worst
+            case of the package is unknown.
+        ProblemError: the problem is stated wrongly.
+    """
+    model = linearize(classify(ocp), options)
+    highest = max((size for name, size in lower(model).description.sizes.items() if name in CAPS), default=1)
+    if (worst := _worst(model, highest)) <= limit:
+        return options, highest, worst
+    if (least := _worst(model, 1)) > limit:
+        raise OptionError(f"--max-operations {limit}: {_refusal(ocp, options, limit, least)}")
+    low, high = 1, highest
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if _worst(model, middle) <= limit else (low, middle)
+    return _given(model, options, low), low, _worst(model, low)
+
+
+def _worst(model: Model, most: int) -> int:
+    """Worst case of a sample with these caps."""
+    parts = Parts(**{f.name: _capped(getattr(model.parts, f.name), most, model.dims) for f in fields(Parts)})
+    return worst_case(render(lower(replace(model, parts=parts))))["sample"]
+
+
+def _capped(component: Any, most: int, dims: Dims) -> Any:
+    return None if component is None else component.capped(most, dims)
+
+
+def _given(model: Model, options: Options, most: int) -> Options:
+    """The options of the user with these caps; a QP solver that was chosen is stated with its condensing."""
+    stated: Any = options.algorithm
+    algorithm = replace(stated, **_changes(model.parts.algorithm, most, model.dims))
+    if model.parts.qp is None:
+        return replace(options, algorithm=algorithm)
+    condensing = options.condensing or model.parts.condensing
+    return replace(options, algorithm=algorithm, qp=model.parts.qp.capped(most, model.dims), condensing=condensing)
+
+
+def _changes(component: Component, most: int, dims: Dims) -> dict[str, Any]:
+    """The options of a component that change with these caps."""
+    capped: Any = component.capped(most, dims)
+    values = ((f.name, getattr(component, f.name), getattr(capped, f.name)) for f in fields(capped))
+    return {name: new for name, old, new in values if new != old}
+
+
+def _refusal(ocp: OCP, options: Options, limit: int, least: int) -> str:
+    """Why no caps are low enough, and which options make it fit."""
+    what = f"{ocp.name} takes {least:,} operations of a sample at most even if every cap on iterations is 1"
+    flags: list[str] = []
+    for flag, changed in _remedied(options, ocp):
+        flags.append(flag)
+        options = changed
+        least = _worst(linearize(classify(ocp), options), 1)
+        if least <= limit:
+            return f"{what}; try {' '.join(flags)}"
+    with_flags = f"; {least:,} with {' '.join(flags)}" if flags else ""
+    return f"{what}{with_flags}; try fewer intervals or fewer rows"
+
+
+def _remedied(options: Options, ocp: OCP) -> Iterator[tuple[str, Options]]:
+    """Flag by flag, the options with all remedies so far."""
+    chosen = linearize(classify(ocp), options).parts
+    for flag, seam, name, value in REMEDIES:
+        stated: Any = getattr(options, seam) or getattr(chosen, seam)
+        if stated is not None and getattr(stated, name, value) != value:
+            options = replace(options, **{seam: replace(stated, **{name: value})})
+            yield flag, options

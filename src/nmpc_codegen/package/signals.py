@@ -1,0 +1,135 @@
+"""Names of a problem and of its package: signals, rows, residuals, entry points, and how they are written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+RowKind = Literal["control", "state", "general", "coupled"]
+
+#: Data that can be changed at run time, and how they are stored: as a table of declared values, once, or once per node.
+Kind = Literal["reference", "weight", "bounds", "parameter"]
+Layout = Literal["fixed", "shared", "node"]
+Layouts = Mapping[Kind, Layout]
+
+#: Names of a list; of more, the first ones are shown and their number.
+LISTED = 12
+
+
+@dataclass(frozen=True)
+class Argument:
+    """An argument of an entry point: an array of the sizes that ``shape`` names, or a number."""
+
+    name: str
+    ctype: Literal["real", "int"]
+    shape: tuple[str, ...] = ()  # macros without prefix
+
+
+@dataclass(frozen=True)
+class EntryPoint:
+    """A function <prefix>_<name>(solver, inputs, outputs) -> status that the algorithm offers."""
+
+    name: str
+    doc: str
+    inputs: tuple[Argument, ...] = ()
+    outputs: tuple[Argument, ...] = ()
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A named scalar or vector among the states, controls or parameters.
+
+    ``offset`` is the position of its first element in the stacked vector; ``value`` holds the initial value of a
+    state (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control.
+    """
+
+    name: str
+    size: int
+    unit: str
+    value: tuple[float, ...]
+    offset: int
+    scalar: bool  # declared without size=
+
+    @property
+    def elements(self) -> tuple[str, ...]:
+        """Names of the elements as the user reads them: ``v`` or ``r[0], r[1]``."""
+        return (self.name,) if self.scalar else tuple(f"{self.name}[{i}]" for i in range(self.size))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One scalar row lower <= value <= upper that holds at ``nodes``, with its declared bounds.
+
+    kind "control": value = u[index], a hard simple bound at every node 0..N-1;
+    kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaces the whole row (N = 1);
+    kind "general": value = h[index] of the path stage (nodes < N) and h[index_terminal] of the terminal stage (node N),
+    -1 if the row does not hold there;
+    kind "coupled": r[index](x_0, x_N), ``nodes`` is (0, N). ``soft`` is (l1, l2) or None. Equality: lower == upper.
+    """
+
+    name: str
+    kind: RowKind
+    index: int
+    index_terminal: int
+    nodes: tuple[int, ...]
+    lower: float
+    upper: float
+    soft: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Residual:
+    """One residual of the least-squares cost: its name, its declared reference, and the state or control that it is,
+    "" if it is another expression."""
+
+    name: str
+    reference: float
+    signal: str
+
+
+@dataclass(frozen=True)
+class Names:
+    """Element names in the order of the vectors that hold them."""
+
+    states: tuple[str, ...]
+    controls: tuple[str, ...]
+    parameters: tuple[str, ...]
+    rows: tuple[str, ...]
+    y: tuple[str, ...]
+    y_N: tuple[str, ...]
+
+
+# -- how they are written ---------------------------------------------------------------------------------------------
+
+
+def c_identifier(name: str) -> str:
+    """C spelling of an element name: ``r[0]`` becomes ``r_0``."""
+    return name.replace("[", "_").replace("]", "")
+
+
+def c_constants(names: Sequence[str]) -> tuple[str, ...]:
+    """Last words of the C constants of user names: upper case; names that differ by case alone keep their spelling."""
+    spelled = [c_identifier(name) for name in names]
+    upper = [name.upper() for name in spelled]
+    return tuple(big if upper.count(big) == 1 else name for name, big in zip(spelled, upper, strict=True))
+
+
+def listed(names: Sequence[object]) -> str:
+    """Names separated by commas; of more than LISTED the first ones and the number of all."""
+    shown = ", ".join(map(str, names[:LISTED]))
+    return shown if len(names) <= LISTED else f"{shown}, ... ({len(names)} in all)"
+
+
+def horizon(dt: Sequence[float], unit: str, discrete: bool) -> str:
+    """The grid: "10 intervals over 3 s", with the least and the largest length if they differ."""
+    if discrete:
+        return f"{len(dt)} intervals of a discrete map"
+    uneven = "" if len(set(dt)) == 1 else f" of {min(dt):g} to {max(dt):g} {unit}"
+    return f"{len(dt)} intervals{uneven} over {sum(dt):g} {unit}"
+
+
+def nodes(which: Sequence[int]) -> str:
+    """Nodes in ascending order: "0..9" if they follow one another, else "0, 5, 10"."""
+    consecutive = len(which) > 2 and which[-1] - which[0] == len(which) - 1
+    return f"{which[0]}..{which[-1]}" if consecutive else listed(which)
