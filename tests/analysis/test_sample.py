@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +19,7 @@ from nmpc_codegen import (
     AdjointShooting,
     AugmentedLagrangian,
     ExactHessian,
+    ExtraError,
     OptionError,
     Options,
     Osqp,
@@ -33,6 +37,7 @@ from verification.robustness.work import Loop, count
 from verification.robustness.worst import hostile, package_of
 from verification.routes import ROUTES
 
+ROOT = Path(__file__).parents[2]
 SOLVERS = {name: ROUTES[name][1] for name in ("dense", "riccati", "interior")}
 SOLVERS["riccati alone"] = RiccatiActiveSet(fallback=None)
 
@@ -113,6 +118,21 @@ def test_every_package_has_a_worst_case(make: Callable[[], OCP], case: str) -> N
 
 def test_a_sample_in_one_call() -> None:
     assert set(worst_case(generate(crane.build_ocp(), Options(algorithm=AdjointShooting())))) == {"sample"}
+
+
+def test_what_it_needs_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pycparser", None)
+    with pytest.raises(ExtraError, match=r"worst_case\(\) needs the package pycparser: .*\[analysis\]"):
+        worst_case({})
+
+
+def test_generate_does_without_the_parser() -> None:
+    program = "import sys, examples.crane, nmpc_codegen as n; n.generate(examples.crane.build_ocp())\n"
+    search = f"import sys; sys.path[:0] = {[str(ROOT), str(ROOT / 'src')]!r}\n"
+    told = subprocess.run(
+        [sys.executable, "-c", f"{search}{program}print('pycparser' in sys.modules)"], capture_output=True, text=True
+    )
+    assert told.stdout == "False\n", told.stderr
 
 
 def test_foreign_code_is_not_bounded() -> None:

@@ -190,6 +190,11 @@ def test_status_page(tmp_path: Path) -> None:
     assert [s.name for s in Status if not re.search(rf"^\| {s.name} \|", text, re.MULTILINE)] == []
 
 
+def test_page_of_the_pipeline(tmp_path: Path) -> None:
+    """Its blocks in their order: every value is as it is shown."""
+    run([sys.executable, "-c", "\n".join(b.text for b in blocks("docs/how-it-works.md"))], tmp_path, (ROOT / "src",))
+
+
 STATED = [(page, i) for page in documents() for i, block in enumerate(blocks(page)) if block.states_a_problem]
 
 
