@@ -19,8 +19,7 @@ import numpy as np
 from nmpc_codegen import OCP, Options
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_loops import print_routine
+from nmpc_codegen.ir.print_c import CStyle, print_routine
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower

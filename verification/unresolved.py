@@ -42,7 +42,7 @@ _TYPEDEF = re.compile(r"^typedef \w+ (\w+);$", re.MULTILINE)
 
 @cache
 def lowered(sample: Sample) -> CModule:
-    """The CModule of a sample, before rendering, without its worst case."""
+    """The CModule of a sample, before rendering."""
     return lower(linearize(classify(sample.make()), sample.options), None)
 
 

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_loops import print_routine
+from nmpc_codegen.ir.print_c import CStyle, print_routine
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.runtime.compilers import find_compiler

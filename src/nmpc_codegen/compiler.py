@@ -52,7 +52,8 @@ def compile(ocp: OCP, options: Options | None = None, name: str | None = None) -
 
 
 def generate(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:
-    """Run the pipeline up to text; return path -> contents of every file of the package.
+    """Run the pipeline up to text; return path -> contents of every file of the package, as a mapping
+    that cannot be changed.
 
     A ProblemWarning says what is likely to give poor results, here and in export() and build(): an unstable integrator,
     lost digits, derivatives that are not finite at the first plan, a control without influence there.
@@ -80,7 +81,7 @@ def export(
     *,
     allow_foreign: bool = False,
     force: bool = False,
-    more: Callable[[Sources], Sources] | None = None,
+    more: Callable[[Sources], Mapping[str, str]] | None = None,
 ) -> Package:
     """Write the C package of the problem into a folder, which is created if needed.
 

@@ -529,7 +529,7 @@ static status_t ipm_iterate(solver_t *s)
 #endif
     ipm_forget_progress(q);
     q->begun = s->qp.iterations;
-    for (;;) { /* at most IPM_MAX_ITERATIONS passes in ipm_solve */
+    for (;;) { /* at most IPM_MAX_ITERATIONS passes in qp_solve */
         const real_t before = q->primal, gradient_before = q->slope;
         int changed;
         ipm_measure(s);

@@ -135,6 +135,17 @@ def test_generate_does_without_the_parser() -> None:
     assert told.stdout == "False\n", told.stderr
 
 
+def test_which_package_is_meant() -> None:
+    """Other files beside the package do no harm; two packages, or none, are refused."""
+    one, two = (generate(crane.build_ocp(), name=name) for name in ("one", "two"))
+    assert worst_case({**one, "certificate.json": "{}", "main.c": ""}) == worst_case(two)
+    for files, found in (({**one, **two}, "one, two"), ({}, "none")):
+        with pytest.raises(OptionError, match=f"one package, found those of {found}"):
+            worst_case(files)
+    with pytest.raises(OptionError, match="PosixPath; expected path -> text"):
+        worst_case(Path("out"))  # type: ignore[arg-type]
+
+
 def test_foreign_code_is_not_bounded() -> None:
-    with pytest.raises(OptionError, match="crane: the worst case of a sample is unknown: "):
+    with pytest.raises(OptionError, match=r"crane contains foreign code, .* choose another qp"):
         worst_case(generate(crane.build_ocp(False), Options(qp=Osqp())))

@@ -155,7 +155,7 @@ def test_exceeded_budgets_leave_no_files(tmp_path: Path, capsys: pytest.CaptureF
         (["--level", "Os"], 2, "--level needs --target"),
         (["--max-stack", "4k"], 2, "--max-stack needs --target"),
         (["--target", "z80"], 2, "invalid choice: 'z80'"),
-        (["--max-ram", "much"], 1, "expected a positive number"),
+        (["--max-ram", "much"], 1, "expected a number of at least 1"),
     ],
 )
 def test_wrong_usage(

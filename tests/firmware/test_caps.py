@@ -46,28 +46,24 @@ def worst(options: Options) -> int:
 @pytest.mark.parametrize("case", CASES)
 def test_the_caps_are_the_largest_that_fit(case: str) -> None:
     ocp, options = crane.build_ocp(False), CASES[case]
-    _, highest, most = fitting(ocp, options, 10**12)
-    least = fitting(ocp, options, most - 1)[2]
-    assert least < most == worst(options)
-    limit = (least + most) // 2
-    found, cap, stated = fitting(ocp, options, limit)
-    assert stated == worst(found) <= limit
-    assert 1 <= cap < highest
-    again, same, _ = fitting(ocp, found, stated)
-    assert (again, worst(again)) == (found, stated)
-    assert same <= cap
-    following = fitting(ocp, options, limit + 1)[1]
-    assert following >= cap
+    whole = fitting(ocp, options, 10**12)
+    next_ = fitting(ocp, options, whole.worst - 1)
+    assert next_.worst < whole.worst == worst(options)
+    limit = (next_.worst + whole.worst) // 2
+    fit = fitting(ocp, options, limit)
+    assert fit.worst == worst(fit.options) <= limit
+    assert 1 <= fit.most < whole.most
+    assert fitting(ocp, fit.options, fit.worst).options is fit.options
 
 
 def test_caps_that_fit_are_kept() -> None:
     options = Options(qp=DenseActiveSet(max_iterations=3))
-    assert fitting(crane.build_ocp(False), options, 10**12)[0] is options
+    assert fitting(crane.build_ocp(False), options, 10**12).options is options
 
 
 def test_other_options_are_kept() -> None:
     options = Options(algorithm=RealTimeIteration(shift="repeat", tolerance=0.2), precision="single")
-    found = fitting(crane.build_ocp(False), options, worst(options) // 2)[0]
+    found = fitting(crane.build_ocp(False), options, worst(options) // 2).options
     assert found.algorithm == options.algorithm
     assert dataclasses.replace(found, qp=None, condensing=None) == options
 
@@ -80,7 +76,7 @@ def test_the_advice_helps() -> None:
     with pytest.raises(OptionError, match=rf"--max-operations {limit}: crane takes [\d,]+ operations .* try ") as error:
         fitting(ocp, options, limit)
     offered = re.findall(r"--set (\S+)=(\S+)", str(error.value))
-    assert fitting(ocp, apply_settings(options, offered), limit)[2] <= limit
+    assert fitting(ocp, apply_settings(options, offered), limit).worst <= limit
 
 
 def test_a_limit_below_everything() -> None:
@@ -88,9 +84,19 @@ def test_a_limit_below_everything() -> None:
         fitting(crane.build_ocp(False), Options(), 10)
 
 
+def test_low_caps_are_warned_of() -> None:
+    ocp, options = crane.build_ocp(False), Options(qp=DenseActiveSet())
+    whole = fitting(ocp, options, 10**12)
+    near, far = (fitting(ocp, options, int(share * whole.worst)) for share in (0.9, 0.3))
+    assert near.warning == ""
+    assert near.most < whole.most
+    assert f"caps of {far.most} instead of {whole.most}" in far.warning
+    assert "--set algorithm.repair=0 allows larger ones" in far.warning
+
+
 def test_what_is_not_known() -> None:
-    with pytest.raises(OptionError, match="the worst case of a sample is unknown"):
-        fitting(crane.build_ocp(False), Options(qp=Osqp()), 10**9)
+    with pytest.raises(OptionError, match=r"--max-operations 1000000000: other contains foreign code"):
+        fitting(crane.build_ocp(False), Options(qp=Osqp()), 10**9, "other")
 
 
 def test_the_command_line_exports_what_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -100,9 +106,11 @@ def test_the_command_line_exports_what_fits(tmp_path: Path, capsys: pytest.Captu
     folder = tmp_path / "out"
     assert main([str(problem), "-o", str(folder), "--max-operations", str(limit), "-v"]) == 0
     out = capsys.readouterr().out
-    stated = re.search(r"which takes ([\d,]+) operations at most", out)
+    stated = re.search(r"caps +at most \d+ iterations: a sample takes ([\d,]+) operations at most", out)
     assert stated is not None
     assert f"sample {stated[1]} operations" in out
+    assert "fewest operations of a warm-started sample" in out
+    assert "may end samples with ITERATION_LIMIT" in out
     assert int(stated[1].replace(",", "")) <= limit
     assert main([str(problem), "-o", str(tmp_path / "none"), "--max-operations", "10"]) == 1
     assert not (tmp_path / "none").exists()

@@ -14,8 +14,7 @@ from nmpc_codegen import OCP
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.program import program
 from nmpc_codegen.ir.kernel import OPERATIONS, opcode_name
-from nmpc_codegen.package.domains import EDGES, Finding, locate
-from nmpc_codegen.package.program import VALUES, Program, Quantity
+from nmpc_codegen.package.program import EDGES, VALUES, Finding, Program, Quantity, locate
 
 a, b = ca.SX.sym("a"), ca.SX.sym("b")
 

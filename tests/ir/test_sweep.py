@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen.ir.kernel import Kernel, Port
-from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_loops import print_routine
+from nmpc_codegen.ir.print_c import CStyle, print_routine
 from nmpc_codegen.ir.sweep import (
     Affine,
     Call,

@@ -63,7 +63,6 @@ ONLY_IN = {
         "lowering/linearize",
         "lowering/first_plan",
         "lowering/stability",
-        "lowering/growth",
     },
     "jinja2": {"lowering/render"},
     "pycparser": {"analysis"},

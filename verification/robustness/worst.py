@@ -1,4 +1,4 @@
-"""Counted operations of samples against the worst case that the report states.
+"""Counted operations of samples against the worst case that worst_case() finds.
 
 The loops are those of the part `work`. Each of them also gets measured states that are drawn at random, near and far,
 one after the other without a plant, so that the solvers start from working sets and plans that do not fit.

@@ -1,4 +1,4 @@
-"""Counted operations of samples against the worst case that the report states."""
+"""Counted operations of samples against the worst case that worst_case() finds."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ whose body asks for nothing that depends on its counter is evaluated once.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from pycparser import c_ast
 
@@ -63,6 +64,9 @@ class Variable:
 
 Scope = dict[str, Variable]
 
+#: Operations of a function, and the values that it returns.
+Result = tuple[int, Range]
+
 
 class WorstCase:
     """Bounds of the functions of one unit."""
@@ -72,7 +76,8 @@ class WorstCase:
         self.running: frozenset[str] = frozenset()  # functions that count passes and are being evaluated
         self.shared: dict[str, dict[str, int]] = {}  # function -> stated number of passes -> operations of all of them
         self.fixed: dict[c_ast.Node, int] = {}  # expression -> its operations, where they depend on no value
-        self._results: dict[tuple[str, frozenset[str], tuple[Value, ...]], tuple[int, Range]] = {}
+        # Function, functions that count passes -> arguments that were asked -> their values -> operations, result.
+        self._results: dict[tuple[str, frozenset[str]], dict[tuple[int, ...], dict[tuple[Value, ...], Result]]] = {}
         self._constants: dict[str, Range] = {name: (size, size) for name, size in unit.sizes.items()}
 
     def operations(self, function: str) -> int:
@@ -82,20 +87,26 @@ class WorstCase:
             UnboundedError: the number of passes of a loop is unknown.
         """
         parse(self.unit.reached(function))
-        return self.call(function, (None,) * len(self.unit.functions[function].parameters))[0]
+        return self.call(function, [Variable(type_) for _, type_ in self.unit.functions[function].parameters])[0]
 
-    def call(self, name: str, arguments: tuple[Value, ...]) -> tuple[int, Range]:
-        """Operations and returned values of a function for these values of its arguments."""
+    def call(self, name: str, arguments: Sequence[Variable]) -> Result:
+        """Operations and returned values of a function for these arguments; a result holds for all whose values agree
+        where it asked for them."""
         outer = self.running
         if name in self.unit.counting:
             self.running = outer | {name}
-        key = name, self.running, arguments
-        if key not in self._results:
-            body = _Body(self, self.unit.functions[name])
-            operations, value = body.run(arguments)
-            self._results[key] = operations + sum(self.shared.get(name, {}).values()), value
+        known = self._results.setdefault((name, self.running), {})
+        for asked, results in known.items():
+            found = results.get(tuple([arguments[i].value for i in asked]))
+            if found is not None:
+                break
+        else:
+            operations, value = _Body(self, self.unit.functions[name]).run(arguments)
+            found = operations + sum(self.shared.get(name, {}).values()), value
+            asked = tuple(i for i, argument in enumerate(arguments) if argument.asked)
+            known.setdefault(asked, {})[tuple([arguments[i].value for i in asked])] = found
         self.running = outer
-        return self._results[key]
+        return found
 
     def constant(self, name: str) -> Range:
         """Value of a size, or of a macro without parameters."""
@@ -115,12 +126,12 @@ class _Body:
         self._changed = set() if function is None else assigned_names(function.tree.body)
         self._returned: list[Range] = []
 
-    def run(self, arguments: Sequence[Value]) -> tuple[int, Range]:
+    def run(self, arguments: Sequence[Variable]) -> Result:
         """Operations, and the values that are returned."""
         assert self._function is not None
         scope: Scope = {}
-        for (name, type_), value in zip(self._function.parameters, arguments, strict=True):
-            scope[name] = Variable(type_, None if name in self._changed else value)
+        for (name, type_), argument in zip(self._function.parameters, arguments, strict=True):
+            scope[name] = Variable(type_) if name in self._changed else argument
         operations = self._block(items(self._function.tree.body), scope)
         return operations, union(self._returned) if self._returned else None
 
@@ -324,12 +335,14 @@ class _Body:
             return arguments + own, callee.result
         return arguments + callee.operations, callee.result
 
-    def _arguments(self, types: Sequence[Type], passed: Sequence[c_ast.Node], scope: Scope) -> tuple[Value, ...]:
-        """Values of arguments of integer types; for pointers to integers the tables."""
+    def _arguments(self, types: Sequence[Type], passed: Sequence[c_ast.Node], scope: Scope) -> list[Variable]:
+        """Arguments with values of integer types; for pointers to integers the tables."""
         rules: dict[Type, Callable[[c_ast.Node, Scope], Value]] = {INT: self.value, POINTER: self._table}
-        return tuple(
-            rules[of](argument, scope) if of in rules else None for of, argument in zip(types, passed, strict=True)
-        )
+
+        def bound(of: Type, argument: c_ast.Node) -> Variable:
+            return Variable(of, later=partial(rules[of], argument, scope) if of in rules else None)
+
+        return [bound(of, argument) for of, argument in zip(types, passed, strict=True)]
 
     def _table(self, node: c_ast.Node, scope: Scope) -> Value:
         """The constant table that an expression names; the start of another one is unknown."""

@@ -14,12 +14,17 @@ from nmpc_codegen.package.description import PackageDescription
 # The comment over a printed kernel states its operations, e.g. "159 add, 160 mul, 16 call */".
 _COUNT = r"\d+ (?:add|mul|div|sqrt|call|other)"
 _KERNEL = re.compile(rf"[ :]((?:{_COUNT}, )*{_COUNT}|no operations) \*/\nstatic \w+ (\w+)\(")
+#: Folder of the code of another generator.
+FOREIGN = "osqp/"
+
 _NUMBER = re.compile(r"\d+")
 
 
 def bound(package: Mapping[str, str]) -> dict[str, int]:
     """See analysis.worst_case()."""
-    (description,) = (PackageDescription.from_json(text) for path, text in package.items() if path.endswith(".json"))
+    description = _description(package)
+    if any(path.startswith(FOREIGN) for path in package):
+        raise OptionError(f"{description.name} contains foreign code, whose worst case is unknown; choose another qp")
     found = WorstCase(unit_of(package, description))
     try:
         if not description.has_phases:
@@ -28,6 +33,16 @@ def bound(package: Mapping[str, str]) -> dict[str, int]:
     except UnboundedError as error:
         raise OptionError(f"{description.name}: the worst case of a sample is unknown: {error}") from error
     return worst | {"sample": sum(worst.values())}
+
+
+def _description(package: Mapping[str, str]) -> PackageDescription:
+    """That of the only package among these files."""
+    stems = (path[:-2] for path in package if path.endswith(".h"))
+    names = [stem for stem in stems if {f"{stem}.c", f"{stem}.json"} <= set(package)]
+    if len(names) != 1:
+        found = ", ".join(names) or "none"
+        raise OptionError(f"worst_case(): expected the .h, .c and .json of one package, found those of {found}")
+    return PackageDescription.from_json(package[f"{names[0]}.json"])
 
 
 def unit_of(package: Mapping[str, str], description: PackageDescription) -> Unit:

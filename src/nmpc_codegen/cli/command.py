@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from nmpc_codegen.package.sources import Sources
 
 SHOWN_FUNCTIONS = 8
-TEXT = (".h", ".c", ".json")  # files of a package from which its worst case follows
 LONG_SIMULATION = 10_000  # number of samples from which the simulation is announced
 
 
@@ -70,7 +69,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     ocp, options = _problem(arguments, printer)
     name = ocp.name if arguments.name is None else arguments.name
     if arguments.max_operations is not None:
-        options = _capped(ocp, options, arguments.max_operations, printer)
+        options = _capped(ocp, options, name, arguments.max_operations, printer)
     folder = Path(arguments.output or Path("out") / name)
     firmware = Firmware(arguments, name, lambda: _every_goal(ocp, options, name))
     given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": firmware.more}
@@ -85,15 +84,20 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     return 0 if passed else 1
 
 
-def _capped(ocp: OCP, options: Options, text: str, printer: Printer) -> Options:
+def _capped(ocp: OCP, options: Options, name: str, text: str, printer: Printer) -> Options:
     """The options with the largest caps on iterations that --max-operations allows."""
-    from nmpc_codegen.firmware.budgets import parsed
+    from nmpc_codegen.firmware.budgets import OPERATIONS, parsed
     from nmpc_codegen.firmware.caps import fitting
 
-    limit = parsed("--max-operations", text)
-    options, most, worst = fitting(ocp, options, limit)
-    printer.line(f"caps    {most} on the iterations of a sample, which takes {worst:,} operations at most")
-    return options
+    limit = parsed("--max-operations", text, OPERATIONS)
+    fit = fitting(ocp, options, limit, name)
+    for reason in fit.reasons:
+        printer.line(f"chosen  {reason}")
+    caps = "unchanged" if fit.options is options else f"at most {fit.most} iterations"
+    printer.line(f"caps    {caps}: a sample takes {fit.worst:,} operations at most")
+    if fit.warning:
+        printer.line(fit.warning, style="yellow")
+    return fit.options
 
 
 def _every_goal(ocp: OCP, options: Options, name: str) -> dict[str, Sources]:
@@ -180,10 +184,9 @@ def _worst(package: Package) -> str:
     """The worst case of a sample in words."""
     from nmpc_codegen.analysis import worst_case
 
+    paths = [f"{package.name}.{ending}" for ending in ("h", "c", "json")]
     try:
-        found = worst_case(
-            {path.name: path.read_text(encoding="utf-8") for path in package.files if path.suffix in TEXT}
-        )
+        found = worst_case({path: (package.directory / path).read_text(encoding="utf-8") for path in paths})
     except OptionError as error:
         return str(error)
     return ", ".join(f"{phase} {count:,}" for phase, count in found.items()) + " operations"

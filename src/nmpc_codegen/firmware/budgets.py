@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.certificate import Certificate
 from nmpc_codegen.package.description import PackageDescription
 
+#: No limit is as large as this.
+LARGEST = 1e18
+
 _NUMBER = re.compile(r"(\d+(?:\.\d*)?(?:e\d+)?)([km]?)$", re.IGNORECASE)
-_UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20}
+#: What k and m stand for: in bytes, and in numbers of operations.
+BYTES = {"": 1, "k": 1 << 10, "m": 1 << 20}
+OPERATIONS = {"": 1, "k": 10**3, "m": 10**6}
 
 
 @dataclass(frozen=True)
@@ -31,17 +36,20 @@ class Budgets:
         return any(getattr(self, f.name) is not None for f in fields(self))
 
 
-def parsed(flag: str, text: str) -> int:
-    """A positive number, e.g. "64k" (64 * 1024), "1.5M", "2e6".
+def parsed(flag: str, text: str, units: Mapping[str, int] = BYTES) -> int:
+    """A positive number, e.g. "64k" (64 * 1024 bytes, or 64 * 1000 operations), "1.5M", "2e6".
 
     Raises:
         OptionError: the text is none.
     """
     found = _NUMBER.match(text.strip())
-    value = round(float(found[1]) * _UNITS[found[2].lower()]) if found else 0
-    if value <= 0:
-        raise OptionError(f"{flag} {text}: expected a positive number, e.g. 6000, 64k (64 * 1024 bytes) or 2e6")
-    return value
+    value = float(found[1]) * units[found[2].lower()] if found else 0.0
+    if not 1 <= value < LARGEST:
+        raise OptionError(
+            f"{flag} {text}: expected a number of at least 1 and less than {LARGEST:.0e}, "
+            f"e.g. 6000, 64k (64 * {units['k']}) or 2e6"
+        )
+    return round(value)
 
 
 def check(budgets: Budgets, description: PackageDescription, certificate: Certificate | None) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from nmpc_codegen.analysis import worst_case
 from nmpc_codegen.components.base import Component, Dims, Parts
+from nmpc_codegen.components.qp.dense_active_set import CAUTION
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
@@ -27,9 +28,23 @@ REMEDIES = (
 )
 
 
-def fitting(ocp: OCP, options: Options, limit: int) -> tuple[Options, int, int]:
-    """The options with every cap on iterations at most a number, the largest for which a sample takes ``limit``
-    operations at most; this number; the worst case that results.
+@dataclass(frozen=True)
+class Fit:
+    """``options`` with every cap on iterations at most ``most``; the ``worst`` case of a sample that results.
+
+    If the caps are lower than before, the options state condensing and QP solver, for which there are ``reasons``.
+    ``warning``: they are lower than what closed loops need, "" if they are not.
+    """
+
+    options: Options
+    most: int
+    worst: int
+    reasons: tuple[str, ...] = ()
+    warning: str = ""
+
+
+def fitting(ocp: OCP, options: Options, limit: int, name: str | None = None) -> Fit:
+    """The largest caps on iterations for which a sample takes ``limit`` operations at most.
 
     Raises:
         OptionError: no caps are low enough; the message says what else to change, which has been tried. Or the worst
@@ -37,22 +52,37 @@ def fitting(ocp: OCP, options: Options, limit: int) -> tuple[Options, int, int]:
         ProblemError: the problem is stated wrongly.
     """
     model = linearize(classify(ocp), options)
-    highest = max((size for name, size in lower(model).description.sizes.items() if name in CAPS), default=1)
-    if (worst := _worst(model, highest)) <= limit:
-        return options, highest, worst
-    if (least := _worst(model, 1)) > limit:
-        raise OptionError(f"--max-operations {limit}: {_refusal(ocp, options, limit, least)}")
-    low, high = 1, highest
+    sizes = lower(model, name).description.sizes
+    high = highest = max((sizes[cap] for cap in CAPS if cap in sizes), default=1)
+    try:
+        if (worst := _worst(model, high, name)) <= limit:
+            return Fit(options, high, worst)
+        if (least := _worst(model, 1, name)) > limit:
+            raise OptionError(_refusal(ocp, options, limit, least, name))
+    except OptionError as error:
+        raise OptionError(f"--max-operations {limit}: {error}") from error
+    low, found = 1, least
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if _worst(model, middle) <= limit else (low, middle)
-    return _given(model, options, low), low, _worst(model, low)
+        worst = _worst(model, middle, name)
+        low, high, found = (middle, high, worst) if worst <= limit else (low, middle, found)
+    reasons = () if model.choice is None else model.choice.reasons
+    return Fit(_given(model, options, low), low, found, reasons, _warning(options, low, highest))
 
 
-def _worst(model: Model, most: int) -> int:
+def _warning(options: Options, most: int, highest: int) -> str:
+    """The default caps are up to CAUTION times what closed loops need."""
+    if CAUTION * most >= highest:
+        return ""
+    repair = "; --set algorithm.repair=0 allows larger ones" if getattr(options.algorithm, "repair", 0) else ""
+    what = f"caps of {most} instead of {highest} may end samples with ITERATION_LIMIT"
+    return f"{what}: simulate the loop with disturbances, or take a larger limit{repair}"
+
+
+def _worst(model: Model, most: int, name: str | None) -> int:
     """Worst case of a sample with these caps."""
     parts = Parts(**{f.name: _capped(getattr(model.parts, f.name), most, model.dims) for f in fields(Parts)})
-    return worst_case(render(lower(replace(model, parts=parts))))["sample"]
+    return worst_case(render(lower(replace(model, parts=parts), name)))["sample"]
 
 
 def _capped(component: Any, most: int, dims: Dims) -> Any:
@@ -76,18 +106,18 @@ def _changes(component: Component, most: int, dims: Dims) -> dict[str, Any]:
     return {name: new for name, old, new in values if new != old}
 
 
-def _refusal(ocp: OCP, options: Options, limit: int, least: int) -> str:
+def _refusal(ocp: OCP, options: Options, limit: int, least: int, name: str | None) -> str:
     """Why no caps are low enough, and which options make it fit."""
-    what = f"{ocp.name} takes {least:,} operations of a sample at most even if every cap on iterations is 1"
+    what = f"{name or ocp.name} takes {least:,} operations of a sample at most even if every cap on iterations is 1"
     flags: list[str] = []
     for flag, changed in _remedied(options, ocp):
         flags.append(flag)
         options = changed
-        least = _worst(linearize(classify(ocp), options), 1)
+        least = _worst(linearize(classify(ocp), options), 1, name)
         if least <= limit:
             return f"{what}; try {' '.join(flags)}"
     with_flags = f"; {least:,} with {' '.join(flags)}" if flags else ""
-    return f"{what}{with_flags}; try fewer intervals or fewer rows"
+    return f"{what}{with_flags}; try fewer intervals, fewer rows or another --qp"
 
 
 def _remedied(options: Options, ocp: OCP) -> Iterator[tuple[str, Options]]:

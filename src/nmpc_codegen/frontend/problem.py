@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.ir.casadi_types import Expression, Function, elements
+from nmpc_codegen.ir.casadi_types import Expression, Function, curved, elements
 from nmpc_codegen.package.signals import Row as Row
 from nmpc_codegen.package.signals import RowKind as RowKind
 from nmpc_codegen.package.signals import Signal as Signal
@@ -123,6 +123,20 @@ class Problem:
     cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
     terminal_lqr: LqrRequest | None = None  # a terminal cost to be computed before linearize()
     time_unit: str = "s"  # of dt and of every other time
+
+    @property
+    def nonlinear_rows(self) -> bool:
+        """True if a hard general or coupled row is no affine function of states and controls."""
+        path, terminal = (curved(s.h, ca.vertcat(s.x, s.u)) for s in (self.path, self.terminal))
+        coupled: set[int] = set()
+        if self.coupled is not None:
+            ends = ca.SX.sym("x_0", self.nx), ca.SX.sym("x_N", self.nx)
+            coupled = curved(self.coupled(*ends), ca.vertcat(*ends))
+        return any(
+            row.index in coupled if row.kind == "coupled" else row.index in path or row.index_terminal in terminal
+            for row in self.rows
+            if row.soft is None and row.kind in ("general", "coupled")
+        )
 
     @property
     def couples_free_start(self) -> bool:

@@ -2,7 +2,7 @@
 be finite: sqrt, hypot, atan2, pow, log, / and more.
 
 The operations are found in all parts of the problem at once, after equal expressions have been merged, and written in
-the user's names. runtime/diagnosis/domains.py tests them at the nodes of a plan.
+the user's names. package/program.py tests them at the nodes of a plan.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression, elements
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, lift, live, opcode_name
 from nmpc_codegen.ir.print_c import needs_parentheses
-from nmpc_codegen.package.domains import EDGES
-from nmpc_codegen.package.program import Operation, Program, Quantity, Step
+from nmpc_codegen.package.program import EDGES, Operation, Program, Quantity, Step
 
 #: Longer texts of operations are cut.
 LONGEST = 100

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 from nmpc_codegen.host import steps
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, called_functions
-from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_loops import print_routine
+from nmpc_codegen.ir.print_c import CStyle, print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, needed, own_names, own_text
 from nmpc_codegen.lowering.preamble import PLACES

@@ -1,4 +1,10 @@
-"""Print kernels and numbers as C, in the working precision."""
+"""Print kernels and numbers as C, in the working precision.
+
+A sweep is one function, preceded by its leaves. A sweep whose buffers are members of structs (a frame) accesses the
+members directly: every leaf is printed inline, as nested expressions. Its outputs may alias its inputs, so either all
+loads or all results are first held in named constants: in a loop the loads, with loop-invariant ones in front of it;
+elsewhere the results. A direct call needs neither.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +18,26 @@ from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port
 
 if TYPE_CHECKING:
     from nmpc_codegen.ir.kernel import Instruction
+import re
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from textwrap import wrap
+
+from nmpc_codegen.ir.sweep import (
+    Affine,
+    Block,
+    Call,
+    Entries,
+    For,
+    Frame,
+    If,
+    LoopedRoutine,
+    Node,
+    Routine,
+    Slice,
+    calls,
+    passed,
+)
 
 
 @dataclass(frozen=True)
@@ -208,3 +234,254 @@ def _uses(kernel: Kernel) -> list[int]:
 def unit_style(precision: str, own: bool = False) -> CStyle:
     """Spelling of numbers and functions inside the translation unit."""
     return CStyle("real_t", precision == "single", own=own)
+
+
+# -- sweeps with loops ------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=256)
+def print_routine(routine: Routine, style: CStyle) -> str:
+    """C text of a routine; a package reads it twice, for its bounds and for its file."""
+    if isinstance(routine, Kernel):
+        return print_kernel(routine, style)
+    if routine.sweep.frame:
+        return print_framed(routine, style)
+    called = {c.leaf.name() for c in calls(routine.sweep.body) if not c.written_out}
+    texts = [print_kernel(kernel, style) for name, kernel in routine.leaves.items() if name in called]
+    sweep, count = routine.sweep, routine.count
+    written = ", ".join(f"{v} {k}" for k, v in count.as_dict().items() if v)
+    lines = [comment(sweep.doc, routine.reads, routine.writes, written)]
+    lines += [signature(sweep.name, routine.reads, routine.writes, style), "{"]
+    indices = dict.fromkeys(_indices(sweep.body))
+    lines += [f"    {style.real} {name}[{size}];" for name, size in sweep.locals if size and name in routine.touched]
+    if indices:
+        lines.append(f"    ptrdiff_t {', '.join(indices)};")
+    lines += _print_nodes(sweep.body, routine, style, "    ")
+    return "\n\n".join([*texts, "\n".join([*lines, "}"])])
+
+
+def _indices(nodes: tuple[Node, ...]) -> Iterator[str]:
+    for node in nodes:
+        if isinstance(node, For):
+            yield node.index
+            yield from _indices(node.body)
+
+
+def _print_nodes(nodes: tuple[Node, ...], routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:
+    lines: list[str] = []
+    for node in nodes:
+        if not isinstance(node, Call):
+            assert isinstance(node, For), "other blocks are printed in a frame"
+            lines.append(indent + _for(node))
+            lines += _print_nodes(node.body, routine, style, indent + "    ")
+            lines.append(indent + "}")
+        elif node.written_out and len(nodes) > 1:
+            lines += [indent + "{", *_print_call(node, routine, style, indent + "    "), indent + "}"]
+        else:
+            lines += _print_call(node, routine, style, indent)
+    return lines
+
+
+def _for(loop: For) -> str:
+    i, first = loop.index, loop.start
+    count = Affine(loop.count) if isinstance(loop.count, int) else loop.count
+    last = Affine(count.constant + first, count.terms)
+    if loop.down:
+        return f"for ({i} = {Affine(last.constant - 1, last.terms).c()}; {i} >= {first}; {i}--) {{"
+    return f"for ({i} = {first}; {i} < {last.c()}; {i}++) {{"
+
+
+def _print_call(call: Call, routine: LoopedRoutine, style: CStyle, indent: str) -> list[str]:
+    """A call of a static leaf; a leaf on strided slices is printed inline, so that the loop around it vectorises."""
+    kernel = routine.leaves[call.leaf.name()]
+    if not call.written_out:
+        arguments = (f"&{s.buffer}[{s.offset.c()}]" for s in passed(call, kernel))
+        return [f"{indent}{kernel.name}({', '.join(arguments)});"]
+
+    def element(slices: tuple[Slice, ...], port: int, e: int) -> str:
+        s = slices[port]
+        return f"{s.buffer}[{Affine(s.offset.constant + s.stride * e, s.offset.terms).c()}]"
+
+    body = print_body(
+        kernel, style, lambda port, e: element(call.ins, port, e), lambda port, e: element(call.outs, port, e)
+    )
+    return [indent + line.removeprefix("    ") for line in body]
+
+
+# -- sweeps with a frame -----------------------------------------------------------------------------------------------
+
+#: Maximum length of a line.
+WIDTH = 120
+
+#: Text of a load -> name of the constant that holds it.
+Names = dict[str, str]
+
+
+def print_framed(routine: LoopedRoutine, style: CStyle) -> str:
+    """The C function of a sweep with a frame, with its formula and operation count above it."""
+    sweep, frame = routine.sweep, routine.sweep.frame
+    assert frame is not None
+    count = ", ".join(f"{v} {k}" for k, v in routine.count.as_dict().items() if v) or "no operations"
+    lines = _body(routine, style)
+    parameters = [text for name, text in named(frame).items() if name in _names(lines)]
+    head = f"static {'inline ' if frame.inline else ''}void {sweep.name}({', '.join(parameters)})"
+    return "\n".join([f"/* {sweep.doc}: {count} */", head, "{", *lines, "}"])
+
+
+def call(routine: LoopedRoutine, style: CStyle) -> tuple[tuple[str, ...], str]:
+    """Names of all parameters of a product, and the text of its call, which passes those that it reads or writes."""
+    frame = routine.sweep.frame
+    assert frame is not None
+    names = tuple(named(frame))
+    used = _names(_body(routine, style))
+    return names, f"{routine.name}({', '.join(name for name in names if name in used)})"
+
+
+def named(frame: Frame) -> dict[str, str]:
+    """Name -> declaration of every parameter."""
+    stripped = (re.sub(r"\W*(?:\[\w+\])*$", "", p) for p in frame.parameters)
+    return {s.split("*")[-1].split(" ")[-1]: p for s, p in zip(stripped, frame.parameters, strict=True)}
+
+
+@lru_cache(maxsize=256)
+def _body(routine: LoopedRoutine, style: CStyle) -> tuple[str, ...]:
+    """The statements of the function; its definition and its calls name those parameters that they use."""
+    frame = routine.sweep.frame
+    assert frame is not None
+    printer = _Printer(routine, frame, style)
+    return (*_declarations(routine, frame, style), *printer.block(routine.sweep.body, "    ", {}, set()))
+
+
+def _names(lines: Iterable[str]) -> set[str]:
+    return set(re.findall(r"\w+", "\n".join(lines)))
+
+
+def _declarations(routine: LoopedRoutine, frame: Frame, style: CStyle) -> list[str]:
+    """Declarations of the local arrays; scalars are declared at their first assignment."""
+    arrays = [frame.places[name] for name, _ in routine.sweep.locals if name in routine.touched]
+    return [f"    {style.real} {a.text}{''.join(f'[{n}]' for n in a.shape)};" for a in arrays if a.shape]
+
+
+class _Printer:
+    """Text of the nodes of one sweep."""
+
+    def __init__(self, routine: LoopedRoutine, frame: Frame, style: CStyle) -> None:
+        self._leaves, self._places, self._style = routine.leaves, frame.places, style
+        self._stored = {s.buffer for call in calls(routine.sweep.body) for s in call.outs}
+
+    def block(self, nodes: tuple[Node, ...], indent: str, names: Names, scalars: set[str]) -> list[str]:
+        """The statements of a block; its declarations are in scope until its end."""
+        names, scalars = dict(names), set(scalars)
+        lines: list[str] = []
+        for node in nodes:
+            if isinstance(node, Block):
+                lines += self._nested(node, indent, names, scalars)
+            else:
+                lines += self._call(node, indent, names, scalars)
+        return lines
+
+    def _nested(self, node: Block, indent: str, names: Names, scalars: set[str]) -> list[str]:
+        """A loop or condition; an innermost loop is preceded by its loop-invariant loads."""
+        inner, lines = indent + "    ", []
+        if isinstance(node, For) and len(node.body) == 1 and isinstance(node.body[0], Call):
+            call = node.body[0]
+            lines += self._loads(call, indent, names, node.index)
+            loads = [] if call.direct else self._loads(call, inner, inner_names := dict(names), None)
+            body = loads + self._stores(call, inner, names if call.direct else inner_names, scalars, False)
+        else:
+            body = self.block(node.body, inner, names, scalars)
+        entries = [f"{inner}const int {_bindings(node)};"] if isinstance(node, Entries) else []
+        return [*lines, f"{indent}{_head(node)} {{", *entries, *body, indent + "}"]
+
+    def _call(self, call: Call, indent: str, names: Names, scalars: set[str]) -> list[str]:
+        return self._stores(call, indent, names, scalars, not call.direct)
+
+    def _loads(self, call: Call, indent: str, names: Names, index: str | None) -> list[str]:
+        """Constants that hold loads: all of them, or, given a loop ``index``, those that the loop does not change."""
+        lines: list[str] = []
+        for port, element in sorted(_loaded(self._leaves[call.leaf.name()])):
+            s = call.ins[port]
+            text, name = self._element(s, element), self._name(s, element)
+            fixed = s.buffer not in self._stored and all(i != index for i, _ in s.offset.terms)
+            if text not in names and name not in names.values() and (fixed or index is None):
+                names[text] = name
+                lines.append(f"{indent}const {self._style.real} {name} = {text};")
+        return lines
+
+    def _stores(self, call: Call, indent: str, names: Names, scalars: set[str], named: bool) -> list[str]:
+        """Statements that compute and store the results; ``named``: all are computed as constants before any store."""
+        kernel = self._leaves[call.leaf.name()]
+
+        def load(port: int, element: int) -> str:
+            text = self._element(call.ins[port], element)
+            return names.get(text, text)
+
+        expressions = Expressions(kernel, self._style, load)
+        lines, last = list(expressions.statements), []
+        for port, element, value in kernel.stores:
+            target = self._element(call.outs[port], element)
+            if named:
+                name = self._name(call.outs[port], element)
+                lines.append(f"const {self._style.real} {expressions.assignment(name, value)};")
+                last.append(f"{target} = {name};")
+            else:
+                new = not self._places[call.outs[port].buffer].shape and target not in scalars
+                scalars |= {target} if new else set()
+                lines.append(f"{self._style.real + ' ' if new else ''}{expressions.assignment(target, value)};")
+        return [part for line in lines + last for part in _wrapped(indent, line)]
+
+    def _element(self, s: Slice, element: int) -> str:
+        """C text of an element of a slice."""
+        place = self._places[s.buffer]
+        constant = s.offset.constant + s.stride * element if element else s.offset.constant
+        if not place.shape:
+            return place.text
+        if len(place.shape) == 1:
+            return f"{place.text}[{Affine(constant, s.offset.terms).c()}]"
+        columns = int(place.shape[1])
+        along = tuple((i, c // columns) for i, c in s.offset.terms if c % columns == 0)
+        across = tuple((i, c) for i, c in s.offset.terms if c % columns)
+        row, column = divmod(constant, columns)
+        column = constant if row == 0 else column  # a Size keeps its macro name
+        return f"{place.text}[{Affine(row, along).c()}][{Affine(column, across).c()}]"
+
+    def _name(self, s: Slice, element: int) -> str:
+        """Name of the constant that holds the element."""
+        place = self._places[s.buffer]
+        if len(place.shape) == 2 and not s.offset.terms:
+            return "_".join(map(str, (s.buffer, *divmod(s.offset.constant + s.stride * element, int(place.shape[1])))))
+        return f"{s.buffer}_{element}"
+
+
+def _loaded(kernel: Kernel) -> set[tuple[int, int]]:
+    """(port, element) of all loads."""
+    return {(ins.args[0], ins.args[1]) for ins in kernel.instructions if ins.opcode == ca.OP_INPUT}
+
+
+def _head(node: Block) -> str:
+    if isinstance(node, If):
+        return f"if ({node.left} {node.relation} {node.right})"
+    if isinstance(node, Entries):
+        return f"for (int {node.index} = {node.first}; {node.index} < {node.last}; ++{node.index})"
+    assert isinstance(node.count, int)
+    assert not node.down
+    last = node.start + node.count if node.start else node.count
+    return f"for (int {node.index} = {node.start}; {node.index} < {last}; ++{node.index})"
+
+
+def _bindings(node: Entries) -> str:
+    return ", ".join(f"{name} = {table}[{node.index}]" for name, table, _ in node.tables)
+
+
+def _wrapped(indent: str, line: str) -> list[str]:
+    """The statement in lines of at most WIDTH columns, broken in front of plus signs."""
+    glued = re.sub(r" (?!\+ )", "\0", line)
+    lines = wrap(
+        glued,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "    ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return [part.replace("\0", " ") for part in lines]

@@ -1,6 +1,6 @@
 """Sweeps: programs of calls to small CasADi Functions inside counted loops, represented as data.
 
-Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; print_sweep.py, which
+Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; print_c.py, which
 writes C loops; and LoopedRoutine.count, which counts operations. Transformations of sweeps are in passes.py.
 """
 

@@ -16,7 +16,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.ir.tuning import PANEL
-from nmpc_codegen.lowering.growth import Growth
+from nmpc_codegen.lowering.first_plan import Growth
 from nmpc_codegen.options import Goal, Options
 from nmpc_codegen.package.memory import Size
 from nmpc_codegen.package.opcount import OpCount

@@ -16,14 +16,12 @@ from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.frontend.program import program
-from nmpc_codegen.ir.casadi_types import curved
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, StageModel
 from nmpc_codegen.ir.stage_products import Pattern, pattern
 from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Routine, Slice
 from nmpc_codegen.lowering.choose import Choice, choose_hessian, choose_qp, dimensions, multiple_of, solves_exactly
-from nmpc_codegen.lowering.first_plan import first_plan_warnings
-from nmpc_codegen.lowering.growth import Growth, growth
+from nmpc_codegen.lowering.first_plan import Growth, first_plan_warnings, growth
 from nmpc_codegen.lowering.stability import stability_warning
 from nmpc_codegen.options import REGISTRIES, Goal, Math, Online, Options, Processor
 from nmpc_codegen.package.memory import Precision
@@ -142,7 +140,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         program=found,
         choice=choice,
         constant_hessian=constant,
-        nonlinear_rows=_nonlinear_rows(problem),
+        nonlinear_rows=problem.nonlinear_rows,
     )
 
 
@@ -266,24 +264,6 @@ def _constant_hessian(problem: Problem, online: Online, functions: ModelFunction
     varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
     varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
     return path.hessian is not None and path.curvature is None and not varying & _inputs_read(path.hessian)
-
-
-def _nonlinear_rows(problem: Problem) -> bool:
-    """True if a hard general or coupled row is no affine function of states and controls."""
-    bent: dict[str, set[int]] = {}
-    for name, stage in (("path", problem.path), ("terminal", problem.terminal)):
-        z = ca.vertcat(stage.x, stage.u)
-        bent[name] = curved(stage.h, z)
-    if problem.coupled is not None:
-        ends = ca.SX.sym("x_0", problem.nx), ca.SX.sym("x_N", problem.nx)
-        bent["coupled"] = curved(problem.coupled(*ends), ca.vertcat(*ends))
-    return any(
-        row.index in bent["coupled"]
-        if row.kind == "coupled"
-        else row.index in bent["path"] or row.index_terminal in bent["terminal"]
-        for row in problem.rows
-        if row.soft is None and row.kind in ("general", "coupled")
-    )
 
 
 def _choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:

@@ -27,8 +27,7 @@ from typing import NamedTuple
 
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS
-from nmpc_codegen.ir.print_c import CStyle
-from nmpc_codegen.ir.print_loops import print_routine
+from nmpc_codegen.ir.print_c import CStyle, print_routine
 
 _INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
 _DIRECTIVE = re.compile(r"#(if|elif|else|endif)\b\s*(.*)")

@@ -1,7 +1,7 @@
 """The preamble of a package's .c: short names for declarations of the header, access to run-time data, kernel calls.
 
 Inside the one translation unit everything is static, so names need no prefix: NX is CRANE_NX, solver_t is
-crane_solver_t (unit/names.py: unless the header declares the short name). Only names that the unit uses are defined.
+crane_solver_t (parts.py: unless the header declares the short name). Only names that the unit uses are defined.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from textwrap import wrap
 
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.ir.print_c import CStyle, unit_style
-from nmpc_codegen.ir.print_loops import call
+from nmpc_codegen.ir.print_c import CStyle, call, unit_style
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.parts import names_in, rename
 from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance

@@ -15,8 +15,7 @@ from typing import Any
 import jinja2
 
 from nmpc_codegen.ir.cmodule import CModule, Table
-from nmpc_codegen.ir.print_c import CStyle, unit_style
-from nmpc_codegen.ir.print_loops import print_routine
+from nmpc_codegen.ir.print_c import CStyle, print_routine, unit_style
 from nmpc_codegen.lowering.parts import (
     GENERATED,
     names_in,

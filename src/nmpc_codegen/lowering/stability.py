@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.components.base import Integrator
 from nmpc_codegen.components.integrators import ButcherTableau, ExplicitRungeKutta
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.lowering.growth import points
+from nmpc_codegen.lowering.first_plan import points
 
 Array = NDArray[Any]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.description import PackageDescription
-from nmpc_codegen.package.domains import EDGES
+from nmpc_codegen.package.program import EDGES
 from nmpc_codegen.runtime.records.archive import write_arrays
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from nmpc_codegen.package.domains import NOT_FINITE, in_words, locate
-from nmpc_codegen.package.program import Array
+from nmpc_codegen.package.program import NOT_FINITE, Array, in_words, locate
 from nmpc_codegen.package.status import STALE, Status
 from nmpc_codegen.runtime.diagnosis.advice import advice, has_qp, row_advice
 from nmpc_codegen.runtime.diagnosis.rows import parameters, violations
