@@ -25,7 +25,6 @@ from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.description import PackageDescription
-from nmpc_codegen.package.seal import sealed_beside
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import host, load
 from nmpc_codegen.runtime.controller import Controller
@@ -91,7 +90,8 @@ def export(
     read-only or of other origin is replaced only with ``force=True``, which keeps copies (.bak). Links, folders and
     devices in the place of a file are never replaced or followed; ``directory`` itself may be a link to a folder.
 
-    ``more``: called with the files before any is written; it returns further ones, or raises an error to refuse all.
+    ``more``: called with the files before any is written; it returns further ones with their seals (package.seal), or
+    raises an error to refuse all.
 
     ``allow_foreign``: code of another generator (OSQP) may be written, to a folder of its own beside the files.
 
@@ -106,7 +106,7 @@ def export(
             "choose another solver, or export(..., allow_foreign=True) (--allow-foreign)"
         )
     _warn(sources.description)
-    files = dict(sources) if more is None else {**sources, **sealed_beside(more(sources), sources)}
+    files = dict(sources) if more is None else {**sources, **more(sources)}
     folder = write(directory, files, force=force)
     description = sources.description
     return Package(folder, description.name, tuple(folder / path for path in files), description.report.as_dict())

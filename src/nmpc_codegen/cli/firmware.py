@@ -14,6 +14,7 @@ from nmpc_codegen.firmware.certificate import Certificate
 from nmpc_codegen.firmware.delivery import Delivery, deliver, sentences
 from nmpc_codegen.firmware.forms import Form
 from nmpc_codegen.firmware.targets import LEVELS, find_target
+from nmpc_codegen.package.seal import sealed_beside
 
 #: Makes the package for every goal: goal -> its files.
 Goals = Callable[[], Mapping[str, Mapping[str, str]]]
@@ -31,10 +32,10 @@ class Firmware:
         self._delivery = Delivery({}, None, None)
 
     def more(self, sources: Mapping[str, str]) -> dict[str, str]:
-        """Further files of the package; it raises an error if a budget is exceeded or a tool is missing."""
+        """Further files of the package, sealed; it raises an error if a budget is exceeded or a tool is missing."""
         checks = (self._target, self._level, self._budgets, self._run)
         self._delivery = deliver(sources, self._name, *checks, self._goals)
-        return dict(self._delivery.files)
+        return sealed_beside(self._delivery.files, sources)
 
     def report(self, printer: Printer) -> bool:
         """Print certificate and verdict; return False if host and target disagree."""

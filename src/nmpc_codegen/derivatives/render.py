@@ -92,7 +92,7 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
         }
         for s in every
     ]
-    return context(name, model.precision) | {
+    return context(name, style) | {
         "precision": model.precision,
         "gcc12": GCC_12,
         "folders": (),

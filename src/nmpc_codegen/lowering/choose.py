@@ -87,9 +87,8 @@ def choose_qp(
         and grown.spares(problem, FullCondensing())
     ):
         fitting = list(_pairs(FullCondensing(), None))
-    pairs = [pair for pair in fitting if grown.spares(problem, pair[0])] or fitting
     candidates, soft = [], "soft rows" in problem.features
-    for stated, qp in pairs:
+    for stated, qp in fitting:
         condensing = stated.adapted(problem)
         if all(problem.features <= c.supports for c in (condensing, qp)):
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian, multiple_of(options.goal))
@@ -97,8 +96,9 @@ def choose_qp(
             warm, search = sum(counts, OpCount()).total, qp.search(dims).total
             candidates.append(Candidate(condensing, qp, warm + search * soft, warm + search))
     if not candidates:
-        return Choice(*pairs[0])  # the checks of this pair raise the error that says why
-    best, reason = _best(candidates, soft)
+        return Choice(*fitting[0])  # the checks of this pair raise the error that says why
+    spared = [c for c in candidates if grown.spares(problem, c.condensing)]
+    best, reason = _best(spared or candidates, soft)
     words = [f"condensing: {best.condensing.name}"] if given is None else []
     words += [f"qp: {best.qp.name}"] if options.qp is None else []
     warned = grown.warning(problem, best.condensing)

@@ -22,7 +22,7 @@ from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.parts import own_names
 from nmpc_codegen.package.description import PackageDescription, Report
-from nmpc_codegen.package.memory import Field, Size, Struct, placed, struct_layout
+from nmpc_codegen.package.memory import Field, Size, Struct, placed
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Kind, Layout, Residual, c_constants
 from nmpc_codegen.package.status import Status
@@ -46,8 +46,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
     if model.math == "own":
         _check_math(model, [component for component, files in foreign if files])
     switches = _switches(model)
-    structs = _structs(model, dims, switches)
-    layout = struct_layout(structs, model.precision)
+    structs, layout = placed(_structs(model, dims, switches), model.precision)
     held = {f.ctype for s in structs if s.name != "solver" for f in s.fields}
     sections = tuple(
         Section(
@@ -64,7 +63,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
     )
     macros = _macros(model, dims)
     ranges = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
-    return CModule(
+    module = CModule(
         description=_description(model, name, macros, structs, _report(model, dims, switches, structs, layout), ranges),
         macros=macros,
         enums=_enums(problem),
@@ -91,6 +90,20 @@ def lower(model: Model, name: str | None = None) -> CModule:
         one_step=model.interval.one_step,
         foreign={path: text for _, files in foreign for path, text in files.items()},
     )
+    return _with_members_apart(module)
+
+
+def _with_members_apart(module: CModule) -> CModule:
+    """The package with an underscore after every member of a struct that would have the name of a size macro."""
+    macros = {f"{module.macro}_{macro.name}" for macro in module.macros}
+    if not any(member.name in macros for struct in module.structs for member in struct.fields):
+        return module
+    structs = tuple(
+        replace(s, fields=tuple(replace(f, name=f"{f.name}_") if f.name in macros else f for f in s.fields))
+        for s in module.structs
+    )
+    ranges = {f"{name}_" if name in macros else name: limits for name, limits in module.description.ranges.items()}
+    return replace(module, description=replace(module.description, structs=structs, ranges=ranges))
 
 
 def _check_math(model: Model, foreign: list[str]) -> None:
@@ -301,7 +314,7 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held and s.name != "kkt"]
     fields = (*common, *own_members, *members, *results)
     solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
-    return placed((*inner, _existing(solver, switches)), model.precision)
+    return (*inner, _existing(solver, switches))
 
 
 def _inner_structs(owned: list[Struct]) -> list[Struct]:

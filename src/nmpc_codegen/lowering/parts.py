@@ -19,7 +19,7 @@ import ast
 import operator
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import accumulate
 from pathlib import Path
@@ -323,19 +323,6 @@ STANDARD = frozenset({"int32_t"})
 def names_in(*texts: str) -> set[str]:
     """The identifiers of C texts."""
     return {name for text in texts for name in _WORD.findall(text)}
-
-
-def with_members_apart(module: CModule) -> CModule:
-    """The package with an underscore after every member of a struct that would have the name of a size macro."""
-    macros = {f"{module.macro}_{macro.name}" for macro in module.macros}
-    if not any(member.name in macros for struct in module.structs for member in struct.fields):
-        return module
-    structs = tuple(
-        replace(s, fields=tuple(replace(f, name=f"{f.name}_") if f.name in macros else f for f in s.fields))
-        for s in module.structs
-    )
-    ranges = {f"{name}_" if name in macros else name: limits for name, limits in module.description.ranges.items()}
-    return replace(module, description=replace(module.description, structs=structs, ranges=ranges))
 
 
 def renamed_words(words: Collection[str], header: str, name: str, members: Collection[str] = ()) -> Mapping[str, str]:

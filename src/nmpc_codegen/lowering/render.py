@@ -15,7 +15,7 @@ from typing import Any
 import jinja2
 
 from nmpc_codegen.ir.cmodule import CModule, Table
-from nmpc_codegen.ir.print_c import CStyle, print_routine, unit_style
+from nmpc_codegen.ir.print_c import CStyle, print_routine
 from nmpc_codegen.lowering.parts import (
     GENERATED,
     names_in,
@@ -25,7 +25,6 @@ from nmpc_codegen.lowering.parts import (
     renamed_words,
     resolve,
     template_directory,
-    with_members_apart,
 )
 from nmpc_codegen.lowering.preamble import (
     Definition,
@@ -37,7 +36,7 @@ from nmpc_codegen.lowering.preamble import (
 from nmpc_codegen.lowering.unused import without_unused
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
 from nmpc_codegen.package.seal import sealed
-from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, c_constants, horizon, nodes
+from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
 from nmpc_codegen.package.sources import Sources
 
 #: Maximum length of a comment line in the header without its margin.
@@ -61,9 +60,8 @@ def environment() -> jinja2.Environment:
     )
 
 
-def context(prefix: str, precision: str) -> dict[str, Any]:
+def context(prefix: str, style: CStyle) -> dict[str, Any]:
     """Names that every template may use: prefixes, type of the header, and spelling of literals in the unit."""
-    style = unit_style(precision)
     return {"p": prefix, "P": prefix.upper(), "real": f"{prefix}_real", "lit": style.literal}
 
 
@@ -73,7 +71,6 @@ Generators = Mapping[str, Callable[[CModule, CStyle], str]]
 
 def render(module: CModule, resolved: bool = True) -> Sources:
     """All files of the package, sealed. Unless ``resolved``, the `#if`s of the parts are left to the compiler."""
-    module = with_members_apart(module)
     names = _filled(module, GENERATED, resolved)
     files = {
         f"{module.name}.c": "solver.c.jinja",
@@ -90,7 +87,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
 
 def render_c(module: CModule, more: Generators) -> str:
     """The package's .c alone, whose parts may include what ``more`` writes."""
-    names = _filled(with_members_apart(module), {**GENERATED, **more}, True)
+    names = _filled(module, {**GENERATED, **more}, True)
     return tidy(environment().get_template("solver.c.jinja").render(names))
 
 
@@ -123,7 +120,7 @@ def _filled(module: CModule, generators: Generators, resolved: bool) -> dict[str
 
 
 def _names(module: CModule) -> dict[str, Any]:
-    names: dict[str, Any] = context(module.name, module.precision)
+    names: dict[str, Any] = context(module.name, module.style)
     names |= {
         "m": module,
         "gcc12": GCC_12,
@@ -180,12 +177,11 @@ def _page(module: CModule) -> dict[str, Any]:
         "README.md": "this page",
         **{f"{folder}/": "code of another generator" for folder in module.folders},
     }
-    parameters = c_constants([s.name for s in d.parameters])
     signals = [
         *((e, s.unit, f"x[{i}]", f"state, initially {v:g}") for i, e, s, v in _elements(d.states)),
         *((e, s.unit, f"u[{i}]", "control") for i, e, s, _ in _elements(d.controls)),
     ]
-    for s, constant in zip(d.parameters, parameters, strict=True):
+    for s, constant in zip(d.parameters, d.parameter_constants, strict=True):
         declared = ", ".join(f"{value:g}" for value in s.value)
         signals.append((s.name, s.unit, f"{macro}_PARAM_{constant}", f"parameter, declared {declared}"))
     rows = [
@@ -197,7 +193,7 @@ def _page(module: CModule) -> dict[str, Any]:
             nodes(r.nodes),
             "soft" if r.soft else "hard",
         )
-        for r, constant in zip(d.rows, c_constants([row.name for row in d.rows]), strict=True)
+        for r, constant in zip(d.rows, d.row_constants, strict=True)
     ]
     residuals = [
         f"Reference {vector} of the residual: {', '.join(f'{r.name} = {r.reference:g}' for r in group)}.  "

@@ -20,7 +20,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
-from nmpc_codegen.package.signals import EntryPoint, Layouts, Names, Residual, Row, Signal
+from nmpc_codegen.package.signals import EntryPoint, Layouts, Names, Residual, Row, Signal, c_constants
 
 #: Version of the layout of <name>.json.
 FORMAT = 4
@@ -113,6 +113,16 @@ class PackageDescription:
     def real(self) -> np.dtype[Any]:
         """NumPy type of <name>_real."""
         return np.dtype(REAL[self.precision])
+
+    @property
+    def row_constants(self) -> tuple[str, ...]:
+        """Last words of the C constants of the rows, which <NAME>_ROW_ precedes."""
+        return c_constants([row.name for row in self.rows])
+
+    @property
+    def parameter_constants(self) -> tuple[str, ...]:
+        """Last words of the C constants of the parameters, which <NAME>_PARAM_ precedes."""
+        return c_constants([signal.name for signal in self.parameters])
 
     @property
     def x_initial(self) -> NDArray[np.float64]:

@@ -120,14 +120,14 @@ UNITS = (64, 32, 16)
 ORDER = (WORK, PURPOSES["iterate"], PURPOSES["setting"], PURPOSES["result"])
 
 
-def placed(structs: Iterable[Struct], precision: str) -> tuple[Struct, ...]:
-    """The structs with their members reordered; each struct follows those that it contains."""
+def placed(structs: Iterable[Struct], precision: str) -> tuple[tuple[Struct, ...], dict[str, tuple[int, int]]]:
+    """The structs with their members reordered, and their layout; each struct follows those that it contains."""
     known: list[Struct] = []
     for struct in structs:
         layout = struct_layout(known, precision)
         bytes_of = {name: size for name, (size, _) in layout.items()}
         known.append(struct if struct.union else replace(struct, fields=_ordered(struct, bytes_of, precision)))
-    return tuple(known)
+    return tuple(known), struct_layout(known, precision)
 
 
 def _ordered(struct: Struct, bytes_of: dict[str, int], precision: str) -> tuple[Field, ...]:
