@@ -13,6 +13,7 @@ import jinja2
 import pytest
 
 from nmpc_codegen import Options, generate
+from nmpc_codegen.ir.print_c import unit_style
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.preamble import arithmetic
 from nmpc_codegen.lowering.render import context, environment, tidy
@@ -78,9 +79,9 @@ def test_texts_aretidy_and_tell_neither_time_nor_place(case: str) -> None:
 def test_a_name_that_a_template_misspells_is_an_error() -> None:
     assert environment().undefined is jinja2.StrictUndefined
     with pytest.raises(jinja2.UndefinedError, match="misspelt"):
-        environment().from_string("{{ misspelt }}").render(context("p", "double"))
+        environment().from_string("{{ misspelt }}").render(context("p", unit_style("double")))
     with pytest.raises(jinja2.UndefinedError):
-        environment().from_string("{% for i in misspelt %}{% endfor %}").render(context("p", "double"))
+        environment().from_string("{% for i in misspelt %}{% endfor %}").render(context("p", unit_style("double")))
 
 
 def test_precision_is_spelled_in_one_place() -> None:
@@ -107,7 +108,7 @@ def test_tidy() -> None:
 
 
 def test_context() -> None:
-    names = context("crane", "single")
+    names = context("crane", unit_style("single"))
     assert (names["p"], names["P"], names["real"]) == ("crane", "CRANE", "crane_real")
     assert names["lit"](2) == "2.0F"
 
