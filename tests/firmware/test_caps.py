@@ -114,3 +114,13 @@ def test_the_command_line_exports_what_fits(tmp_path: Path, capsys: pytest.Captu
     assert int(stated[1].replace(",", "")) <= limit
     assert main([str(problem), "-o", str(tmp_path / "none"), "--max-operations", "10"]) == 1
     assert not (tmp_path / "none").exists()
+
+
+def test_what_a_package_lacks_is_not_given_up() -> None:
+    """A package for a microcontroller has no repair: neither warning nor refusal name it."""
+    ocp, options = crane.build_ocp(False), Options(qp=DenseActiveSet(), processor="scalar")
+    low = fitting(ocp, options, worst(options) // 2)
+    assert low.warning
+    assert "repair" not in low.warning
+    with pytest.raises(OptionError, match=r"with --set algorithm\.relaxation=None; try fewer"):
+        fitting(ocp, options, 10)

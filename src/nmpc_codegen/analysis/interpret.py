@@ -39,7 +39,6 @@ POINTER = Type("int", 1)
 Value = Range | str
 
 _COMPARING = ("<", ">", "<=", ">=", "==", "!=")
-_EXIT = c_ast.Return | c_ast.Break | c_ast.Continue
 
 
 class UnboundedError(ValueError):
@@ -112,8 +111,8 @@ class WorstCase:
         """Value of a size, or of a macro without parameters."""
         if name not in self._constants:
             macro = self.unit.macros.get(name)
-            known = macro is not None and not macro.parameters
-            self._constants[name] = _Body(self, None).value(macro.expression, {}) if known and macro else None
+            known = None if macro is None or macro.parameters else macro.expression
+            self._constants[name] = _Body(self, None).value(known, {})
         return self._constants[name]
 
 
@@ -144,7 +143,7 @@ class _Body:
             if isinstance(statement, c_ast.If):
                 return total + self._branch(statement, statements[i + 1 :], scope)
             total += self._statement(statement, scope)
-            if isinstance(statement, _EXIT):
+            if leaves((statement,)):
                 break
         return total
 

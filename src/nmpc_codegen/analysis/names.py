@@ -1,4 +1,4 @@
-"""What the names of a translation unit mean, and what of it the text of a function depends on."""
+"""What the names of a translation unit mean."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""DerivativeModel -> dict[str, str]: the folder of C that export() writes."""
+"""DerivativeModel -> path -> text of the folder of C that export() writes."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from nmpc_codegen.analysis import worst_case
-from nmpc_codegen.components.base import Component, Dims, Parts
+from nmpc_codegen.components.base import Parts
 from nmpc_codegen.components.qp.dense_active_set import CAUTION
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify
@@ -58,7 +58,7 @@ def fitting(ocp: OCP, options: Options, limit: int, name: str | None = None) -> 
         if (worst := _worst(model, high, name)) <= limit:
             return Fit(options, high, worst)
         if (least := _worst(model, 1, name)) > limit:
-            raise OptionError(_refusal(ocp, options, limit, least, name))
+            raise OptionError(_refusal(ocp, options, model.parts, limit, least, name))
     except OptionError as error:
         raise OptionError(f"--max-operations {limit}: {error}") from error
     low, found = 1, least
@@ -67,50 +67,50 @@ def fitting(ocp: OCP, options: Options, limit: int, name: str | None = None) -> 
         worst = _worst(model, middle, name)
         low, high, found = (middle, high, worst) if worst <= limit else (low, middle, found)
     reasons = () if model.choice is None else model.choice.reasons
-    return Fit(_given(model, options, low), low, found, reasons, _warning(options, low, highest))
+    return Fit(_given(model, options, low), low, found, reasons, _warning(model.parts, low, highest))
 
 
-def _warning(options: Options, most: int, highest: int) -> str:
+def _warning(parts: Parts, most: int, highest: int) -> str:
     """The default caps are up to CAUTION times what closed loops need."""
     if CAUTION * most >= highest:
         return ""
-    repair = "; --set algorithm.repair=0 allows larger ones" if getattr(options.algorithm, "repair", 0) else ""
+    repair = "; --set algorithm.repair=0 allows larger ones" if getattr(parts.algorithm, "repair", 0) else ""
     what = f"caps of {most} instead of {highest} may end samples with ITERATION_LIMIT"
     return f"{what}: simulate the loop with disturbances, or take a larger limit{repair}"
 
 
 def _worst(model: Model, most: int, name: str | None) -> int:
     """Worst case of a sample with these caps."""
-    parts = Parts(**{f.name: _capped(getattr(model.parts, f.name), most, model.dims) for f in fields(Parts)})
-    return worst_case(render(lower(replace(model, parts=parts), name)))["sample"]
+    return worst_case(render(lower(replace(model, parts=_capped(model, most)), name)))["sample"]
 
 
-def _capped(component: Any, most: int, dims: Dims) -> Any:
-    return None if component is None else component.capped(most, dims)
+def _capped(model: Model, most: int) -> Parts:
+    """The components with these caps."""
+    capped: dict[str, Any] = {part.seam: part.capped(most, model.dims) for part in model.parts.components}
+    return Parts(**capped)
 
 
 def _given(model: Model, options: Options, most: int) -> Options:
     """The options of the user with these caps; a QP solver that was chosen is stated with its condensing."""
+    capped = _capped(model, most)
     stated: Any = options.algorithm
-    algorithm = replace(stated, **_changes(model.parts.algorithm, most, model.dims))
-    if model.parts.qp is None:
+    algorithm = replace(stated, **_changes(model.parts.algorithm, capped.algorithm))
+    if capped.qp is None:
         return replace(options, algorithm=algorithm)
-    condensing = options.condensing or model.parts.condensing
-    return replace(options, algorithm=algorithm, qp=model.parts.qp.capped(most, model.dims), condensing=condensing)
+    return replace(options, algorithm=algorithm, qp=capped.qp, condensing=options.condensing or capped.condensing)
 
 
-def _changes(component: Component, most: int, dims: Dims) -> dict[str, Any]:
-    """The options of a component that change with these caps."""
-    capped: Any = component.capped(most, dims)
-    values = ((f.name, getattr(component, f.name), getattr(capped, f.name)) for f in fields(capped))
-    return {name: new for name, old, new in values if new != old}
+def _changes(old: Any, new: Any) -> dict[str, Any]:
+    """The options in which two components of a kind differ."""
+    values = ((f.name, getattr(old, f.name), getattr(new, f.name)) for f in fields(new))
+    return {name: value for name, before, value in values if value != before}
 
 
-def _refusal(ocp: OCP, options: Options, limit: int, least: int, name: str | None) -> str:
+def _refusal(ocp: OCP, options: Options, parts: Parts, limit: int, least: int, name: str | None) -> str:
     """Why no caps are low enough, and which options make it fit."""
     what = f"{name or ocp.name} takes {least:,} operations of a sample at most even if every cap on iterations is 1"
     flags: list[str] = []
-    for flag, changed in _remedied(options, ocp):
+    for flag, changed in _remedied(options, parts):
         flags.append(flag)
         options = changed
         least = _worst(linearize(classify(ocp), options), 1, name)
@@ -120,11 +120,11 @@ def _refusal(ocp: OCP, options: Options, limit: int, least: int, name: str | Non
     return f"{what}{with_flags}; try fewer intervals, fewer rows or another --qp"
 
 
-def _remedied(options: Options, ocp: OCP) -> Iterator[tuple[str, Options]]:
-    """Flag by flag, the options with all remedies so far."""
-    chosen = linearize(classify(ocp), options).parts
+def _remedied(options: Options, parts: Parts) -> Iterator[tuple[str, Options]]:
+    """Flag by flag, the options with all remedies so far that change the components of the package."""
     for flag, seam, name, value in REMEDIES:
-        stated: Any = getattr(options, seam) or getattr(chosen, seam)
-        if stated is not None and getattr(stated, name, value) != value:
+        chosen = getattr(parts, seam)
+        if chosen is not None and getattr(chosen, name, value) != value:
+            stated: Any = getattr(options, seam) or chosen
             options = replace(options, **{seam: replace(stated, **{name: value})})
             yield flag, options

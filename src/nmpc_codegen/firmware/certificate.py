@@ -11,7 +11,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -74,11 +74,16 @@ class Certificate:
 
 
 def certify(package: Mapping[str, str], name: str, target: Target, level: Level = "O2") -> Certificate:
-    """Compile the package for the target and measure it.
+    """Compile the package for the target and measure it; bound the operations of a sample.
 
     Raises:
         BuildError: a tool is missing, the compiler refuses the code, or the stack is not bounded.
     """
+    return replace(measure(package, name, target, level), worst_operations=worst_case(package))
+
+
+def measure(package: Mapping[str, str], name: str, target: Target, level: Level) -> Certificate:
+    """The certificate without operations: what the compiler makes of the package."""
     description = PackageDescription.from_json(package[f"{name}.json"])
     with TemporaryDirectory() as folder:
         return _certified(package, description, target, level, Path(folder))
@@ -119,7 +124,7 @@ def _certified(
         stack_bytes={label: d.bytes for label, d in depths.items()},
         stack_bytes_package={label: d.bytes for label, d in alone.items()},
         stack_chain=tuple(f.removeprefix(f"{name}.c:") for f in deepest.chain),
-        worst_operations=worst_case(package),
+        worst_operations={},
         math_functions=tuple(f for f in undefined if not _COMPILER.match(f)),
         compiler_functions=tuple(f for f in undefined if _COMPILER.match(f)),
         double_functions=tuple(f for f in undefined if _DOUBLE.match(f)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 
-from nmpc_codegen.firmware.certificate import certify
+from nmpc_codegen.firmware.certificate import measure
 from nmpc_codegen.firmware.targets import LEVELS, Level, Target
 
 
@@ -36,5 +36,5 @@ def forms_of(packages: Mapping[str, Mapping[str, str]], name: str, target: Targe
 def _measured(packages: Mapping[str, Mapping[str, str]], name: str, target: Target) -> Iterator[Form]:
     for goal, package in packages.items():
         for level in LEVELS:
-            found = certify(package, name, target, level)
+            found = measure(package, name, target, level)
             yield Form(goal, level, found.struct_bytes, found.flash_bytes, found.stack_worst)

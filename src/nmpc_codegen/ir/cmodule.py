@@ -18,6 +18,7 @@ from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.memory import Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import EntryPoint, Kind, Layouts
+from nmpc_codegen.package.sources import folders_of
 from nmpc_codegen.package.status import Status
 
 
@@ -181,7 +182,7 @@ class CModule:
     @property
     def folders(self) -> tuple[str, ...]:
         """Folders of foreign code."""
-        return tuple(sorted({path.split("/")[0] for path in self.foreign}))
+        return folders_of(self.foreign)
 
     @property
     def libraries(self) -> tuple[str, ...]:

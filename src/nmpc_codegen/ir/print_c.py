@@ -241,7 +241,7 @@ def unit_style(precision: str, own: bool = False) -> CStyle:
 
 @lru_cache(maxsize=256)
 def print_routine(routine: Routine, style: CStyle) -> str:
-    """C text of a routine; a package reads it twice, for its bounds and for its file."""
+    """C text of a routine; a build reads it twice, for the package and for the unit of the host."""
     if isinstance(routine, Kernel):
         return print_kernel(routine, style)
     if routine.sweep.frame:

@@ -109,8 +109,8 @@ def _with_members_apart(module: CModule) -> CModule:
 def _check_math(model: Model, foreign: list[str]) -> None:
     """Raise OptionError if the package needs functions of math.h that have no text of their own."""
     clash = 'math="own" (--math own) clashes with'
-    for component in foreign:
-        raise OptionError(f"{clash} {component}, whose foreign code calls the C library; choose another one")
+    if foreign:
+        raise OptionError(f"{clash} {foreign[0]}, whose foreign code calls the C library; choose another one")
     known = {*own_names(), *CStyle.INSTRUCTIONS}
     for routine in _printed(model):
         missing = sorted(called_functions([routine]) - known)

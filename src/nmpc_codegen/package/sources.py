@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from nmpc_codegen.package.description import PackageDescription
@@ -27,4 +27,9 @@ class Sources(Mapping[str, str]):
     @property
     def foreign(self) -> tuple[str, ...]:
         """Folders of the code of other generators."""
-        return tuple(sorted({path.split("/")[0] for path in self.files if "/" in path}))
+        return folders_of(self.files)
+
+
+def folders_of(paths: Iterable[str]) -> tuple[str, ...]:
+    """The folders in which files of a package lie."""
+    return tuple(sorted({path.split("/")[0] for path in paths if "/" in path}))
