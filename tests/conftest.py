@@ -22,6 +22,8 @@ from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.native import runs
+from nmpc_codegen.targets import TARGETS
 from verification.problems import toy_sources
 
 # Expressions and texts live as long as the session: a search for garbage after every 700 new objects finds nothing.
@@ -68,6 +70,9 @@ TOOLS = {
     "arm": ("arm-none-eabi-gcc",),
     "aarch64": ("aarch64-linux-gnu-gcc",),
     "qemu-aarch64": ("qemu-aarch64",),
+    "qemu-x86_64": ("qemu-x86_64",),
+    "riscv": ("riscv64-unknown-elf-gcc",),
+    "qemu-riscv32": ("qemu-system-riscv32",),
     "make": ("make",),
     "qemu": ("qemu-system-arm",),
     "valgrind": ("valgrind",),
@@ -94,6 +99,13 @@ def missing(reason: str, tool: str) -> None:
     if tool in {word.strip() for word in os.environ.get("NMPC_REQUIRE", "").split(",")}:
         pytest.fail(f"NMPC_REQUIRE lists {tool!r}, but {reason}")
     pytest.skip(reason)
+
+
+def require_target(name: str) -> None:
+    """Skip the test if this machine does not run the target."""
+    require_tool("cc")
+    if not runs(TARGETS[name]):
+        pytest.skip(f"this machine does not run {name}")
 
 
 @pytest.fixture(scope="session")

@@ -144,7 +144,7 @@ def source(
     """Self-contained C text of a part that works on stages; with ``lanes`` > 1 as in the unit that build() compiles."""
     dims = vars(shape.dims)
     values = {size.text: size.value for size in dims.values() if isinstance(size, Size)}
-    values |= {"HOST_LANES": lanes, "TILES": int(lanes > 2)}
+    values |= {"VECTOR_LANES": lanes, "TILES": int(lanes > 2)}
     values |= {name: value for name, value, _ in (*riccati_sizes(shape.dims), *sizes)}
     measured = [int(i not in shape.free) for i in range(shape.nx)]
     tables = {

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.runtime.compilers import find_compiler
+from nmpc_codegen.targets import TARGETS
 
 DRIVER = Path(__file__).with_name("closed_loop.c")
 
@@ -83,10 +84,11 @@ class Timing:
 def compile_driver(
     sources: Sources, name: str, folder: Path, flags: Sequence[str] = PROFILES["fast"].flags, driver: Path = DRIVER
 ) -> Path:
-    """Compile the driver together with the package."""
+    """Compile the driver together with the package, with these flags and those of its target."""
     for path in (f"{name}.h", f"{name}.c"):
         (folder / path).write_text(sources[path], encoding="utf-8")
     program = folder / "closed_loop"
+    flags = (*flags, *TARGETS[sources.description.target].of_machine)
     command = [*find_compiler(), *flags, "-std=c99", f"-DNAME={name}", f"-DMACRO={name.upper()}"]
     command += [f'-DPACKAGE="{name}.c"', f"-DQP_ITERATIONS={member_path(sources[f'{name}.h'], 'qp_iterations')}"]
     subprocess.run([*command, f"-I{folder}", str(driver), "-o", str(program), "-lm"], check=True)

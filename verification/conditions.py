@@ -6,16 +6,12 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 
-from nmpc_codegen.host.unit import hosted
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.parts import MATH, evaluate, template_directory
 
 #: Parts that unit.c.jinja inlines in every package.
 ALWAYS = ("rows.c", "cost.c")
 _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')
-
-#: Lanes, and whether there are instructions of AVX-512, of the units for a host.
-HOSTS = ((8, True), (4, False), (2, False))
 
 #: (part, line number) of a condition -> its observed values.
 Values = dict[tuple[str, int], set[bool]]
@@ -38,10 +34,10 @@ def conditions(part: str) -> list[tuple[int, str]]:
 
 
 def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
-    """Parts used by the modules or their units for a host, and the observed values of the conditions."""
+    """Parts used by the modules, and the observed values of the conditions."""
     parts: set[str] = set()
     values: Values = defaultdict(set)
-    for module in (unit for m in modules for unit in (m, *(hosted(m, *host) for host in HOSTS))):
+    for module in modules:
         math = (MATH,) if module.switches["OWN_MATH"] or module.sizes["LANE_NODES"] else ()
         for root in (*ALWAYS, *math, *module.core_parts, *(section.template for section in module.sections)):
             for part, number, value in _walk(root, module.sizes):

@@ -1,4 +1,4 @@
-"""lane_error: linearisation of units for a host against that of exported C, normwise per block and node."""
+"""lane_error: linearisation of targets with lanes against that of portable C, normwise per block and node."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import numpy as np
 
 from nmpc_codegen import Controller
 
-#: Numbers of lanes; the profile without optimisation compiles fastest and is the same arithmetic.
-LANES = (2, 4, 8)
 #: In multiples of the rounding unit of the precision: 1e-13 in double.
 LIMIT = 1e-13
 ROUNDING = {"double": 2.0**-52, "single": 2.0**-23}

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from nmpc_codegen.host.lanes import in_lanes, transpose
+from nmpc_codegen.ir.print_c import unit_style
+from nmpc_codegen.lowering.lanes import in_lanes, transpose
 from nmpc_codegen.lowering.parts import MATH, MATH_IN_LANES, own_names, own_text, read_part, resolve
 from nmpc_codegen.package.program import OF_ONE, OF_TWO
 from nmpc_codegen.runtime.compilers import find_compiler
@@ -29,18 +30,20 @@ def names() -> list[str]:
 def source(single: bool, lanes: int, avx512: bool) -> str:
     """A unit with own_<name>_of(x, y, z, n) and lanes_<name>_of(): z = the function of x and y."""
     real, suffix = ("float", "f") if single else ("double", "")
-    sizes = {"HOST_LANES": lanes, "HOST_AVX512": int(avx512), "SINGLE": int(single)}
+    sizes = {"VECTOR_LANES": lanes, "AVX512": int(avx512), "SINGLE": int(single)}
     head = "#include <math.h>\n#include <stdint.h>\n#include <string.h>\n"
-    head += f"typedef {real} real_t;\n#define R(x) ((real_t)(x))\n#define INF R(INFINITY)\n#define HOST_LANES {lanes}\n"
+    head += (
+        f"typedef {real} real_t;\n#define R(x) ((real_t)(x))\n#define INF R(INFINITY)\n#define VECTOR_LANES {lanes}\n"
+    )
     head += "".join(f"#define {name.upper()} {name}{suffix}\n" for name in ("sqrt", "fabs"))
     texts = [head, own_text(MATH, sizes)]
     if lanes > 1:
         texts += [resolve(read_part(f"lanes/{part}.c", lambda path: transpose(lanes)), sizes) for part in LANE_PARTS]
-        texts.append(in_lanes(own_names(MATH_IN_LANES), sizes))
+        texts.append(in_lanes(own_names(MATH_IN_LANES), sizes, unit_style("single" if single else "double")))
     for name in names():
         second = ", w" if name in OF_TWO else ""
         loads = "memcpy(&v, x + i, sizeof v); memcpy(&w, y + i, sizeof w)"
-        for prefix, ctype, width in (("own", "real_t", "1"), ("lanes", "lanes_t", "HOST_LANES")):
+        for prefix, ctype, width in (("own", "real_t", "1"), ("lanes", "lanes_t", "VECTOR_LANES")):
             if prefix == "lanes" and (lanes == 1 or name in SCALAR_ONLY):
                 continue
             texts.append(

@@ -267,7 +267,7 @@ def random_options(rng: Rng) -> Options:
         solve=chance(rng, 0.7),
         math=pick(rng, ("libm", "libm", "own")),
         goal=pick(rng, ("speed", "speed", "size")),
-        processor=pick(rng, (None, None, "scalar")),
+        target=pick(rng, ("portable", "portable", "cortex-m4f")),
     )
 
 

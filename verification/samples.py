@@ -329,7 +329,7 @@ def _alone(qp: Any, condensing: Any = STAGES, **more: Any) -> Options:
 
 
 def functions() -> OCP:
-    """Functions and conditions that units for a host have in lanes."""
+    """Functions and conditions that targets with vectors have in lanes."""
     ocp = OCP("functions", T=1.0, N=9)
     x, v, u = ocp.state("x", initial=0.5), ocp.state("v"), ocp.control("u")
     drag = ca.if_else(v > 0, ca.exp(-v), 1.0) + ca.fmax(v, 0.1) * ca.log(1.0 + x**2) + ca.sqrt(1.0 + v**2)
@@ -354,13 +354,13 @@ SAMPLES = (
     *EXAMPLES,
     Sample("crane riccati single", crane.build_ocp, _riccati(precision="single", online=SHARED)),
     Sample("crane without solve", crane.build_ocp, Options(solve=False, algorithm=PURE)),
-    Sample("crane scalar", crane.build_ocp, Options(processor="scalar", precision="single")),
+    Sample("crane scalar", crane.build_ocp, Options(target="cortex-m4f", precision="single")),
     Sample("cart_pole size", cart_pole.build_ocp, Options(goal="size", precision="single")),
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
     Sample("states simulated", states, Options(algorithm=RealTimeIteration(simulate=True))),
     Sample("single dense", tiny, _dense(hessian=ExactHessian(), algorithm=PURE)),
-    Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single", processor="scalar")),
+    Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single", target="cortex-m3")),
     Sample("controls partial", controls, _partial(algorithm=RESAMPLE)),
     Sample("controls interior", controls, _interior(algorithm=RESAMPLE)),
     Sample("controls OSQP", controls, Options(qp=Osqp(), algorithm=RESAMPLE)),
@@ -372,7 +372,7 @@ SAMPLES = (
     Sample(
         "states riccati",
         states,
-        _riccati(algorithm=RESAMPLE, processor="scalar"),
+        _riccati(algorithm=RESAMPLE, target="riscv32"),
     ),
     Sample("path dense", path, _dense(hessian=GaussNewton(convex_rows=True), integrator=LOOPED)),
     Sample("path riccati", path, _riccati(hessian=GaussNewton(convex_rows=True), online=NODE)),
@@ -409,7 +409,7 @@ SAMPLES = (
     Sample("states augmented", states, _augmented(shift="repeat", precision="single")),
     Sample("final augmented", final, _augmented(online=REFERENCES)),
     Sample("soft states augmented", soft_states, _augmented(online=WEIGHTS)),
-    Sample("soft rows augmented", soft_rows, _augmented(integrator=LOOPED, processor="scalar")),
+    Sample("soft rows augmented", soft_rows, _augmented(integrator=LOOPED, target="cortex-m7")),
     Sample("arrival augmented", arrival, _augmented()),
     Sample("loop augmented", bioreactor_in_loop, _augmented(shift="periodic")),
     Sample("crane shooting", crane.build_ocp, _shooting({"shift": "repeat"}, online=SHARED, solve=False)),
@@ -427,3 +427,13 @@ SAMPLES = (
     Sample("states lumped", states, _shooting({**QUASI_NEWTON, **LUMPED}, solve=False)),
     Sample("path barrier", path, _shooting({**BARRIER, "shift": "repeat"})),
 )  # fmt: skip
+
+#: GNU C: targets with lanes and tiles. These and those before meet every condition of the parts.
+IN_LANES = (
+    Sample("crane aarch64", crane.build_ocp, Options(target="aarch64")),
+    Sample("functions v4", functions, _riccati(precision="single", target="x86-64-v4")),
+    Sample("functions aarch64", functions, _dense(math="own", target="aarch64")),
+    Sample("free v3", free, _riccati(hessian=ExactHessian(), target="x86-64-v3")),
+    Sample("quadrotor v3", quadrotor.build_ocp, _partial(algorithm=FIRST, target="x86-64-v3")),
+    Sample("chain5 v4", lambda: chain.build_ocp(5), Options(target="x86-64-v4")),
+)

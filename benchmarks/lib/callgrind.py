@@ -8,12 +8,6 @@ import subprocess
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from nmpc_codegen.runtime.build import PROFILES
-
-#: valgrind does not know AVX-512.
-MARCH = "-march=x86-64-v3"
-FLAGS = (*(flag for flag in PROFILES["fast"].flags if not flag.startswith("-march")), MARCH)
-
 
 def available() -> bool:
     """Whether there is a valgrind."""

@@ -16,6 +16,7 @@ from rich.table import Table
 
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.runtime.compilers import find_compiler
+from nmpc_codegen.targets import PORTABLE
 
 #: Growth from which a figure of this unit is marked, relative to its baseline; times only if they are comparable.
 GROWN = {"us": 1.10, "B": 1.02, "instructions": 1.02, "operations": 1.02}
@@ -36,7 +37,7 @@ class Record:
     limit: float | None
     at_least: bool
     profile: str
-    lanes: int
+    target: str
 
     @property
     def place(self) -> str:
@@ -109,10 +110,10 @@ class Report:
         limit: float | None = None,
         at_least: bool = False,
         profile: str = "fast",
-        lanes: int = 1,
+        target: str = PORTABLE.name,
     ) -> None:
         """Record a value of a case, based on ``n`` samples."""
-        record = Record(self.topic, key, case, float(value), unit, n, limit, at_least, profile, lanes)
+        record = Record(self.topic, key, case, float(value), unit, n, limit, at_least, profile, target)
         self.records.append(record)
 
     def of(self, topic: str) -> list[Record]:

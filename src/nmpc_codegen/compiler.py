@@ -19,14 +19,13 @@ from nmpc_codegen.errors import OptionError, warn
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources
-from nmpc_codegen.runtime.build import host, load
+from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.folder import write
 
@@ -112,34 +111,24 @@ def export(
     return Package(folder, description.name, tuple(folder / path for path in files), description.report.as_dict())
 
 
-def build(
-    ocp: OCP, options: Options | None = None, profile: str = "fast", lanes: int | None = None, name: str | None = None
-) -> Controller:
+def build(ocp: OCP, options: Options | None = None, profile: str = "fast", name: str | None = None) -> Controller:
     """Generate, compile and load the code that export() writes, as a Python controller; builds are cached by content.
 
     Args:
         ocp: the problem; it may be changed and built again.
         options: Options(...); what is not given is chosen, and ``controller.description.report.choices`` says why.
-        profile: flags of the compiler: "fast" for this processor, "verify" without contraction of a * b + c, "test" to
-            compile quickly.
-        lanes: shooting nodes whose dynamics, costs and rows are evaluated at once in vector registers (1, 2, 4, 8);
-            None: as many as the processor has room for if the profile is compiled for it. With 1 the code is that of
-            export(); with more it is GNU C with the same header, and exp, log, sin, cos of its own: results differ by
-            rounding.
+            Options(target="native") takes the vector registers of this machine.
+        profile: flags of the compiler besides those of the target: "fast", "verify" without contraction of a * b + c,
+            "test" to compile quickly.
         name: prefix of the C names; by default that of the problem.
 
     Returns:
         The controller, ready to step(); see help(Controller).
 
     Raises:
-        ProblemError, OptionError: see generate(); OptionError also for another number of lanes.
-        BuildError: there is no compiler, or it rejected the code.
+        ProblemError, OptionError: see generate().
+        BuildError: there is no compiler, it rejected the code, or this machine does not run the target.
     """
-    target = host(lanes, profile)
-    with COMPILING:
-        module = lower(linearize(classify(ocp), options), name)
-        sources = render(module)
-        hosted = host_unit(module, target.lanes, target.avx512, target.tiles) if target.lanes > 1 else None
+    sources = compile(ocp, options, name)
     _warn(sources.description)
-    files = sources if hosted is None else {**sources, f"{module.name}_host.c": hosted}
-    return load(files, module.name, profile, lanes=target.lanes)
+    return load(sources, sources.description.name, profile)

@@ -23,6 +23,8 @@ from nmpc_codegen.components.base import (
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.signals import Layout, Layouts
+from nmpc_codegen.runtime.native import native
+from nmpc_codegen.targets import MATHS, NATIVE, TARGETS, Math
 
 REGISTRIES: Mapping[str, Mapping[str, type[Component]]] = {
     "integrator": integrators.REGISTRY,
@@ -38,14 +40,8 @@ PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 
-#: Whose elementary functions a package calls: those of the C library, or those that it contains.
-Math = Literal["libm", "own"]
-MATHS: tuple[Math, ...] = get_args(Math)
 Goal = Literal["speed", "size"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
-
-Processor = Literal["vector", "scalar"]
-PROCESSORS: tuple[Processor, ...] = get_args(Processor)
 
 
 @dataclass(frozen=True)
@@ -123,12 +119,11 @@ class Options:
 
     None selects the default of the algorithm or lets the compiler choose a component for the problem; the report gives
     the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone
-    is smaller without it. ``math``: "own" puts exp, sin, pow and their like into the package, so that host and target
-    compute the same bits and no libm is needed; "libm" calls those of math.h. ``goal``: "size" chooses loops instead of
-    straight-line code and matrices without padding, "speed" what takes the least time. ``processor``: "scalar" writes
-    sums as variables of their own, for processors without a vector unit such as microcontrollers, with the same
-    results, bit for bit; None is "vector", and "scalar" with the goal "size", whose matrices do not fit the registers
-    of a vector unit.
+    is smaller without it. ``math``: "own" puts exp, sin, pow and their like into the package, so that every machine
+    computes the same bits and no libm is needed; "libm" calls those of math.h; None: "own" for a microcontroller.
+    ``goal``: "size" chooses loops instead of straight-line code and matrices without padding, "speed" what takes the
+    least time. ``target``: the machine for which the C is written (targets.py), obeyed by export() and build() alike;
+    "portable" is ISO C99 for any machine, "native" the target of this machine.
 
     Raises:
         OptionError: a value is not allowed, or a component is given for a seam that the algorithm does not need.
@@ -142,9 +137,9 @@ class Options:
     online: Online = option(Online(), Group(Online))
     precision: Precision = option("double", Words(PRECISIONS))
     solve: bool = option(True, Flag())
-    math: Math = option("libm", Words(MATHS))
+    math: Math | None = option(None, Words((*MATHS, None)))
     goal: Goal = option("speed", Words(GOALS))
-    processor: Processor | None = option(None, Words((*PROCESSORS, None)))
+    target: str = option("portable", Words((NATIVE, *TARGETS)))
 
     def __post_init__(self) -> None:
         check_options(self, "")
@@ -156,22 +151,19 @@ class Options:
                     f"{seam} {called(given)} clashes with algorithm {called(self.algorithm)}, which takes none; "
                     f"it needs {needed}"
                 )
-        if self.goal == "size" and self.processor == "vector":
-            raise OptionError(
-                'Options(processor="vector") clashes with Options(goal="size"), whose matrices have no padding for '
-                "vectors (--set processor=scalar or None, --goal speed)"
-            )
 
     @property
     def with_defaults(self) -> Options:
-        """These options with the algorithm's default components for seams that it needs and that are not given."""
+        """These options with the algorithm's default components for seams that it needs and that are not given, and the
+        target of this machine in the place of "native"."""
+        target = native().name if self.target == NATIVE else self.target
         return replace(
             self,
             integrator=_or_default(self.integrator, self.algorithm, "integrator", integrators.REGISTRY),
             hessian=_or_default(self.hessian, self.algorithm, "hessian", hessians.REGISTRY),
             condensing=_or_default(self.condensing, self.algorithm, "condensing", condensing.REGISTRY),
             qp=_or_default(self.qp, self.algorithm, "qp", qp.REGISTRY),
-            processor=self.processor or ("scalar" if self.goal == "size" else "vector"),
+            target=target,
         )
 
 

@@ -2,7 +2,7 @@
  * lanes_reduce_moderate(). */
 static __attribute__((noinline)) void lanes_large_angles(const lanes_t *x, lanes_t *r, lanes_t *rest, words_t *n)
 {
-    for (int l = 0; l < HOST_LANES; l++) {
+    for (int l = 0; l < VECTOR_LANES; l++) {
         if (!(FABS((*x)[l]) <= LARGEST_ANGLE)) {
             real_t lost;
             bits_t quadrant;

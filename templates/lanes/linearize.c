@@ -33,7 +33,7 @@ static void linearize_one_by_one(solver_t *s)
 }
 
 #endif
-/* Linearises all path nodes, HOST_LANES at once; the last group overlaps the one before it if N is no multiple. */
+/* Linearises all path nodes, VECTOR_LANES at once; the last group overlaps the one before it if N is no multiple. */
 static void linearize_lanes(solver_t *s)
 {
 #if LAGRANGIAN
@@ -43,8 +43,8 @@ static void linearize_lanes(solver_t *s)
     }
     start_expansion(s);
 #endif
-    for (int k = 0; k < N; k += HOST_LANES) {
-        linearize_group(s, (k < N - HOST_LANES) ? k : N - HOST_LANES);
+    for (int k = 0; k < N; k += VECTOR_LANES) {
+        linearize_group(s, (k < N - VECTOR_LANES) ? k : N - VECTOR_LANES);
     }
     for (int k = 0; k < N; k++) {
         for (int i = 0; i < NX; i++) {

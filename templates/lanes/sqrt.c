@@ -1,10 +1,10 @@
 LANES_INLINE lanes_t lanes_sqrt(lanes_t x)
 {
-#if HOST_AVX512 && !SINGLE && HOST_LANES == 8
+#if AVX512 && !SINGLE && VECTOR_LANES == 8
     return (lanes_t)_mm512_sqrt_pd((__m512d)x);
 #else
     lanes_t y;
-    for (int l = 0; l < HOST_LANES; l++) {
+    for (int l = 0; l < VECTOR_LANES; l++) {
         y[l] = SQRT(x[l]);
     }
     return y;

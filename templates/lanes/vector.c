@@ -1,4 +1,4 @@
-#if HOST_AVX512
+#if AVX512
 #include <immintrin.h>
 #endif
 
@@ -9,15 +9,15 @@
 /* A call saves no vector register, so that one between two operations would store all of them. */
 #define LANES_INLINE static inline __attribute__((always_inline))
 
-/* Numbers of HOST_LANES shooting nodes, one per lane, in GNU C vectors. A mask has all bits of a lane set where a
+/* Numbers of VECTOR_LANES shooting nodes, one per lane, in GNU C vectors. A mask has all bits of a lane set where a
  * condition holds. */
-typedef real_t lanes_t __attribute__((vector_size(HOST_LANES * sizeof(real_t))));
+typedef real_t lanes_t __attribute__((vector_size(VECTOR_LANES * sizeof(real_t))));
 #if SINGLE
-typedef int32_t mask_t __attribute__((vector_size(HOST_LANES * sizeof(int32_t))));
-typedef uint32_t words_t __attribute__((vector_size(HOST_LANES * sizeof(uint32_t))));
+typedef int32_t mask_t __attribute__((vector_size(VECTOR_LANES * sizeof(int32_t))));
+typedef uint32_t words_t __attribute__((vector_size(VECTOR_LANES * sizeof(uint32_t))));
 #else
-typedef int64_t mask_t __attribute__((vector_size(HOST_LANES * sizeof(int64_t))));
-typedef uint64_t words_t __attribute__((vector_size(HOST_LANES * sizeof(uint64_t))));
+typedef int64_t mask_t __attribute__((vector_size(VECTOR_LANES * sizeof(int64_t))));
+typedef uint64_t words_t __attribute__((vector_size(VECTOR_LANES * sizeof(uint64_t))));
 #endif
 
 /* The number in every lane. */
@@ -52,11 +52,11 @@ LANES_INLINE lanes_t lanes_number(words_t words)
 /* 1 if the mask is set in a lane. */
 LANES_INLINE int lanes_any(mask_t mask)
 {
-#if HOST_AVX512 && !SINGLE && HOST_LANES == 8
+#if AVX512 && !SINGLE && VECTOR_LANES == 8
     return _mm512_movepi64_mask((__m512i)mask) != 0;
 #else
     int any = 0;
-    for (int l = 0; l < HOST_LANES; l++) {
+    for (int l = 0; l < VECTOR_LANES; l++) {
         any |= mask[l] != 0;
     }
     return any;
@@ -67,7 +67,7 @@ LANES_INLINE int lanes_any(mask_t mask)
 LANES_INLINE lanes_t lanes_gather(const real_t *first, int stride)
 {
     lanes_t v;
-    for (int l = 0; l < HOST_LANES; l++) {
+    for (int l = 0; l < VECTOR_LANES; l++) {
         v[l] = first[l * stride];
     }
     return v;
@@ -78,7 +78,7 @@ LANES_INLINE lanes_t lanes_gather(const real_t *first, int stride)
 /* Stores one element of every lane to to, to + stride, ... */
 LANES_INLINE void lanes_store(lanes_t v, real_t *to, int stride)
 {
-    for (int l = 0; l < HOST_LANES; l++) {
+    for (int l = 0; l < VECTOR_LANES; l++) {
         to[l * stride] = v[l];
     }
 }

@@ -18,12 +18,16 @@ typedef uint64_t bits_t;
 #define SIGN_SHIFT 63
 #endif
 
-/* The sign bit, and all bits but those of the lower half of the digits: products of two such numbers are exact. */
 #if SINGLE
 #define SIGN_BIT 0x80000000U
-#define UPPER_HALF 0xFFFFF000U
 #else
 #define SIGN_BIT 0x8000000000000000U
+#endif
+
+/* All bits but those of the lower half of the digits: products of two such numbers are exact. */
+#if SINGLE
+#define UPPER_HALF 0xFFFFF000U
+#else
 #define UPPER_HALF 0xFFFFFFFFF8000000U
 #endif
 

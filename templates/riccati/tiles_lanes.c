@@ -2,12 +2,12 @@
 
 /* Tiles: up to TILE_ROWS rows of three packs, which stay in registers while a product is accumulated. */
 
-#if HOST_LANES == 8
+#if VECTOR_LANES == 8
 #define TILE_ROWS 7
 #else
 #define TILE_ROWS 4
 #endif
-#define TILE_WIDTH (3 * HOST_LANES)
+#define TILE_WIDTH (3 * VECTOR_LANES)
 
 typedef struct {
     pack_t v0, v1, v2;
@@ -23,11 +23,11 @@ PACK_INLINE strip_t strip_load(const real_t *p, int width)
     const pack_t zero = {0};
     strip_t s = {zero, zero, zero};
     s.v0 = pack_load(p, width);
-    if (width > HOST_LANES) {
-        s.v1 = pack_load(p + HOST_LANES, width - HOST_LANES);
+    if (width > VECTOR_LANES) {
+        s.v1 = pack_load(p + VECTOR_LANES, width - VECTOR_LANES);
     }
-    if (width > 2 * HOST_LANES) {
-        s.v2 = pack_load(p + 2 * HOST_LANES, width - 2 * HOST_LANES);
+    if (width > 2 * VECTOR_LANES) {
+        s.v2 = pack_load(p + 2 * VECTOR_LANES, width - 2 * VECTOR_LANES);
     }
     return s;
 }
@@ -35,11 +35,11 @@ PACK_INLINE strip_t strip_load(const real_t *p, int width)
 PACK_INLINE void strip_store(real_t *p, const strip_t *s, int width)
 {
     pack_store(p, s->v0, width);
-    if (width > HOST_LANES) {
-        pack_store(p + HOST_LANES, s->v1, width - HOST_LANES);
+    if (width > VECTOR_LANES) {
+        pack_store(p + VECTOR_LANES, s->v1, width - VECTOR_LANES);
     }
-    if (width > 2 * HOST_LANES) {
-        pack_store(p + 2 * HOST_LANES, s->v2, width - 2 * HOST_LANES);
+    if (width > 2 * VECTOR_LANES) {
+        pack_store(p + 2 * VECTOR_LANES, s->v2, width - 2 * VECTOR_LANES);
     }
 }
 

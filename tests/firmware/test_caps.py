@@ -118,7 +118,7 @@ def test_the_command_line_exports_what_fits(tmp_path: Path, capsys: pytest.Captu
 
 def test_what_a_package_lacks_is_not_given_up() -> None:
     """A package for a microcontroller has no repair: neither warning nor refusal name it."""
-    ocp, options = crane.build_ocp(False), Options(qp=DenseActiveSet(), processor="scalar")
+    ocp, options = crane.build_ocp(False), Options(qp=DenseActiveSet(), target="cortex-m4f")
     low = fitting(ocp, options, worst(options) // 2)
     assert low.warning
     assert "repair" not in low.warning

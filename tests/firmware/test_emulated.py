@@ -16,10 +16,10 @@ from nmpc_codegen.firmware.certificate import Certificate, certify
 from nmpc_codegen.firmware.delivery import recorded
 from nmpc_codegen.firmware.image import build
 from nmpc_codegen.firmware.recording import Event, Recording, record
-from nmpc_codegen.firmware.targets import TARGETS
-from nmpc_codegen.firmware.toolchain import find
+from nmpc_codegen.firmware.toolchain import compile_flags, find
 from nmpc_codegen.firmware.verify import Verdict, compared, verify
 from nmpc_codegen.runtime.build import load
+from nmpc_codegen.targets import TARGETS
 from verification import problems
 
 SAMPLES = 12
@@ -144,7 +144,7 @@ def test_the_program_has_no_warnings(tmp_path: Path) -> None:
     sources = package("single")
     build(sources, "crane", recording("single").header, TARGETS["cortex-m4f"], "O2", tmp_path)
     strict = ["-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wdouble-promotion", "-Wundef", "-Werror"]
-    flags = TARGETS["cortex-m4f"].compile_flags("O2")
+    flags = compile_flags(TARGETS["cortex-m4f"], "O2")
     for unit in ("start.c", "replay.c"):
         command = [require_tool("arm"), *flags, *strict, "-c", unit, "-o", "strict.o"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -9,7 +9,8 @@ import pytest
 from conftest import require_tool
 
 from nmpc_codegen import generate
-from nmpc_codegen.firmware.targets import LEVELS, TARGETS, Level
+from nmpc_codegen.firmware.toolchain import LEVELS, Level, compile_flags
+from nmpc_codegen.targets import TARGETS
 from verification.quality import ALLOWED
 from verification.samples import SAMPLES, Sample
 
@@ -36,7 +37,7 @@ def undefined(sample: Sample, level: Level, folder: Path) -> set[str]:
     sources = generate(sample.make(), sample.options, name="package")
     for path in ("package.h", "package.c"):
         (folder / path).write_text(sources[path])
-    command = [require_tool("arm"), *target.compile_flags(level), "-c", "package.c", "-o", "package.o"]
+    command = [require_tool("arm"), *compile_flags(target, level), "-c", "package.c", "-o", "package.o"]
     subprocess.run(command, cwd=folder, check=True)
     listing = subprocess.run(
         [require_tool("arm-none-eabi-nm"), "-u", "package.o"], cwd=folder, capture_output=True, text=True, check=True

@@ -13,11 +13,11 @@ from nmpc_codegen import Options, generate
 from nmpc_codegen.firmware.certificate import certify
 from nmpc_codegen.firmware.image import sources, write
 from nmpc_codegen.firmware.recording import record
-from nmpc_codegen.firmware.targets import TARGETS
-from nmpc_codegen.firmware.toolchain import gcc
+from nmpc_codegen.firmware.toolchain import compile_flags, cross
 from nmpc_codegen.firmware.verify import verify
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.build import load
+from nmpc_codegen.targets import TARGETS
 
 EXAMPLES: dict[str, ModuleType] = {"crane": crane, "cstr": cstr}
 SAMPLES = 20
@@ -58,6 +58,12 @@ def test_the_program_is_linked_without_libm(name: str, board: str, precision: Pr
     inputs = record(controller, controller.description.x_initial, 2)
     write(package, name, sources(target, inputs.header), tmp_path)
     units = (f"{name}.c", "start.c", "replay.c")
-    flags = [*target.compile_flags("O2"), "-nostartfiles", "-nodefaultlibs", "--specs=nosys.specs", "-Wl,--gc-sections"]
-    gcc([*flags, "-Timage.ld", *units, "-lc", "-lnosys", "-lgcc", "-o", "image.elf"], tmp_path)
+    flags = [
+        *compile_flags(target, "O2"),
+        "-nostartfiles",
+        "-nodefaultlibs",
+        "--specs=nosys.specs",
+        "-Wl,--gc-sections",
+    ]
+    cross(target, "gcc", [*flags, "-Timage.ld", *units, "-lc", "-lnosys", "-lgcc", "-o", "image.elf"], tmp_path)
     assert (tmp_path / "image.elf").exists()

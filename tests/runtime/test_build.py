@@ -20,10 +20,12 @@ import numpy as np
 import pytest
 from conftest import missing
 
-from nmpc_codegen.errors import BuildError, OptionError
+from nmpc_codegen.errors import BuildError, ControllerError, OptionError
 from nmpc_codegen.runtime import cache, compilers
-from nmpc_codegen.runtime.build import MARCH, PROFILES, WARNINGS, Profile, compile_module, load
+from nmpc_codegen.runtime.build import PROFILES, WARNINGS, Profile, compile_module, load
 from nmpc_codegen.runtime.cache import cache_directory
+from nmpc_codegen.runtime.native import runs
+from nmpc_codegen.targets import TARGETS
 from verification.problems import toy_sources
 
 Files = dict[str, str]
@@ -48,7 +50,7 @@ def modules(folder: Path) -> list[Path]:
 def test_profiles_are_those_of_the_architecture() -> None:
     assert {name: " ".join(p.flags) for name, p in PROFILES.items()} == {
         "test": "-std=c99 -O0 -ffp-contract=off",
-        "fast": f"-O2 -fno-math-errno -fno-trapping-math {MARCH} -ffp-contract=fast",
+        "fast": "-O2 -fno-math-errno -fno-trapping-math -ffp-contract=fast",
         "verify": "-O2 -fno-math-errno -fno-trapping-math -ffp-contract=off",
     }
 
@@ -65,14 +67,18 @@ def test_own_profile(toy_files: Files) -> None:
     assert load(toy_files, "toy", Profile("size", ("-Os",))).profile == "size"
 
 
-@pytest.mark.parametrize("lanes", [0, 2, 4, "single"])
-def test_lanes_other_than_one_are_refused(toy_files: Files, lanes: int) -> None:
-    with pytest.raises(OptionError, match=r"lanes is .*\(None or 1\)"):
-        load(toy_files, "toy", lanes=lanes)
+def test_packages_of_other_machines_are_refused(toy_files: Files) -> None:
+    """By what the compiler says of this machine, before it compiles anything."""
+    target = next(name for name in ("aarch64", "x86-64-v3") if not runs(TARGETS[name]))
+    other = {**toy_files, "toy.json": toy_files["toy.json"].replace('"portable"', f'"{target}"')}
+    with pytest.raises(BuildError, match=rf"toy is written for {target} .*this machine runs .*portable"):
+        load(other, "toy")
 
 
-def test_one_lane_is_the_default(toy_files: Files) -> None:
-    assert load(toy_files, "toy", "test", lanes=1).nbytes == load(toy_files, "toy", "test", lanes=None).nbytes
+def test_targets_that_are_unknown_are_refused(toy_files: Files) -> None:
+    other = {**toy_files, "toy.json": toy_files["toy.json"].replace('"portable"', '"vax"')}
+    with pytest.raises(ControllerError, match=r"toy is for the target 'vax'; known: portable, x86-64-v3"):
+        load(other, "toy")
 
 
 def test_unknown_profile_lists_the_good_ones(toy_files: Files) -> None:

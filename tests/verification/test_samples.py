@@ -7,13 +7,13 @@ from conftest import require_tool
 
 from nmpc_codegen.ir.cmodule import CModule
 from verification.conditions import all_parts, covering, gaps, reached
-from verification.samples import SAMPLES
+from verification.samples import IN_LANES, SAMPLES
 from verification.unresolved import COMPILERS, differing, lowered, objects_differ, texts
 
 
 @pytest.fixture(scope="module")
 def modules() -> tuple[CModule, ...]:
-    return tuple(lowered(sample) for sample in SAMPLES)
+    return tuple(lowered(sample) for sample in (*SAMPLES, *IN_LANES))
 
 
 def test_every_part_is_used_and_every_condition_true_once_and_false_once(modules: tuple[CModule, ...]) -> None:
@@ -21,7 +21,7 @@ def test_every_part_is_used_and_every_condition_true_once_and_false_once(modules
 
 
 def test_names_are_unique() -> None:
-    assert len({sample.name for sample in SAMPLES}) == len(SAMPLES)
+    assert len({sample.name for sample in (*SAMPLES, *IN_LANES)}) == len(SAMPLES) + len(IN_LANES)
 
 
 @pytest.mark.slow
@@ -35,7 +35,7 @@ def test_coverage_sees_a_missing_part_and_a_condition_of_one_value(modules: tupl
 
 @pytest.mark.slow
 def test_few_samples_cover_what_all_cover(modules: tuple[CModule, ...]) -> None:
-    named = dict(zip((sample.name for sample in SAMPLES), modules, strict=True))
+    named = dict(zip((sample.name for sample in (*SAMPLES, *IN_LANES)), modules, strict=True))
     chosen = covering(named)
     assert len(chosen) < len(SAMPLES)
     assert gaps(named[name] for name in chosen) == []

@@ -148,7 +148,7 @@ def test_bioreactor_orbit() -> None:
 def test_multipliers_of_the_orbit_are_not_unique() -> None:
     """As many rows are active as there are controls: lam jumps at every sample, and the plan stays all the same."""
     best = bioreactor.orbit()[1]
-    controller = build(bioreactor.build_ocp(soft=True), bioreactor.options(), "test", lanes=1)
+    controller = build(bioreactor.build_ocp(soft=True), bioreactor.options(), "test")
     rng, jumps = np.random.default_rng(0), []
     for _ in range(4):
         controller.reset()

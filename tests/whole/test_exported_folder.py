@@ -45,8 +45,8 @@ def assert_loop(output: str) -> None:
 
 
 def test_example_runs_through_open_package(folder: Path) -> None:
-    """The exported files are those that build() runs with one lane, bit for bit."""
-    ours, exported = build(crane.build_ocp(), profile="fast", lanes=1), open_package(folder)
+    """The exported files are those that build() runs, bit for bit."""
+    ours, exported = build(crane.build_ocp(), profile="fast"), open_package(folder)
     x = np.array([2.0, 0.0, 0.0, 0.0])
     for _ in range(10):
         u = ours.step(x)

@@ -1,4 +1,4 @@
-"""Options(goal, processor): forms of the same algorithm. What differs is code and memory, not the controls."""
+"""Options(goal, target): forms of the same algorithm. What differs is code and memory, not the controls."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _compiler() -> None:
 def made(name: str, **more: Any) -> Controller:
     """Without contraction of products and sums, so that every form rounds alike."""
     make, options = CASES[name]
-    return build(make(), replace(options, **more), profile="test", lanes=1)
+    return build(make(), replace(options, **more), profile="test")
 
 
 def loop(controller: Controller) -> np.ndarray:
@@ -73,7 +73,7 @@ def loop(controller: Controller) -> np.ndarray:
 @pytest.mark.few(2)
 @pytest.mark.parametrize("name", CASES)
 def test_sums_in_variables_have_the_same_bits(name: str) -> None:
-    expected, found = loop(made(name)), loop(made(name, processor="scalar"))
+    expected, found = loop(made(name)), loop(made(name, target="cortex-m7", math="libm"))
     assert np.ptp(expected) > 1e-3
     np.testing.assert_array_equal(expected, found)
 
@@ -85,16 +85,6 @@ def test_a_small_controller_computes_the_same_controls(name: str) -> None:
     expected, found = loop(fast), loop(small)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
     assert small.nbytes <= fast.nbytes
-
-
-@pytest.mark.few(1)
-@pytest.mark.parametrize("more", [{"processor": "scalar"}, {"goal": "size"}], ids=lambda more: next(iter(more)))
-def test_units_for_a_host(more: dict[str, Any]) -> None:
-    """What build() compiles for several lanes of this machine computes the controls of the exported C."""
-    make, options = CASES["odd sizes"]
-    options = replace(options, **more)
-    expected, found = (loop(build(make(), options, profile="test", lanes=lanes)) for lanes in (1, 8))
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("name", ["stages", "odd sizes"])
@@ -112,7 +102,9 @@ def text(name: str, goal: Any) -> str:
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize("name", ["dense", "stages", "odd sizes"])
-@pytest.mark.parametrize("more", [{"processor": "scalar"}, {"goal": "size"}], ids=lambda more: next(iter(more)))
+@pytest.mark.parametrize(
+    "more", [{"target": "cortex-m4f", "math": "libm"}, {"goal": "size"}], ids=lambda more: next(iter(more))
+)
 def test_operations_are_stated_exactly(name: str, more: dict[str, Any]) -> None:
     require_tool("cxx")
     make, options = CASES[name]
@@ -129,10 +121,13 @@ def test_loops_are_chosen_only_where_the_options_leave_it_open() -> None:
     assert Discrete().small == Discrete()
 
 
-def test_a_vector_unit_clashes_with_matrices_without_padding() -> None:
-    with pytest.raises(OptionError, match=r"processor=\"vector\".*clashes with.*goal=\"size\".*--goal speed"):
-        Options(goal="size", processor="vector")
+def test_what_is_no_goal() -> None:
     with pytest.raises(OptionError, match="goal"):
         Options(goal="small")  # type: ignore[arg-type]
-    assert Options(goal="size").with_defaults.processor == "scalar"
-    assert Options().with_defaults.processor == "vector"
+
+
+def test_a_small_package_has_one_lane() -> None:
+    """The goal "size" takes lanes and tiles from a target, and leaves its flags."""
+    text = generate(crane.build_ocp(), Options(goal="size", target="x86-64-v3"))
+    assert "lanes_t" not in text["crane.c"]
+    assert "-march=x86-64-v3" in text["CMakeLists.txt"]

@@ -1,14 +1,16 @@
-"""Units that evaluate several shooting nodes at once: the linearisation of exported C, their functions, their doors."""
+"""Targets that evaluate several shooting nodes at once: results of portable C, this machine, other machines."""
 
 from __future__ import annotations
 
 import pickle
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import require_tool
+from conftest import require_target, require_tool
 
 from examples import chain, crane, cstr
 from nmpc_codegen import (
@@ -18,7 +20,6 @@ from nmpc_codegen import (
     ExactHessian,
     ExplicitRungeKutta,
     NoCondensing,
-    OptionError,
     Options,
     RiccatiActiveSet,
     build,
@@ -26,12 +27,13 @@ from nmpc_codegen import (
     generate,
     open_package,
 )
-from nmpc_codegen.host.unit import host_unit
-from nmpc_codegen.runtime.build import host, load
-from verification.c_harness import module_of
+from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.runtime.build import warnings_for
+from nmpc_codegen.runtime.native import native, runs
+from nmpc_codegen.targets import TARGETS
 from verification.lanes import LIMIT, errors
-from verification.samples import SAMPLES
-from verification.timed import TIMED
+from verification.samples import IN_LANES, SAMPLES
+from verification.timed import TIMED, Sample
 
 KNOWN = {sample.name: sample for sample in (*TIMED, *SAMPLES)}
 
@@ -42,19 +44,28 @@ CHOSEN = (
 )
 
 
-def pair(name: str, lanes: int) -> tuple[Controller, Controller]:
-    sample = KNOWN[name]
-    one, other = (build(sample.make(), sample.options, "test", lanes=n) for n in (1, lanes))
+#: Of four and of eight lanes.
+WIDE = ("x86-64-v3", "x86-64-v4")
+
+
+def pair(ocp: OCP, options: Options | None, target: str, profile: str = "test") -> tuple[Controller, Controller]:
+    """The controllers of portable C and of a target."""
+    require_target(target)
+    one, other = (build(ocp, replace(options or Options(), target=t), profile) for t in ("portable", target))
     return one, other
+
+
+def known(name: str, target: str) -> tuple[Controller, Controller]:
+    sample = KNOWN[name]
+    return pair(sample.make(), sample.options, target)
 
 
 @pytest.mark.few(2)
 @pytest.mark.filterwarnings("ignore::nmpc_codegen.ProblemWarning")
-@pytest.mark.parametrize("lanes", [2, 8])
+@pytest.mark.parametrize("target", WIDE)
 @pytest.mark.parametrize("name", CHOSEN)
-def test_the_linearisation_is_that_of_exported_c(name: str, lanes: int) -> None:
-    require_tool("cc")
-    found = dict(errors(*pair(name, lanes), np.random.default_rng(1)))
+def test_the_linearisation_is_that_of_portable_c(name: str, target: str) -> None:
+    found = dict(errors(*known(name, target), np.random.default_rng(1)))
     assert found
     assert max(found.values()) <= LIMIT, found
 
@@ -62,20 +73,17 @@ def test_the_linearisation_is_that_of_exported_c(name: str, lanes: int) -> None:
 @pytest.mark.few(1)
 @pytest.mark.parametrize("steps", [2, 3, 5])
 def test_products_of_several_steps(steps: int) -> None:
-    """Loops of exported C become straight-line steps whose Jacobians are multiplied; 9 x 12 has tiles of all shapes."""
-    require_tool("cc")
+    """Loops of portable C become straight-line steps whose Jacobians are multiplied; 9 x 12 has tiles of all shapes."""
     options = Options(ExplicitRungeKutta(RK4, steps=steps, unroll="none"))
-    ocp = chain.build_ocp(3, N=11)
-    assert "lanes_chain" in host_unit(module_of(ocp, options), 4, False)
-    one, other = (build(ocp, options, "test", lanes=n) for n in (1, 4))
+    one, other = pair(chain.build_ocp(3, N=11), options, "x86-64-v3")
+    assert "lanes_chain" in other._package.files["chain3.c"]
     assert max(dict(errors(one, other, np.random.default_rng(2))).values()) <= LIMIT
 
 
 @pytest.mark.slow
 def test_exact_hessians_without_multipliers_take_the_adjoint_sweep() -> None:
     """After reset() all multipliers are 0: both units compute them from node to node, and give the same control."""
-    require_tool("cc")
-    one, other = pair("timed bioreactor", 8)
+    one, other = known("timed bioreactor", "x86-64-v4")
     x0 = np.array(one.x[0])
     np.testing.assert_allclose(one.step(x0), other.step(x0), rtol=1e-12)
     np.testing.assert_allclose(one.lam, other.lam, rtol=1e-9, atol=1e-9)
@@ -84,51 +92,96 @@ def test_exact_hessians_without_multipliers_take_the_adjoint_sweep() -> None:
 @pytest.mark.slow
 def test_more_controls_of_a_stage_than_lanes() -> None:
     """Two intervals of the quadrotor are a stage with eight controls."""
-    require_tool("cc")
-    one, other = pair("quadrotor partial", 4)
+    one, other = known("quadrotor partial", "x86-64-v3")
     x0 = np.array(one.x[0]) + 0.1
     for scale in (1.0, 3.0):
         np.testing.assert_allclose(other.step(scale * x0), one.step(scale * x0), rtol=1e-9)
     assert one.status == other.status == 0
 
 
-def test_closed_loops_agree() -> None:
-    require_tool("cc")
-    one, other = (build(cstr.build_ocp(), profile="fast", lanes=n) for n in (1, 8))
-    states = [np.array(one.x[0]), np.array(one.x[0])]
+@pytest.mark.few(1)
+@pytest.mark.parametrize("target", WIDE)
+def test_closed_loops_agree(target: str) -> None:
+    pairs = pair(cstr.build_ocp(), None, target, "fast")
+    states = [np.array(pairs[0].x[0])] * 2
     for _ in range(40):
-        controls = [c.step(x) for c, x in zip((one, other), states, strict=True)]
-        assert one.status == other.status
-        states = [c.integrate(x, u, cstr.SAMPLING) for c, x, u in zip((one, other), states, controls, strict=True)]
+        controls = [c.step(x) for c, x in zip(pairs, states, strict=True)]
+        assert pairs[0].status == pairs[1].status
+        states = [c.integrate(x, u, cstr.SAMPLING) for c, x, u in zip(pairs, states, controls, strict=True)]
     np.testing.assert_allclose(states[0], states[1], rtol=1e-8)
 
 
-@pytest.mark.parametrize("lanes", [0, 3, 16, True, "all"])
-def test_other_numbers_of_lanes_are_refused(lanes: int) -> None:
-    with pytest.raises(OptionError, match=r"lanes is .*expected None .* 2, 4 or 8"):
-        build(crane.build_ocp(), lanes=lanes)
+@pytest.mark.parametrize("target", [name for name, t in TARGETS.items() if t.defines])
+def test_export_writes_what_build_compiles(target: str, tmp_path: Path) -> None:
+    """The files of the folder are those of the controller, with the flags of the target in its build."""
+    package = export(crane.build_ocp(), Options(target=target), tmp_path)
+    assert "lanes_t" in (tmp_path / "crane.c").read_text()
+    assert any(f"target: {target}" in choice for choice in package.report["choices"])
+    flags = " ".join(TARGETS[target].flags)
+    for name in ("CMakeLists.txt", "README.md"):
+        assert flags in (tmp_path / name).read_text()
+    require_target(target)
+    built, opened = build(crane.build_ocp(), Options(target=target)), open_package(tmp_path)
+    x0 = np.array([1.0, 0.0, 0.1, 0.0])
+    np.testing.assert_array_equal(built.step(x0), opened.step(x0))
+    assert built._package.fingerprint == opened._package.fingerprint
 
 
-def test_an_exported_package_has_one_lane(tmp_path: Path) -> None:
+def test_native_is_a_target_by_its_name() -> None:
+    """What is generated for "native" is the text of the target of this machine, to the byte."""
     require_tool("cc")
-    export(crane.build_ocp(), directory=tmp_path)
-    assert not list(tmp_path.glob("*host*"))
-    with pytest.raises(OptionError, match=r"one node at a time .* build\(\) more"):
-        open_package(tmp_path, lanes=8)
-    with pytest.raises(OptionError, match="lanes is 8"):
-        load(generate(crane.build_ocp()), "crane", lanes=8)
+    found = generate(crane.build_ocp(), Options(target="native"))
+    assert found.description.target == native().name
+    assert found == generate(crane.build_ocp(), Options(target=native().name))
 
 
-def test_lanes_follow_the_processor_only_where_the_profile_does() -> None:
+@pytest.mark.parametrize(
+    ("macros", "expected"),
+    [
+        ({"__GNUC__": "12", "__AVX2__": "1", "__FMA__": "1", "__BMI2__": "1"}, "x86-64-v3"),
+        ({"__clang__": "1", "__GNUC__": "4", "__aarch64__": "1"}, "aarch64"),
+        ({"__GNUC__": "11", "__aarch64__": "1"}, "portable"),
+        ({"__GNUC__": "12", "__AVX2__": "1"}, "portable"),
+        ({}, "portable"),
+    ],
+)
+def test_native_follows_the_compiler(macros: dict[str, str], expected: str, monkeypatch: pytest.MonkeyPatch) -> None:
     require_tool("cc")
-    assert host(None, "test").lanes == host(None, "verify").lanes == host(1, "fast").lanes == 1
-    assert host(None, "fast").lanes in (1, 4, 8)
-    assert host(4, "verify") == host(4, "test")
+    monkeypatch.setattr("nmpc_codegen.runtime.native.macros_of", lambda *_: macros)
+    assert native().name == expected
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_another_machine_is_an_error_of_the_compiler(compiler: str, tmp_path: Path) -> None:
+    """Flags that the target does not have, or those of another machine."""
+    program = require_tool(compiler)
+    for target in ("x86-64-v3", "x86-64-v4", "aarch64"):
+        export(crane.build_ocp(), Options(target=target), tmp_path / target)
+        command = [program, "-c", "crane.c", "-o", "crane.o"]
+        done = subprocess.run(command, cwd=tmp_path / target, capture_output=True, text=True, check=False)
+        if target != "aarch64" or not runs(TARGETS[target]):
+            assert done.returncode != 0
+            assert f"crane is written for {target}" in done.stderr
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("sample", IN_LANES, ids=lambda sample: sample.name)
+def test_no_warning(sample: Sample, compiler: str, tmp_path: Path) -> None:
+    """That of aarch64 on a machine of that family only; see test_other_processors.py."""
+    program, target = require_tool(compiler), TARGETS[sample.options.target]
+    if target.name == "aarch64" and not runs(target):
+        pytest.skip("another family of processors")
+    for path, text in generate(sample.make(), sample.options, "package").items():
+        (tmp_path / path).write_text(text)
+    command = [program, "-O1", *target.flags, *warnings_for(target), "-c", "package.c", "-o", "package.o"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_controllers_with_lanes_are_copied_and_pickled() -> None:
-    require_tool("cc")
-    controller = build(crane.build_ocp(), profile="fast", lanes=4)
+    require_target("x86-64-v3")
+    controller = build(crane.build_ocp(), Options(target="x86-64-v3"), profile="fast")
     x0 = np.array([1.0, 0.0, 0.1, 0.0])
     controller.step(x0)
     twin, restored = controller.copy(), pickle.loads(pickle.dumps(controller))
@@ -138,12 +191,15 @@ def test_controllers_with_lanes_are_copied_and_pickled() -> None:
 
 
 def test_few_intervals_take_fewer_lanes() -> None:
-    """N = 1 has one node: the unit is the exported text."""
-    module = module_of(KNOWN["single dense"].make(), KNOWN["single dense"].options)
-    assert "lanes_t" not in host_unit(module, 8, True)
-    bare = module_of(KNOWN["bare dense"].make(), Options(hessian=ExactHessian()))
-    assert "vector_size(HOST_LANES" in host_unit(bare, 8, True)
-    assert "#define HOST_LANES 4" in host_unit(bare, 8, True)
+    """N = 1 has one node: its linearisation is that of portable C."""
+    sample = KNOWN["single dense"]
+    text = generate(sample.make(), replace(sample.options, target="x86-64-v4"), name="one")["one.c"]
+    assert "lanes_t" not in text
+    text = generate(KNOWN["bare dense"].make(), Options(hessian=ExactHessian(), target="x86-64-v4"), name="bare")[
+        "bare.c"
+    ]
+    assert "vector_size(VECTOR_LANES" in text
+    assert "#define VECTOR_LANES 4" in text
 
 
 def linear(nx: int, nu: int) -> OCP:
@@ -165,24 +221,22 @@ SHAPES = [(1, 1), (2, 3), (3, 1), (5, 2), (8, 4), (9, 3), (13, 5), (17, 1)]
 
 
 @pytest.mark.few(2)
+@pytest.mark.parametrize("target", WIDE)
 @pytest.mark.parametrize(
     ("nx", "nu", "precision"), [*((*shape, "double") for shape in SHAPES), (2, 3, "single"), (9, 3, "single")]
 )
-def test_riccati_products_in_tiles(nx: int, nu: int, precision: str) -> None:
-    """Sizes with tiles of all shapes and rests: factors, and controls at their bounds, are those of exported C."""
-    require_tool("cc")
+def test_riccati_products_in_tiles(nx: int, nu: int, precision: Precision, target: str) -> None:
+    """Sizes with tiles of all shapes and rests: factors, and controls at their bounds, are those of portable C."""
     options = Options(condensing=NoCondensing(), qp=RiccatiActiveSet(), precision=precision)
-    ocp = linear(nx, nu)
     tolerance = 1e-11 if precision == "double" else 2e-3
-    one, *others = (build(ocp, options, "test", lanes=n) for n in (1, 8))
+    one, other = pair(linear(nx, nu), options, target)
     x0 = np.array(one.x[0])
     expected = [one.step(scale * x0) for scale in (1.0, 3.0, 0.1)]
     assert one.status == 0
     size = np.abs(one.view("riccati.P")[:, :nx, :nx]).max()
-    for other in others:
-        found = [other.step(scale * x0) for scale in (1.0, 3.0, 0.1)]
-        np.testing.assert_allclose(found, expected, atol=tolerance)
-        pair = (np.tril(c.view("riccati.P")[:, :nx, :nx]) for c in (other, one))
-        np.testing.assert_allclose(*pair, atol=tolerance * size, err_msg="P")
-        pair = (c.view("riccati.K")[:, :nu, :nx] for c in (other, one))
-        np.testing.assert_allclose(*pair, atol=tolerance * size, err_msg="K")
+    found = [other.step(scale * x0) for scale in (1.0, 3.0, 0.1)]
+    np.testing.assert_allclose(found, expected, atol=tolerance)
+    factors = (np.tril(c.view("riccati.P")[:, :nx, :nx]) for c in (other, one))
+    np.testing.assert_allclose(*factors, atol=tolerance * size, err_msg="P")
+    factors = (c.view("riccati.K")[:, :nu, :nx] for c in (other, one))
+    np.testing.assert_allclose(*factors, atol=tolerance * size, err_msg="K")

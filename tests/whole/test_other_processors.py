@@ -1,90 +1,104 @@
-"""Units for several shooting nodes at once on other processors than this one's: ARM64, and x86 without AVX."""
+"""Targets with lanes on other processors than this one's: ARM64, and x86 with AVX2, both emulated."""
 
 from __future__ import annotations
 
-import os
 import subprocess
-import sys
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import require_tool
 
-from nmpc_codegen.host.unit import host_unit
-from nmpc_codegen.lowering.render import render
-from nmpc_codegen.runtime.build import PROCESSOR_VARIABLE, WARNINGS, host
-from verification.c_harness import module_of
+from examples import crane, quadrotor
+from nmpc_codegen import BuildError, OptionError, Options, generate
+from nmpc_codegen.firmware.process import emulated
+from nmpc_codegen.firmware.recording import record
+from nmpc_codegen.firmware.verify import Verdict, verify
+from nmpc_codegen.runtime.build import load, warnings_for
+from nmpc_codegen.targets import TARGETS
 from verification.samples import SAMPLES
 from verification.timed import TIMED
 
 KNOWN = {sample.name: sample for sample in (*TIMED, *SAMPLES)}
 #: Dense and stage solvers, exact Hessians, single precision, loops.
 CHOSEN = ("crane", "timed cstr", "timed bioreactor", "crane riccati single", "everything looped")
-#: Lanes are GNU C.
-STRICT = ("-std=gnu99", "-O1", *(flag for flag in WARNINGS if flag not in ("-std=c99", "-pedantic")))
+STEPS = 30
 
 
-def write(folder: Path, name: str, lanes: int) -> str:
-    """Write the exported package and unit.c, its form with several lanes; returns the name of the package."""
-    sample = KNOWN[name]
-    module = module_of(sample.make(), sample.options)
-    for path, text in {**render(module), "unit.c": host_unit(module, lanes, avx512=False)}.items():
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        (folder / path).write_text(text, encoding="utf-8")
-    return module.name
+def replayed(make: object, options: Options | None, target: str) -> Verdict:
+    """The closed loop of portable C on this machine against the target in its emulator."""
+    options = options or Options()
+    packages: list[Mapping[str, str]] = [
+        generate(make(), replace(options, target=name), name="package")  # type: ignore[operator]
+        for name in ("portable", target)
+    ]
+    controller = load(packages[0], "package", "verify")
+    inputs = record(controller, controller.description.x_initial, STEPS)
+    return verify(packages[1], "package", inputs, TARGETS[target])
 
 
-def run(folder: Path, *command: str) -> str:
-    """Output of a command, which must succeed silently."""
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, ""), done.stderr
-    return done.stdout
+def tools(target: str) -> None:
+    for tool in ("cc", "aarch64", "qemu-aarch64") if target == "aarch64" else ("cc", "qemu-x86_64"):
+        require_tool(tool)
 
 
-def numbers(table: str) -> np.ndarray:
-    """The numbers that main.c prints."""
-    return np.array([[float(word) for word in line.split() if word[-1].isdigit()] for line in table.splitlines()])
-
-
-@pytest.mark.few(1)
+@pytest.mark.few(2)
 @pytest.mark.filterwarnings("ignore::nmpc_codegen.ProblemWarning")
-@pytest.mark.parametrize("lanes", [2, 8])
+@pytest.mark.parametrize("target", ["aarch64", "x86-64-v3"])
 @pytest.mark.parametrize("name", CHOSEN)
-def test_arm64(name: str, lanes: int, tmp_path: Path) -> None:
-    """No warning, and the closed loop of main.c is that of the exported C on this machine."""
-    gcc, arm, emulator = (require_tool(tool) for tool in ("gcc", "aarch64", "qemu-aarch64"))
-    package = write(tmp_path, name, lanes)
-    run(tmp_path, arm, *STRICT, "-c", "unit.c", "-o", "unit.o")
-    run(tmp_path, arm, "-std=c99", "unit.o", "main.c", "-static", "-o", "arm", "-lm")
-    run(tmp_path, gcc, "-std=c99", "-O1", f"{package}.c", "main.c", "-o", "here", "-lm")
-    found, expected = (numbers(run(tmp_path, *program)) for program in ((emulator, "./arm"), ("./here",)))
-    assert expected.shape[0] == 30
-    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-3 if "single" in name else 2e-6)
+def test_emulated_targets_compute_the_controls_of_portable_c(name: str, target: str) -> None:
+    tools(target)
+    verdict = replayed(KNOWN[name].make, KNOWN[name].options, target)
+    assert verdict.samples == STEPS
+    assert verdict.passed, verdict.mismatches
+    assert verdict.statuses == 0
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("processor", ["x86-64-v2", "x86-64-v3"])
-@pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_vectors_longer_than_the_registers(compiler: str, processor: str, tmp_path: Path) -> None:
-    """Eight lanes without AVX-512 and without AVX2: functions that take such vectors are inlined."""
-    require_tool(compiler)
-    if "x86" not in run(tmp_path, compiler, "-dumpmachine"):
-        pytest.skip("no processor of this family")
-    write(tmp_path, "crane riccati single", 8)
-    command = [compiler, f"-march={processor}", *STRICT, "-c", "unit.c", "-o", "unit.o"]
+@pytest.mark.parametrize("target", ["aarch64", "x86-64-v3"])
+@pytest.mark.parametrize("example", [crane, quadrotor], ids=["crane", "quadrotor"])
+def test_own_functions_have_the_same_bits_there(example: object, target: str) -> None:
+    """Without tiles, whose sums have another order."""
+    tools(target)
+    verdict = replayed(example.build_ocp, Options(math="own"), target)  # type: ignore[attr-defined]
+    assert (verdict.bits, verdict.statuses, verdict.error) == (0, 0, 0.0)
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("name", CHOSEN)
+def test_no_warning_of_the_cross_compiler(name: str, tmp_path: Path) -> None:
+    arm, target = require_tool("aarch64"), TARGETS["aarch64"]
+    sample = KNOWN[name]
+    for path, text in generate(
+        sample.make(), replace(sample.options or Options(), target="aarch64"), "package"
+    ).items():
+        (tmp_path / path).write_text(text)
+    command = [arm, "-O1", *warnings_for(target), "-c", "package.c", "-o", "package.o"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "warning:" not in done.stderr  # notes on the ABI of old versions of GCC are none
+    assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize(("processor", "lanes"), [("x86-64-v2", 1), ("x86-64-v3", 4), ("x86-64-v4", 8)])
-def test_detection_obeys_the_variable(processor: str, lanes: int, tmp_path: Path) -> None:
-    """The variable is read when the package is loaded."""
-    if "x86" not in run(tmp_path, require_tool("gcc"), "-dumpmachine"):
-        pytest.skip("no processor of this family")
-    program = "from nmpc_codegen.runtime.build import host; print(host(None, 'fast').lanes)"
-    environment = {**os.environ, PROCESSOR_VARIABLE: processor, "CC": "gcc"}
-    found = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
-    assert int(found.stdout) == lanes
-    assert host(1, "fast").lanes == 1
+def test_what_cannot_be_emulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(OptionError, match="--verify: the target portable is every machine"):
+        emulated(TARGETS["portable"])
+    monkeypatch.setattr("nmpc_codegen.firmware.process.runs", lambda _: False)
+    with pytest.raises(BuildError, match="no emulator of x86 with AVX-512"):
+        emulated(TARGETS["x86-64-v4"])
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(BuildError, match="qemu-aarch64 on the path, which --verify needs: .*apt install qemu-user"):
+        emulated(TARGETS["aarch64"])
+    monkeypatch.setattr("nmpc_codegen.firmware.process.runs", lambda _: True)
+    assert emulated(TARGETS["aarch64"]) == ()
+
+
+def test_a_wrong_control_is_a_mismatch() -> None:
+    """The replay of another package than the recorded one does not agree."""
+    tools("x86-64-v3")
+    controller = load(generate(crane.build_ocp(), name="package"), "package", "verify")
+    inputs = record(controller, np.array([2.0, 0.0, 0.0, 0.0]), STEPS)
+    other = generate(crane.build_ocp(), Options(target="x86-64-v3"), name="package")
+    wrong = {**other, "package.c": other["package.c"].replace("9.81", "9.0")}
+    assert wrong["package.c"] != other["package.c"]
+    assert not verify(wrong, "package", inputs, TARGETS["x86-64-v3"]).passed

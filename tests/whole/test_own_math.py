@@ -15,7 +15,7 @@ from types import ModuleType
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import require_tool
+from conftest import require_target, require_tool
 
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import OCP, Controller, OptionError, Options, Osqp, ProblemWarning, build, derivatives, generate
@@ -159,13 +159,14 @@ def test_closed_loops_agree_with_libm(name: str) -> None:
 
 
 @pytest.mark.few(1)
+@pytest.mark.parametrize("target", ["x86-64-v3", "x86-64-v4"])
 @pytest.mark.parametrize("precision", ["double", "single"])
-@pytest.mark.parametrize("name", ["crane", "cstr"])
-def test_closed_loops_in_lanes_have_the_same_bits(name: str, precision: Precision) -> None:
+@pytest.mark.parametrize("name", ["crane", "cstr", "quadrotor"])
+def test_closed_loops_in_lanes_have_the_same_bits(name: str, precision: Precision, target: str) -> None:
     """Without products of several steps, whose sums have another order in lanes."""
-    require_tool("cc")
-    options = Options(math="own", precision=precision)
-    one, several = (build(EXAMPLES[name].build_ocp(), options, "test", lanes=n) for n in (1, 4))
+    require_target(target)
+    options = [Options(math="own", precision=precision, target=t) for t in ("portable", target)]
+    one, several = (build(EXAMPLES[name].build_ocp(), o, "verify") for o in options)
     np.testing.assert_array_equal(*(closed_loop(c, EXAMPLES[name], 40) for c in (one, several)))
 
 

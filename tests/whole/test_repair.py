@@ -176,7 +176,7 @@ def test_the_same_inputs_give_the_same_bits(route: str) -> None:
 
 
 def test_packages_for_microcontrollers_and_without_solve_do_not_repair() -> None:
-    for more in ({"solve": False}, {"processor": "scalar"}, {"goal": "size"}):
+    for more in ({"solve": False}, {"target": "cortex-m4f"}, {"goal": "size"}):
         module = generate(tilted(), Options(**more))
         assert "REPAIRS" not in module["tilted.h"]
         assert "repair: 0" in module["tilted.json"]

@@ -22,7 +22,6 @@ from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.tolerances import TOLERANCES
 from nmpc_codegen.package.description import union_dtype
 from nmpc_codegen.package.memory import Size, Struct
-from nmpc_codegen.runtime.build import MARCH
 from nmpc_codegen.runtime.compilers import find_compiler, with_required_options
 
 STATUSES = (
@@ -30,7 +29,7 @@ STATUSES = (
     "NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED",
 )  # fmt: skip
 WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
-FAST = ("-O1", MARCH, "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
+FAST = ("-O1", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
 SCALARS = {"double": np.float64, "single": np.float32}
 
 
@@ -52,7 +51,7 @@ SWITCHES = {
     "SET_REFERENCE": 1,
     "FIRST": 0,
     "LEVELS": 0,
-    "HOST_LANES": 1,
+    "VECTOR_LANES": 1,
     "TILES": 0,
 }
 

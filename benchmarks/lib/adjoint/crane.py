@@ -11,7 +11,7 @@ from benchmarks.lib.report import Report
 from examples import crane
 from nmpc_codegen import AdjointShooting, Online, Options, RealTimeIteration, Status, build, generate
 from nmpc_codegen.firmware.certificate import certify
-from nmpc_codegen.firmware.targets import find_target
+from nmpc_codegen.targets import TARGETS
 
 SAMPLES, DT = 30, 0.3
 X0 = np.array([2.0, 0.0, 0.0, 0.0])
@@ -48,7 +48,7 @@ def measure(report: Report) -> None:
         loop = run(follows(controller, counts), plant, X0, references, weight, DT)
         if case in BYTES:
             report.add(f"crane_struct_bytes_{case}", controller.nbytes, "bytes", limit=BYTES[case])
-            stack = certify(generate(crane.build_ocp(), given), "crane", find_target(TARGET), "Os").stack_bytes["step"]
+            stack = certify(generate(crane.build_ocp(), given), "crane", TARGETS[TARGET], "Os").stack_bytes["step"]
             report.add(f"crane_stack_bytes_{case}", stack, "bytes", case=f"step() on a {TARGET}, -Os", profile="")
         gap = "crane_cost_gap" if case in BYTES else "crane_terms_cost_gap"
         report.add(gap, abs(loop.cost / best.cost - 1), case=case, n=SAMPLES, limit=1e-2)

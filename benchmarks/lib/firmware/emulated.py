@@ -10,10 +10,10 @@ from benchmarks.lib.firmware.loops import SAMPLES, loops, package, recorded, wit
 from benchmarks.lib.report import Report
 from nmpc_codegen import worst_case
 from nmpc_codegen.firmware.certificate import Certificate, certify
-from nmpc_codegen.firmware.targets import TARGETS
 from nmpc_codegen.firmware.verify import Verdict, verify
 from nmpc_codegen.options import Precision
 from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.targets import TARGETS
 from verification.counting import count_mismatches
 from verification.robustness.work import Loop, count, record
 

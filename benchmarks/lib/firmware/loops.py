@@ -48,7 +48,7 @@ def smallest(loop: Loop) -> Options:
 
 def real_time(loop: Loop) -> Options:
     """Options without solve(), in single precision, for a processor without a vector unit."""
-    return replace(loop.options, solve=False, precision="single", processor="scalar")
+    return replace(loop.options, solve=False, precision="single", target="cortex-m4f", math="libm")
 
 
 def _alone(loop: Loop, options: Options) -> Options:
@@ -64,7 +64,7 @@ def package(loop: Loop, options: Options) -> tuple[str, Sources]:
 
 def with_precision(loop: Loop, precision: Precision) -> Loop:
     """The loop with the default options of its example in a precision, for a target as --target writes them."""
-    return replace(loop, options=replace(loop.options, precision=precision, processor="scalar"))
+    return replace(loop, options=replace(loop.options, precision=precision, target="cortex-m4f", math="libm"))
 
 
 def events(scenario: Scenario, samples: int) -> list[Event]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmarks.lib.firmware.loops import loops, package, small
 from benchmarks.lib.report import Report
-from nmpc_codegen.firmware.targets import ARITHMETIC, LEVELS, SECTIONS, Level
+from nmpc_codegen.firmware.toolchain import ARITHMETIC, LEVELS, SECTIONS, Level
 from verification.quality import ALLOWED
 from verification.robustness.work import Loop
 

@@ -6,7 +6,8 @@ from benchmarks.lib.firmware.loops import loops, package, small, smallest, with_
 from benchmarks.lib.report import Report
 from nmpc_codegen import Options
 from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, certify
-from nmpc_codegen.firmware.targets import LEVELS, TARGETS
+from nmpc_codegen.firmware.toolchain import LEVELS
+from nmpc_codegen.targets import TARGETS
 from verification.robustness.work import Loop
 
 #: Loop -> limits on bytes of flash memory and of the solver struct.

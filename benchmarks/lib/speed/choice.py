@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.speed.in_turn import in_turn
-from benchmarks.lib.speed.loops import LOOPS, hosted, module_of
+from benchmarks.lib.speed.loops import LOOPS, for_target, module_of, package_of
 from nmpc_codegen import (
     DenseActiveSet,
     FullCondensing,
@@ -22,6 +22,7 @@ from nmpc_codegen import (
     RiccatiInteriorPoint,
 )
 from nmpc_codegen.components.base import Condensing, QpSolver
+from nmpc_codegen.targets import NATIVE
 from verification.closed_loop import compile_driver, run_driver
 from verification.robustness.work import Loop
 
@@ -38,14 +39,14 @@ MOST_CONTROLS = 200
 
 
 def measure(report: Report, runs: int = 5) -> None:
-    """choice_regret: median time of a sample with default options over that of the fastest route, in host units."""
+    """choice_regret: median time of a sample with default options over that of the fastest route, native."""
     for loop in LOOPS:
         routes = dict(_routes(loop))
         with ExitStack() as stack:
             programs = []
             for options in routes.values():
-                there = replace(loop, options=options)
-                sources, lanes = hosted(there)
+                there = for_target(replace(loop, options=options), NATIVE)
+                sources = package_of(there)
                 program = compile_driver(
                     sources, module_of(there).name, Path(stack.enter_context(TemporaryDirectory()))
                 )
@@ -54,9 +55,16 @@ def measure(report: Report, runs: int = 5) -> None:
         found = {name: min(t.total for t in each) for name, each in zip(routes, times, strict=True)}
         best = min(found, key=lambda name: found[name])
         case, n = f"{loop.name}, best: {best}", runs * loop.steps // 2
-        report.add("choice_regret", found["chosen"] / found[best], case=case, n=n, limit=LIMIT, lanes=lanes)
+        report.add(
+            "choice_regret",
+            found["chosen"] / found[best],
+            case=case,
+            n=n,
+            limit=LIMIT,
+            target=sources.description.target,
+        )
         for name, value in found.items():
-            report.add(f"{loop.name}_{name.replace(' ', '_')}_us", value, "us", n=n, lanes=lanes)
+            report.add(f"{loop.name}_{name.replace(' ', '_')}_us", value, "us", n=n, target=sources.description.target)
 
 
 def _routes(loop: Loop) -> Iterator[tuple[str, Options]]:

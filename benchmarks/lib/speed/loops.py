@@ -7,11 +7,11 @@ from functools import cache
 
 from examples import chain
 from nmpc_codegen import Options, RealTimeIteration
-from nmpc_codegen.host.unit import host_unit
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.sources import Sources
-from nmpc_codegen.runtime.build import host
+from nmpc_codegen.runtime.native import native
+from nmpc_codegen.targets import NATIVE
 from verification import c_harness
 from verification.robustness.work import Loop
 from verification.scenarios import EXAMPLES, of_sample
@@ -45,20 +45,23 @@ def with_algorithm(loop: Loop, **changes: object) -> Loop:
     return replace(loop, options=replace(loop.options, algorithm=replace(algorithm, **changes)))
 
 
+def for_target(loop: Loop, target: str) -> Loop:
+    """The loop with its package for a target, "native" for this machine's."""
+    return replace(loop, options=replace(loop.options, target=target))
+
+
 @cache
 def module_of(loop: Loop) -> CModule:
     """The package of a loop."""
     return c_harness.module_of(loop.make(), loop.options)
 
 
-def exported(loop: Loop) -> Sources:
-    """The files that an export writes."""
+@cache
+def package_of(loop: Loop) -> Sources:
+    """Its files."""
     return render(module_of(loop))
 
 
-def hosted(loop: Loop, avx512: bool = True) -> tuple[Sources, int]:
-    """The same with the unit for this machine as its .c, and the number of nodes at once in it."""
-    module, found = module_of(loop), host(None, "fast")
-    if found.avx512 and not avx512:
-        found = replace(found, lanes=4, avx512=False)
-    return {**exported(loop), f"{module.name}.c": host_unit(module, found.lanes, found.avx512)}, found.lanes
+def without_avx512(loop: Loop) -> Loop:
+    """The loop for this machine as far as valgrind knows it, which is not AVX-512."""
+    return for_target(loop, "x86-64-v3" if native().avx512 else NATIVE)

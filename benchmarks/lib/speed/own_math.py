@@ -16,12 +16,12 @@ from benchmarks.lib.speed.in_turn import in_turn
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import Options, generate
 from nmpc_codegen.firmware.delivery import recorded
-from nmpc_codegen.firmware.targets import TARGETS
-from nmpc_codegen.firmware.toolchain import EMULATOR, PREFIX
 from nmpc_codegen.firmware.verify import verify
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import OF_TWO
-from nmpc_codegen.runtime.build import PROFILES, host
+from nmpc_codegen.runtime.build import PROFILES
+from nmpc_codegen.runtime.native import native
+from nmpc_codegen.targets import TARGETS
 from verification.closed_loop import compile_driver, run_driver
 from verification.own_functions import (
     LIMIT,
@@ -55,9 +55,9 @@ def measure(report: Report, samples: int = SAMPLES, runs: int = RUNS, steps: int
 
 def errors(report: Report, single: bool, profile: str, samples: int) -> None:
     """Every function, one number at a time and in lanes, with and without contraction."""
-    dtype, avx512 = np.float32 if single else np.float64, host(None, "fast").avx512 and profile == "fast"
+    dtype, avx512 = np.float32 if single else np.float64, native().avx512 and profile == "fast"
     with tempfile.TemporaryDirectory() as folder:
-        loaded = library(Path(folder), single, 8, avx512, PROFILES[profile].flags)
+        loaded = library(Path(folder), single, 8, avx512, (*PROFILES[profile].flags, *native().of_machine))
         for name in names():
             random = np.random.default_rng(1)
             x, y = pairs(dtype, random, samples) if name in OF_TWO else (arguments(dtype, random, samples),) * 2
@@ -67,17 +67,18 @@ def errors(report: Report, single: bool, profile: str, samples: int) -> None:
                     continue
                 worst = ulps(evaluate(loaded, f"{prefix}_{name}", x, y), values).max()
                 case = f"{name}, {'single' if single else 'double'}"
-                report.add("math_ulp", worst, "ulp", case=case, n=x.size, limit=LIMIT, profile=profile, lanes=lanes)
+                report.add("math_ulp", worst, "ulp", case=case, n=x.size, limit=LIMIT, profile=profile, target=prefix)
 
 
 def bits(report: Report) -> None:
     """Samples of closed loops whose controls on the emulated board differ in a bit; absent without its tools."""
-    if shutil.which(f"{PREFIX}gcc") is None or shutil.which(EMULATOR) is None:
+    m4f = TARGETS["cortex-m4f"]
+    if shutil.which(f"{m4f.compiler}gcc") is None or shutil.which(m4f.emulator[0]) is None:
         print("math_host_target_mismatches: there is no ARM compiler or no emulator")
         return
     for name, example in LOOPS.items():
         for board, precision in BOARDS:
-            sources = generate(example.build_ocp(), Options(math="own", precision=precision))
+            sources = generate(example.build_ocp(), Options(math="own", precision=precision, target=board))
             verdict = verify(sources, name, recorded(sources, name), TARGETS[board])
             case = f"{name} on {board}"
             report.add(
@@ -86,7 +87,7 @@ def bits(report: Report) -> None:
 
 
 def times(report: Report, runs: int, steps: int) -> None:
-    """A real-time iteration of exported C with its own functions over one with those of math.h, in turn."""
+    """A real-time iteration of portable C with its own functions over one with those of math.h, in turn."""
     for sample in TIMED:
         prefix = sample.make().name
         options = sample.options or Options()

@@ -1,4 +1,4 @@
-"""The closed loops as programs, in both forms: exported C, and the unit for this machine.
+"""The closed loops as programs, in both forms: portable C, and C for the target of this machine.
 
     python -m benchmarks.lib.speed.programs FOLDER
 
@@ -14,10 +14,13 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from benchmarks.lib.speed.loops import LOOPS, exported, hosted, module_of
+from benchmarks.lib.speed.loops import LOOPS, for_target, module_of, package_of
+from nmpc_codegen.targets import NATIVE, PORTABLE
 from verification.closed_loop import Timing, compile_driver, run_program
 
 INDEX = "programs.json"
+#: Targets of the packages.
+FORMS = (PORTABLE.name, NATIVE)
 RUNS = 3  # of a loop in a process
 
 
@@ -30,7 +33,7 @@ class Program:
     path: str
     arguments: list[str]
     steps: int
-    lanes: int
+    target: str
 
     @property
     def case(self) -> str:
@@ -48,11 +51,14 @@ def compile_programs(folder: Path) -> list[Program]:
     with ThreadPoolExecutor(2) as pool:
         for loop in sorted(LOOPS, key=lambda loop: -len(loop.scenario.x0)):
             arguments, name = loop.scenario.arguments(), module_of(loop).name
-            for form, (sources, lanes) in (("exported", (exported(loop), 1)), ("native", hosted(loop))):
+            for form in FORMS:
+                sources = package_of(for_target(loop, form))
                 place = folder / f"{loop.name}, {form}"
                 place.mkdir(parents=True)
                 job = pool.submit(compile_driver, sources, name, place)
-                program = Program(loop.name, form, str(place / "closed_loop"), arguments, loop.steps, lanes)
+                program = Program(
+                    loop.name, form, str(place / "closed_loop"), arguments, loop.steps, sources.description.target
+                )
                 jobs.append((program, job))
     for _, job in jobs:
         job.result()

@@ -8,11 +8,10 @@ from benchmarks.lib.firmware.loops import package, with_precision
 from benchmarks.lib.firmware.sizes import real_time_stack
 from benchmarks.lib.report import Report
 from benchmarks.lib.run import Run
-from benchmarks.lib.speed.loops import LOOPS, exported, module_of
+from benchmarks.lib.speed.loops import LOOPS, module_of, package_of
 from nmpc_codegen import worst_case
 from nmpc_codegen.firmware.certificate import certify
-from nmpc_codegen.firmware.targets import TARGETS
-from nmpc_codegen.firmware.toolchain import PREFIX
+from nmpc_codegen.targets import TARGETS
 
 
 def sizes(report: Report, _: Run) -> None:
@@ -20,7 +19,7 @@ def sizes(report: Report, _: Run) -> None:
     for loop in LOOPS:
         double = module_of(loop).description.report.ram_bytes
         report.add("struct, double", double, "B", case=loop.name, profile="")
-        if shutil.which(f"{PREFIX}gcc"):
+        if shutil.which(f"{TARGETS['cortex-m4f'].compiler}gcc"):
             name, sources = package(loop, with_precision(loop, "single").options)
             found = certify(sources, name, TARGETS["cortex-m4f"])
             report.add("struct", found.struct_bytes, "B", case=loop.name, profile="O2")
@@ -36,5 +35,5 @@ def counts(report: Report, _: Run) -> None:
         module = module_of(loop)
         stated = module.description.report
         report.add("linearisation", stated.linearization_operations, "operations", case=loop.name, profile="")
-        report.add("worst sample", worst_case(exported(loop))["sample"], "operations", case=loop.name, profile="")
-        report.add("source", len(exported(loop)[f"{module.name}.c"]), "B", case=loop.name, profile="")
+        report.add("worst sample", worst_case(package_of(loop))["sample"], "operations", case=loop.name, profile="")
+        report.add("source", len(package_of(loop)[f"{module.name}.c"]), "B", case=loop.name, profile="")

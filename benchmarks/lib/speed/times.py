@@ -1,4 +1,4 @@
-"""Times of a sample and of its feedback phase, of exported C and of the unit for this machine, and against peers.
+"""Times of a sample and of its feedback phase, of portable C and of this machine's target, and against peers.
 
 Total and feedback: minimum over the rounds of the median over the steps. Worst: the same of the largest total of a
 step, where the total of a step is its minimum over the runs of a round, which are all alike. The ratio to the best peer
@@ -59,14 +59,14 @@ def measure(report: Report, run: Run) -> None:
 
 
 def _add(report: Report, program: Program, times: list[Timing], reference: float) -> None:
-    case, n, lanes = program.case, sum(t.samples for t in times), program.lanes
+    case, n, target = program.case, sum(t.samples for t in times), program.target
     total, feedback = min(t.total for t in times), min(t.feedback for t in times)
-    report.add("total", total, "us", case=case, n=n, lanes=lanes)
-    report.add("feedback", feedback, "us", case=case, n=n, lanes=lanes)
-    report.add("worst/median", min(t.worst for t in times) / total, case=case, n=n, lanes=lanes)
+    report.add("total", total, "us", case=case, n=n, target=target)
+    report.add("feedback", feedback, "us", case=case, n=n, target=target)
+    report.add("worst/median", min(t.worst for t in times) / total, case=case, n=n, target=target)
     if program.loop in PEERS:
         ratio = total * REFERENCE / reference / PEERS[program.loop]
-        report.add("to best peer", ratio, case=case, n=n, lanes=lanes)
-    report.add("failed", max(t.failed for t in times), "steps", case=case, n=n, lanes=lanes)
-    report.add("QP iterations", times[0].qp_iterations, "per step", case=case, n=n, lanes=lanes)
-    report.add("most QP iterations", times[0].qp_iterations_max, "per step", case=case, n=n, lanes=lanes)
+        report.add("to best peer", ratio, case=case, n=n, target=target)
+    report.add("failed", max(t.failed for t in times), "steps", case=case, n=n, target=target)
+    report.add("QP iterations", times[0].qp_iterations, "per step", case=case, n=n, target=target)
+    report.add("most QP iterations", times[0].qp_iterations_max, "per step", case=case, n=n, target=target)

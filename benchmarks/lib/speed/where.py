@@ -16,8 +16,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.lib.speed.loops import LOOPS, hosted, module_of
+from benchmarks.lib.speed.loops import LOOPS, for_target, module_of, package_of, without_avx512
 from nmpc_codegen.runtime.build import PROFILES
+from nmpc_codegen.targets import NATIVE
 from verification.closed_loop import Scenario, compile_driver, run_driver
 from verification.robustness.work import Loop
 
@@ -25,12 +26,10 @@ NAMES = tuple(loop.name for loop in LOOPS)
 RUNS = 40
 #: Shares below this one are left out of the table.
 LEAST = 0.005
-#: callgrind does not know AVX-512.
-KNOWN_TO_CALLGRIND = "-march=x86-64-v3"
 
 
 def show(name: str) -> None:
-    """Print the table of one loop, in a unit for this machine. RuntimeError if there is no tool."""
+    """Print the table of one loop, for the target of this machine. RuntimeError if there is no tool."""
     loop = next(loop for loop in LOOPS if loop.name == name)
     with tempfile.TemporaryDirectory() as folder:
         if shutil.which("perf"):
@@ -45,10 +44,9 @@ def show(name: str) -> None:
     Console().print(table)
 
 
-def _program(loop: Loop, folder: Path, *more: str) -> Path:
-    sources, _ = hosted(loop, avx512=not more)
-    flags = [flag for flag in PROFILES["fast"].flags if not (more and flag.startswith("-march"))]
-    return compile_driver(sources, module_of(loop).name, folder, (*flags, "-fno-inline-functions-called-once", *more))
+def _program(loop: Loop, folder: Path) -> Path:
+    flags = (*PROFILES["fast"].flags, "-fno-inline-functions-called-once")
+    return compile_driver(package_of(loop), module_of(loop).name, folder, flags)
 
 
 def _command(program: Path, scenario: Scenario, runs: int, steps: int) -> list[str]:
@@ -56,7 +54,7 @@ def _command(program: Path, scenario: Scenario, runs: int, steps: int) -> list[s
 
 
 def _by_perf(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], str]:
-    program, data = _program(loop, folder), folder / "samples"
+    program, data = _program(for_target(loop, NATIVE), folder), folder / "samples"
     total = run_driver(program, loop.scenario, runs=5, steps=loop.steps).total
     record = ["perf", "record", "-q", "-e", "cpu-clock", "-F", "5000", "-o", str(data)]
     record += _command(program, loop.scenario, RUNS, loop.steps)
@@ -67,7 +65,7 @@ def _by_perf(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], 
 
 
 def _by_callgrind(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], str]:
-    program, out = _program(loop, folder, KNOWN_TO_CALLGRIND), folder / "instructions"
+    program, out = _program(without_avx512(loop), folder), folder / "instructions"
     total = run_driver(program, loop.scenario, runs=5, steps=loop.steps).total
     tool = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}"]
     subprocess.run([*tool, *_command(program, loop.scenario, 1, loop.steps)], check=True, capture_output=True)

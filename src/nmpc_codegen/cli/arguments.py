@@ -11,9 +11,10 @@ from typing import NoReturn
 import nmpc_codegen
 from nmpc_codegen.cli.messages import one_line
 from nmpc_codegen.errors import ExtraError
-from nmpc_codegen.firmware.targets import LEVELS, TARGETS
-from nmpc_codegen.options import GOALS, MATHS, PRECISIONS
+from nmpc_codegen.firmware.toolchain import LEVELS
+from nmpc_codegen.options import GOALS, PRECISIONS
 from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.targets import MATHS, NATIVE, TARGETS
 
 #: Maximum number of samples of --simulate: a longer log may not fit into memory.
 MAX_SAMPLES = 1_000_000
@@ -21,8 +22,8 @@ MAX_SAMPLES = 1_000_000
 #: Names of the flags --max-NAME, and what they limit.
 BUDGETS = {
     "ram": "bytes of solver struct",
-    "flash": "bytes of code and constants on the target",
-    "stack": "bytes of stack on the target",
+    "flash": "bytes of code and constants on a microcontroller",
+    "stack": "bytes of stack on a microcontroller",
 }
 
 EPILOG = (
@@ -80,9 +81,13 @@ def parser() -> Parser:
         help="how many samples of the simulation may fail (default 0); OK and NOT_CONVERGED are no failures",
     )
     add("--plot", metavar="FILE", help="write a picture of the simulation (.png, .pdf, .svg)")
-    add("--target", choices=list(TARGETS), help="microcontroller: scalar code, a certificate, a bare-metal replay")
-    add("--level", choices=LEVELS, help=f"optimisation level of the code for the target (default {LEVELS[0]})")
-    add("--verify", action="store_true", help="with --target: replay a closed loop on the emulated board, compare")
+    add(
+        "--target",
+        choices=[NATIVE, *TARGETS],
+        help="machine for which the C is written (default: any); for a microcontroller also a certificate and firmware",
+    )
+    add("--level", choices=LEVELS, help=f"optimisation level on a microcontroller (default {LEVELS[0]})")
+    add("--verify", action="store_true", help="replay a closed loop on the emulated target, compare")
     add(
         "--max-operations",
         metavar="NUMBER",
@@ -116,10 +121,6 @@ def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
     for setting in arguments.settings:
         if "=" not in setting or not setting.partition("=")[0].strip():
             yield f"--set {setting}: expected KEY=VALUE, e.g. integrator.steps=3"
-    if arguments.target is None:
-        for flag in ("level", "verify", "max_flash", "max_stack"):
-            if getattr(arguments, flag):
-                yield f"--{flag.replace('_', '-')} needs --target NAME"
     for flag in ("plot", "allow_failures"):
         if getattr(arguments, flag) is not None and arguments.simulate is None:
             yield f"--{flag.replace('_', '-')} needs --simulate STEPS"

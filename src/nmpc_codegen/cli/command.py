@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from nmpc_codegen.compiler import Package
     from nmpc_codegen.frontend.ocp import OCP
     from nmpc_codegen.options import Options
-    from nmpc_codegen.package.sources import Sources
 
 SHOWN_FUNCTIONS = 8
 LONG_SIMULATION = 10_000  # number of samples from which the simulation is announced
@@ -63,16 +62,23 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         return 0
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
-    from nmpc_codegen.compiler import export
+    from nmpc_codegen.compiler import compile, export
+    from nmpc_codegen.options import Options
+    from nmpc_codegen.runtime.compilers import find_compiler
 
-    _look_for_tools(arguments)
+    if arguments.check or arguments.simulate is not None:
+        find_compiler()
+    firmware = Firmware(arguments)
+    if arguments.target is not None:
+        firmware.look_for_tools(Options(target=arguments.target))
     ocp, options = _problem(arguments, printer)
+    firmware.look_for_tools(options)
     name = ocp.name if arguments.name is None else arguments.name
     if arguments.max_operations is not None:
         options = _capped(ocp, options, name, arguments.max_operations, printer)
     folder = Path(arguments.output or Path("out") / name)
-    firmware = Firmware(arguments, name, lambda: _every_goal(ocp, options, name))
-    given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": firmware.more}
+    given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force}
+    given["more"] = firmware.hook(name, lambda **changes: compile(ocp, replace(options, **changes), name))
     with saying_warnings(printer):
         package = export(ocp, options, str(folder), name=name, **given)
         _print_package(printer, package, folder, arguments.verbose)
@@ -100,25 +106,6 @@ def _capped(ocp: OCP, options: Options, name: str, text: str, printer: Printer) 
     return fit.options
 
 
-def _every_goal(ocp: OCP, options: Options, name: str) -> dict[str, Sources]:
-    """Goal -> the files of the package with this goal, for a processor without a vector unit."""
-    from nmpc_codegen.compiler import compile
-    from nmpc_codegen.options import GOALS
-
-    return {goal: compile(ocp, replace(options, goal=goal, processor="scalar"), name) for goal in GOALS}
-
-
-def _look_for_tools(arguments: argparse.Namespace) -> None:
-    """Raise BuildError, with what to install, before any work if a program is missing that the flags need."""
-    from nmpc_codegen.firmware.toolchain import require
-    from nmpc_codegen.runtime.compilers import find_compiler
-
-    if arguments.target is not None:
-        require(emulator=arguments.verify)
-    if arguments.check or arguments.simulate is not None or arguments.target is not None:
-        find_compiler()
-
-
 def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Options]:
     """The problem of the file, and its options with the changes of the command line."""
     import numpy as np
@@ -128,13 +115,11 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Opti
 
     with undisturbed(printer, arguments.problem, arguments.verbose), np.errstate():
         ocp, options = load_problem(Path(arguments.problem))
-    words = [(flag, getattr(arguments, flag)) for flag in ("hessian", "qp", "precision", "math", "goal")]
+    words = [(flag, getattr(arguments, flag)) for flag in ("hessian", "qp", "precision", "math", "goal", "target")]
     settings = [(key, text) for key, text in words if text is not None]
     for setting in arguments.settings:
         key, _, text = setting.partition("=")
         settings.append((key.strip(), text.strip()))
-    if arguments.target is not None and options.processor is None:
-        settings.insert(0, ("processor", "scalar"))
     return ocp, apply_settings(options, settings)
 
 
@@ -174,7 +159,7 @@ def _print_package(printer: Printer, package: Package, folder: Path, verbose: bo
         printer.line(f"chosen  {choice}")
     if "ram_bytes" in package.report:
         bytes_of_struct = f"{package.report['ram_bytes']:,} bytes of solver struct"
-        printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack, which --target states")
+        printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack")
     _print_operations(printer, package.report.get("operations", {}), verbose)
     if verbose:
         printer.line(f"worst   {_worst(package)}")

@@ -9,33 +9,57 @@ from rich.table import Table
 
 from nmpc_codegen.cli.arguments import BUDGETS
 from nmpc_codegen.cli.printing import Printer
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import Budgets, parsed
 from nmpc_codegen.firmware.certificate import Certificate
-from nmpc_codegen.firmware.delivery import Delivery, deliver, sentences
+from nmpc_codegen.firmware.delivery import Delivery, Variant, deliver, sentences
 from nmpc_codegen.firmware.forms import Form
-from nmpc_codegen.firmware.targets import LEVELS, find_target
+from nmpc_codegen.firmware.process import compiler_for, emulated
+from nmpc_codegen.firmware.toolchain import LEVELS, require
+from nmpc_codegen.options import Options
 from nmpc_codegen.package.seal import sealed_beside
-
-#: Makes the package for every goal: goal -> its files.
-Goals = Callable[[], Mapping[str, Mapping[str, str]]]
+from nmpc_codegen.runtime.compilers import find_compiler
+from nmpc_codegen.targets import TARGETS
 
 
 class Firmware:
-    """The flags of an export for a target; ``more`` is the hook of export(), after which there is a delivery."""
+    """The flags of an export for a target; with ``hook`` as a part of the export there is a delivery."""
 
-    def __init__(self, arguments: argparse.Namespace, name: str, goals: Goals) -> None:
+    def __init__(self, arguments: argparse.Namespace) -> None:
         given = {flag: getattr(arguments, f"max_{flag}") for flag in BUDGETS}
         limits = {flag: parsed(f"--max-{flag}", text) for flag, text in given.items() if text is not None}
-        self._budgets, self._name, self._goals = Budgets(**limits), name, goals
-        self._target = None if arguments.target is None else find_target(arguments.target)
+        self._budgets, self._delivery = Budgets(**limits), Delivery({}, None, None)
         self._level, self._run = arguments.level or LEVELS[0], arguments.verify
-        self._delivery = Delivery({}, None, None)
+        stated = {"level": arguments.level, "max-flash": self._budgets.flash, "max-stack": self._budgets.stack}
+        self._of_boards = [f"--{flag}" for flag, value in stated.items() if value is not None]
 
-    def more(self, sources: Mapping[str, str]) -> dict[str, str]:
-        """Further files of the package, sealed; it raises an error if a budget is exceeded or a tool is missing."""
-        checks = (self._target, self._level, self._budgets, self._run)
-        self._delivery = deliver(sources, self._name, *checks, self._goals)
-        return sealed_beside(self._delivery.files, sources)
+    def look_for_tools(self, options: Options) -> None:
+        """Look, before any work, for what the flags need on the target of the options.
+
+        Raises:
+            OptionError: a flag needs a microcontroller, or the target cannot be verified.
+            BuildError: a program is missing; the message says what to install.
+        """
+        target = TARGETS[options.with_defaults.target]
+        if target.board is not None:
+            require(target, emulator=self._run)
+            find_compiler()
+        elif self._of_boards:
+            boards = ", ".join(t.name for t in TARGETS.values() if t.board)
+            raise OptionError(f"{self._of_boards[0]} needs --target {boards}: on {target.name} it has no meaning")
+        elif self._run:
+            emulated(target)
+            compiler_for(target)
+
+    def hook(self, name: str, variant: Variant) -> Callable[[Mapping[str, str]], dict[str, str]]:
+        """What export() calls before it writes anything; ``variant`` makes the package with other options."""
+
+        def more(sources: Mapping[str, str]) -> dict[str, str]:
+            """Further files, sealed; an error if a budget is exceeded or a tool fails."""
+            self._delivery = deliver(sources, name, self._level, self._budgets, self._run, variant)
+            return sealed_beside(self._delivery.files, sources)
+
+        return more
 
     def report(self, printer: Printer) -> bool:
         """Print certificate and verdict; return False if host and target disagree."""

@@ -97,6 +97,8 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
         "gcc12": GCC_12,
         "folders": (),
         "libraries": ("m",),
+        "flags": "",
+        "extensions": "OFF",
         "signals": (
             *(("x", problem.state_names), ("u", problem.control_names), ("p", problem.parameter_names)),
             ("z", model.output_names),

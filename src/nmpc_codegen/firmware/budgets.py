@@ -74,7 +74,7 @@ def _exceeded(budgets: Budgets, description: PackageDescription, certificate: Ce
         if limit is None:
             continue
         if certificate is None:
-            raise OptionError(f"--max-{name} needs --target NAME: it depends on compiler and core")
+            raise OptionError(f"--max-{name} needs --target with a microcontroller: it depends on compiler and core")
         used = certificate.flash_bytes if name == "flash" else certificate.stack_worst
         what = "bytes of code and constants" if name == "flash" else f"bytes ({' > '.join(certificate.stack_chain)})"
         yield from _judged(name, limit, used, what, description, advice)

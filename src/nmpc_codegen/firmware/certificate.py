@@ -18,16 +18,16 @@ from tempfile import TemporaryDirectory
 from nmpc_codegen.analysis import worst_case
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.firmware import stack
-from nmpc_codegen.firmware.targets import Level, Target
-from nmpc_codegen.firmware.toolchain import PREFIX, gcc, run, version
+from nmpc_codegen.firmware.toolchain import Level, compile_flags, cross, in_hardware, version
 from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.targets import Target
 
 #: Entry points that a controller with a real-time iteration calls.
 REAL_TIME = ("init", "prepare", "feedback", "step", "shift", "reset")
 SOLVE = "solve"
 
 #: Functions of libgcc that compute in double precision: a package in single precision must not call them.
-_DOUBLE = re.compile(r"__aeabi_(?:d\w+|f2d|i2d|ui2d|l2d|ul2d|cd\w+)$")
+_DOUBLE = re.compile(r"__aeabi_(?:d\w+|f2d|i2d|ui2d|l2d|ul2d|cd\w+)$|__(?!aeabi)\w*df\w*$")
 #: Functions that the compiler itself calls: copying, and arithmetic that the core does not have.
 _COMPILER = re.compile(r"__aeabi_\w+$|mem(?:cpy|set|move|cmp)$|__\w+[sdt][if]\d*$")
 
@@ -92,33 +92,35 @@ def measure(package: Mapping[str, str], name: str, target: Target, level: Level)
 def _certified(
     package: Mapping[str, str], description: PackageDescription, target: Target, level: Level, folder: Path
 ) -> Certificate:
-    name, flags = description.name, target.compile_flags(level)
+    name, flags = description.name, compile_flags(target, level)
     for ext in ("h", "c"):
         (folder / f"{name}.{ext}").write_text(package[f"{name}.{ext}"], encoding="utf-8")
-    gcc([*flags, "-fcallgraph-info=su", "-c", f"{name}.c", "-o", "package.o"], folder)
-    functions = defined(folder, name)
-    undefined = tuple(line.split()[-1] for line in _tool("nm", folder, "-u", "package.o").splitlines())
+    _tool(target, "gcc", folder, *flags, "-fcallgraph-info=su", "-c", f"{name}.c", "-o", "package.o")
+    functions = defined(target, folder, name)
+    undefined = tuple(line.split()[-1] for line in _tool(target, "nm", folder, "-u", "package.o").splitlines())
     _link(target, functions, "all.elf", folder)
-    graph, symbols = (folder / "package.ci").read_text(encoding="utf-8"), _tool("nm", folder, "all.elf")
+    graph, symbols = (folder / "package.ci").read_text(encoding="utf-8"), _tool(target, "nm", folder, "all.elf")
     frames = stack.with_folded(stack.of_package(graph), symbols, f"{name}.c")
     roots = {f.removeprefix(f"{name}_"): f for f in functions}
-    depths = stack.depths(_library(folder, symbols) | frames, roots)
+    depths = stack.depths(_library(target, folder, symbols) | frames, roots)
     alone = stack.depths({f: stack.Function() for f in undefined} | frames, roots)
     deepest = max(depths.values(), key=lambda d: d.bytes)
-    flash, library = flash_bytes(folder, functions), _sizes(_tool("size", folder, "all.elf"))
+    flash, library = flash_bytes(target, folder, functions), _sizes(_tool(target, "size", folder, "all.elf"))
     return Certificate(
         name=name,
         target=target.name,
-        core=target.core,
+        core=target.machine,
         precision=description.precision,
-        arithmetic="hardware" if target.in_hardware(description.precision) else "software",
-        compiler=version(f"{PREFIX}gcc"),
+        arithmetic="hardware" if in_hardware(target, description.precision) else "software",
+        compiler=version(f"{target.compiler}gcc"),
         level=level,
         flags=flags,
         struct_bytes=_struct_bytes(name, target, folder),
         flash_bytes=flash,
-        flash_bytes_without_solve=flash_bytes(folder, [f for f in functions if f != f"{name}_{SOLVE}"]),
-        flash_bytes_real_time=flash_bytes(folder, [f for f in functions if f.removeprefix(f"{name}_") in REAL_TIME]),
+        flash_bytes_without_solve=flash_bytes(target, folder, [f for f in functions if f != f"{name}_{SOLVE}"]),
+        flash_bytes_real_time=flash_bytes(
+            target, folder, [f for f in functions if f.removeprefix(f"{name}_") in REAL_TIME]
+        ),
         library_bytes=library[0] - flash,
         library_ram_bytes=library[1],
         stack_bytes={label: d.bytes for label, d in depths.items()},
@@ -129,7 +131,7 @@ def _certified(
         compiler_functions=tuple(f for f in undefined if _COMPILER.match(f)),
         double_functions=tuple(f for f in undefined if _DOUBLE.match(f)),
         sha256={path: _digest(package[path]) for path in (f"{name}.h", f"{name}.c")},
-        object_sha256=_object_digest(folder),
+        object_sha256=_object_digest(target, folder),
     )
 
 
@@ -137,17 +139,17 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def defined(folder: Path, name: str) -> list[str]:
+def defined(target: Target, folder: Path, name: str) -> list[str]:
     """The external functions of package.o."""
-    lines = (line.split() for line in _tool("nm", folder, "--defined-only", "-g", "package.o").splitlines())
+    lines = (line.split() for line in _tool(target, "nm", folder, "--defined-only", "-g", "package.o").splitlines())
     return sorted(symbol for _, kind, symbol in lines if kind == "T" and symbol.startswith(f"{name}_"))
 
 
-def flash_bytes(folder: Path, functions: Iterable[str]) -> int:
+def flash_bytes(target: Target, folder: Path, functions: Iterable[str]) -> int:
     """Bytes of code and constants of package.o that these functions reach, without libraries."""
     roots = [f"--undefined={f}" for f in functions]
-    _tool("ld", folder, "-r", "--gc-sections", *roots, "package.o", "-o", "part.o")
-    flash, ram = _sizes(_tool("size", folder, "part.o"))
+    _tool(target, "ld", folder, "-r", "--gc-sections", *roots, "package.o", "-o", "part.o")
+    flash, ram = _sizes(_tool(target, "size", folder, "part.o"))
     if ram:
         raise BuildError(f"the package has {ram} bytes of variables outside its struct")
     return flash
@@ -159,20 +161,20 @@ def _sizes(listing: str) -> tuple[int, int]:
     return text + data, data + bss
 
 
-def _tool(program: str, folder: Path, *arguments: str) -> str:
-    return run([f"{PREFIX}{program}", *arguments], folder)
+def _tool(target: Target, program: str, folder: Path, *arguments: str) -> str:
+    return cross(target, program, arguments, folder)
 
 
 def _link(target: Target, functions: Iterable[str], output: str, folder: Path) -> None:
     """A program that consists of these functions and what they need from the libraries."""
     roots = [f"-Wl,--undefined={f}" for f in functions]
-    options = ("-nostartfiles", "-Wl,--gc-sections", "-Wl,--entry=0", "--specs=nosys.specs")
-    gcc([*target.flags, *options, *roots, "package.o", "-lm", "-o", output], folder)
+    options = ("-nostartfiles", "-Wl,--gc-sections", "-Wl,--entry=0", *target.libraries)
+    _tool(target, "gcc", folder, *target.flags, *options, *roots, "package.o", "-lm", "-o", output)
 
 
-def _library(folder: Path, symbols: str) -> dict[str, stack.Function]:
+def _library(target: Target, folder: Path, symbols: str) -> dict[str, stack.Function]:
     """Functions of the libraries with their frames, from the linked program."""
-    listing = _tool("objdump", folder, "-d", "--no-show-raw-insn", "all.elf")
+    listing = _tool(target, "objdump", folder, "-d", "--no-show-raw-insn", "all.elf")
     return stack.with_aliases(stack.of_program(listing), symbols)
 
 
@@ -180,11 +182,13 @@ def _struct_bytes(name: str, target: Target, folder: Path) -> int:
     """sizeof(<name>_solver_t) on the target: the size of an array of so many characters."""
     text = f'#include "{name}.h"\nchar struct_bytes[sizeof({name}_solver_t)] = {{1}};\n'
     (folder / "size.c").write_text(text, encoding="utf-8")
-    gcc([*target.flags, "-c", "size.c", "-o", "size.o"], folder)
-    (line,) = (part.split() for part in _tool("nm", folder, "-S", "size.o").splitlines() if "struct_bytes" in part)
+    _tool(target, "gcc", folder, *target.flags, *target.libraries, "-c", "size.c", "-o", "size.o")
+    (line,) = (
+        part.split() for part in _tool(target, "nm", folder, "-S", "size.o").splitlines() if "struct_bytes" in part
+    )
     return int(line[1], 16)
 
 
-def _object_digest(folder: Path) -> str:
+def _object_digest(target: Target, folder: Path) -> str:
     """SHA-256 of the contents of all sections of package.o that are loaded."""
-    return _digest(_tool("objdump", folder, "-s", "package.o"))
+    return _digest(_tool(target, "objdump", folder, "-s", "package.o"))

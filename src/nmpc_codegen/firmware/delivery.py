@@ -1,4 +1,4 @@
-"""What an export for a target adds to a package, before anything is written: budgets, certificate, emulated run, files.
+"""What nmpc-export checks for a target and adds for a microcontroller, before anything is written.
 
 certificate.json, certificate.md    properties of the package on the target, for programs and for people
 firmware/                           a bare-metal program that replays a recorded closed loop, and its Makefile
@@ -18,22 +18,28 @@ from nmpc_codegen.firmware.forms import Form, forms_of
 from nmpc_codegen.firmware.image import sources
 from nmpc_codegen.firmware.layouts import layouts
 from nmpc_codegen.firmware.recording import Recording, record, started_again
-from nmpc_codegen.firmware.targets import ICOUNT_SHIFT, Level, Target
+from nmpc_codegen.firmware.toolchain import Level
 from nmpc_codegen.firmware.verify import Verdict, verify
 from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.options import GOALS
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.runtime.build import load
+from nmpc_codegen.targets import PORTABLE, TARGETS, Target
 
 FOLDER = "firmware"
 SAMPLES = 200
 NOT_RUN = "Not run: export with --verify."
 
 
+#: Makes the package with other options.
+Variant = Callable[..., Mapping[str, str]]
+
+
 @dataclass(frozen=True)
 class Delivery:
-    """The files that are added, and what was found: certificate and verdict, None without a target or --verify.
+    """The files that are added, and what was found: certificate, of a microcontroller, and verdict, of --verify.
 
-    ``forms``: sizes for every goal, empty if they have not been asked for.
+    ``forms``: sizes for every goal, of a microcontroller.
     """
 
     files: Mapping[str, str]
@@ -43,41 +49,43 @@ class Delivery:
 
 
 def deliver(
-    package: Mapping[str, str],
-    name: str,
-    target: Target | None,
-    level: Level,
-    budgets: Budgets,
-    run: bool,
-    goals: Callable[[], Mapping[str, Mapping[str, str]]] = dict,
+    package: Mapping[str, str], name: str, level: Level, budgets: Budgets, run: bool, variant: Variant
 ) -> Delivery:
-    """Check the budgets; for a target also certify the package, record a closed loop and, on request, replay it.
+    """Check the budgets; replay a closed loop on the target of the package on request; for a microcontroller also
+    certify the package, and add what its firmware is built from.
 
-    ``goals``: makes the package for every goal, whose sizes are compared.
+    ``variant``: makes the package with other options: for every goal, whose sizes are compared, and in portable C.
 
     Raises:
-        OptionError: a budget is exceeded.
+        OptionError: a budget is exceeded, or the package cannot be verified.
         BuildError: a tool is missing or refuses the code.
     """
     description = PackageDescription.from_json(package[f"{name}.json"])
-    if target is not None and description.dims.nu == 0:
+    target = TARGETS[description.target]
+    if description.dims.nu == 0 and (run or target.board):
         raise OptionError(f"--target: {name} has no controls, so there is nothing to verify")
-    if target is not None and any("/" in path for path in package):
+    if any("/" in path for path in package) and (run or target.board):
         raise OptionError("--target: the package contains foreign code, which is not certified; choose another qp")
-    certificate = None if target is None else certify(package, name, target, level)
+    if target.board is None:
+        check(budgets, description, None)
+        return Delivery({}, None, _verified(package, name, target, variant) if run else None)
+    certificate = certify(package, name, target, level)
     check(budgets, description, certificate)
-    if target is None or certificate is None:
-        return Delivery({}, None, None)
     recording = recorded(package, name)
     verdict = verify(package, name, recording, target, level, certificate.stack_worst) if run else None
     files = {
         f"{FOLDER}/{path}": text for path, text in sources(target, recording.header, certificate.stack_worst).items()
     }
     files |= layouts(package, recording, target, certificate, budgets.ram)
-    forms = forms_of(goals(), name, target)
+    forms = forms_of({goal: variant(goal=goal) for goal in GOALS}, name, target)
     files["certificate.json"] = certificate_json(certificate, verdict, forms)
     files["certificate.md"] = page(certificate, verdict, forms, sorted(files))
     return Delivery(files, certificate, verdict, forms)
+
+
+def _verified(package: Mapping[str, str], name: str, target: Target, variant: Variant) -> Verdict:
+    """The target against portable C on this machine."""
+    return verify(package, name, recorded(variant(target=PORTABLE.name), name), target)
 
 
 def recorded(package: Mapping[str, str], name: str) -> Recording:
@@ -116,7 +124,6 @@ def page(
 
 def sentences(verdict: Verdict) -> str:
     """What the emulated run showed."""
-    run = verdict.run
     agree = (
         f"All {verdict.samples} samples agree with the host"
         if verdict.passed
@@ -124,9 +131,5 @@ def sentences(verdict: Verdict) -> str:
     )
     return (
         f"{agree}: equal status, controls within {verdict.tolerance:g} of their range; the largest difference is "
-        f"{verdict.error:.1e}, {verdict.bits} samples are not equal to the bit.\n\n"
-        f"Emulated instructions per sample (not cycles; -icount shift={ICOUNT_SHIFT}): median {run.median:,}, "
-        f"worst {run.worst:,}. Painted stack of the run: "
-        + ", ".join(f"{entry} {used:,}" for entry, used in run.stack.items())
-        + " bytes."
-    )
+        f"{verdict.error:.1e}, {verdict.bits} samples are not equal to the bit.\n\n{verdict.run.sentence}"
+    ).rstrip()

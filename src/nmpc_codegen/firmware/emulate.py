@@ -6,7 +6,7 @@ cycles of a chip, but exact and repeatable.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import BuildError
-from nmpc_codegen.firmware.image import ELF, Image
-from nmpc_codegen.firmware.targets import ICOUNT_SHIFT, INSTRUCTIONS_PER_TICK
-from nmpc_codegen.firmware.toolchain import EMULATOR, run
+from nmpc_codegen.firmware.image import ELF, Image, board_of
+from nmpc_codegen.firmware.toolchain import run
 from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.targets import ICOUNT_SHIFT
 
 OUTPUT = "uart.txt"
 SECONDS = 600.0  # that an emulation may take
@@ -27,11 +27,27 @@ OTHERS = ("step", "cost", "integrate", "shift", "kkt", "reset", "solve")
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
-    """What the target did: controls, statuses, instructions per call, and the stack of every entry point, bytes."""
+class Outcome:
+    """What the target did: controls and statuses."""
 
     u: NDArray[np.floating[Any]]  # (samples, nu), in the package's precision
     status: NDArray[np.int64]  # (samples,)
+
+    @property
+    def measured(self) -> Mapping[str, object]:
+        """What else is known of the run, as JSON."""
+        return {}
+
+    @property
+    def sentence(self) -> str:
+        """The same in words."""
+        return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Run(Outcome):
+    """The same on a board, with instructions per call, and the stack of every entry point, bytes."""
+
     prepare: NDArray[np.int64]  # instructions, (samples,)
     feedback: NDArray[np.int64]
     instructions: dict[str, int]  # of other entry points, called once
@@ -52,6 +68,25 @@ class Run:
         """Instructions of the sample that took most."""
         return int(self.sample.max())
 
+    @property
+    def measured(self) -> Mapping[str, object]:
+        """Instructions of a sample, and the stack."""
+        return {
+            "instructions_median": self.median,
+            "instructions_worst": self.worst,
+            "painted_stack_bytes": dict(self.stack),
+        }
+
+    @property
+    def sentence(self) -> str:
+        """The same in words."""
+        return (
+            f"Emulated instructions per sample (not cycles; -icount shift={ICOUNT_SHIFT}): median {self.median:,}, "
+            f"worst {self.worst:,}. Painted stack of the run: "
+            + ", ".join(f"{entry} {used:,}" for entry, used in self.stack.items())
+            + " bytes."
+        )
+
 
 def emulate(image: Image, description: PackageDescription, samples: int) -> Run:
     """Run the image.
@@ -59,7 +94,7 @@ def emulate(image: Image, description: PackageDescription, samples: int) -> Run:
     Raises:
         BuildError: there is no emulator, the program does not end, or its output is not complete.
     """
-    command = [EMULATOR, "-M", image.target.machine, "-kernel", ELF, "-display", "none", "-monitor", "none"]
+    command = [*image.target.emulator, "-kernel", ELF, "-display", "none", "-monitor", "none"]
     command += ["-serial", f"file:{OUTPUT}", "-icount", f"shift={ICOUNT_SHIFT}"]
     command += ["-semihosting-config", "enable=on,target=native"]
     (image.folder / OUTPUT).write_text("", encoding="utf-8")
@@ -68,7 +103,7 @@ def emulate(image: Image, description: PackageDescription, samples: int) -> Run:
     except BuildError as error:
         raise BuildError(f"{error}\nthe board's last words: {_tail(image)}") from None
     text = (image.folder / OUTPUT).read_text(encoding="ascii", errors="replace")
-    return _parsed(text.splitlines(), description, samples)
+    return _parsed(text.splitlines(), description, samples, board_of(image.target).instructions_per_tick)
 
 
 def _tail(image: Image) -> str:
@@ -76,7 +111,7 @@ def _tail(image: Image) -> str:
     return lines[-1] if lines else "none"
 
 
-def _parsed(lines: Sequence[str], description: PackageDescription, samples: int) -> Run:
+def _parsed(lines: Sequence[str], description: PackageDescription, samples: int, per_tick: float) -> Run:
     """The lines of replay.c, whose formats it states."""
     words: dict[str, list[list[int]]] = {letter: [] for letter in "EISO"}
     for line in lines:
@@ -88,7 +123,7 @@ def _parsed(lines: Sequence[str], description: PackageDescription, samples: int)
     empty: int = words["E"][0][0]
 
     def instructions(ticks: int) -> int:
-        counted: int = round((ticks - empty) * INSTRUCTIONS_PER_TICK)
+        counted: int = round((ticks - empty) * per_tick)
         return counted
 
     table = np.array([sample[:6] for sample in words["S"]], dtype=np.int64).reshape(samples, 6)

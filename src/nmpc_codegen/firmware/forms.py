@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 
 from nmpc_codegen.firmware.certificate import measure
-from nmpc_codegen.firmware.targets import LEVELS, Level, Target
+from nmpc_codegen.firmware.toolchain import LEVELS, Level
+from nmpc_codegen.targets import Target
 
 
 @dataclass(frozen=True)

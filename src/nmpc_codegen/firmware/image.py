@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from nmpc_codegen.firmware.targets import Level, Target
-from nmpc_codegen.firmware.toolchain import gcc
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.firmware.toolchain import Level, compile_flags, cross
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.targets import Board, Target
 
 #: Stack of the program: that of the call that needs most, half as much again, so that an excess shows, and its own.
 MOST_STACK = 32 << 10
@@ -30,12 +31,25 @@ class Image:
         return self.folder / ELF
 
 
+def board_of(target: Target) -> Board:
+    """The emulated board of a microcontroller.
+
+    Raises:
+        OptionError: the target is none.
+    """
+    if target.board is None:
+        raise OptionError(f"the target {target.name} is no microcontroller, which a bare-metal program needs")
+    return target.board
+
+
 def sources(target: Target, recording: str, stack_bytes: int = MOST_STACK) -> dict[str, str]:
     """The files of the program besides the package: start-up code, replay, linker script, recording."""
     stack = (stack_bytes * 3 // 2 + OWN_STACK) & ~7
     folder = template_directory() / "firmware"
-    files = {name: (folder / name).read_text(encoding="utf-8") for name in (*PROGRAM, "start.h")}
-    script = environment().get_template("firmware/image.ld.jinja").render(target=target, stack_bytes=stack)
+    board = board_of(target)
+    parts = {"start.c": board.start, "replay.c": "replay.c", "start.h": "start.h"}
+    files = {name: (folder / part).read_text(encoding="utf-8") for name, part in parts.items()}
+    script = environment().get_template("firmware/image.ld.jinja").render(board=board, stack_bytes=stack)
     return {**files, "image.ld": script, "recording.h": recording}
 
 
@@ -60,10 +74,10 @@ def build(
         BuildError: there is no cross compiler, or it refuses the code.
     """
     write(package, name, sources(target, recording, stack_bytes), folder)
-    gcc([*target.compile_flags(level), "-c", f"{name}.c", "-o", "package.o"], folder)
+    cross(target, "gcc", [*compile_flags(target, level), "-c", f"{name}.c", "-o", "package.o"], folder)
     for unit in PROGRAM:
-        gcc([*target.compile_flags("O2"), "-c", unit, "-o", f"{unit}.o"], folder)
+        cross(target, "gcc", [*compile_flags(target, "O2"), "-c", unit, "-o", f"{unit}.o"], folder)
     objects = ("package.o", *(f"{unit}.o" for unit in PROGRAM))
-    link = ("-nostartfiles", "--specs=nosys.specs", "-Wl,--gc-sections", "-Timage.ld")
-    gcc([*target.flags, *link, *objects, "-lm", "-o", ELF], folder)
+    link = ("-nostartfiles", *target.libraries, "-Wl,--gc-sections", "-Timage.ld")
+    cross(target, "gcc", [*target.flags, *link, *objects, "-lm", "-o", ELF], folder)
     return Image(folder, target)

@@ -11,10 +11,11 @@ from typing import Any
 
 from nmpc_codegen.firmware.certificate import Certificate
 from nmpc_codegen.firmware.recording import Recording, literals
-from nmpc_codegen.firmware.targets import ARITHMETIC, ICOUNT_SHIFT, SECTIONS, Target
+from nmpc_codegen.firmware.toolchain import ARITHMETIC, SECTIONS
 from nmpc_codegen.firmware.verify import TOLERANCE
 from nmpc_codegen.lowering.render import environment
 from nmpc_codegen.package.seal import has_seal
+from nmpc_codegen.targets import ICOUNT_SHIFT, Target
 
 #: File -> template below templates/firmware.
 CROSS = {

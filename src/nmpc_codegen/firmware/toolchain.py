@@ -1,4 +1,4 @@
-"""The programs of the cross compiler and the emulator: found on the path, run in a folder, with errors that help."""
+"""The cross compiler of a target and its emulator: found on the path, run in a folder, with errors that help."""
 
 from __future__ import annotations
 
@@ -7,22 +7,47 @@ import shutil
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from nmpc_codegen.errors import BuildError
+from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.targets import Target
 
-PREFIX = "arm-none-eabi-"
-EMULATOR = "qemu-system-arm"
+Level = Literal["O2", "Os"]
+LEVELS: tuple[Level, ...] = ("O2", "Os")
+
+#: Flags of floating-point arithmetic. Contraction is off, so that host and target round alike.
+ROUNDING = ("-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off")
+#: Those and the language of microcontrollers.
+ARITHMETIC = ("-std=c99", *ROUNDING)
+SECTIONS = ("-ffunction-sections", "-fdata-sections")
+
 SHOWN_LINES = 20
 
-#: Program -> Debian packages that contain it and what it needs.
+#: Programs of a cross compiler that a certificate needs.
+TOOLS = ("gcc", "ld", "nm", "size", "objdump")
+
+#: Beginning of the names of programs -> Debian packages that contain them and what they need.
 _PACKAGES = {
-    f"{PREFIX}gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
-    f"{PREFIX}ld": "binutils-arm-none-eabi",
-    f"{PREFIX}nm": "binutils-arm-none-eabi",
-    f"{PREFIX}size": "binutils-arm-none-eabi",
-    f"{PREFIX}objdump": "binutils-arm-none-eabi",
-    EMULATOR: "qemu-system-arm",
+    "arm-none-eabi-": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
+    "riscv64-unknown-elf-": "gcc-riscv64-unknown-elf picolibc-riscv64-unknown-elf",
+    "aarch64-linux-gnu-": "gcc-aarch64-linux-gnu libc6-dev-arm64-cross",
+    "x86_64-linux-gnu-": "gcc-x86-64-linux-gnu libc6-dev-amd64-cross",
+    "qemu-system-arm": "qemu-system-arm",
+    "qemu-system-": "qemu-system-misc",
+    "qemu-": "qemu-user",
 }
+
+
+def compile_flags(target: Target, level: Level) -> tuple[str, ...]:
+    """All flags with which a package is compiled for a microcontroller."""
+    return (*target.flags, f"-{level}", *ARITHMETIC, *SECTIONS)
+
+
+def in_hardware(target: Target, precision: Precision) -> bool:
+    """True if the floating-point unit of the target computes in this precision."""
+    unit = "double" if target.board is None else target.board.unit
+    return unit in ("double", precision)
 
 
 def find(program: str) -> str:
@@ -33,23 +58,25 @@ def find(program: str) -> str:
     """
     path = shutil.which(program)
     if path is None:
-        flag = "--verify" if program == EMULATOR else "--target"
+        flag = "--verify" if program.startswith("qemu-") else "--target"
+        packages = next((names for start, names in _PACKAGES.items() if program.startswith(start)), program)
         raise BuildError(
             f"there is no program {program} on the path, which {flag} needs: install it, e.g. with "
-            f"'apt install {_PACKAGES[program]}'"
+            f"'apt install {packages}'"
         )
     return path
 
 
-def require(emulator: bool) -> None:
-    """Look for every program that a target needs, before any work; with ``emulator`` for that, too.
+def require(target: Target, emulator: bool) -> None:
+    """Look for every program that a microcontroller needs, before any work; with ``emulator`` for that, too.
 
     Raises:
         BuildError: one is missing; the message says what to install.
     """
-    for program in _PACKAGES:
-        if program != EMULATOR or emulator:
-            find(program)
+    for tool in TOOLS:
+        find(f"{target.compiler}{tool}")
+    if emulator:
+        find(target.emulator[0])
 
 
 def version(program: str) -> str:
@@ -85,6 +112,6 @@ def run(command: Sequence[str], folder: Path, seconds: float | None = None) -> s
     return done.stdout
 
 
-def gcc(arguments: Sequence[str], folder: Path) -> str:
-    """Run the cross compiler."""
-    return run([f"{PREFIX}gcc", *arguments], folder)
+def cross(target: Target, tool: str, arguments: Sequence[str], folder: Path) -> str:
+    """Run a program of the cross compiler of a target."""
+    return run([f"{target.compiler}{tool}", *arguments], folder)

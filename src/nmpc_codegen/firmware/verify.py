@@ -12,10 +12,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from nmpc_codegen.firmware.emulate import Run, emulate
+from nmpc_codegen.firmware.emulate import Outcome, emulate
 from nmpc_codegen.firmware.image import MOST_STACK, build
+from nmpc_codegen.firmware.process import run_process
 from nmpc_codegen.firmware.recording import Recording
-from nmpc_codegen.firmware.targets import Level, Target
+from nmpc_codegen.firmware.toolchain import Level
+from nmpc_codegen.targets import Target
 
 #: Largest |u - u_host| of a sample that agrees, relative to the range of the control.
 TOLERANCE = {"double": 1e-9, "single": 1e-3}
@@ -25,7 +27,7 @@ TOLERANCE = {"double": 1e-9, "single": 1e-3}
 class Verdict:
     """Outcome of the comparison. ``mismatches``: samples that do not agree; ``bits``: samples with another bit in u."""
 
-    run: Run
+    run: Outcome
     samples: int
     tolerance: float
     error: float  # the largest |u - u_host| / range
@@ -46,9 +48,7 @@ class Verdict:
             "bit_mismatches": self.bits,
             "largest_difference_over_range": self.error,
             "tolerance": self.tolerance,
-            "instructions_median": self.run.median,
-            "instructions_worst": self.run.worst,
-            "painted_stack_bytes": dict(self.run.stack),
+            **self.run.measured,
         }
 
 
@@ -60,18 +60,21 @@ def verify(
     level: Level = "O2",
     stack_bytes: int = MOST_STACK,
 ) -> Verdict:
-    """Replay the recording on the emulated target and compare; ``stack_bytes``: what a call is expected to need.
+    """Replay the recording on the emulated target and compare; ``stack_bytes``: what a call is expected to need on a
+    board, with the optimisation ``level``.
 
     Raises:
         BuildError: a tool is missing or fails.
     """
     with TemporaryDirectory() as folder:
+        if target.board is None:
+            return compared(recording, run_process(package, name, recording, target, Path(folder)))
         image = build(package, name, recording.header, target, level, Path(folder), stack_bytes)
         run = emulate(image, recording.description, len(recording.x))
     return compared(recording, run)
 
 
-def compared(recording: Recording, run: Run) -> Verdict:
+def compared(recording: Recording, run: Outcome) -> Verdict:
     """The verdict on a run."""
     tolerance = TOLERANCE[recording.description.precision]
     with np.errstate(invalid="ignore"):

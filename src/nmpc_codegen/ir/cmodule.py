@@ -20,6 +20,7 @@ from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import EntryPoint, Kind, Layouts
 from nmpc_codegen.package.sources import folders_of
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.targets import Target
 
 
 @dataclass(frozen=True)
@@ -100,15 +101,12 @@ class Section:
     bytes: int
 
 
-#: What `#if` in the parts may test of a unit that evaluates one shooting node at a time in scalar C (see host/).
-ONE_NODE: Mapping[str, int] = {"HOST_LANES": 1, "HOST_AVX512": 0, "TILES": 0, "LANE_NODES": 0}
-
-
 @dataclass(frozen=True, eq=False)
 class CModule:
     """Everything that the templates print; they take no decisions."""
 
     description: PackageDescription
+    target: Target
     macros: tuple[Macro, ...]
     enums: tuple[Enum, ...]
     tables: tuple[Table, ...]
@@ -123,7 +121,7 @@ class CModule:
     diagonal_weight: bool
     scaled_weight: bool
     diagonal_weight_N: bool
-    one_step: Kernel | None = None  # an integration step with its Jacobian, for units of a host
+    one_step: Kernel | None = None  # an integration step with its Jacobian, for lanes
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 
     @property
@@ -200,7 +198,7 @@ class CModule:
     @property
     def sizes(self) -> Mapping[str, int]:
         """Names that `#if` in the parts may test, the size macros and the switches, with their values."""
-        return {**{m.name: m.value for m in self.macros}, **ONE_NODE, **self.switches}
+        return {**{m.name: m.value for m in self.macros}, **self.switches}
 
     @property
     def bytes(self) -> int:

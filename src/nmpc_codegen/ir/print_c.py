@@ -9,7 +9,7 @@ elsewhere the results. A direct call needs neither.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import casadi as ca
@@ -69,6 +69,20 @@ class CStyle:
         ca.OP_IF_ELSE_ZERO: "if_else_zero",
     }
 
+    #: Words of the text of the elementary functions -> the same on vectors.
+    ON_VECTORS: ClassVar[Mapping[str, str]] = {
+        "real_t": "lanes_t",
+        "bits_t": "words_t",
+        "truth_t": "mask_t",
+        "static": "LANES_INLINE",
+        "inline ": "",
+    }
+
+    @property
+    def on_vectors(self) -> CStyle:
+        """The spelling of the same on vectors."""
+        return replace(self, real="lanes_t", lanes=True, own=False)
+
     def literal(self, value: float) -> str:
         """A C literal that reads back to the same number, e.g. ``0.1`` or ``0.1F``."""
         text = repr(float(value))
@@ -84,6 +98,12 @@ class CStyle:
             return f"own_{name}"
         return name + ("f" if self.single else "")
 
+    def word(self, word: str) -> str:
+        """A word of the text of the elementary functions."""
+        if not self.lanes:
+            return word
+        return self.function(word.removeprefix("own_")) if word.startswith("own_") else self.ON_VECTORS.get(word, word)
+
     def needs_values(self, opcode: int) -> bool:
         """True if the operands must be values: a vector cannot be compared with a number, nor a function take one."""
         return self.lanes and (opcode in self.CONDITIONS or bool(OPERATIONS[opcode].function))
@@ -91,6 +111,14 @@ class CStyle:
     def whole(self, text: str) -> str:
         """A number as a value."""
         return f"lanes_all({text})" if self.lanes else text
+
+
+_WORD = re.compile(r"\binline |[A-Za-z_]\w*")
+
+
+def spell(text: str, style: CStyle) -> str:
+    """The text of elementary functions, which is that on numbers, in a spelling."""
+    return _WORD.sub(lambda found: style.word(found[0]), text)
 
 
 def signature(name: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], style: CStyle) -> str:
@@ -241,7 +269,7 @@ def unit_style(precision: str, own: bool = False) -> CStyle:
 
 @lru_cache(maxsize=256)
 def print_routine(routine: Routine, style: CStyle) -> str:
-    """C text of a routine; a build reads it twice, for the package and for the unit of the host."""
+    """C text of a routine."""
     if isinstance(routine, Kernel):
         return print_kernel(routine, style)
     if routine.sweep.frame:

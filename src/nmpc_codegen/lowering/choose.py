@@ -20,6 +20,7 @@ from nmpc_codegen.lowering.first_plan import Growth
 from nmpc_codegen.options import Goal, Options
 from nmpc_codegen.package.memory import Size
 from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.targets import TARGETS
 
 #: Block lengths of partial condensing that are considered.
 BLOCKS = (2, 3, 4, 5, 8, 10)
@@ -175,12 +176,16 @@ def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[s
     return replace(options, hessian=exact), (f"hessian: {ExactHessian.name}; {why}",)
 
 
+def roomy(options: Options) -> bool:
+    """True if the package may hold a second Hessian for solve(), and iterate on a plan before a sample."""
+    return options.solve and options.goal == "speed" and TARGETS[options.target].roomy
+
+
 def solves_exactly(problem: Problem, options: Options, chosen: bool) -> bool:
     """True if solve() has the exact Hessian although samples have another: nothing was ``chosen`` by the user, and the
     package is not for a microcontroller, where a second Hessian is too much code."""
     approximate = isinstance(options.hessian, GaussNewton) and "qp" in options.algorithm.needs
-    roomy = options.solve and options.goal == "speed" and options.processor == "vector"
-    return approximate and chosen and roomy and not problem.couples_free_start
+    return approximate and chosen and roomy(options) and not problem.couples_free_start
 
 
 # -- sizes -------------------------------------------------------------------------------------------------------------

@@ -20,12 +20,21 @@ from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, StageModel
 from nmpc_codegen.ir.stage_products import Pattern, pattern
 from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Routine, Slice
-from nmpc_codegen.lowering.choose import Choice, choose_hessian, choose_qp, dimensions, multiple_of, solves_exactly
+from nmpc_codegen.lowering.choose import (
+    Choice,
+    choose_hessian,
+    choose_qp,
+    dimensions,
+    multiple_of,
+    roomy,
+    solves_exactly,
+)
 from nmpc_codegen.lowering.first_plan import Growth, first_plan_warnings, growth
 from nmpc_codegen.lowering.stability import stability_warning
-from nmpc_codegen.options import REGISTRIES, Goal, Math, Online, Options, Processor
+from nmpc_codegen.options import REGISTRIES, Goal, Online, Options
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import Program
+from nmpc_codegen.targets import PORTABLE, TARGETS, Math, Target
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,7 +60,7 @@ class Model(ModelFunctions):
     constant_hessian: bool
     nonlinear_rows: bool
     goal: Goal = "speed"
-    processor: Processor | None = "vector"
+    target: Target = PORTABLE
 
     @cached_property
     def dims(self) -> Dims:
@@ -81,7 +90,7 @@ class Model(ModelFunctions):
             solve=self.solve,
             math=self.math,
             goal=self.goal,
-            processor=self.processor,
+            target=self.target.name,
         )
 
 
@@ -99,7 +108,8 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     chosen = options.hessian is None
     options, of_hessian = choose_hessian(problem, options)
     options = options.with_defaults
-    algorithm, of_algorithm = options.algorithm.decided(problem, options.solve and options.processor == "vector")
+    target = TARGETS[options.target]
+    algorithm, of_algorithm = options.algorithm.decided(problem, roomy(options))
     options = replace(options, algorithm=algorithm)
     online = options.online
     path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
@@ -131,17 +141,22 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         parts=parts,
         online=online,
         precision=options.precision,
-        math=options.math,
+        math=options.math or target.math,
         solve=options.solve,
         goal=options.goal,
-        processor=options.processor,
-        reasons=(*choices, *of_hessian, *of_algorithm, *notes),
+        target=target,
+        reasons=(*choices, *_of_target(target), *of_hessian, *of_algorithm, *notes),
         warned=warned,
         program=found,
         choice=choice,
         constant_hessian=constant,
         nonlinear_rows=problem.nonlinear_rows,
     )
+
+
+def _of_target(target: Target) -> tuple[str, ...]:
+    """What the report says of a target."""
+    return () if target == PORTABLE else (f"target: {target.name}; {target.machine}",)
 
 
 def completed(problem: Problem, options: Options | None = None) -> Problem:

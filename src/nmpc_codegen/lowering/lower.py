@@ -19,6 +19,7 @@ from nmpc_codegen.ir.kernel import called_functions
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.ir.tuning import PANEL
+from nmpc_codegen.lowering.lanes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.parts import own_names
 from nmpc_codegen.package.description import PackageDescription, Report
@@ -65,6 +66,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
     ranges = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
     module = CModule(
         description=_description(model, name, macros, structs, _report(model, dims, switches, structs, layout), ranges),
+        target=model.target,
         macros=macros,
         enums=_enums(problem),
         tables=_tables(model),
@@ -90,7 +92,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
         one_step=model.interval.one_step,
         foreign={path: text for _, files in foreign for path, text in files.items()},
     )
-    return _with_members_apart(module)
+    return _with_members_apart(with_lanes(module))
 
 
 def _with_members_apart(module: CModule) -> CModule:
@@ -108,9 +110,12 @@ def _with_members_apart(module: CModule) -> CModule:
 
 def _check_math(model: Model, foreign: list[str]) -> None:
     """Raise OptionError if the package needs functions of math.h that have no text of their own."""
-    clash = 'math="own" (--math own) clashes with'
+    default = f", the default of the target {model.target.name}," if model.target.math == "own" else ""
+    clash = f'math="own"{default} (--math own) clashes with'
     if foreign:
-        raise OptionError(f"{clash} {foreign[0]}, whose foreign code calls the C library; choose another one")
+        raise OptionError(
+            f'{clash} {foreign[0]}, whose foreign code calls the C library; choose another one, or math="libm"'
+        )
     known = {*own_names(), *CStyle.INSTRUCTIONS}
     for routine in _printed(model):
         missing = sorted(called_functions([routine]) - known)
@@ -177,7 +182,8 @@ def _switches(model: Model) -> dict[str, int]:
         "SIMULATE": 0,
         "SINGLE": int(model.precision == "single"),
         "OWN_MATH": int(model.math == "own"),
-        "SCALAR": int(model.processor == "scalar"),
+        "SCALAR": int(model.target.sums == "variables" or model.goal == "size"),
+        "AVX512": int(model.target.avx512),
         "SMALL": int(model.goal == "size"),
         "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
     }
@@ -473,6 +479,7 @@ def _description(
     return PackageDescription(
         name=name,
         precision=model.precision,
+        target=model.target.name,
         sizes={m.name: m.value for m in macros},
         structs=structs,
         states=p.states,

@@ -259,17 +259,8 @@ def hessian_blocks(module: CModule, style: CStyle) -> str:
     return "\n".join([heading, f"enum {{ {numbers} }};", _tables(tables)])
 
 
-def of_host(module: CModule, style: CStyle) -> str:
-    """Nothing: only units for a host have this part, and replace it (host/unit.py)."""
-    return ""
-
-
 #: Path of an include -> its text.
 GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
-    "generated/lane_transpose.c": of_host,
-    "generated/lane_functions.c": of_host,
-    "generated/lane_kernels.c": of_host,
-    "generated/lane_nodes.c": of_host,
     "generated/products.c": products,
     "generated/product_columns.c": product_columns,
     "generated/hessian_blocks.c": hessian_blocks,

@@ -16,6 +16,7 @@ import jinja2
 
 from nmpc_codegen.ir.cmodule import CModule, Table
 from nmpc_codegen.ir.print_c import CStyle, print_routine
+from nmpc_codegen.lowering.lanes import GENERATED as IN_LANES
 from nmpc_codegen.lowering.parts import (
     GENERATED,
     names_in,
@@ -38,6 +39,7 @@ from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
 from nmpc_codegen.package.seal import sealed
 from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
 from nmpc_codegen.package.sources import Sources
+from nmpc_codegen.targets import Target
 
 #: Maximum length of a comment line in the header without its margin.
 WIDTH = 116
@@ -66,12 +68,12 @@ def context(prefix: str, style: CStyle) -> dict[str, Any]:
 
 
 #: Path of an include below generated/ -> what writes its text.
-Generators = Mapping[str, Callable[[CModule, CStyle], str]]
+GENERATORS: Mapping[str, Callable[[CModule, CStyle], str]] = {**GENERATED, **IN_LANES}
 
 
 def render(module: CModule, resolved: bool = True) -> Sources:
     """All files of the package, sealed. Unless ``resolved``, the `#if`s of the parts are left to the compiler."""
-    names = _filled(module, GENERATED, resolved)
+    names = _filled(module, resolved)
     files = {
         f"{module.name}.c": "solver.c.jinja",
         "main.c": "main.c.jinja",
@@ -79,23 +81,17 @@ def render(module: CModule, resolved: bool = True) -> Sources:
         "README.md": "README.md.jinja",
     }
     sources = {f"{module.name}.h": names["header"]}
-    names |= _page(module) | {"folders": module.folders, "libraries": module.libraries}
+    names |= _page(module) | _of_target(module.target) | {"folders": module.folders, "libraries": module.libraries}
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return Sources(sealed({**sources, **module.foreign}, module.name), module.description)
 
 
-def render_c(module: CModule, more: Generators) -> str:
-    """The package's .c alone, whose parts may include what ``more`` writes."""
-    names = _filled(module, {**GENERATED, **more}, True)
-    return tidy(environment().get_template("solver.c.jinja").render(names))
-
-
-def _filled(module: CModule, generators: Generators, resolved: bool) -> dict[str, Any]:
+def _filled(module: CModule, resolved: bool) -> dict[str, Any]:
     """The names of the templates, with the header, the body of the unit, its tables and short names."""
     names = _names(module)
     header = tidy(environment().get_template("solver.h.jinja").render(names))
-    body, known = render_unit(module, names, resolved, generators), all_definitions(module)
+    body, known = render_unit(module, names, resolved), all_definitions(module)
     if resolved:
         body = without_unused(body, known)
     words = names_in(body)
@@ -114,6 +110,7 @@ def _filled(module: CModule, generators: Generators, resolved: bool) -> dict[str
         **names,
         **{place: rename(text, renamed) for place, text in texts.items()},
         "header": header,
+        "guard": _guard(module.name, module.target),
         "system_headers": ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"],
         "preamble": short_names,
     }
@@ -146,13 +143,11 @@ def render_tables(module: CModule, names: dict[str, Any], known: Sequence[Defini
     return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
-def render_unit(
-    module: CModule, names: dict[str, Any], resolved: bool = True, generators: Generators = GENERATED
-) -> str:
+def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -> str:
     """The translation unit after its tables: printed kernels, parts."""
 
     def generated(path: str) -> str:
-        return generators[path](module, module.style)
+        return GENERATORS[path](module, module.style)
 
     def part(path: str) -> str:
         text = read_part(path, generated)
@@ -162,6 +157,26 @@ def render_unit(
     if not resolved:
         more["resolved"] = lambda template: environment().get_template(template).render(names).rstrip("\n")
     return environment().get_template("unit.c.jinja").render(names | more)
+
+
+def _guard(name: str, target: Target) -> str:
+    """A message of the compiler where it compiles for another machine than that of the package."""
+    if not target.defines:
+        return ""
+    missing = " || ".join(f"!defined({macro})" for macro in target.defines)
+    remedy = f"compile with {' '.join(target.flags)}" if target.flags else "compile there"
+    text = f'#error "{name} is written for {target.name} ({target.machine}): {remedy}, or export another target"'
+    return "\n".join([" \\\n    ".join(wrap(f"#if {missing}", WIDTH)), text, "#endif"])
+
+
+def _of_target(target: Target) -> dict[str, str]:
+    """What README.md and CMakeLists.txt say of the target."""
+    flags = target.of_machine
+    return {
+        "flags": "".join(f" {flag}" for flag in flags),
+        "extensions": "ON" if target.standard.startswith("gnu") else "OFF",
+        "vectors": ", `<immintrin.h>`" if target.avx512 else "",
+    }
 
 
 def _page(module: CModule) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from nmpc_codegen.package.program import Program
 from nmpc_codegen.package.signals import EntryPoint, Layouts, Names, Residual, Row, Signal, c_constants
 
 #: Version of the layout of <name>.json.
-FORMAT = 4
+FORMAT = 5
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -83,6 +83,7 @@ class PackageDescription:
 
     name: str
     precision: Precision
+    target: str  # of targets.TARGETS
     sizes: Mapping[str, int]  # macro without prefix -> value
     structs: tuple[Struct, ...]
     states: tuple[Signal, ...]

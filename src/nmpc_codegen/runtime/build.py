@@ -6,8 +6,7 @@ A profile without a wrapper compiles the package alone, as a library whose funct
 half the time to build, more for every call, and no need for Python.h.
 
 The module, or the library, is kept in the cache (cache.py) under a key that is computed from everything it depends on:
-the texts, the flags of the profile, the compiler with its version and target, the meaning of -march=native here, cffi
-and Python.
+the texts, the flags of the profile and of the package's target, the compiler with its version, cffi and Python.
 
 The compiled code runs in this process with the rights of the user, so open only packages whose C you trust. The
 description, <name>.json, need not be trusted: it is refused if it disagrees with the compiled code.
@@ -31,12 +30,14 @@ from typing import Any
 
 import cffi
 
-from nmpc_codegen.errors import BuildError, OptionError
+from nmpc_codegen.errors import BuildError, ControllerError, OptionError
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, cached, keep_failed
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.compilers import environment, find_compiler
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.native import check_target, macros_of
+from nmpc_codegen.targets import TARGETS, Target
 
 BEGIN, END = "/* begin declarations */", "/* end declarations */"
 WARNINGS = (
@@ -44,6 +45,11 @@ WARNINGS = (
     *("-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror"),
 )
 SHOWN_LINES = 20
+
+
+def warnings_for(target: Target) -> tuple[str, ...]:
+    """All warnings of the project, as errors, in the language of a target; -pedantic is for ISO C."""
+    return WARNINGS if target.lanes == 1 else (f"-std={target.standard}", *WARNINGS[2:])
 
 
 @dataclass(frozen=True)
@@ -58,18 +64,13 @@ class Profile:
     wrapper: bool = True
 
 
-#: Processor of the profile "fast": the word of -march, read when this module is loaded. x86-64-v3 hides AVX-512,
-#: x86-64-v2 also AVX2.
-PROCESSOR_VARIABLE = "NMPC_CODEGEN_MARCH"
-MARCH = f"-march={os.environ.get(PROCESSOR_VARIABLE) or 'native'}"
-
 _FAST = ("-O2", "-fno-math-errno", "-fno-trapping-math")
 
 PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
         Profile("test", ("-std=c99", "-O0", "-ffp-contract=off"), wrapper=False),
-        Profile("fast", (*_FAST, MARCH, "-ffp-contract=fast")),
+        Profile("fast", (*_FAST, "-ffp-contract=fast")),
         Profile("verify", (*_FAST, "-ffp-contract=off")),
     )
 }
@@ -88,104 +89,42 @@ def get_profile(profile: str | Profile) -> Profile:
     return PROFILES[profile]
 
 
-LANES = (1, 2, 4, 8)
-#: Predefined macros of processors with vectors of so many numbers in double precision.
-_WIDTHS = (("__AVX512DQ__", 8), ("__AVX2__", 4))
-#: The first version of gcc with __builtin_shufflevector; clang has had it for long.
-_SHUFFLES = 12
-
-
-@dataclass(frozen=True)
-class Host:
-    """Vectors that a compiler and its flags support: shooting nodes at once, and whether AVX-512 is there.
-
-    ``tiles``: sums may have another order than in exported C.
-    """
-
-    lanes: int
-    avx512: bool
-    tiles: bool
-
-
-def host(lanes: int | None, profile: str | Profile) -> Host:
-    """What a unit for this machine can use; ``lanes`` None: by its processor if the profile compiles for it.
-
-    Raises:
-        OptionError: no such number of lanes, or no such profile.
-        BuildError: there is no compiler, or it lacks what lanes need.
-    """
-    if lanes is not None and (isinstance(lanes, bool) or lanes not in LANES):
-        raise OptionError(f"lanes is {lanes!r}; expected None (chosen), 1 (plain C), 2, 4 or 8 shooting nodes at once")
-    chosen = get_profile(profile)
-    if lanes == 1 or (lanes is None and not any(flag.startswith("-march=") for flag in chosen.flags)):
-        return Host(1, False, False)
-    compiler = find_compiler()
-    macros = _macros(compiler, tuple(chosen.flags), os.environ.get("PATH", ""))
-    shuffles = "__clang__" in macros or int(macros.get("__GNUC__", "0")) >= _SHUFFLES
-    if lanes is not None and not shuffles:
-        raise BuildError(f"lanes={lanes} needs gcc {_SHUFFLES} or clang, not {' '.join(compiler)}; lanes=1 is plain C")
-    width = next((n for name, n in _WIDTHS if name in macros), 1) if shuffles else 1
-    tiles = "-ffp-contract=off" not in chosen.flags
-    return Host(width if lanes is None else lanes, "__AVX512DQ__" in macros, tiles)
-
-
-@lru_cache
-def _macros(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> Mapping[str, str]:
-    """Predefined macros of the compiler with these flags; ``path`` is only a key of lru_cache."""
-    command = [*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull]
-    lines = _asked(command).stdout.splitlines()
-    found = (line.split(None, 2) for line in lines if line.startswith("#define "))
-    return {words[1]: words[2] if len(words) == 3 else "" for words in found}
-
-
 def load(
     files: Mapping[str, str],
     name: str,
     profile: str | Profile = "fast",
     *,
-    lanes: int | None = None,
     warnings_as_errors: bool = False,
 ) -> Controller:
     """Compile a package (or take it from the cache) and return an initialised controller.
 
     Args:
-        files: path -> text; <name>.h, <name>.c, <name>.json and foreign code in folders are used, others are ignored;
-            <name>_host.c, if this machine can run it, in the place of <name>.c.
+        files: path -> text; <name>.h, <name>.c, <name>.json and foreign code in folders are used, others are ignored.
         name: name and C prefix of the package.
         profile: name of a profile in PROFILES, or a Profile.
-        lanes: shooting nodes evaluated at once; None: those of <name>_host.c if there is one; 1: <name>.c.
         warnings_as_errors: compile the package's .c with all warnings of the project as errors.
 
     Raises:
-        OptionError: there is no such profile, or the number of lanes is not supported.
-        BuildError: there is no compiler or no Python.h, or the compiler rejects the code.
+        OptionError: there is no such profile.
+        BuildError: there is no compiler or no Python.h, the compiler rejects the code, or this machine cannot run it.
         ControllerError: <name>.json is not a package description, or it does not describe this C code.
     """
     chosen = get_profile(profile)
-    unit = f"{name}_host.c"
-    if lanes not in (None, 1) and unit not in files:
-        raise OptionError(
-            f"lanes is {lanes!r}; an exported package evaluates one node at a time (None or 1), build() more"
-        )
     missing = [f"{name}.{ext}" for ext in ("h", "c", "json") if f"{name}.{ext}" not in files]
     if missing:
         raise BuildError(f"the package {name!r} lacks {', '.join(missing)}")
     _check_names(name, files)
     sources = {path: files[path] for path in (f"{name}.h", f"{name}.c", f"{name}.json")}
-    sources |= {path: text for path, text in files.items() if "/" in path or path == unit}
+    sources |= {path: text for path, text in files.items() if "/" in path}
     description = PackageDescription.from_json(sources[f"{name}.json"])
-    extra = WARNINGS if warnings_as_errors else ()
-    texts = {path: text for path, text in sources.items() if path != unit}
-    if unit in sources and lanes != 1 and _runs_here(sources[unit], chosen):
-        texts[f"{name}.c"] = sources[unit]
-    path = compile_module(texts, name, (*chosen.flags, *extra), chosen.wrapper)
+    if description.target not in TARGETS:
+        raise ControllerError(f"{name} is for the target {description.target!r}; known: {', '.join(TARGETS)}")
+    target = TARGETS[description.target]
+    check_target(name, target)
+    flags = (*chosen.flags, *target.of_machine, *(warnings_for(target) if warnings_as_errors else ()))
+    path = compile_module(sources, name, flags, chosen.wrapper)
     ffi, lib = _import(name, path) if chosen.wrapper else _open(declarations(sources[f"{name}.h"], name), name, path)
     return Controller(CompiledPackage(name, sources, description, chosen, ffi, lib, load))
-
-
-def _runs_here(unit: str, profile: Profile) -> bool:
-    """False for a unit that another machine has written, with instructions that this one lacks."""
-    return host(None, profile).avx512 or "#include <immintrin.h>" not in unit
 
 
 def load_library(
@@ -238,7 +177,7 @@ def _key(
 
 @lru_cache
 def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> str:
-    """Version and target of the compiler, and its flags with -march=native resolved for this machine.
+    """Version of the compiler, and its flags with those that it adds itself.
 
     ``-###`` prints the command that the driver would run: cc1 with all its flags, of gcc and of clang. Any other
     compiler that compiles an empty file tells its version and its predefined macros. ``path`` is only a key of
@@ -250,7 +189,7 @@ def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> s
         return result.stderr
     plain, version = _asked([*compiler, *flags, "-E", "-x", "c", os.devnull]), _asked([*compiler, "-v"])
     if plain.returncode == 0 and version.returncode == 0:
-        return f"{version.stdout}{version.stderr}{sorted(_macros(compiler, flags, path).items())}"
+        return f"{version.stdout}{version.stderr}{sorted(macros_of(compiler, flags).items())}"
     said = _head(result.stderr) or "it prints nothing"
     raise BuildError(f"'{' '.join(command)}' failed with status {result.returncode}:\n{said}")
 

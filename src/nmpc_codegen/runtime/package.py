@@ -13,9 +13,7 @@ from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
 
 
-def open_package(
-    directory: str | Path, profile: str = "fast", lanes: int | None = None, name: str | None = None
-) -> Controller:
+def open_package(directory: str | Path, profile: str = "fast", name: str | None = None) -> Controller:
     """Compile and load an exported folder; ``name`` selects one of several packages in it.
 
     The C code of the folder runs in this process, so open only folders that you trust. A description that does not
@@ -23,7 +21,8 @@ def open_package(
 
     Raises:
         BuildError: the folder does not contain that package, or not exactly one <name>.json with <name>.h and <name>.c;
-            the three come from different exports; a file cannot be read; or the compiler rejects the code.
+            the three come from different exports; a file cannot be read; the package is for another machine than this
+            one; or the compiler rejects the code.
         ControllerError: <name>.json is not a package description, or it does not describe this C code.
     """
     folder = Path(directory)
@@ -49,7 +48,7 @@ def open_package(
     data = files[paths[2].name].encode()
     if has_seal(data) and not intact(data):
         raise BuildError(f"{paths[2]}: edited since export() wrote it: export the package again")
-    return load(files, prefix, profile, lanes=lanes)
+    return load(files, prefix, profile)
 
 
 def _read(path: Path) -> str:

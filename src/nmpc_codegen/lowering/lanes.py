@@ -7,15 +7,14 @@ the nodes; their results are transposed, so that every node receives whole rows.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from nmpc_codegen.host import steps
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, called_functions
-from nmpc_codegen.ir.print_c import CStyle, print_routine
+from nmpc_codegen.ir.print_c import CStyle, print_routine, spell
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
+from nmpc_codegen.lowering import lane_steps
 from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, needed, own_names, own_text
 from nmpc_codegen.lowering.preamble import PLACES
 from nmpc_codegen.package.signals import Kind
@@ -28,16 +27,7 @@ SWITCHES = ("LANE_CONDITIONS", "LANE_ANGLES", "LANE_SQRT")
 #: The function that reduces any angle.
 REDUCTION = "lanes_reduce"
 
-#: How the text of the elementary functions becomes that of lanes.
-RENAMED = (
-    (r"\bstatic (?:inline )?", "LANES_INLINE "),
-    (r"\bown_", "lanes_"),
-    (r"\breal_t\b", "lanes_t"),
-    (r"\bbits_t\b", "words_t"),
-    (r"\btruth_t\b", "mask_t"),
-)
-
-#: Fewer stored elements of a row of HOST_LANES ones are stored one by one.
+#: Fewer stored elements of a row of VECTOR_LANES ones are stored one by one.
 LEAST_IN_BLOCK = 3
 
 #: Output port -> member of a node that receives it.
@@ -71,7 +61,7 @@ def lane_routines(module: CModule) -> LaneRoutines | None:
     That is for one lane, for an interval with loops that cannot be expanded, and for a Hessian that does not promise
     (NODE_KERNELS) that expand_node() is no more than its printed kernels.
     """
-    if module.sizes["HOST_LANES"] == 1 or not module.switches.get("NODE_KERNELS"):
+    if module.sizes["VECTOR_LANES"] == 1 or not module.switches.get("NODE_KERNELS"):
         return None
     first = ("path_exact",) if module.switches["LAGRANGIAN"] else ("integrator_interval", "path_gradient")
     known = {r.name: r for r in module.routines}
@@ -86,24 +76,36 @@ def has_conditions(routines: Iterable[Routine]) -> bool:
     return any(i.opcode in CStyle.CONDITIONS for r in routines for kernel in r.kernels for i in kernel.instructions)
 
 
-def in_lanes(names: Iterable[str], sizes: Mapping[str, int]) -> str:
+def in_lanes(names: Iterable[str], sizes: Mapping[str, int], style: CStyle) -> str:
     """The elementary functions of these names in math.h, and what they need, on vectors."""
-    text = own_text(MATH_IN_LANES, sizes)
-    for pattern, new in RENAMED:
-        text = re.sub(pattern, new, text)
+    text = spell(own_text(MATH_IN_LANES, sizes), style.on_vectors)
     roots = [f"lanes_{name}" for name in names]
     if REDUCTION in names_in(needed(text, roots)):
         roots.append(f"{REDUCTION}_moderate")  # which the part for all angles calls
     return needed(text, roots)
 
 
-def lane_switches(module: CModule) -> dict[str, int]:
+def with_lanes(module: CModule) -> CModule:
+    """The module with the switches of a target with lanes: the lanes, whether nodes are linearised and matrices are
+    multiplied in them, and which parts that needs.
+
+    A horizon of few intervals takes fewer lanes. The goal "size" takes one, and math="own" no tiles, whose sums have
+    another order.
+    """
+    target, switches = module.target, module.switches
+    lanes = 1 if switches["SMALL"] else min(target.lanes, 1 << (module.value("N").bit_length() - 1))
+    tiles = target.tiles and lanes > 2 and not switches["OWN_MATH"]
+    module = replace(module, switches={**switches, "VECTOR_LANES": lanes, "TILES": int(tiles)})
+    return replace(module, switches={**module.switches, **_lane_switches(module)})
+
+
+def _lane_switches(module: CModule) -> dict[str, int]:
     """Whether nodes are linearised in lanes, and which parts that needs."""
     found = lane_routines(module)
     if found is None:
         return {"LANE_NODES": 0, **dict.fromkeys(SWITCHES, 0)}
     called = called_functions(found.printed)
-    words = names_in(in_lanes(called, module.sizes))
+    words = names_in(in_lanes(called, module.sizes, module.style))
     return {
         "LANE_NODES": 1,
         "LANE_CONDITIONS": int(has_conditions(found.printed)),
@@ -115,13 +117,12 @@ def lane_switches(module: CModule) -> dict[str, int]:
 def lane_functions(module: CModule, style: CStyle) -> str:
     """The elementary functions that the kernels call."""
     found = lane_routines(module)
-    return "" if found is None else in_lanes(called_functions(found.printed), module.sizes)
+    return "" if found is None else in_lanes(called_functions(found.printed), module.sizes, style)
 
 
 def lane_kernels(module: CModule, style: CStyle) -> str:
     """Functions of math.h lane by lane, and the kernels in lanes."""
-    lanes = replace(style, real="lanes_t", lanes=True, own=False)
-    found = lane_routines(module)
+    lanes, found = style.on_vectors, lane_routines(module)
     if found is None:
         return ""
     arity = {o.function: 2 if "{1}" in o.c else 1 for o in OPERATIONS.values() if o.function}
@@ -129,12 +130,12 @@ def lane_kernels(module: CModule, style: CStyle) -> str:
     texts = [_one_by_one(name, arity[name], style) for name in others]
     texts += [print_routine(_suffixed(r), lanes) for r in found.printed]
     if found.one_step is not None:
-        texts.append(steps.product(module.value("NX"), module.value("NZ")))
+        texts.append(lane_steps.product(module.value("NX"), module.value("NZ")))
     return "\n\n".join(texts)
 
 
 def lane_nodes(module: CModule, style: CStyle) -> str:
-    """linearize_group(s, k): the nodes k .. k + HOST_LANES - 1.
+    """linearize_group(s, k): the nodes k .. k + VECTOR_LANES - 1.
 
     Results are collected in the order of the members of a node, so that blocks of several members are stored at once.
     """
@@ -143,7 +144,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
         return ""
     inputs = {p.name: p for r in found.printed for p in r.reads}
     offsets, total = _node_layout(module)
-    width = module.switches["HOST_LANES"]
+    width = module.switches["VECTOR_LANES"]
     written = [(r, p) for r in found.routines for p in r.writes]
     stored = {offsets[p.name] + e for r, p in written if p.name in offsets for e in _stored(r, p)}
     places = {p.name: f"node + {offsets[p.name]}" for _, p in written if p.name in offsets}
@@ -155,7 +156,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
         zeros, stores = [*zeros, *more[0]], [*stores, *more[1]]
     calls: list[str] = []
     if found.one_step is not None:
-        arrays, calls = steps.calls(found.one_step, SUFFIX, places["x_next"], places["S"])
+        arrays, calls = lane_steps.calls(found.one_step, SUFFIX, places["x_next"], places["S"])
         declared += arrays
     calls += [
         f"{r.name}{SUFFIX}({', '.join(places.get(p.name, p.name) for p in (*r.reads, *r.writes))});"
@@ -165,26 +166,26 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
     lines = [f"lanes_t {', '.join(declared)};", *lines, *zeros, *calls, *stores]
     if zeros:
         lines.insert(0, "const lanes_t zero = {0};")
-    head = "/* Linearises the nodes k .. k + HOST_LANES - 1; x_{k+1} is not yet subtracted from the gaps. */"
+    head = "/* Linearises the nodes k .. k + VECTOR_LANES - 1; x_{k+1} is not yet subtracted from the gaps. */"
     return "\n".join([head, "static void linearize_group(solver_t *s, int k)", "{", *(f"    {n}" for n in lines), "}"])
 
 
 def lane_transpose(module: CModule, style: CStyle) -> str:
     """Transposition of a block."""
-    return transpose(module.switches["HOST_LANES"])
+    return transpose(module.switches["VECTOR_LANES"])
 
 
 def transpose(width: int) -> str:
-    """lanes_store_block(v, to, stride): HOST_LANES elements of every lane to the rows to, to + stride, ...
+    """lanes_store_block(v, to, stride): VECTOR_LANES elements of every lane to the rows to, to + stride, ...
 
     Every round merges vectors that are half of them apart. That rotates the bits of the index of the vector and of the
-    lane by one, so that after log2(HOST_LANES) rounds both are exchanged.
+    lane by one, so that after log2(VECTOR_LANES) rounds both are exchanged.
     """
     half, rounds = width // 2, width.bit_length() - 1
     low = ", ".join(f"{i}, {i + width}" for i in range(half))
     high = ", ".join(f"{i}, {i + width}" for i in range(half, width))
     lines = [
-        "/* Stores HOST_LANES elements of every lane to the rows to, to + stride, ...: a transposition. */",
+        "/* Stores VECTOR_LANES elements of every lane to the rows to, to + stride, ...: a transposition. */",
         "LANES_INLINE void lanes_store_block(const lanes_t *v, real_t *to, int stride)",
         "{",
     ]
@@ -199,6 +200,15 @@ def transpose(width: int) -> str:
     for lane, row in enumerate(before):
         lines.append(f"    memcpy(to{f' + {lane} * stride' if lane else ''}, &{row}, sizeof {row});")
     return "\n".join([*lines, "}"])
+
+
+#: Path of an include -> its text.
+GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
+    "generated/lane_transpose.c": lane_transpose,
+    "generated/lane_functions.c": lane_functions,
+    "generated/lane_kernels.c": lane_kernels,
+    "generated/lane_nodes.c": lane_nodes,
+}
 
 
 def _node_layout(module: CModule) -> tuple[dict[str, int], int]:
@@ -271,7 +281,7 @@ def _one_by_one(name: str, arity: int, style: CStyle) -> str:
             f"LANES_INLINE lanes_t lanes_{name}({declared})",
             "{",
             "    lanes_t value;",
-            "    for (int l = 0; l < HOST_LANES; l++) {",
+            "    for (int l = 0; l < VECTOR_LANES; l++) {",
             f"        value[l] = {style.function(name)}({passed});",
             "    }",
             "    return value;",

@@ -1,0 +1,71 @@
+"""The machine at hand: which targets it runs, and the widest of them, by the macros that its compiler predefines."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Mapping
+from functools import lru_cache
+
+from nmpc_codegen.errors import BuildError
+from nmpc_codegen.runtime.compilers import environment, find_compiler
+from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Target
+
+#: The first version of gcc with __builtin_shufflevector; clang has had it for long.
+_SHUFFLES = 12
+
+
+def native() -> Target:
+    """The target of this machine with most lanes, as the compiler describes it; "portable" if there is none.
+
+    Raises:
+        BuildError: there is no compiler.
+    """
+    macros = macros_of(find_compiler(), ("-march=native",)) or macros_of(find_compiler())
+    fitting = (t for t in TARGETS.values() if t.defines and _knows_vectors(macros) and macros.keys() >= set(t.defines))
+    return max(fitting, key=lambda target: target.lanes, default=PORTABLE)
+
+
+def runs(target: Target) -> bool:
+    """True if this machine runs what is compiled for the target.
+
+    Raises:
+        BuildError: there is no compiler.
+    """
+    return set(native().defines) >= set(target.defines)
+
+
+def check_target(name: str, target: Target) -> None:
+    """Refuse a package that this machine, or its compiler, does not run.
+
+    Raises:
+        BuildError: there is no compiler, or the package is for another machine.
+    """
+    if not target.defines or runs(target):
+        return
+    compiler = find_compiler()
+    reason = f"{compiler[0]} says that this machine runs {native().name}"
+    if not _knows_vectors(macros_of(compiler)):
+        reason = f"its vectors need gcc {_SHUFFLES} or clang, not {compiler[0]}"
+    raise BuildError(
+        f"{name} is written for {target.name} ({target.machine}), but {reason}: export it with "
+        f'Options(target="{NATIVE}") on the machine that runs it, or with target="{PORTABLE.name}"'
+    )
+
+
+def _knows_vectors(macros: Mapping[str, str]) -> bool:
+    return "__clang__" in macros or int(macros.get("__GNUC__", "0")) >= _SHUFFLES
+
+
+def macros_of(compiler: tuple[str, ...], flags: tuple[str, ...] = ()) -> Mapping[str, str]:
+    """Predefined macros of the compiler with these flags; empty if it refuses them."""
+    return _macros(compiler, flags, os.environ.get("PATH", ""))
+
+
+@lru_cache
+def _macros(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> Mapping[str, str]:
+    """``path`` is only a key of lru_cache."""
+    command = [*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull]
+    asked = subprocess.run(command, env=environment(command), capture_output=True, text=True, check=False)
+    found = (line.split(None, 2) for line in asked.stdout.splitlines() if line.startswith("#define "))
+    return {words[1]: words[2] if len(words) == 3 else "" for words in found}

@@ -1,0 +1,164 @@
+"""Targets: for which machine the C of a package is written, and how it is spelled there.
+
+    portable                            ISO C99, one shooting node at a time; runs everywhere
+    x86-64-v3, x86-64-v4, aarch64       GNU C (gcc 12, clang): several shooting nodes in the lanes of vector
+                                        registers, matrices in register tiles
+    cortex-m3, -m4f, -m7, riscv32       ISO C99 with sums in variables, functions of its own; an emulated board
+
+"native", the target of the machine at hand, is found in runtime/native.py. Nothing here needs a compiler.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from nmpc_codegen.package.memory import Precision
+
+#: How a sum of products is written: in small arrays, which compilers hold in vector registers, or in variables.
+Sums = Literal["arrays", "variables"]
+
+#: Whose elementary functions a package calls: those of the C library, or those that it contains.
+Math = Literal["libm", "own"]
+MATHS: tuple[Math, ...] = get_args(Math)
+
+#: The target of the machine at hand.
+NATIVE = "native"
+
+
+@dataclass(frozen=True)
+class Board:
+    """An emulated board: the precision of the floating-point unit of its core (None: none), start-up code below
+    templates/firmware, emulated instructions per tick of its clock, and its memory."""
+
+    unit: Precision | None
+    start: str
+    instructions_per_tick: float
+    code_origin: int = 0x00000000
+    ram_origin: int = 0x20000000
+    code_bytes: int = 4 << 20
+    ram_bytes: int = 4 << 20
+
+
+@dataclass(frozen=True)
+class Target:
+    """A machine, and how C is written for it.
+
+    ``sums``: spelling of sums; ``lanes``: shooting nodes that are evaluated at once; ``tiles``: products with stage
+    matrices in register tiles, in another order of the sums; ``avx512``: with instructions of AVX-512; ``math``: the
+    default of Options(math); ``flags``: of the compiler; ``defines``: macros that compilers for this machine define;
+    ``compiler``: prefix of the cross compiler; ``libraries``: its flags for linking; ``emulator``: a command that runs
+    its programs, empty if there is none; ``board``: of a microcontroller.
+    """
+
+    name: str
+    machine: str
+    sums: Sums = "arrays"
+    lanes: int = 1
+    tiles: bool = False
+    avx512: bool = False
+    math: Math = "libm"
+    flags: tuple[str, ...] = ()
+    defines: tuple[str, ...] = ()
+    compiler: str = ""
+    libraries: tuple[str, ...] = ()
+    emulator: tuple[str, ...] = ()
+    board: Board | None = None
+
+    @property
+    def standard(self) -> str:
+        """The language: vectors are an extension of GNU C."""
+        return "gnu99" if self.lanes > 1 else "c99"
+
+    @property
+    def language(self) -> str:
+        """The language and its compilers, for people."""
+        return f"GNU C (gcc 12 or newer, clang) for {self.machine}" if self.lanes > 1 else "C99"
+
+    @property
+    def roomy(self) -> bool:
+        """False for microcontrollers: a second Hessian, and iterations before a sample, are too much there."""
+        return self.board is None
+
+    @property
+    def of_machine(self) -> tuple[str, ...]:
+        """Flags for a compiler of the machine that runs the package; code for boards is compiled like portable code."""
+        return self.flags if self.defines else ()
+
+
+#: Emulated time of an instruction, and of a tick of the timer of the Cortex-M boards, 25 MHz; in ns.
+ICOUNT_SHIFT = 6  # QEMU's option
+INSTRUCTION = 2**ICOUNT_SHIFT
+TICK = 40
+
+
+def _microcontroller(name: str, core: str, machine: str, unit: Precision | None, *flags: str) -> Target:
+    """A Cortex-M on a board of QEMU."""
+    return Target(
+        name,
+        core,
+        sums="variables",
+        math="own",
+        flags=(f"-mcpu={core.lower().removesuffix('f')}", "-mthumb", *flags),
+        compiler="arm-none-eabi-",
+        libraries=("--specs=nosys.specs",),
+        emulator=("qemu-system-arm", "-M", machine),
+        board=Board(unit, "start.c", TICK / INSTRUCTION),
+    )
+
+
+_AVX2 = ("__AVX2__", "__FMA__", "__BMI2__")
+_AVX512 = ("__AVX512F__", "__AVX512DQ__", "__AVX512VL__", "__AVX512BW__", "__AVX512CD__")
+
+TARGETS: Mapping[str, Target] = {
+    target.name: target
+    for target in (
+        Target("portable", "any machine"),
+        Target(
+            "x86-64-v3",
+            "x86 with AVX2",
+            lanes=4,
+            tiles=True,
+            flags=("-march=x86-64-v3",),
+            defines=_AVX2,
+            compiler="x86_64-linux-gnu-",
+            emulator=("qemu-x86_64", "-cpu", "max"),
+        ),
+        Target(
+            "x86-64-v4",
+            "x86 with AVX-512",
+            lanes=8,
+            tiles=True,
+            avx512=True,
+            flags=("-march=x86-64-v4",),
+            defines=(*_AVX2, *_AVX512),
+            compiler="x86_64-linux-gnu-",
+        ),
+        Target(
+            "aarch64",
+            "ARM64",
+            lanes=4,
+            tiles=True,
+            defines=("__aarch64__",),
+            compiler="aarch64-linux-gnu-",
+            emulator=("qemu-aarch64",),
+        ),
+        _microcontroller("cortex-m3", "Cortex-M3", "mps2-an385", None, "-mfloat-abi=soft"),
+        _microcontroller("cortex-m4f", "Cortex-M4F", "mps2-an386", "single", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"),
+        _microcontroller("cortex-m7", "Cortex-M7", "mps2-an500", "double", "-mfloat-abi=hard", "-mfpu=fpv5-d16"),
+        Target(
+            "riscv32",
+            "RV32IMAC",
+            sums="variables",
+            math="own",
+            flags=("-march=rv32imac", "-mabi=ilp32"),
+            compiler="riscv64-unknown-elf-",
+            libraries=("--specs=picolibc.specs",),
+            emulator=("qemu-system-riscv32", "-M", "virt", "-bios", "none"),
+            board=Board(None, "start_riscv.c", 1.0, code_origin=0x80000000, ram_origin=0x80400000),
+        ),
+    )
+}
+
+PORTABLE = TARGETS["portable"]
