@@ -141,10 +141,10 @@ def source(
     precision: str = "double",
     lanes: int = 1,
 ) -> str:
-    """Self-contained C text of a part that works on stages; with ``lanes`` > 1 as in the unit that build() compiles."""
+    """Self-contained C text of a part that works on stages; with ``lanes`` > 1 in register tiles."""
     dims = vars(shape.dims)
     values = {size.text: size.value for size in dims.values() if isinstance(size, Size)}
-    values |= {"VECTOR_LANES": lanes, "TILES": int(lanes > 2)}
+    values |= {"PACK_WIDTH": lanes, "TILES": int(lanes > 1)}
     values |= {name: value for name, value, _ in (*riccati_sizes(shape.dims), *sizes)}
     measured = [int(i not in shape.free) for i in range(shape.nx)]
     tables = {

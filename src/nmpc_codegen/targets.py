@@ -45,8 +45,8 @@ class Board:
 class Target:
     """A machine, and how C is written for it.
 
-    ``sums``: spelling of sums; ``lanes``: shooting nodes that are evaluated at once; ``tiles``: products with stage
-    matrices in register tiles, in another order of the sums; ``avx512``: with instructions of AVX-512; ``math``: the
+    ``sums``: spelling of sums; ``lanes``: shooting nodes that are evaluated at once; ``tiles``: numbers in a
+    vector of the register tiles of products with stage matrices, whose sums have another order, 0 without tiles; ``avx512``: with instructions of AVX-512; ``math``: the
     default of Options(math); ``flags``: of the compiler; ``defines``: macros that compilers for this machine define;
     ``compiler``: prefix of the cross compiler; ``libraries``: its flags for linking; ``emulator``: a command that runs
     its programs, empty if there is none; ``board``: of a microcontroller.
@@ -56,7 +56,7 @@ class Target:
     machine: str
     sums: Sums = "arrays"
     lanes: int = 1
-    tiles: bool = False
+    tiles: int = 0
     avx512: bool = False
     math: Math = "libm"
     flags: tuple[str, ...] = ()
@@ -119,7 +119,7 @@ TARGETS: Mapping[str, Target] = {
             "x86-64-v3",
             "x86 with AVX2",
             lanes=4,
-            tiles=True,
+            tiles=4,
             flags=("-march=x86-64-v3",),
             defines=_AVX2,
             compiler="x86_64-linux-gnu-",
@@ -129,7 +129,7 @@ TARGETS: Mapping[str, Target] = {
             "x86-64-v4",
             "x86 with AVX-512",
             lanes=8,
-            tiles=True,
+            tiles=8,
             avx512=True,
             flags=("-march=x86-64-v4",),
             defines=(*_AVX2, *_AVX512),
@@ -138,8 +138,8 @@ TARGETS: Mapping[str, Target] = {
         Target(
             "aarch64",
             "ARM64",
-            lanes=4,
-            tiles=True,
+            lanes=2,
+            tiles=4,
             defines=("__aarch64__",),
             compiler="aarch64-linux-gnu-",
             emulator=("qemu-aarch64",),

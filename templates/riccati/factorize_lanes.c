@@ -105,10 +105,10 @@ PACK_INLINE void riccati_state_strip(real_t (*P)[LDX], const tiled_stage_t *t, c
     if (needed <= 0) {
         return;
     }
-    if (width > VECTOR_LANES && needed <= VECTOR_LANES) {
-        riccati_state_tile(P, t, from, ld, S, i, rows, j, VECTOR_LANES);
-    } else if (width > 2 * VECTOR_LANES && needed <= 2 * VECTOR_LANES) {
-        riccati_state_tile(P, t, from, ld, S, i, rows, j, 2 * VECTOR_LANES);
+    if (width > PACK_WIDTH && needed <= PACK_WIDTH) {
+        riccati_state_tile(P, t, from, ld, S, i, rows, j, PACK_WIDTH);
+    } else if (width > 2 * PACK_WIDTH && needed <= 2 * PACK_WIDTH) {
+        riccati_state_tile(P, t, from, ld, S, i, rows, j, 2 * PACK_WIDTH);
     } else {
         riccati_state_tile(P, t, from, ld, S, i, rows, j, width);
     }
@@ -141,7 +141,7 @@ static void riccati_form_states(real_t (*P)[LDX], const tiled_stage_t *t, const 
 PACK_INLINE void riccati_add_packs(real_t *y, real_t a, const real_t *x)
 {
 #pragma GCC unroll 4
-    for (int i = 0; i < STATE_WIDTH; i += VECTOR_LANES) {
+    for (int i = 0; i < STATE_WIDTH; i += PACK_WIDTH) {
         *(pack_t *)(y + i) += a * *(const pack_t *)(x + i);
     }
 }
@@ -193,7 +193,7 @@ static int riccati_eliminate_controls(riccati_t *r, int k, tiled_stage_t *t)
             riccati_add_packs(V[j], -L[j][l], V[l]);
         }
 #pragma GCC unroll 4
-        for (int i = 0; i < STATE_WIDTH; i += VECTOR_LANES) {
+        for (int i = 0; i < STATE_WIDTH; i += PACK_WIDTH) {
             *(pack_t *)(t->W[l] + i) = -L[l][l] * *(const pack_t *)(V[l] + i);
         }
     }
@@ -210,7 +210,7 @@ PACK_INLINE void riccati_gain(riccati_t *r, int k, tiled_stage_t *t)
             riccati_add_packs(t->W[j], -r->L[k][l][j], t->W[l]);
         }
 #pragma GCC unroll 4
-        for (int i = 0; i < NXS; i += VECTOR_LANES) {
+        for (int i = 0; i < NXS; i += PACK_WIDTH) {
             pack_store(r->K[k][j] + i, *(const pack_t *)(t->W[j] + i), NXS - i);
         }
     }

@@ -3,7 +3,7 @@
 /* Contract of this part: the functions of riccati/linear_algebra.c and riccati/blocks.c on packs. They are inlined, so
  * that sizes are constants. */
 
-/* VECTOR_LANES packs, one per row. */
+/* PACK_WIDTH packs, one per row. */
 typedef struct {
     pack_t r0, r1, r2, r3, r4, r5, r6, r7;
 } packs_t;
@@ -11,7 +11,7 @@ typedef struct {
 /* (a0 + a1, b0 + b1, a2 + a3, b2 + b3, ...) */
 PACK_INLINE pack_t pack_pairs(pack_t a, pack_t b)
 {
-#if VECTOR_LANES == 8
+#if PACK_WIDTH == 8
     const pack_t even = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
     const pack_t odd = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
 #else
@@ -24,7 +24,7 @@ PACK_INLINE pack_t pack_pairs(pack_t a, pack_t b)
 /* The same with pairs of numbers in the place of numbers: sums of the pairs of a, then of the pairs of b. */
 PACK_INLINE pack_t pack_fold(pack_t a, pack_t b)
 {
-#if VECTOR_LANES == 8
+#if PACK_WIDTH == 8
     const pack_t even = __builtin_shufflevector(a, b, 0, 1, 4, 5, 8, 9, 12, 13);
     const pack_t odd = __builtin_shufflevector(a, b, 2, 3, 6, 7, 10, 11, 14, 15);
 #else
@@ -38,7 +38,7 @@ PACK_INLINE pack_t pack_fold(pack_t a, pack_t b)
 PACK_INLINE pack_t packs_sums(const packs_t *a)
 {
     const pack_t first = pack_fold(pack_pairs(a->r0, a->r1), pack_pairs(a->r2, a->r3));
-#if VECTOR_LANES == 8
+#if PACK_WIDTH == 8
     const pack_t second = pack_fold(pack_pairs(a->r4, a->r5), pack_pairs(a->r6, a->r7));
     return pack_fold(first, second);
 #else
@@ -46,7 +46,7 @@ PACK_INLINE pack_t packs_sums(const packs_t *a)
 #endif
 }
 
-/* c[r] += row r of A times b,  r < rows <= VECTOR_LANES,  n <= VECTOR_LANES columns */
+/* c[r] += row r of A times b,  r < rows <= PACK_WIDTH,  n <= PACK_WIDTH columns */
 PACK_INLINE void packs_add(packs_t *c, const real_t *A, int ld, pack_t b, int rows, int n)
 {
     c->r0 += pack_load(A, n) * b;
@@ -79,15 +79,15 @@ PACK_INLINE void packs_clear(packs_t *c)
     c->r0 = c->r1 = c->r2 = c->r3 = c->r4 = c->r5 = c->r6 = c->r7 = zero;
 }
 
-/* sum_j A[i][j] x[j],  i < rows <= VECTOR_LANES,  j < n; x has whole packs. */
+/* sum_j A[i][j] x[j],  i < rows <= PACK_WIDTH,  j < n; x has whole packs. */
 PACK_INLINE pack_t riccati_row_products(const real_t *A, int ld, const real_t *x, int rows, int n)
 {
-    const int done = n / VECTOR_LANES * VECTOR_LANES;
+    const int done = n / PACK_WIDTH * PACK_WIDTH;
     packs_t c;
     packs_clear(&c);
 #pragma GCC unroll 4
-    for (int j = 0; j < done; j += VECTOR_LANES) {
-        packs_add(&c, A + j, ld, *(const pack_t *)(x + j), rows, VECTOR_LANES);
+    for (int j = 0; j < done; j += PACK_WIDTH) {
+        packs_add(&c, A + j, ld, *(const pack_t *)(x + j), rows, PACK_WIDTH);
     }
     if (n > done) {
         packs_add(&c, A + done, ld, *(const pack_t *)(x + done), rows, n - done);
@@ -134,9 +134,9 @@ PACK_INLINE void riccati_combine(real_t *y, const real_t *a, const real_t *rows,
 /* y[j] += a x[j],  j < n */
 PACK_INLINE void riccati_add(real_t *y, real_t a, const real_t *x, int n)
 {
-    const int done = n / VECTOR_LANES * VECTOR_LANES;
-    for (int j = 0; j < done; j += VECTOR_LANES) {
-        pack_store(y + j, pack_load(y + j, VECTOR_LANES) + a * pack_load(x + j, VECTOR_LANES), VECTOR_LANES);
+    const int done = n / PACK_WIDTH * PACK_WIDTH;
+    for (int j = 0; j < done; j += PACK_WIDTH) {
+        pack_store(y + j, pack_load(y + j, PACK_WIDTH) + a * pack_load(x + j, PACK_WIDTH), PACK_WIDTH);
     }
     if (n > done) {
         pack_store(y + done, pack_load(y + done, n - done) + a * pack_load(x + done, n - done), n - done);
@@ -146,10 +146,10 @@ PACK_INLINE void riccati_add(real_t *y, real_t a, const real_t *x, int n)
 /* sum_j a[j] b[j],  j < n */
 PACK_INLINE real_t riccati_dot(const real_t *a, const real_t *b, int n)
 {
-    const int done = n / VECTOR_LANES * VECTOR_LANES;
+    const int done = n / PACK_WIDTH * PACK_WIDTH;
     pack_t sum = {0};
-    for (int j = 0; j < done; j += VECTOR_LANES) {
-        sum += pack_load(a + j, VECTOR_LANES) * pack_load(b + j, VECTOR_LANES);
+    for (int j = 0; j < done; j += PACK_WIDTH) {
+        sum += pack_load(a + j, PACK_WIDTH) * pack_load(b + j, PACK_WIDTH);
     }
     if (n > done) {
         sum += pack_load(a + done, n - done) * pack_load(b + done, n - done);
@@ -161,13 +161,13 @@ PACK_INLINE real_t riccati_dot(const real_t *a, const real_t *b, int n)
 PACK_INLINE void riccati_rows(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n, int width)
 {
     tile_t t;
-    for (int j = 0; j + VECTOR_LANES <= width; j += VECTOR_LANES) {
-        tile_load(&t, c + j, ldc, 4, VECTOR_LANES);
-        tile_accumulate(&t, a, lda, 1, b + j, ldb, n, 4, VECTOR_LANES);
-        tile_store(c + j, ldc, &t, 4, VECTOR_LANES);
+    for (int j = 0; j + PACK_WIDTH <= width; j += PACK_WIDTH) {
+        tile_load(&t, c + j, ldc, 4, PACK_WIDTH);
+        tile_accumulate(&t, a, lda, 1, b + j, ldb, n, 4, PACK_WIDTH);
+        tile_store(c + j, ldc, &t, 4, PACK_WIDTH);
     }
-#if VECTOR_LANES == 8
-    if (width % VECTOR_LANES) {
+#if PACK_WIDTH == 8
+    if (width % PACK_WIDTH) {
         tile_load(&t, c + width - 4, ldc, 4, 4);
         tile_accumulate(&t, a, lda, 1, b + width - 4, ldb, n, 4, 4);
         tile_store(c + width - 4, ldc, &t, 4, 4);
@@ -178,12 +178,12 @@ PACK_INLINE void riccati_rows(real_t *c, int ldc, const real_t *a, int lda, cons
 /* *c += row b, *y += x_r row */
 PACK_INLINE void packs_add_both_row(pack_t *c, pack_t *y, const real_t *row, pack_t b, real_t x_r)
 {
-    const pack_t v = pack_load(row, VECTOR_LANES);
+    const pack_t v = pack_load(row, PACK_WIDTH);
     *c += v * b;
     *y += x_r * v;
 }
 
-/* c[r] += row r of A times b,  *y += A'x,  r < rows <= VECTOR_LANES */
+/* c[r] += row r of A times b,  *y += A'x,  r < rows <= PACK_WIDTH */
 PACK_INLINE void packs_add_both(packs_t *c, pack_t *y, const real_t *A, int ld, pack_t b, const real_t *x, int rows)
 {
     pack_t even = *y, odd = {0};
@@ -252,11 +252,11 @@ PACK_INLINE void packs_add_diagonal(packs_t *c, pack_t *y, const real_t *A, int 
 PACK_INLINE void riccati_add_symmetric_rows(pack_t *y, const real_t *A, int ld, const real_t *x, int i, int rows)
 {
     const real_t *row = A + i * ld;
-    pack_t *last = y + i / VECTOR_LANES;
+    pack_t *last = y + i / PACK_WIDTH;
     packs_t c;
     packs_clear(&c);
-    for (int j = 0; j < i; j += VECTOR_LANES) {
-        packs_add_both(&c, y + j / VECTOR_LANES, row + j, ld, pack_load(x + j, VECTOR_LANES), x + i, rows);
+    for (int j = 0; j < i; j += PACK_WIDTH) {
+        packs_add_both(&c, y + j / PACK_WIDTH, row + j, ld, pack_load(x + j, PACK_WIDTH), x + i, rows);
     }
     packs_add_diagonal(&c, last, row + i, ld, x + i, rows);
     *last += packs_sums(&c);
@@ -265,18 +265,18 @@ PACK_INLINE void riccati_add_symmetric_rows(pack_t *y, const real_t *A, int ld, 
 /* y += A x, where A is symmetric of n rows (lower triangle). */
 PACK_INLINE void riccati_add_symmetric(real_t *y, const real_t *A, int ld, const real_t *x, int n)
 {
-    const int done = n / VECTOR_LANES * VECTOR_LANES;
-    pack_t sum[PACKED(NZS) / VECTOR_LANES]; /* n <= NZS */
-    for (int j = 0; j < n; j += VECTOR_LANES) {
-        sum[j / VECTOR_LANES] = pack_load(y + j, n - j);
+    const int done = n / PACK_WIDTH * PACK_WIDTH;
+    pack_t sum[PACKED(NZS) / PACK_WIDTH]; /* n <= NZS */
+    for (int j = 0; j < n; j += PACK_WIDTH) {
+        sum[j / PACK_WIDTH] = pack_load(y + j, n - j);
     }
-    for (int i = 0; i < done; i += VECTOR_LANES) {
-        riccati_add_symmetric_rows(sum, A, ld, x, i, VECTOR_LANES);
+    for (int i = 0; i < done; i += PACK_WIDTH) {
+        riccati_add_symmetric_rows(sum, A, ld, x, i, PACK_WIDTH);
     }
     if (n > done) {
         riccati_add_symmetric_rows(sum, A, ld, x, done, n - done);
     }
-    for (int j = 0; j < n; j += VECTOR_LANES) {
-        pack_store(y + j, sum[j / VECTOR_LANES], n - j);
+    for (int j = 0; j < n; j += PACK_WIDTH) {
+        pack_store(y + j, sum[j / PACK_WIDTH], n - j);
     }
 }

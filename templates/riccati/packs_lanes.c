@@ -1,4 +1,4 @@
-/* Packs: GNU C vectors of VECTOR_LANES numbers. Loads and stores need no alignment, and a part of n < VECTOR_LANES numbers
+/* Packs: GNU C vectors of PACK_WIDTH numbers. Loads and stores need no alignment, and a part of n < PACK_WIDTH numbers
  * touches no other memory. All sizes are constants after inlining, so that conditions on them vanish. */
 
 /* On a processor with shorter registers compilers warn that vectors are passed in memory; all functions that take them
@@ -7,14 +7,14 @@
 
 #define PACK_INLINE static inline __attribute__((always_inline, unused))
 
-typedef real_t pack_t __attribute__((vector_size(VECTOR_LANES * sizeof(real_t))));
+typedef real_t pack_t __attribute__((vector_size(PACK_WIDTH * sizeof(real_t))));
 typedef real_t loose_pack_t
-    __attribute__((vector_size(VECTOR_LANES * sizeof(real_t)), aligned(sizeof(real_t)), may_alias));
+    __attribute__((vector_size(PACK_WIDTH * sizeof(real_t)), aligned(sizeof(real_t)), may_alias));
 typedef real_t pack4_t __attribute__((vector_size(4 * sizeof(real_t))));
 typedef real_t loose_quad_t __attribute__((vector_size(4 * sizeof(real_t)), aligned(sizeof(real_t)), may_alias));
 
 /* n rounded up to whole packs. */
-#define PACKED(n) (((n) + VECTOR_LANES - 1) / VECTOR_LANES * VECTOR_LANES)
+#define PACKED(n) (((n) + PACK_WIDTH - 1) / PACK_WIDTH * PACK_WIDTH)
 
 /* Arrays of this type start at a cache line. */
 #define PACK_ALIGNED __attribute__((aligned(64)))
@@ -33,13 +33,13 @@ PACK_INLINE pack4_t quad_part(const real_t *p, int n)
     return v;
 }
 
-/* The first n numbers, at most VECTOR_LANES, then zeros. */
+/* The first n numbers, at most PACK_WIDTH, then zeros. */
 PACK_INLINE pack_t pack_load(const real_t *p, int n)
 {
-    if (n >= VECTOR_LANES) {
+    if (n >= PACK_WIDTH) {
         return *(const loose_pack_t *)p;
     }
-#if VECTOR_LANES == 8
+#if PACK_WIDTH == 8
     const pack4_t zero = {0};
     if (n >= 4) {
         return __builtin_shufflevector(
@@ -51,15 +51,15 @@ PACK_INLINE pack_t pack_load(const real_t *p, int n)
 #endif
 }
 
-/* Stores the first n numbers, at most VECTOR_LANES. */
+/* Stores the first n numbers, at most PACK_WIDTH. */
 PACK_INLINE void pack_store(real_t *p, pack_t v, int n)
 {
     int done = 0;
-    if (n >= VECTOR_LANES) {
+    if (n >= PACK_WIDTH) {
         *(loose_pack_t *)p = v;
         return;
     }
-#if VECTOR_LANES == 8
+#if PACK_WIDTH == 8
     if (n >= 4) {
         *(loose_quad_t *)p = __builtin_shufflevector(v, v, 0, 1, 2, 3);
         done = 4;
@@ -79,7 +79,7 @@ PACK_INLINE void pack_store(real_t *p, pack_t v, int n)
 /* The sum of all numbers. */
 PACK_INLINE real_t pack_sum(pack_t v)
 {
-#if VECTOR_LANES == 8
+#if PACK_WIDTH == 8
     const pack4_t s = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
 #else
     const pack4_t s = v;

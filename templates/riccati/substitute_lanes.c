@@ -4,9 +4,9 @@
 /* y = x, n numbers, the rest of the last pack 0. */
 PACK_INLINE void packs_fill(real_t *y, const real_t *x, int n)
 {
-    const int done = n / VECTOR_LANES * VECTOR_LANES;
-    for (int i = 0; i < done; i += VECTOR_LANES) {
-        *(pack_t *)(y + i) = pack_load(x + i, VECTOR_LANES);
+    const int done = n / PACK_WIDTH * PACK_WIDTH;
+    for (int i = 0; i < done; i += PACK_WIDTH) {
+        *(pack_t *)(y + i) = pack_load(x + i, PACK_WIDTH);
     }
     if (n > done) {
         *(pack_t *)(y + done) = pack_load(x + done, n - done);
@@ -16,9 +16,9 @@ PACK_INLINE void packs_fill(real_t *y, const real_t *x, int n)
 /* y = x, n numbers, where x has whole packs. */
 PACK_INLINE void packs_take(real_t *y, const real_t *x, int n)
 {
-    const int done = n / VECTOR_LANES * VECTOR_LANES;
-    for (int i = 0; i < done; i += VECTOR_LANES) {
-        pack_store(y + i, *(const pack_t *)(x + i), VECTOR_LANES);
+    const int done = n / PACK_WIDTH * PACK_WIDTH;
+    for (int i = 0; i < done; i += PACK_WIDTH) {
+        pack_store(y + i, *(const pack_t *)(x + i), PACK_WIDTH);
     }
     if (n > done) {
         pack_store(y + done, *(const pack_t *)(x + done), n - done);
@@ -55,18 +55,18 @@ static void riccati_backward_stage(solver_t *s, int k)
     }
 }
 
-#if NUS <= VECTOR_LANES
+#if NUS <= PACK_WIDTH
 /* Lanes of zeros and of the controls u for the pack of z that holds u_0, and for the next one. */
-#define CONTROL_START (NXS % VECTOR_LANES)
-#define CONTROL_LANE(i) (((i) < CONTROL_START) ? (i) : VECTOR_LANES + (i)-CONTROL_START)
-#define CONTROL_REST(i) (((i) < CONTROL_START) ? 2 * VECTOR_LANES + (i)-CONTROL_START : 0)
+#define CONTROL_START (NXS % PACK_WIDTH)
+#define CONTROL_LANE(i) (((i) < CONTROL_START) ? (i) : PACK_WIDTH + (i)-CONTROL_START)
+#define CONTROL_REST(i) (((i) < CONTROL_START) ? 2 * PACK_WIDTH + (i)-CONTROL_START : 0)
 
 /* Adds u, whose last lanes are 0, to z = (x, 0). */
 PACK_INLINE void riccati_append_controls(real_t *z, pack_t u)
 {
     const pack_t zero = {0};
-    pack_t *first = (pack_t *)(z + NXS / VECTOR_LANES * VECTOR_LANES);
-#if VECTOR_LANES == 8
+    pack_t *first = (pack_t *)(z + NXS / PACK_WIDTH * PACK_WIDTH);
+#if PACK_WIDTH == 8
     const pack_t start = __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2),
         CONTROL_LANE(3), CONTROL_LANE(4), CONTROL_LANE(5), CONTROL_LANE(6), CONTROL_LANE(7));
     const pack_t rest = __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2),
@@ -78,7 +78,7 @@ PACK_INLINE void riccati_append_controls(real_t *z, pack_t u)
         __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2), CONTROL_REST(3));
 #endif
     first[0] = (CONTROL_START == 0) ? start : first[0] + start;
-    if (CONTROL_START + NUS > VECTOR_LANES) {
+    if (CONTROL_START + NUS > PACK_WIDTH) {
         first[1] = rest;
     }
 }
@@ -87,7 +87,7 @@ PACK_INLINE void riccati_append_controls(real_t *z, pack_t u)
 /* z = (x, u),  u = feed_k + K_k x,  where z holds x and zeros. */
 PACK_INLINE void riccati_choose_controls(const riccati_t *r, int k, real_t *z, real_t *u)
 {
-#if NUS <= VECTOR_LANES
+#if NUS <= PACK_WIDTH
     const pack_t sums = pack_load(r->feed[k], NUS) + riccati_row_products(r->K[k][0], LDX, z, NUS, NXS);
     pack_store(u, sums, NUS);
     riccati_append_controls(z, sums);
@@ -104,7 +104,7 @@ PACK_INLINE void riccati_choose_controls(const riccati_t *r, int k, real_t *z, r
 /* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */
 static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
 {
-    const int done = NXS / VECTOR_LANES * VECTOR_LANES;
+    const int done = NXS / PACK_WIDTH * PACK_WIDTH;
     const riccati_t *r = &s->riccati;
     real_t z[2][STAGE_WIDTH] PACK_ALIGNED = {{0}};
 #if NF
@@ -115,9 +115,9 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
         const real_t *S = stage_S(s, k)[0];
         real_t *from = z[k % 2], *to = z[1 - k % 2];
         riccati_choose_controls(r, k, from, u + k * NUS);
-        for (int i = 0; i < done; i += VECTOR_LANES) {
-            const pack_t next = pack_load(r->b[k] + i, VECTOR_LANES);
-            *(pack_t *)(to + i) = next + riccati_row_products(S + i * NZS, NZS, from, VECTOR_LANES, NZS);
+        for (int i = 0; i < done; i += PACK_WIDTH) {
+            const pack_t next = pack_load(r->b[k] + i, PACK_WIDTH);
+            *(pack_t *)(to + i) = next + riccati_row_products(S + i * NZS, NZS, from, PACK_WIDTH, NZS);
         }
         if (NXS > done) {
             const pack_t next = pack_load(r->b[k] + done, NXS - done);

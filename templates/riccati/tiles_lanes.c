@@ -2,12 +2,12 @@
 
 /* Tiles: up to TILE_ROWS rows of three packs, which stay in registers while a product is accumulated. */
 
-#if VECTOR_LANES == 8
+#if PACK_WIDTH == 8
 #define TILE_ROWS 7
 #else
 #define TILE_ROWS 4
 #endif
-#define TILE_WIDTH (3 * VECTOR_LANES)
+#define TILE_WIDTH (3 * PACK_WIDTH)
 
 typedef struct {
     pack_t v0, v1, v2;
@@ -23,11 +23,11 @@ PACK_INLINE strip_t strip_load(const real_t *p, int width)
     const pack_t zero = {0};
     strip_t s = {zero, zero, zero};
     s.v0 = pack_load(p, width);
-    if (width > VECTOR_LANES) {
-        s.v1 = pack_load(p + VECTOR_LANES, width - VECTOR_LANES);
+    if (width > PACK_WIDTH) {
+        s.v1 = pack_load(p + PACK_WIDTH, width - PACK_WIDTH);
     }
-    if (width > 2 * VECTOR_LANES) {
-        s.v2 = pack_load(p + 2 * VECTOR_LANES, width - 2 * VECTOR_LANES);
+    if (width > 2 * PACK_WIDTH) {
+        s.v2 = pack_load(p + 2 * PACK_WIDTH, width - 2 * PACK_WIDTH);
     }
     return s;
 }
@@ -35,11 +35,11 @@ PACK_INLINE strip_t strip_load(const real_t *p, int width)
 PACK_INLINE void strip_store(real_t *p, const strip_t *s, int width)
 {
     pack_store(p, s->v0, width);
-    if (width > VECTOR_LANES) {
-        pack_store(p + VECTOR_LANES, s->v1, width - VECTOR_LANES);
+    if (width > PACK_WIDTH) {
+        pack_store(p + PACK_WIDTH, s->v1, width - PACK_WIDTH);
     }
-    if (width > 2 * VECTOR_LANES) {
-        pack_store(p + 2 * VECTOR_LANES, s->v2, width - 2 * VECTOR_LANES);
+    if (width > 2 * PACK_WIDTH) {
+        pack_store(p + 2 * PACK_WIDTH, s->v2, width - 2 * PACK_WIDTH);
     }
 }
 

@@ -51,7 +51,7 @@ SWITCHES = {
     "SET_REFERENCE": 1,
     "FIRST": 0,
     "LEVELS": 0,
-    "VECTOR_LANES": 1,
+    "PACK_WIDTH": 0,
     "TILES": 0,
 }
 

@@ -94,8 +94,9 @@ def with_lanes(module: CModule) -> CModule:
     """
     target, switches = module.target, module.switches
     lanes = 1 if switches["SMALL"] else min(target.lanes, 1 << (module.value("N").bit_length() - 1))
-    tiles = target.tiles and lanes > 2 and not switches["OWN_MATH"]
-    module = replace(module, switches={**switches, "VECTOR_LANES": lanes, "TILES": int(tiles)})
+    tiles = 0 if switches["SMALL"] or switches["OWN_MATH"] else target.tiles
+    widths = {"VECTOR_LANES": lanes, "PACK_WIDTH": tiles, "TILES": int(tiles > 0)}
+    module = replace(module, switches={**switches, **widths})
     return replace(module, switches={**module.switches, **_lane_switches(module)})
 
 

@@ -66,7 +66,7 @@ def all_definitions(module: CModule) -> list[Definition]:
     constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
     constants += [
-        ("VECTOR_LANES", str(module.sizes["VECTOR_LANES"])),
+        *((name, str(module.switches[name])) for name in ("VECTOR_LANES", "PACK_WIDTH")),
         *arithmetic(module.precision, bool(module.switches["OWN_MATH"])),
     ]
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
