@@ -45,11 +45,11 @@ class Board:
 class Target:
     """A machine, and how C is written for it.
 
-    ``sums``: spelling of sums; ``lanes``: shooting nodes that are evaluated at once; ``tiles``: numbers in a
-    vector of the register tiles of products with stage matrices, whose sums have another order, 0 without tiles; ``avx512``: with instructions of AVX-512; ``math``: the
-    default of Options(math); ``flags``: of the compiler; ``defines``: macros that compilers for this machine define;
-    ``compiler``: prefix of the cross compiler; ``libraries``: its flags for linking; ``emulator``: a command that runs
-    its programs, empty if there is none; ``board``: of a microcontroller.
+    ``sums``: spelling of sums; ``lanes``: shooting nodes that are evaluated at once; ``tiles``: numbers in a vector of
+    the register tiles of products with stage matrices, whose sums have another order, 0 without tiles; ``avx512``: with
+    instructions of AVX-512; ``math``: the default of Options(math); ``flags``: of the compiler; ``defines``: macros
+    that compilers for this machine define; ``compiler``: prefix of the cross compiler; ``libraries``: its flags for linking;
+    ``emulator``: a command that runs its programs, empty if there is none; ``board``: of a microcontroller.
     """
 
     name: str
@@ -152,11 +152,11 @@ TARGETS: Mapping[str, Target] = {
             "RV32IMAC",
             sums="variables",
             math="own",
-            flags=("-march=rv32imac", "-mabi=ilp32"),
+            flags=("-march=rv32imac", "-mabi=ilp32", "--specs=picolibc.specs"),
             compiler="riscv64-unknown-elf-",
-            libraries=("--specs=picolibc.specs",),
+            libraries=("-Wl,--no-relax", *(f"-Wl,--defsym=__{part}_size={4 << 20}" for part in ("flash", "ram"))),
             emulator=("qemu-system-riscv32", "-M", "virt", "-bios", "none"),
-            board=Board(None, "start_riscv.c", 1.0, code_origin=0x80000000, ram_origin=0x80400000),
+            board=Board(None, "start_riscv.c", 1 / INSTRUCTION, code_origin=0x80000000, ram_origin=0x80400000),
         ),
     )
 }

@@ -24,16 +24,9 @@ static solver_t solver;
 static real_t x[NX], u[NU];
 static CALL(kkt_t) residuals;
 
-INSIDE uint32_t *stack_pointer(void)
-{
-    uint32_t *sp;
-    __asm volatile("mov %0, sp" : "=r"(sp) : : "memory");
-    return sp;
-}
-
 INSIDE void paint(void)
 {
-    volatile uint32_t *const end = stack_pointer();
+    volatile uint32_t *const end = image_stack_pointer();
     for (volatile uint32_t *word = image_stack_limit; word < end; word++) {
         *word = PAINT;
     }
@@ -41,7 +34,7 @@ INSIDE void paint(void)
 
 INSIDE uint32_t written_bytes(void)
 {
-    volatile uint32_t *const end = stack_pointer();
+    volatile uint32_t *const end = image_stack_pointer();
     volatile uint32_t *word = image_stack_limit;
     while (word < end && *word == PAINT) {
         word++;

@@ -24,7 +24,7 @@ from verification import problems
 
 SAMPLES = 12
 X0 = np.array([2.0, 0.0, 0.0, 0.0])
-BOARDS = [("cortex-m7", "double"), ("cortex-m4f", "single"), ("cortex-m3", "single")]
+BOARDS = [("cortex-m7", "double"), ("cortex-m4f", "single"), ("cortex-m3", "single"), ("riscv32", "single")]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -47,13 +47,14 @@ def recording(precision: str, **more: Any) -> Recording:
 @pytest.fixture(scope="module")
 def outcome(request: pytest.FixtureRequest) -> tuple[Recording, Certificate, Verdict]:
     target, precision = request.param
-    require_tool("qemu")
+    for tool in ("riscv", "qemu-riscv32") if target == "riscv32" else ("arm", "qemu"):
+        require_tool(tool)
     sources, inputs = package(precision), recording(precision)
     certificate = certify(sources, "crane", TARGETS[target])
     return inputs, certificate, verify(sources, "crane", inputs, TARGETS[target], "O2", certificate.stack_worst)
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("outcome", BOARDS, indirect=True, ids=lambda board: board[0])
 def test_target_and_host_agree(outcome: tuple[Recording, Certificate, Verdict]) -> None:
     inputs, certificate, verdict = outcome
@@ -65,7 +66,7 @@ def test_target_and_host_agree(outcome: tuple[Recording, Certificate, Verdict]) 
     assert 1000 < verdict.run.median <= verdict.run.worst
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("outcome", BOARDS, indirect=True, ids=lambda board: board[0])
 def test_stack_of_the_run_is_within_the_certificate(outcome: tuple[Recording, Certificate, Verdict]) -> None:
     _, certificate, verdict = outcome
@@ -75,7 +76,7 @@ def test_stack_of_the_run_is_within_the_certificate(outcome: tuple[Recording, Ce
     assert certificate.stack_bytes["step"] >= certificate.stack_bytes["prepare"] > 0
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("outcome", BOARDS, indirect=True, ids=lambda board: board[0])
 def test_certificate(outcome: tuple[Recording, Certificate, Verdict]) -> None:
     inputs, certificate, _ = outcome
@@ -84,7 +85,7 @@ def test_certificate(outcome: tuple[Recording, Certificate, Verdict]) -> None:
     suffix = "f" if certificate.precision == "single" else ""
     assert {f"sin{suffix}", f"cos{suffix}"} <= set(certificate.math_functions)
     assert certificate.double_functions == ()
-    assert (certificate.arithmetic == "software") == (certificate.target == "cortex-m3")
+    assert (certificate.arithmetic == "software") == (certificate.target in ("cortex-m3", "riscv32"))
     assert certificate.worst_operations["sample"] > 0
 
 

@@ -25,16 +25,16 @@ CASES: list[tuple[str, str, Precision]] = [
     ("crane", "cortex-m4f", "single"),
     ("crane", "cortex-m3", "single"),
     ("cstr", "cortex-m7", "double"),
+    ("cstr", "riscv32", "double"),
 ]
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(("name", "board", "precision"), CASES)
 def test_the_board_computes_the_bits_of_the_host(name: str, board: str, precision: Precision) -> None:
-    require_tool("cc")
-    require_tool("arm")
-    require_tool("qemu")
-    package = generate(EXAMPLES[name].build_ocp(), Options(math="own", precision=precision, solve=False))
+    for tool in ("cc", *(("riscv", "qemu-riscv32") if board == "riscv32" else ("arm", "qemu"))):
+        require_tool(tool)
+    package = generate(EXAMPLES[name].build_ocp(), Options(target=board, precision=precision, solve=False))
     controller = load(package, name, "verify")
     inputs = record(controller, controller.description.x_initial, SAMPLES)
     verdict = verify(package, name, inputs, TARGETS[board])
@@ -45,7 +45,7 @@ def test_the_board_computes_the_bits_of_the_host(name: str, board: str, precisio
 
 @pytest.mark.slow
 @pytest.mark.few(1)
-@pytest.mark.parametrize(("name", "board", "precision"), [c for c in CASES if c[1] != "cortex-m3"])
+@pytest.mark.parametrize(("name", "board", "precision"), [c for c in CASES if c[1] in ("cortex-m4f", "cortex-m7")])
 def test_the_program_is_linked_without_libm(name: str, board: str, precision: Precision, tmp_path: Path) -> None:
     require_tool("cc")
     require_tool("arm")

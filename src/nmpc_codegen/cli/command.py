@@ -65,6 +65,8 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     from nmpc_codegen.compiler import compile, export
     from nmpc_codegen.options import Options
     from nmpc_codegen.runtime.compilers import find_compiler
+    from nmpc_codegen.runtime.native import check_target
+    from nmpc_codegen.targets import TARGETS
 
     if arguments.check or arguments.simulate is not None:
         find_compiler()
@@ -73,6 +75,8 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         firmware.look_for_tools(Options(target=arguments.target))
     ocp, options = _problem(arguments, printer)
     firmware.look_for_tools(options)
+    if arguments.check or arguments.simulate is not None:
+        check_target(ocp.name, TARGETS[options.with_defaults.target])
     name = ocp.name if arguments.name is None else arguments.name
     if arguments.max_operations is not None:
         options = _capped(ocp, options, name, arguments.max_operations, printer)

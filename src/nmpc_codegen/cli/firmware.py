@@ -11,9 +11,8 @@ from nmpc_codegen.cli.arguments import BUDGETS
 from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import Budgets, parsed
-from nmpc_codegen.firmware.certificate import Certificate
+from nmpc_codegen.firmware.certificate import Certificate, Form
 from nmpc_codegen.firmware.delivery import Delivery, Variant, deliver, sentences
-from nmpc_codegen.firmware.forms import Form
 from nmpc_codegen.firmware.process import compiler_for, emulated
 from nmpc_codegen.firmware.toolchain import LEVELS, require
 from nmpc_codegen.options import Options

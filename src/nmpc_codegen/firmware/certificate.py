@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +18,8 @@ from tempfile import TemporaryDirectory
 from nmpc_codegen.analysis import worst_case
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.firmware import stack
-from nmpc_codegen.firmware.toolchain import Level, compile_flags, cross, in_hardware, version
+from nmpc_codegen.firmware.machine_code import machine_code
+from nmpc_codegen.firmware.toolchain import LEVELS, Level, compile_flags, cross, in_hardware, version
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.targets import Target
 
@@ -147,8 +148,10 @@ def defined(target: Target, folder: Path, name: str) -> list[str]:
 
 def flash_bytes(target: Target, folder: Path, functions: Iterable[str]) -> int:
     """Bytes of code and constants of package.o that these functions reach, without libraries."""
-    roots = [f"--undefined={f}" for f in functions]
-    _tool(target, "ld", folder, "-r", "--gc-sections", *roots, "package.o", "-o", "part.o")
+    roots = [f"-Wl,--undefined={f}" for f in functions]
+    core = (flag for flag in target.flags if not flag.startswith("--specs"))  # whose linker scripts are for programs
+    options = (*core, "-nostdlib", "-r", "-Wl,--gc-sections")
+    _tool(target, "gcc", folder, *options, *roots, "package.o", "-o", "part.o")
     flash, ram = _sizes(_tool(target, "size", folder, "part.o"))
     if ram:
         raise BuildError(f"the package has {ram} bytes of variables outside its struct")
@@ -175,14 +178,14 @@ def _link(target: Target, functions: Iterable[str], output: str, folder: Path) -
 def _library(target: Target, folder: Path, symbols: str) -> dict[str, stack.Function]:
     """Functions of the libraries with their frames, from the linked program."""
     listing = _tool(target, "objdump", folder, "-d", "--no-show-raw-insn", "all.elf")
-    return stack.with_aliases(stack.of_program(listing), symbols)
+    return stack.with_aliases(stack.of_program(listing, machine_code(target)), symbols)
 
 
 def _struct_bytes(name: str, target: Target, folder: Path) -> int:
     """sizeof(<name>_solver_t) on the target: the size of an array of so many characters."""
     text = f'#include "{name}.h"\nchar struct_bytes[sizeof({name}_solver_t)] = {{1}};\n'
     (folder / "size.c").write_text(text, encoding="utf-8")
-    _tool(target, "gcc", folder, *target.flags, *target.libraries, "-c", "size.c", "-o", "size.o")
+    _tool(target, "gcc", folder, *target.flags, "-c", "size.c", "-o", "size.o")
     (line,) = (
         part.split() for part in _tool(target, "nm", folder, "-S", "size.o").splitlines() if "struct_bytes" in part
     )
@@ -192,3 +195,37 @@ def _struct_bytes(name: str, target: Target, folder: Path) -> int:
 def _object_digest(target: Target, folder: Path) -> str:
     """SHA-256 of the contents of all sections of package.o that are loaded."""
     return _digest(_tool(target, "objdump", folder, "-s", "package.o"))
+
+
+# -- sizes for every goal and optimisation level, which Options(goal) trades -----------------------------------------------
+
+
+@dataclass(frozen=True)
+class Form:
+    """Bytes of the solver struct, of code and constants, and of the stack of the entry point that needs most."""
+
+    goal: str
+    level: Level
+    struct_bytes: int
+    flash_bytes: int
+    stack_bytes: int
+
+    def as_dict(self) -> dict[str, object]:
+        """As JSON."""
+        return asdict(self)
+
+
+def forms_of(packages: Mapping[str, Mapping[str, str]], name: str, target: Target) -> tuple[Form, ...]:
+    """The forms of a package: ``packages`` holds its files for every goal.
+
+    Raises:
+        BuildError: a tool is missing or refuses the code.
+    """
+    return tuple(_measured(packages, name, target))
+
+
+def _measured(packages: Mapping[str, Mapping[str, str]], name: str, target: Target) -> Iterator[Form]:
+    for goal, package in packages.items():
+        for level in LEVELS:
+            found = measure(package, name, target, level)
+            yield Form(goal, level, found.struct_bytes, found.flash_bytes, found.stack_worst)

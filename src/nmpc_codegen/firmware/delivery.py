@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import Budgets, check
-from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, certify
+from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, Form, certify, forms_of
 from nmpc_codegen.firmware.deviations import DEVIATIONS
-from nmpc_codegen.firmware.forms import Form, forms_of
 from nmpc_codegen.firmware.image import sources
 from nmpc_codegen.firmware.layouts import layouts
 from nmpc_codegen.firmware.recording import Recording, record, started_again
@@ -125,7 +124,7 @@ def page(
 def sentences(verdict: Verdict) -> str:
     """What the emulated run showed."""
     agree = (
-        f"All {verdict.samples} samples agree with the host"
+        f"All {verdict.samples} samples agree with {verdict.run.against}"
         if verdict.passed
         else f"{len(verdict.mismatches)} of {verdict.samples} samples differ, the first is {verdict.mismatches[0]}"
     )

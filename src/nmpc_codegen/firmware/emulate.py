@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,9 @@ OTHERS = ("step", "cost", "integrate", "shift", "kkt", "reset", "solve")
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What the target did: controls and statuses."""
+    """What the target did, as a process: controls and statuses, compared with those of portable C on the host."""
+
+    against: ClassVar[str] = "portable C on the host"
 
     u: NDArray[np.floating[Any]]  # (samples, nu), in the package's precision
     status: NDArray[np.int64]  # (samples,)
@@ -46,7 +48,10 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Run(Outcome):
-    """The same on a board, with instructions per call, and the stack of every entry point, bytes."""
+    """The same on a board, with instructions per call, and the stack of every entry point, bytes; compared with the
+    same C on the host."""
+
+    against: ClassVar[str] = "the host"
 
     prepare: NDArray[np.int64]  # instructions, (samples,)
     feedback: NDArray[np.int64]

@@ -15,19 +15,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from nmpc_codegen.errors import BuildError
+from nmpc_codegen.firmware.machine_code import MachineCode
 
 _NODE = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?(?:(\d+) bytes \(([a-z, ]+)\))?" ?(?:shape : \w+ )?\}')
 _EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
 
 _FUNCTION = re.compile(r"^([0-9a-f]+) <([^>]+)>:$")
-_INSTRUCTION = re.compile(r"^\s+([0-9a-f]+):\t([\w.]+)(?:\t(.*))?$")
-_TARGET = re.compile(r"\b([0-9a-f]+) <([^>+]+)")
-_PUSHES = re.compile(r"\{([^}]*)\}")
-_IMMEDIATE = re.compile(r"#(\d+)")
-_PREDECREMENT = re.compile(r"\[sp, #-(\d+)\]!")
-_CONDITION = r"(?:eq|ne|cs|hs|cc|lo|mi|pl|vs|vc|hi|ls|ge|lt|gt|le)?"
-_BRANCH = re.compile(rf"^(bl|b|blx|bx)({_CONDITION})(?:\.[nw])?$")
-_BYTES = {"r": 4, "s": 4, "d": 8}
+_INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\t([\w.]+)(?:\t(.*))?$")
 
 
 @dataclass
@@ -66,23 +60,23 @@ def of_package(graph: str) -> dict[str, Function]:
     return functions
 
 
-def of_program(disassembly: str) -> dict[str, Function]:
+def of_program(disassembly: str, read: MachineCode) -> dict[str, Function]:
     """Functions of a linked program, from ``objdump -d --no-show-raw-insn``."""
     functions: dict[str, Function] = {}
-    name, last = "", ""
+    name, last = "", ("", "")
     for line in disassembly.splitlines():
         if begin := _FUNCTION.match(line):
-            if last and name and not _ends(last):
+            if last[0] and name and not read.ends(*last):
                 functions[name].calls.add(begin[2])
-            name, last = begin[2], ""
+            name, last = begin[2], ("", "")
             functions[name] = Function()
         elif name and (found := _INSTRUCTION.match(line)):
-            operation, operands = found[2], (found[3] or "").partition("@")[0].strip()
+            operation, operands = found[2], read.operands(found[3] or "")
             if operation.startswith((".", "nop")):  # constants, and what fills the space before them
                 continue
-            last = f"{operation} {operands}"
-            functions[name].frame += decrement(operation, operands, name)
-            callee = _callee(operation, operands, name)
+            last = operation, operands
+            functions[name].frame += read.decrement(operation, operands, name)
+            callee = read.callee(operation, operands, name)
             if callee not in (None, name):
                 functions[name].calls.add(str(callee))
     return functions
@@ -118,61 +112,6 @@ def _names_of_addresses(symbols: str) -> list[list[str]]:
         if kind in ("T", "t", "W", "w"):
             names.setdefault(int(address, 16) & ~1, []).append(name)
     return list(names.values())
-
-
-def _ends(instruction: str) -> bool:
-    """True if a function does not continue after this instruction."""
-    operation, _, operands = instruction.partition(" ")
-    branch = _BRANCH.match(operation)
-    if branch and branch[1] in ("b", "bx") and not branch[2]:
-        return True
-    leaves = operation.startswith(("pop", "ldr", "ldm")) and re.search(r"\bpc\b", operands)
-    return bool(leaves) or operation in ("udf", "bkpt")
-
-
-def decrement(operation: str, operands: str, name: str) -> int:
-    """Bytes by which an instruction lowers the stack pointer.
-
-    Raises:
-        BuildError: it subtracts a register.
-    """
-    stem = operation.partition(".")[0]
-    if stem.startswith(("push", "vpush")) or (re.match(r"v?stmdb", stem) and operands.startswith("sp!")):
-        return sum(_registers(part) for part in _PUSHES.findall(operands)[0].split(","))
-    if before := _PREDECREMENT.search(operands):
-        return int(before[1])
-    if re.match(r"subs?w?", stem) and operands.startswith("sp,"):
-        amount = _IMMEDIATE.search(operands)
-        if amount is None:
-            raise BuildError(f"{name} lowers the stack pointer by a register: its stack is unknown")
-        return int(amount[1])
-    return 0
-
-
-def _registers(part: str) -> int:
-    """Bytes of a register, or of a range such as d8-d15."""
-    first, _, last = part.strip().partition("-")
-    size = _BYTES.get(first[0], 4)
-    return size * (int(last[1:]) - int(first[1:]) + 1 if last else 1)
-
-
-def _callee(operation: str, operands: str, name: str) -> str | None:
-    """Function to which an instruction may go.
-
-    Raises:
-        BuildError: it is called through a register.
-    """
-    if operation.startswith(("cbz", "cbnz")):
-        return None
-    branch = _BRANCH.match(operation)
-    if branch is None:
-        return None
-    if branch[1] in ("bx", "blx") and not _TARGET.search(operands):
-        if branch[1] == "bx" and operands in ("lr", "ip", "r3"):
-            return None
-        raise BuildError(f"{name} calls a function through {operands}: its stack is unknown")
-    found = _TARGET.search(operands)
-    return found[2] if found else None
 
 
 def depths(functions: Mapping[str, Function], roots: Mapping[str, str]) -> dict[str, Depth]:

@@ -25,7 +25,7 @@ SECTIONS = ("-ffunction-sections", "-fdata-sections")
 SHOWN_LINES = 20
 
 #: Programs of a cross compiler that a certificate needs.
-TOOLS = ("gcc", "ld", "nm", "size", "objdump")
+TOOLS = ("gcc", "nm", "size", "objdump")
 
 #: Beginning of the names of programs -> Debian packages that contain them and what they need.
 _PACKAGES = {
