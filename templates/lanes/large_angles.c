@@ -1,5 +1,4 @@
-/* r = x - n pi / 2, its rest and n, for the lanes that are too large for
- * lanes_reduce_moderate(). */
+/* r = x - n pi / 2, its rest and n, for the lanes that are too large for lanes_reduce_moderate(). */
 static __attribute__((noinline)) void lanes_large_angles(const lanes_t *x, lanes_t *r, lanes_t *rest, words_t *n)
 {
     for (int l = 0; l < VECTOR_LANES; l++) {

@@ -116,6 +116,16 @@ def test_the_command_line_exports_what_fits(tmp_path: Path, capsys: pytest.Captu
     assert not (tmp_path / "none").exists()
 
 
+def test_caps_of_a_target_with_lanes_are_those_of_portable_c() -> None:
+    ocp = crane.build_ocp(False)
+    limit = worst(Options()) // 3
+    wide, portable = (fitting(ocp, Options(target=target), limit) for target in ("x86-64-v3", "portable"))
+    assert (wide.most, wide.worst) == (portable.most, portable.worst)
+    assert wide.options.target == "x86-64-v3"
+    with pytest.raises(OptionError, match=r"crane is written in GNU C for x86-64-v3.*target=\"portable\""):
+        worst_case(generate(ocp, Options(target="x86-64-v3")))
+
+
 def test_what_a_package_lacks_is_not_given_up() -> None:
     """A package for a microcontroller has no repair: neither warning nor refusal name it."""
     ocp, options = crane.build_ocp(False), Options(qp=DenseActiveSet(), target="cortex-m4f")

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import require_tool
+from conftest import require_target, require_tool
 
 from examples import crane
-from nmpc_codegen import build, export, open_package
+from nmpc_codegen import Options, build, export, open_package
+from nmpc_codegen.runtime.compilers import find_compiler
 
 
 @pytest.fixture(scope="module")
@@ -68,8 +69,22 @@ def test_command_of_the_readme_builds_and_runs(folder: Path, tmp_path: Path) -> 
     assert_loop(run(["./crane"], where))
 
 
+def test_the_folder_of_this_machine_builds_and_runs(tmp_path: Path) -> None:
+    """By the command of its README and with CMake, with the flags of the target."""
+    require_target("x86-64-v3")
+    folder = tmp_path / "crane"
+    export(crane.build_ocp(), Options(target="x86-64-v3"), folder)
+    command = re.search(r"^    cc (.*)$", (folder / "README.md").read_text(), flags=re.MULTILINE)
+    assert command is not None
+    assert "-march=x86-64-v3" in command[1]
+    run([*find_compiler(), *shlex.split(command[1])], folder)
+    assert_loop(run(["./crane"], folder))
+    test_cmake_builds_and_runs(folder, tmp_path / "build")
+
+
 def test_cmake_builds_and_runs(folder: Path, tmp_path: Path) -> None:
     cmake = require_tool("cmake")
+    tmp_path.mkdir(exist_ok=True)
     run([cmake, "-S", str(folder), "-B", str(tmp_path)], tmp_path)
     run([cmake, "--build", str(tmp_path)], tmp_path)
     assert_loop(run(["./crane_main"], tmp_path))

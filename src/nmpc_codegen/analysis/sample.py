@@ -16,6 +16,8 @@ _COUNT = r"\d+ (?:add|mul|div|sqrt|call|other)"
 _KERNEL = re.compile(rf"[ :]((?:{_COUNT}, )*{_COUNT}|no operations) \*/\nstatic \w+ (\w+)\(")
 #: Folder of the code of another generator.
 FOREIGN = "osqp/"
+#: What declares a vector of GNU C.
+VECTORS = "vector_size("
 
 _NUMBER = re.compile(r"\d+")
 
@@ -25,6 +27,11 @@ def bound(package: Mapping[str, str]) -> dict[str, int]:
     description = _description(package)
     if any(path.startswith(FOREIGN) for path in package):
         raise OptionError(f"{description.name} contains foreign code, whose worst case is unknown; choose another qp")
+    if VECTORS in package[f"{description.name}.c"]:
+        raise OptionError(
+            f"{description.name} is written in GNU C for {description.target}, whose vectors compute several nodes at "
+            'once; the worst case is known of portable C: generate it with Options(target="portable")'
+        )
     found = WorstCase(unit_of(package, description))
     try:
         if not description.has_phases:

@@ -16,6 +16,7 @@ from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import Options
+from nmpc_codegen.targets import PORTABLE
 
 #: Sizes of a package that are caps on iterations of a sample.
 CAPS = ("QP_MAX_ITERATIONS", "IPM_MAX_ITERATIONS", "ITERATIONS", "MAX_PRODUCTS")
@@ -80,8 +81,9 @@ def _warning(parts: Parts, most: int, highest: int) -> str:
 
 
 def _worst(model: Model, most: int, name: str | None) -> int:
-    """Worst case of a sample with these caps."""
-    return worst_case(render(lower(replace(model, parts=_capped(model, most)), name)))["sample"]
+    """Worst case of a sample with these caps, in portable C if the target computes several nodes at once."""
+    target = model.target if model.target.lanes == 1 else PORTABLE
+    return worst_case(render(lower(replace(model, parts=_capped(model, most), target=target), name)))["sample"]
 
 
 def _capped(model: Model, most: int) -> Parts:

@@ -197,7 +197,7 @@ def _object_digest(target: Target, folder: Path) -> str:
     return _digest(_tool(target, "objdump", folder, "-s", "package.o"))
 
 
-# -- sizes for every goal and optimisation level, which Options(goal) trades -----------------------------------------------
+# -- sizes for every goal and optimisation level -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
 from nmpc_codegen.package.seal import sealed
 from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
 from nmpc_codegen.package.sources import Sources
-from nmpc_codegen.targets import Target
+from nmpc_codegen.targets import PORTABLE, Target
 
 #: Maximum length of a comment line in the header without its margin.
 WIDTH = 116
@@ -111,6 +111,7 @@ def _filled(module: CModule, resolved: bool) -> dict[str, Any]:
         **{place: rename(text, renamed) for place, text in texts.items()},
         "header": header,
         "guard": _guard(module.name, module.target),
+        "spelling": _spelling(module),
         "system_headers": ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"],
         "preamble": short_names,
     }
@@ -167,6 +168,13 @@ def _guard(name: str, target: Target) -> str:
     remedy = f"compile with {' '.join(target.flags)}" if target.flags else "compile there"
     text = f'#error "{name} is written for {target.name} ({target.machine}): {remedy}, or export another target"'
     return "\n".join([" \\\n    ".join(wrap(f"#if {missing}", WIDTH)), text, "#endif"])
+
+
+def _spelling(module: CModule) -> str:
+    """How the first line of the .c goes on: the target, unless it is any machine, and nodes at once."""
+    target, lanes = module.target, module.switches["VECTOR_LANES"]
+    several = f", {lanes} shooting nodes at once" if lanes > 1 else ""
+    return "" if target == PORTABLE else f", for {target.machine} ({target.name}){several}"
 
 
 def _of_target(target: Target) -> dict[str, str]:
