@@ -48,7 +48,7 @@ class Target:
     ``sums``: spelling of sums; ``lanes``: shooting nodes that are evaluated at once; ``tiles``: numbers in a vector of
     the register tiles of products with stage matrices, whose sums have another order, 0 without tiles; ``avx512``: with
     instructions of AVX-512; ``math``: the default of Options(math); ``flags``: of the compiler; ``defines``: macros
-    that compilers for this machine define; ``compiler``: prefix of the cross compiler; ``libraries``: flags for linking;
+    that its compilers define; ``compiler``: prefix of the cross compiler; ``libraries``: flags for linking;
     ``emulator``: a command that runs its programs, empty if there is none; ``board``: of a microcontroller.
     """
 

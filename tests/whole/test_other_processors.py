@@ -87,7 +87,7 @@ def test_what_cannot_be_emulated(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(BuildError, match="no emulator of x86 with AVX-512"):
         emulated(TARGETS["x86-64-v4"])
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(BuildError, match="qemu-aarch64 on the path, which --verify needs: .*apt install qemu-user"):
+    with pytest.raises(BuildError, match=r"qemu-aarch64 on the path, which --verify needs: .*apt install qemu-user"):
         emulated(TARGETS["aarch64"])
     monkeypatch.setattr("nmpc_codegen.firmware.process.runs", lambda _: True)
     assert emulated(TARGETS["aarch64"]) == ()

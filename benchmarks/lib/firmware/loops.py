@@ -47,7 +47,7 @@ def smallest(loop: Loop) -> Options:
 
 
 def real_time(loop: Loop) -> Options:
-    """Options without solve(), in single precision, for a processor without a vector unit."""
+    """Options without solve(), in single precision, for a microcontroller, with libm."""
     return replace(loop.options, solve=False, precision="single", target="cortex-m4f", math="libm")
 
 

@@ -1,4 +1,4 @@
-"""Instructions of a sample: on this processor without AVX-512, by callgrind; on an emulated Cortex-M4F."""
+"""Instructions of a sample: on this machine without AVX-512, by callgrind; on an emulated Cortex-M4F."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ AUTO_INSTRUCTIONS = 2500
 #: exact_hessian
 AUTO_STATEMENTS = 4000
 
-#: Operations of an integration step in loops up to which a unit for a host contains it as straight-line code.
+#: Operations of an integration step in loops up to which targets with lanes have it as straight-line code.
 #: times
 STEP_OPERATIONS = 200_000
 
