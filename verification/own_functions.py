@@ -31,7 +31,9 @@ def source(single: bool, lanes: int, avx512: bool) -> str:
     """A unit with own_<name>_of(x, y, z, n) and lanes_<name>_of(): z = the function of x and y."""
     real, suffix = ("float", "f") if single else ("double", "")
     sizes = {"VECTOR_LANES": lanes, "AVX512": int(avx512), "SINGLE": int(single)}
-    head = "#include <math.h>\n#include <stdint.h>\n#include <string.h>\n"
+    head = (
+        "#include <immintrin.h>\n" if avx512 else ""
+    ) + "#include <math.h>\n#include <stdint.h>\n#include <string.h>\n"
     head += (
         f"typedef {real} real_t;\n#define R(x) ((real_t)(x))\n#define INF R(INFINITY)\n#define VECTOR_LANES {lanes}\n"
     )

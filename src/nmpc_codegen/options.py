@@ -123,7 +123,8 @@ class Options:
     computes the same bits and no libm is needed; "libm" calls those of math.h; None: "own" for a microcontroller.
     ``goal``: "size" chooses loops instead of straight-line code and matrices without padding, "speed" what takes the
     least time. ``target``: the machine for which the C is written (targets.py), obeyed by export() and build() alike;
-    "portable" is ISO C99 for any machine, "native" the target of this machine.
+    "portable" is ISO C99 for any machine, "native" the target of this machine. Targets compute the same to rounding,
+    but for a microcontroller less is chosen: no repairs before a sample, and by default no second Hessian for solve().
 
     Raises:
         OptionError: a value is not allowed, or a component is given for a seam that the algorithm does not need.

@@ -72,11 +72,6 @@ class Target:
         return "gnu99" if self.lanes > 1 else "c99"
 
     @property
-    def language(self) -> str:
-        """The language and its compilers, for people."""
-        return f"GNU C (gcc 12 or newer, clang) for {self.machine}" if self.lanes > 1 else "C99"
-
-    @property
     def roomy(self) -> bool:
         """False for microcontrollers: a second Hessian, and iterations before a sample, are too much there."""
         return self.board is None

@@ -7,7 +7,7 @@
 extern uint32_t image_stack_limit[], image_stack_top[]; /* of the linker script */
 
 int main(void);
-void image_tick(void); /* of the program, if it starts the SysTick timer */
+void image_tick(void); /* of the program, if it starts the SysTick timer of a Cortex-M */
 void image_put(char c);
 void image_exit(int code) __attribute__((noreturn));
 

@@ -1,7 +1,3 @@
-#if AVX512
-#include <immintrin.h>
-#endif
-
 /* On a processor with shorter registers compilers warn that vectors are passed in memory; all functions that take them
  * are inlined. */
 #pragma GCC diagnostic ignored "-Wpsabi"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ from conftest import require_tool
 from examples import crane
 from nmpc_codegen import AdjointShooting, BuildError, Options, generate
 from nmpc_codegen.firmware.certificate import Certificate, certify
-from nmpc_codegen.firmware.delivery import recorded
+from nmpc_codegen.firmware.delivery import recorded, sentences
 from nmpc_codegen.firmware.image import build
-from nmpc_codegen.firmware.recording import Event, Recording, record
+from nmpc_codegen.firmware.recording import Event, Recording, ranges, record
 from nmpc_codegen.firmware.toolchain import compile_flags, find
 from nmpc_codegen.firmware.verify import Verdict, compared, verify
 from nmpc_codegen.runtime.build import load
@@ -122,7 +123,21 @@ def test_a_fault_in_the_code_of_the_target_is_found() -> None:
     verdict = verify({**sources, "crane.c": other}, "crane", inputs, TARGETS["cortex-m4f"])
     assert not verdict.passed
     assert verdict.mismatches[0] < 3
+    first = verdict.mismatches[0]
+    assert f"The first is sample {first}: a " in sentences(verdict)
     assert verdict.error > 1e-3
+
+
+def test_a_control_that_only_rounding_moves_has_a_range() -> None:
+    """Its noise is no disagreement, and an error beside it is one."""
+    description = recording("double").description
+    assert description.dims.nu == 1
+    noise = np.array([[0.0], [4e-18], [-3e-18]])
+    rows = dataclasses.replace(description, rows=())
+    assert ranges(rows, noise, 1.0)[0] > 1e3 * np.ptp(noise) / 1e-9 * 1e-9
+    assert ranges(rows, 1e3 * noise, 1.0)[0] * 1e-9 < 1e-15
+    assert ranges(rows, np.array([[0.0], [2.0]]), 1.0)[0] == 2.0
+    assert ranges(rows, np.zeros((2, 1)))[0] == 1.0
 
 
 def test_comparison_sees_status_and_nan() -> None:

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 0263d2362f31b5c1, sha256 fe38a4a4db9c6a6493d499d4384360c9a6302a7c2309e2ff78bc037014101424 */
+/* nmpc_codegen package ba19ee537c51bd46, sha256 eb3a8c5d10d09e3e59fb20c6ed22f26cf37ec6521d56a566d432473968a2337b */

@@ -353,7 +353,7 @@ def test_names_sizes_stats(toy: Controller) -> None:
     assert toy.stats.active_set_changes >= 2
     assert toy.stats.qp_iterations >= 1
     assert toy.nbytes == toy._package.ffi.sizeof("toy_solver_t")
-    assert repr(toy).startswith("<Controller toy: N=4, nx=2, nu=1, np=3, 3 rows; double, profile test, ")
+    assert repr(toy).startswith("<Controller toy: N=4, nx=2, nu=1, np=3, 3 rows; double, portable, profile test, ")
 
 
 # -- copies -----------------------------------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from conftest import require_target, require_tool
 
 from examples import crane
 from nmpc_codegen import Options, build, export, open_package
-from nmpc_codegen.runtime.compilers import find_compiler
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +73,10 @@ def test_the_folder_of_this_machine_builds_and_runs(tmp_path: Path) -> None:
     require_target("x86-64-v3")
     folder = tmp_path / "crane"
     export(crane.build_ocp(), Options(target="x86-64-v3"), folder)
-    command = re.search(r"^    cc (.*)$", (folder / "README.md").read_text(), flags=re.MULTILINE)
+    command = re.search(r"^    gcc (.*)$", (folder / "README.md").read_text(), flags=re.MULTILINE)
     assert command is not None
     assert "-march=x86-64-v3" in command[1]
-    run([*find_compiler(), *shlex.split(command[1])], folder)
+    run([require_tool("gcc"), *shlex.split(command[1])], folder)
     assert_loop(run(["./crane"], folder))
     test_cmake_builds_and_runs(folder, tmp_path / "build")
 

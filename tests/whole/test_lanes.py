@@ -127,6 +127,14 @@ def test_export_writes_what_build_compiles(target: str, tmp_path: Path) -> None:
     assert built._package.fingerprint == opened._package.fingerprint
 
 
+def test_a_cross_compiler_says_nothing_of_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nmpc_codegen.runtime.native.macros_of", lambda *_: {"__GNUC__": "12", "__aarch64__": "1"})
+    monkeypatch.setattr("nmpc_codegen.runtime.native.platform.machine", lambda: "x86_64")
+    assert native().name == "portable"
+    choices = generate(crane.build_ocp(), Options(target="native")).description.report.choices
+    assert "target: portable; of this machine the compiler knows no vectors" in choices
+
+
 def test_native_is_a_target_by_its_name() -> None:
     """What is generated for "native" is the text of the target of this machine, to the byte."""
     require_tool("cc")
@@ -148,6 +156,8 @@ def test_native_is_a_target_by_its_name() -> None:
 def test_native_follows_the_compiler(macros: dict[str, str], expected: str, monkeypatch: pytest.MonkeyPatch) -> None:
     require_tool("cc")
     monkeypatch.setattr("nmpc_codegen.runtime.native.macros_of", lambda *_: macros)
+    machine = "aarch64" if "__aarch64__" in macros else "x86_64"
+    monkeypatch.setattr("nmpc_codegen.runtime.native.platform.machine", lambda: machine)
     assert native().name == expected
 
 

@@ -123,12 +123,14 @@ def page(
 
 def sentences(verdict: Verdict) -> str:
     """What the emulated run showed."""
-    agree = (
-        f"All {verdict.samples} samples agree with {verdict.run.against}"
-        if verdict.passed
-        else f"{len(verdict.mismatches)} of {verdict.samples} samples differ, the first is {verdict.mismatches[0]}"
-    )
-    return (
-        f"{agree}: equal status, controls within {verdict.tolerance:g} of their range; the largest difference is "
-        f"{verdict.error:.1e}, {verdict.bits} samples are not equal to the bit.\n\n{verdict.run.sentence}"
-    ).rstrip()
+    against, criterion = verdict.run.against, f"equal status, controls within {verdict.tolerance:g} of their range"
+    largest = f"the largest difference is {verdict.error:.1e} of a range"
+    if verdict.passed:
+        bits = f"{verdict.bits} samples are not equal to the bit"
+        agree = f"All {verdict.samples} samples agree with {against}: {criterion}; {largest}, {bits}."
+    else:
+        agree = (
+            f"{len(verdict.mismatches)} of {verdict.samples} samples differ from {against}, {verdict.statuses} of them "
+            f"in their status; expected: {criterion}; {largest}. The first is {verdict.example}."
+        )
+    return f"{agree}\n\n{verdict.run.sentence}".rstrip()

@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from nmpc_codegen.firmware.certificate import Certificate
-from nmpc_codegen.firmware.recording import Recording, literals
+from nmpc_codegen.firmware.recording import TOLERANCE, Recording, literals
 from nmpc_codegen.firmware.toolchain import ARITHMETIC, SECTIONS
-from nmpc_codegen.firmware.verify import TOLERANCE
 from nmpc_codegen.lowering.render import environment
 from nmpc_codegen.package.seal import has_seal
 from nmpc_codegen.targets import ICOUNT_SHIFT, Target

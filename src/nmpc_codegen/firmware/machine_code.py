@@ -115,12 +115,12 @@ class RiscV:
         return 0
 
     def callee(self, operation: str, operands: str, name: str) -> str | None:
-        if operation not in self._JUMPS:
+        if operation not in self._JUMPS and not operation.startswith("b"):
             return None
         found = _PLACE.search(operands)
         if found is not None:
             return None if found[2].startswith(self._SAVE) else found[2]
-        if operation == "jr":  # a return, or a jump by the table of a switch
+        if operation == "jr" or operation not in self._JUMPS:  # a return, or a jump by the table of a switch
             return None
         raise _called_through(name, operands)
 

@@ -25,6 +25,9 @@ from nmpc_codegen.runtime.controller import Controller
 Array = NDArray[np.float64]
 Disturbed = Callable[[int, Array], Array]
 
+#: Largest |u - u_host| of a sample that agrees, relative to the range of the control.
+TOLERANCE = {"double": 1e-9, "single": 1e-3}
+
 STEP_SLACK = 1e-9  # relative tolerance of the number of intervals in a sampling time
 PERIOD = 50  # samples after which the loop of started_again() starts anew
 SPREAD = 0.05  # of the declared initial state
@@ -144,9 +147,9 @@ def record(
         states.append(x)
     exact = tuple(Event(e.sample, e.call, np.asarray(e.values).astype(real).astype(np.float64)) for e in events)
     u = np.array(controls).reshape(samples, description.dims.nu)
-    return Recording(
-        description, np.array(measured), exact, u, np.array(statuses), np.array(states), ranges(description, u)
-    )
+    size = float(max(np.abs(u).max(initial=0.0), np.abs(measured).max(initial=0.0)))
+    found = ranges(description, u, size)
+    return Recording(description, np.array(measured), exact, u, np.array(statuses), np.array(states), found)
 
 
 def _next(controller: Controller, x: Array, u: Array, dt: float | None) -> Array:
@@ -159,10 +162,15 @@ def _next(controller: Controller, x: Array, u: Array, dt: float | None) -> Array
     return x
 
 
-def ranges(description: PackageDescription, u: Array) -> Array:
-    """Range of every control: between its declared bounds, else between the largest and smallest recorded value."""
+def ranges(description: PackageDescription, u: Array, size: float = 0.0) -> Array:
+    """Range of every control: between its declared bounds, else between the largest and smallest recorded value.
+
+    A control that only rounding moves has the range that results of this ``size`` have by it: their rounding over the
+    tolerance.
+    """
     spread = np.ptp(u, axis=0) if len(u) else np.zeros(description.dims.nu)
-    found = np.where(spread > 0.0, spread, 1.0)
+    least = float(np.finfo(description.real).eps) / TOLERANCE[description.precision] * size
+    found = np.where(spread > least, spread, least or 1.0)
     for row in description.rows:
         if row.kind == "control" and math.isfinite(row.upper - row.lower) and row.upper > row.lower:
             found[row.index] = row.upper - row.lower

@@ -167,7 +167,11 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
     lines = [f"lanes_t {', '.join(declared)};", *lines, *zeros, *calls, *stores]
     if zeros:
         lines.insert(0, "const lanes_t zero = {0};")
-    head = "/* Linearises the nodes k .. k + VECTOR_LANES - 1; x_{k+1} is not yet subtracted from the gaps. */"
+    held = ", ".join(f"{MEMBERS[name]} at {offset}" for name, offset in offsets.items())
+    head = (
+        "/* Linearises the nodes k .. k + VECTOR_LANES - 1; x_{k+1} is not yet subtracted from the gaps. node: the\n"
+        f" * numbers of a node_t in the order of its members: {held}. */"
+    )
     return "\n".join([head, "static void linearize_group(solver_t *s, int k)", "{", *(f"    {n}" for n in lines), "}"])
 
 

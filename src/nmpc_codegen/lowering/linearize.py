@@ -34,7 +34,7 @@ from nmpc_codegen.lowering.stability import stability_warning
 from nmpc_codegen.options import REGISTRIES, Goal, Online, Options
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import Program
-from nmpc_codegen.targets import PORTABLE, TARGETS, Math, Target
+from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Math, Target
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,8 +107,8 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     problem = completed(problem, options)
     chosen = options.hessian is None
     options, of_hessian = choose_hessian(problem, options)
-    options = options.with_defaults
-    target = TARGETS[options.target]
+    wanted, options = options.target, options.with_defaults
+    target, of_target = TARGETS[options.target], _of_target(wanted, TARGETS[options.target])
     algorithm, of_algorithm = options.algorithm.decided(problem, roomy(options))
     options = replace(options, algorithm=algorithm)
     online = options.online
@@ -145,7 +145,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         solve=options.solve,
         goal=options.goal,
         target=target,
-        reasons=(*choices, *_of_target(target), *of_hessian, *of_algorithm, *notes),
+        reasons=(*choices, *of_target, *of_hessian, *of_algorithm, *notes),
         warned=warned,
         program=found,
         choice=choice,
@@ -154,9 +154,11 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     )
 
 
-def _of_target(target: Target) -> tuple[str, ...]:
-    """What the report says of a target."""
-    return () if target == PORTABLE else (f"target: {target.name}; {target.machine}",)
+def _of_target(asked: str, target: Target) -> tuple[str, ...]:
+    """What the report says of a target, and of "native" on a machine without one."""
+    if target != PORTABLE:
+        return (f"target: {target.name}; {target.machine}",)
+    return ("target: portable; of this machine the compiler knows no vectors",) if asked == NATIVE else ()
 
 
 def completed(problem: Problem, options: Options | None = None) -> Problem:

@@ -39,6 +39,7 @@ from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
 from nmpc_codegen.package.seal import sealed
 from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
 from nmpc_codegen.package.sources import Sources
+from nmpc_codegen.runtime.compilers import UNALIGNED_MOVES
 from nmpc_codegen.targets import PORTABLE, Target
 
 #: Maximum length of a comment line in the header without its margin.
@@ -81,7 +82,7 @@ def render(module: CModule, resolved: bool = True) -> Sources:
         "README.md": "README.md.jinja",
     }
     sources = {f"{module.name}.h": names["header"]}
-    names |= _page(module) | _of_target(module.target) | {"folders": module.folders, "libraries": module.libraries}
+    names |= _page(module) | _of_target(module) | {"folders": module.folders, "libraries": module.libraries}
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return Sources(sealed({**sources, **module.foreign}, module.name), module.description)
@@ -112,9 +113,15 @@ def _filled(module: CModule, resolved: bool) -> dict[str, Any]:
         "header": header,
         "guard": _guard(module.name, module.target),
         "spelling": _spelling(module),
-        "system_headers": ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else []), "string.h"],
+        "system_headers": _system_headers(body),
         "preamble": short_names,
     }
+
+
+def _system_headers(body: str) -> list[str]:
+    """What the unit includes besides its own header."""
+    more = {"immintrin.h": "_mm512_", "math.h": "", "stddef.h": "ptrdiff_t", "string.h": ""}
+    return [header for header, word in more.items() if word in body]
 
 
 def _names(module: CModule) -> dict[str, Any]:
@@ -177,13 +184,18 @@ def _spelling(module: CModule) -> str:
     return "" if target == PORTABLE else f", for {target.machine} ({target.name}){several}"
 
 
-def _of_target(target: Target) -> dict[str, str]:
+def _of_target(module: CModule) -> dict[str, str]:
     """What README.md and CMakeLists.txt say of the target."""
-    flags = target.of_machine
+    target, x86 = module.target, "-march=x86" in " ".join(module.target.flags)
+    vectors = module.switches["VECTOR_LANES"] > 1 or module.switches["TILES"]
+    gnu = f"GNU C (gcc 12 or newer, clang) for {target.machine}"
     return {
-        "flags": "".join(f" {flag}" for flag in flags),
+        "flags": "".join(f" {flag}" for flag in target.of_machine),
+        "compiler": "gcc" if x86 else "cc",
+        "moves": f" {UNALIGNED_MOVES}" if x86 else "",
         "extensions": "ON" if target.standard.startswith("gnu") else "OFF",
-        "vectors": ", `<immintrin.h>`" if target.avx512 else "",
+        "language": gnu if vectors else "C99",
+        "vectors": ", and `<immintrin.h>` for AVX-512" if vectors and target.avx512 else "",
     }
 
 

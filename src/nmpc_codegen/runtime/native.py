@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import subprocess
 from collections.abc import Mapping
 from functools import lru_cache
@@ -10,6 +11,9 @@ from functools import lru_cache
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.compilers import environment, find_compiler
 from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Target
+
+#: What the system calls ARM64.
+ARM64 = ("aarch64", "arm64")
 
 #: The first version of gcc with __builtin_shufflevector; clang has had it for long.
 _SHUFFLES = 12
@@ -22,6 +26,8 @@ def native() -> Target:
         BuildError: there is no compiler.
     """
     macros = macros_of(find_compiler(), ("-march=native",)) or macros_of(find_compiler())
+    if ("__aarch64__" in macros) != (platform.machine().lower() in ARM64):
+        return PORTABLE  # a cross compiler
     fitting = (t for t in TARGETS.values() if t.defines and _knows_vectors(macros) and macros.keys() >= set(t.defines))
     return max(fitting, key=lambda target: target.lanes, default=PORTABLE)
 
@@ -47,9 +53,10 @@ def check_target(name: str, target: Target) -> None:
     reason = f"{compiler[0]} says that this machine runs {native().name}"
     if not _knows_vectors(macros_of(compiler)):
         reason = f"its vectors need gcc {_SHUFFLES} or clang, not {compiler[0]}"
+    here = "; nmpc-export --verify runs it here in an emulator" if target.emulator else ""
     raise BuildError(
-        f"{name} is written for {target.name} ({target.machine}), but {reason}: export it with "
-        f'Options(target="{NATIVE}") on the machine that runs it, or with target="{PORTABLE.name}"'
+        f"{name} is written for {target.name} ({target.machine}), but {reason}: open it on such a machine{here}; with "
+        f'Options(target="{PORTABLE.name}") or "{NATIVE}" this one runs it'
     )
 
 

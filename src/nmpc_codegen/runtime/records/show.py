@@ -9,12 +9,12 @@ from nmpc_codegen.runtime.records.html import ROWS, page, shortened, table, unit
 
 
 def in_one_line(ctrl: Memory) -> str:
-    """Name, sizes, profile, bytes and status."""
+    """Name, sizes, precision, target, profile, bytes and status."""
     d = ctrl.dims
     sizes = f"N={d.N}, nx={d.nx}, nu={d.nu}, np={d.np}, {d.nr} rows"
     return (
-        f"<Controller {ctrl.description.name}: {sizes}; {ctrl.description.precision}, profile {ctrl.profile}, "
-        f"{ctrl.nbytes} bytes; {ctrl.status.name}>"
+        f"<Controller {ctrl.description.name}: {sizes}; {ctrl.description.precision}, {ctrl.description.target}, "
+        f"profile {ctrl.profile}, {ctrl.nbytes} bytes; {ctrl.status.name}>"
     )
 
 
@@ -39,7 +39,7 @@ def in_html(ctrl: Memory) -> str:
         (r.name, unit.get(r.signal, ""), float(y)) for r, y in zip(described.residuals, references(ctrl), strict=True)
     ]
     grid = horizon(described.dt, described.time_unit, described.discrete)
-    code = f"{described.precision} precision, profile {ctrl.profile}, {ctrl.nbytes:,} bytes"
+    code = f"{described.precision} precision, target {described.target}, profile {ctrl.profile}, {ctrl.nbytes:,} bytes"
     last = f"\nlast call: {ctrl.status}, {ctrl.time_ns / 1e3:.1f} us" if ctrl.time_ns else ""
     return page(
         f"Controller {described.name}",
