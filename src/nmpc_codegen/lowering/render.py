@@ -82,7 +82,11 @@ def render(module: CModule, resolved: bool = True) -> Sources:
         "README.md": "README.md.jinja",
     }
     sources = {f"{module.name}.h": names["header"]}
-    names |= _page(module) | _of_target(module) | {"folders": module.folders, "libraries": module.libraries}
+    names |= (
+        _page(module)
+        | _of_target(module, names["system_headers"])
+        | {"folders": module.folders, "libraries": module.libraries}
+    )
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return Sources(sealed({**sources, **module.foreign}, module.name), module.description)
@@ -184,7 +188,7 @@ def _spelling(module: CModule) -> str:
     return "" if target == PORTABLE else f", for {target.machine} ({target.name}){several}"
 
 
-def _of_target(module: CModule) -> dict[str, str]:
+def _of_target(module: CModule, headers: Collection[str]) -> dict[str, str]:
     """What README.md and CMakeLists.txt say of the target."""
     target, x86 = module.target, "-march=x86" in " ".join(module.target.flags)
     vectors = module.switches["VECTOR_LANES"] > 1 or module.switches["TILES"]
@@ -195,7 +199,7 @@ def _of_target(module: CModule) -> dict[str, str]:
         "moves": f" {UNALIGNED_MOVES}" if x86 else "",
         "extensions": "ON" if target.standard.startswith("gnu") else "OFF",
         "language": gnu if vectors else "C99",
-        "vectors": ", and `<immintrin.h>` for AVX-512" if vectors and target.avx512 else "",
+        "vectors": ", and `<immintrin.h>` for AVX-512" if "immintrin.h" in headers else "",
     }
 
 
