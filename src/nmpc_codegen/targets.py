@@ -133,7 +133,7 @@ TARGETS: Mapping[str, Target] = {
         Target(
             "aarch64",
             "ARM64",
-            lanes=2,  # with four, six closed loops take 3 to 14 % more instructions: more is stored than registers hold
+            lanes=2,  # with four, six closed loops take 3 to 14 % more instructions
             tiles=4,
             defines=("__aarch64__",),
             compiler="aarch64-linux-gnu-",

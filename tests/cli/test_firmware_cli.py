@@ -52,6 +52,7 @@ def test_certificate_of_an_export(exported: Path) -> None:
     found = json.loads((exported / "certificate.json").read_text())
     assert found["emulated"]["mismatches"] == 0
     assert found["emulated"]["samples"] == 200
+    assert found["flash_bytes"] < 21_800
     assert found["flash_bytes"] + found["library_bytes"] < 23_000
     page = (exported / "certificate.md").read_text()
     assert f"{found['flash_bytes']:,}" in page

@@ -65,5 +65,5 @@ def test_the_program_is_linked_without_libm(name: str, board: str, precision: Pr
         "--specs=nosys.specs",
         "-Wl,--gc-sections",
     ]
-    cross(target, "gcc", [*flags, "-Timage.ld", *units, "-lc", "-lnosys", "-lgcc", "-o", "image.elf"], tmp_path)
+    cross(target, "gcc", tmp_path, *flags, "-Timage.ld", *units, "-lc", "-lnosys", "-lgcc", "-o", "image.elf")
     assert (tmp_path / "image.elf").exists()

@@ -63,7 +63,7 @@ def package(loop: Loop, options: Options) -> tuple[str, Sources]:
 
 
 def with_precision(loop: Loop, precision: Precision) -> Loop:
-    """The loop with the default options of its example in a precision, for a target as --target writes them."""
+    """The loop with the default options of its example in a precision, for a microcontroller, with libm."""
     return replace(loop, options=replace(loop.options, precision=precision, target="cortex-m4f", math="libm"))
 
 

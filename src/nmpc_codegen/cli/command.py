@@ -75,14 +75,14 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         firmware.look_for_tools(Options(target=arguments.target))
     ocp, options = _problem(arguments, printer)
     firmware.look_for_tools(options)
-    if arguments.check or arguments.simulate is not None:
-        check_target(ocp.name, TARGETS[options.with_defaults.target])
     name = ocp.name if arguments.name is None else arguments.name
+    if arguments.check or arguments.simulate is not None:
+        check_target(name, TARGETS[options.with_defaults.target])
     if arguments.max_operations is not None:
         options = _capped(ocp, options, name, arguments.max_operations, printer)
     folder = Path(arguments.output or Path("out") / name)
-    given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force}
-    given["more"] = firmware.hook(name, lambda **changes: compile(ocp, replace(options, **changes), name))
+    more = firmware.hook(name, lambda **changes: compile(ocp, replace(options, **changes), name))
+    given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
     with saying_warnings(printer):
         package = export(ocp, options, str(folder), name=name, **given)
         _print_package(printer, package, folder, arguments.verbose)

@@ -96,17 +96,17 @@ def _certified(
     name, flags = description.name, compile_flags(target, level)
     for ext in ("h", "c"):
         (folder / f"{name}.{ext}").write_text(package[f"{name}.{ext}"], encoding="utf-8")
-    _tool(target, "gcc", folder, *flags, "-fcallgraph-info=su", "-c", f"{name}.c", "-o", "package.o")
+    cross(target, "gcc", folder, *flags, "-fcallgraph-info=su", "-c", f"{name}.c", "-o", "package.o")
     functions = defined(target, folder, name)
-    undefined = tuple(line.split()[-1] for line in _tool(target, "nm", folder, "-u", "package.o").splitlines())
+    undefined = tuple(line.split()[-1] for line in cross(target, "nm", folder, "-u", "package.o").splitlines())
     _link(target, functions, "all.elf", folder)
-    graph, symbols = (folder / "package.ci").read_text(encoding="utf-8"), _tool(target, "nm", folder, "all.elf")
+    graph, symbols = (folder / "package.ci").read_text(encoding="utf-8"), cross(target, "nm", folder, "all.elf")
     frames = stack.with_folded(stack.of_package(graph), symbols, f"{name}.c")
     roots = {f.removeprefix(f"{name}_"): f for f in functions}
     depths = stack.depths(_library(target, folder, symbols) | frames, roots)
     alone = stack.depths({f: stack.Function() for f in undefined} | frames, roots)
     deepest = max(depths.values(), key=lambda d: d.bytes)
-    flash, library = flash_bytes(target, folder, functions), _sizes(_tool(target, "size", folder, "all.elf"))
+    flash, library = flash_bytes(target, folder, functions), _sizes(cross(target, "size", folder, "all.elf"))
     return Certificate(
         name=name,
         target=target.name,
@@ -142,7 +142,7 @@ def _digest(text: str) -> str:
 
 def defined(target: Target, folder: Path, name: str) -> list[str]:
     """The external functions of package.o."""
-    lines = (line.split() for line in _tool(target, "nm", folder, "--defined-only", "-g", "package.o").splitlines())
+    lines = (line.split() for line in cross(target, "nm", folder, "--defined-only", "-g", "package.o").splitlines())
     return sorted(symbol for _, kind, symbol in lines if kind == "T" and symbol.startswith(f"{name}_"))
 
 
@@ -151,8 +151,8 @@ def flash_bytes(target: Target, folder: Path, functions: Iterable[str]) -> int:
     roots = [f"-Wl,--undefined={f}" for f in functions]
     core = (flag for flag in target.flags if not flag.startswith("--specs"))  # whose linker scripts are for programs
     options = (*core, "-nostdlib", "-r", "-Wl,--gc-sections")
-    _tool(target, "gcc", folder, *options, *roots, "package.o", "-o", "part.o")
-    flash, ram = _sizes(_tool(target, "size", folder, "part.o"))
+    cross(target, "gcc", folder, *options, *roots, "package.o", "-o", "part.o")
+    flash, ram = _sizes(cross(target, "size", folder, "part.o"))
     if ram:
         raise BuildError(f"the package has {ram} bytes of variables outside its struct")
     return flash
@@ -164,20 +164,16 @@ def _sizes(listing: str) -> tuple[int, int]:
     return text + data, data + bss
 
 
-def _tool(target: Target, program: str, folder: Path, *arguments: str) -> str:
-    return cross(target, program, arguments, folder)
-
-
 def _link(target: Target, functions: Iterable[str], output: str, folder: Path) -> None:
     """A program that consists of these functions and what they need from the libraries."""
     roots = [f"-Wl,--undefined={f}" for f in functions]
     options = ("-nostartfiles", "-Wl,--gc-sections", "-Wl,--entry=0", *target.libraries)
-    _tool(target, "gcc", folder, *target.flags, *options, *roots, "package.o", "-lm", "-o", output)
+    cross(target, "gcc", folder, *target.flags, *options, *roots, "package.o", "-lm", "-o", output)
 
 
 def _library(target: Target, folder: Path, symbols: str) -> dict[str, stack.Function]:
     """Functions of the libraries with their frames, from the linked program."""
-    listing = _tool(target, "objdump", folder, "-d", "--no-show-raw-insn", "all.elf")
+    listing = cross(target, "objdump", folder, "-d", "--no-show-raw-insn", "all.elf")
     return stack.with_aliases(stack.of_program(listing, machine_code(target)), symbols)
 
 
@@ -185,16 +181,16 @@ def _struct_bytes(name: str, target: Target, folder: Path) -> int:
     """sizeof(<name>_solver_t) on the target: the size of an array of so many characters."""
     text = f'#include "{name}.h"\nchar struct_bytes[sizeof({name}_solver_t)] = {{1}};\n'
     (folder / "size.c").write_text(text, encoding="utf-8")
-    _tool(target, "gcc", folder, *target.flags, "-c", "size.c", "-o", "size.o")
+    cross(target, "gcc", folder, *target.flags, "-c", "size.c", "-o", "size.o")
     (line,) = (
-        part.split() for part in _tool(target, "nm", folder, "-S", "size.o").splitlines() if "struct_bytes" in part
+        part.split() for part in cross(target, "nm", folder, "-S", "size.o").splitlines() if "struct_bytes" in part
     )
     return int(line[1], 16)
 
 
 def _object_digest(target: Target, folder: Path) -> str:
     """SHA-256 of the contents of all sections of package.o that are loaded."""
-    return _digest(_tool(target, "objdump", folder, "-s", "package.o"))
+    return _digest(cross(target, "objdump", folder, "-s", "package.o"))
 
 
 # -- sizes for every goal and optimisation level -----------------------------------------------------------------------

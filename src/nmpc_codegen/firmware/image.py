@@ -74,10 +74,10 @@ def build(
         BuildError: there is no cross compiler, or it refuses the code.
     """
     write(package, name, sources(target, recording, stack_bytes), folder)
-    cross(target, "gcc", [*compile_flags(target, level), "-c", f"{name}.c", "-o", "package.o"], folder)
+    cross(target, "gcc", folder, *compile_flags(target, level), "-c", f"{name}.c", "-o", "package.o")
     for unit in PROGRAM:
-        cross(target, "gcc", [*compile_flags(target, "O2"), "-c", unit, "-o", f"{unit}.o"], folder)
+        cross(target, "gcc", folder, *compile_flags(target, "O2"), "-c", unit, "-o", f"{unit}.o")
     objects = ("package.o", *(f"{unit}.o" for unit in PROGRAM))
     link = ("-nostartfiles", *target.libraries, "-Wl,--gc-sections", "-Timage.ld")
-    cross(target, "gcc", [*target.flags, *link, *objects, "-lm", "-o", ELF], folder)
+    cross(target, "gcc", folder, *target.flags, *link, *objects, "-lm", "-o", ELF)
     return Image(folder, target)

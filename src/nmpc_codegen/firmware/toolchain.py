@@ -112,6 +112,6 @@ def run(command: Sequence[str], folder: Path, seconds: float | None = None) -> s
     return done.stdout
 
 
-def cross(target: Target, tool: str, arguments: Sequence[str], folder: Path) -> str:
+def cross(target: Target, tool: str, folder: Path, *arguments: str) -> str:
     """Run a program of the cross compiler of a target."""
     return run([f"{target.compiler}{tool}", *arguments], folder)

@@ -15,7 +15,7 @@ import numpy as np
 from nmpc_codegen.firmware.emulate import Outcome, emulate
 from nmpc_codegen.firmware.image import MOST_STACK, build
 from nmpc_codegen.firmware.process import run_process
-from nmpc_codegen.firmware.recording import TOLERANCE, Recording
+from nmpc_codegen.firmware.recording import TOLERANCE, Array, Recording
 from nmpc_codegen.firmware.toolchain import Level
 from nmpc_codegen.targets import Target
 
@@ -88,18 +88,15 @@ def compared(recording: Recording, run: Outcome) -> Verdict:
         error=float(largest.max(initial=0.0)),
         mismatches=tuple(int(k) for k in wrong),
         statuses=int(np.sum(other)),
-        example=_example(recording, run, int(wrong[0])) if wrong.size else "",
+        example=_example(recording, run, int(wrong[0]), errors) if wrong.size else "",
         bits=int(np.sum(np.any(run.u.astype(np.float64) != recording.u, axis=1))),
     )
 
 
-def _example(recording: Recording, run: Outcome, k: int) -> str:
+def _example(recording: Recording, run: Outcome, k: int, errors: Array) -> str:
     """What sample k has: its status if that differs, else the control that differs most."""
     if run.status[k] != recording.status[k]:
         return f"sample {k}: status {int(run.status[k])} instead of {int(recording.status[k])}"
-    names = recording.description.names.controls
-    expected = recording.u[k]
-    with np.errstate(invalid="ignore"):
-        errors = np.abs(run.u[k].astype(np.float64) - expected) / recording.u_range
-    j = int(np.argmax(np.where(np.isnan(errors), np.inf, errors)))
-    return f"sample {k}: {names[j]} {float(run.u[k][j])!r} instead of {float(expected[j])!r}"
+    j = int(np.argmax(np.nan_to_num(errors[k], nan=np.inf)))
+    name = recording.description.names.controls[j]
+    return f"sample {k}: {name} {float(run.u[k, j])!r} instead of {float(recording.u[k, j])!r}"

@@ -34,7 +34,7 @@ from nmpc_codegen.errors import BuildError, ControllerError, OptionError
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, cached, keep_failed
 from nmpc_codegen.runtime.compiled import CompiledPackage
-from nmpc_codegen.runtime.compilers import environment, find_compiler
+from nmpc_codegen.runtime.compilers import asked, environment, find_compiler
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.native import check_target, macros_of
 from nmpc_codegen.targets import TARGETS, Target
@@ -184,19 +184,14 @@ def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> s
     lru_cache.
     """
     command = [*compiler, *flags, "-###", "-E", "-x", "c", os.devnull]
-    result = _asked(command)
+    result = asked(command)
     if result.returncode == 0 and "cc1" in result.stderr:
         return result.stderr
-    plain, version = _asked([*compiler, *flags, "-E", "-x", "c", os.devnull]), _asked([*compiler, "-v"])
+    plain, version = asked([*compiler, *flags, "-E", "-x", "c", os.devnull]), asked([*compiler, "-v"])
     if plain.returncode == 0 and version.returncode == 0:
         return f"{version.stdout}{version.stderr}{sorted(macros_of(compiler, flags).items())}"
     said = _head(result.stderr) or "it prints nothing"
     raise BuildError(f"'{' '.join(command)}' failed with status {result.returncode}:\n{said}")
-
-
-def _asked(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """What the compiler says of itself."""
-    return subprocess.run(command, env=environment(command), capture_output=True, text=True, check=False)
 
 
 def _suffix() -> str:

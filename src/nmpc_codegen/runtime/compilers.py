@@ -98,6 +98,11 @@ def environment(command: Sequence[str], folder: Path | None = None) -> dict[str,
     return found
 
 
+def asked(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """What a compiler says of itself."""
+    return subprocess.run(command, env=environment(command), capture_output=True, text=True, check=False)
+
+
 def _zig_can_write() -> bool:
     """True if the folder of zig in the user's cache exists or can be made, and can be written to."""
     try:
